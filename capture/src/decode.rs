@@ -1,0 +1,109 @@
+//! Bytes of a PNG or JPEG image in, a [`Frame`] of raw planes out.
+//!
+//! Gray, gray with alpha, RGB, RGBA and palette images, 8 and 16 bit. Colour becomes the planes r, g, b over one buffer;
+//! alpha is left out. Pixel values are as stored, never rescaled to 0…1 (only 1-, 2- and 4-bit gray PNG is stretched to
+//! 8 bit, as the PNG standard asks for). Which kind it is, the bytes say, not the name.
+
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader};
+use isophote_jit::PixelFormat;
+use isophote_tracker::{Buffer, Frame, Plane};
+
+use crate::limits::LIMITS;
+
+/// Why bytes are not a frame.
+#[derive(Debug, thiserror::Error)]
+pub enum DecodeError {
+    /// Neither PNG nor JPEG.
+    #[error("not a PNG or JPEG image")]
+    UnknownKind,
+    /// More pixels than the limits allow; nothing was decoded.
+    #[error("{0}")]
+    TooLarge(String),
+    /// A PNG or JPEG that cannot be decoded to its end.
+    #[error("{0}")]
+    Damaged(String),
+}
+
+/// Decodes one image. Its size is checked before memory is taken.
+///
+/// ```
+/// let png = isophote_capture::encode_png(2, 1, isophote_jit::PixelFormat::U16, &[1, 2, 3, 4])?;
+/// let frame = isophote_capture::decode(&png)?;
+/// assert_eq!(frame.size(), [2, 1]);
+/// assert_eq!(frame.plane_view(0).pixel(1, 0), f64::from(0x0403));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn decode(bytes: &[u8]) -> Result<Frame, DecodeError> {
+    let reader = reader(bytes)?;
+    let format = reader.format();
+    let decoder = reader.into_decoder().map_err(fault)?;
+    let (width, height) = decoder.dimensions();
+    check_size(width, height)?;
+    if format == Some(ImageFormat::Jpeg) {
+        check_jpeg_end(bytes)?;
+    }
+    frame(DynamicImage::from_decoder(decoder).map_err(fault)?)
+}
+
+/// Width and height that the header names.
+pub(crate) fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
+    let (width, height) = reader(bytes)?.into_decoder().map_err(fault)?.dimensions();
+    Ok([width as usize, height as usize])
+}
+
+fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, DecodeError> {
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|error| DecodeError::Damaged(error.to_string()))?;
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
+        return Err(DecodeError::UnknownKind);
+    }
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(LIMITS.side_px);
+    limits.max_image_height = Some(LIMITS.side_px);
+    limits.max_alloc = Some(LIMITS.frame_pixels * 8);
+    reader.limits(limits);
+    Ok(reader)
+}
+
+fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels > LIMITS.frame_pixels {
+        let limit = LIMITS.frame_pixels;
+        return Err(DecodeError::TooLarge(format!("{width}×{height} px is more than the {limit} px that a frame may have")));
+    }
+    Ok(())
+}
+
+/// A JPEG that was cut short decodes to grey without a word; its missing end marker gives it away.
+fn check_jpeg_end(bytes: &[u8]) -> Result<(), DecodeError> {
+    let has_end = bytes.windows(2).rev().any(|pair| pair == [0xff, 0xd9]);
+    if has_end { Ok(()) } else { Err(DecodeError::Damaged("the JPEG ends before its end marker".into())) }
+}
+
+fn fault(error: ImageError) -> DecodeError {
+    match error {
+        ImageError::Limits(limit) => DecodeError::TooLarge(limit.to_string()),
+        other => DecodeError::Damaged(other.to_string()),
+    }
+}
+
+fn frame(image: DynamicImage) -> Result<Frame, DecodeError> {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let (format, stored, used) = match &image {
+        DynamicImage::ImageLuma8(_) => (PixelFormat::U8, 1, 1),
+        DynamicImage::ImageLumaA8(_) => (PixelFormat::U8, 2, 1),
+        DynamicImage::ImageRgb8(_) => (PixelFormat::U8, 3, 3),
+        DynamicImage::ImageRgba8(_) => (PixelFormat::U8, 4, 3),
+        DynamicImage::ImageLuma16(_) => (PixelFormat::U16, 1, 1),
+        DynamicImage::ImageLumaA16(_) => (PixelFormat::U16, 2, 1),
+        DynamicImage::ImageRgb16(_) => (PixelFormat::U16, 3, 3),
+        DynamicImage::ImageRgba16(_) => (PixelFormat::U16, 4, 3),
+        other => return Err(DecodeError::Damaged(format!("its pixels are {:?}, not 8 or 16 bit", other.color()))),
+    };
+    let buffer = Buffer::Owned(image.into_bytes().into());
+    let planes = (0..used).map(|channel| Plane::interleaved(format, &buffer, width, stored, channel)).collect();
+    Frame::new(&[width, height], planes).map_err(|error| DecodeError::Damaged(error.to_string()))
+}

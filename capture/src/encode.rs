@@ -1,0 +1,44 @@
+//! A plane of pixels in, the bytes of a gray PNG file out (8 or 16 bit).
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use isophote_jit::PixelFormat;
+
+/// Why a plane is not a PNG.
+#[derive(Debug, thiserror::Error)]
+pub enum EncodeError {
+    /// PNG knows 8 and 16 bit only.
+    #[error("{0:?} pixels have no place in a PNG file; only u8 and u16 have")]
+    Format(PixelFormat),
+    /// What the encoder says.
+    #[error("{0}")]
+    Encoder(#[from] image::ImageError),
+}
+
+/// Encodes `width` × `height` tightly packed pixels (u16 in native order, which is little-endian on every machine that the JIT knows).
+pub fn encode_png(width: usize, height: usize, format: PixelFormat, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
+    let colour = match format {
+        PixelFormat::U8 => ExtendedColorType::L8,
+        PixelFormat::U16 => ExtendedColorType::L16,
+        other => return Err(EncodeError::Format(other)),
+    };
+    encode(width, height, colour, pixels)
+}
+
+/// Encodes `width` × `height` tightly packed r, g, b bytes (overlays).
+pub fn encode_png_rgb(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
+    encode(width, height, ExtendedColorType::Rgb8, pixels)
+}
+
+fn encode(width: usize, height: usize, colour: ExtendedColorType, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
+    let mut bytes = Vec::new();
+    // The encoder panics on a wrong length: make that an error of the same kind as its own.
+    let expected = (width * height) as u64 * u64::from(colour.bits_per_pixel()) / 8;
+    if pixels.len() as u64 != expected || width == 0 || height == 0 {
+        let kind = image::error::ParameterErrorKind::DimensionMismatch;
+        return Err(image::ImageError::Parameter(image::error::ParameterError::from_kind(kind)).into());
+    }
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(pixels, width as u32, height as u32, colour)?;
+    Ok(bytes)
+}

@@ -1,0 +1,31 @@
+//! The one table of bounds on what a source reads or makes.
+
+/// Bounds, checked before memory is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Pixels of one frame.
+    pub frame_pixels: u64,
+    /// Pixels of a frame's side.
+    pub side_px: u32,
+    /// Bytes of one file (image, CSV or truth).
+    pub file_bytes: u64,
+    /// Files of one recording.
+    pub files: usize,
+    /// Columns of a CSV file.
+    pub columns: usize,
+    /// Sub-pixel samples per pixel side of a synthetic frame.
+    pub samples: u32,
+    /// Bits of a pixel of a synthetic frame.
+    pub bits: u32,
+}
+
+/// The bounds in force.
+pub const LIMITS: Limits = Limits {
+    frame_pixels: 64 << 20,
+    side_px: 32_768,
+    file_bytes: 256 << 20,
+    files: 1_000_000,
+    columns: 256,
+    samples: 32,
+    bits: 16,
+};

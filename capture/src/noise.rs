@@ -1,0 +1,348 @@
+//! The sensor: expected light in, pixel values out.
+//!
+//! A pixel that should read m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts
+//! Poisson(e) of them, adds N(0, read noise²) electrons, is converted back to DN, rounded, and clipped to
+//! 0…saturation. Without electrons (a full well of 0) it is only rounded and clipped.
+//!
+//! Poisson numbers are exact: inversion for small means, Hörmann's transformed rejection PTRS otherwise (W. Hörmann, The
+//! transformed rejection method for generating Poisson random variables, Insurance: Mathematics and Economics 12, 1993).
+//! Even ground is read from a table of its distribution ([`Levels`]). Logarithms come from `libm`, so a seed gives the same frames on every machine.
+
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use rand_pcg::rand_core::{Rng, SeedableRng};
+
+use crate::levels::Levels;
+
+/// Means below this are inverted.
+const INVERSION_BELOW: f64 = 10.0;
+/// More counts than a mean below [`INVERSION_BELOW`] ever gives (the chance is under 1e-80).
+const INVERSION_STEPS: u32 = 128;
+
+/// What the camera does to light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sensor {
+    /// Pixel values are clipped here.
+    pub saturation: f64,
+    /// 0: no noise.
+    pub electrons_per_dn: f64,
+    /// Standard deviation.
+    pub read_noise_e: f64,
+}
+
+/// So many equal means in a row are ground, whose values are worth a table…
+const GROUND_RUN: u32 = 256;
+/// …but only so many grounds a frame (a background that slopes along y has one a row).
+const GROUNDS_MAX: u32 = 2;
+
+/// Reads frames out, row by row.
+pub(crate) struct ReadOut {
+    sensor: Sensor,
+    random: Random,
+    /// The last mean, how many pixels it has stood for, and its distribution.
+    mean_dn: f32,
+    run: u32,
+    poisson: Poisson,
+    /// The table of the frame's ground, once the ground is known…
+    ground: Option<Levels>,
+    grounds: u32,
+    /// …and that of the frame before, which is usually the same. Whether it is used depends on this frame alone.
+    memory: Option<Levels>,
+}
+
+impl ReadOut {
+    /// For frames from number 0 on.
+    pub fn new(sensor: Sensor) -> ReadOut {
+        let (random, poisson) = (Random::of_frame(0, 0), Poisson::new(0.0));
+        ReadOut { sensor, random, mean_dn: f32::NAN, run: 0, poisson, ground: None, grounds: 0, memory: None }
+    }
+
+    /// Starts a frame: its random numbers are its own.
+    pub fn begin(&mut self, seed: u64, frame: u64) {
+        self.random = Random::of_frame(seed, frame);
+        (self.mean_dn, self.run, self.grounds) = (f32::NAN, 0, 0);
+        self.memory = self.ground.take().or(self.memory.take());
+    }
+
+    /// Reads one row. `means` are in DN; the pixels take their random numbers in order.
+    pub fn row(&mut self, means: &[f32], pixels: &mut [u16]) {
+        if self.sensor.electrons_per_dn <= 0.0 {
+            for (pixel, mean) in pixels.iter_mut().zip(means) {
+                *pixel = self.sensor.digitised(f64::from(*mean));
+            }
+            return;
+        }
+        for (pixel, mean) in pixels.iter_mut().zip(means) {
+            *pixel = match &self.ground {
+                Some(ground) if ground.mean_dn() == *mean => ground.at(self.random.uniform()),
+                _ => self.counted(*mean),
+            };
+        }
+    }
+
+    /// One pixel by counting electrons.
+    fn counted(&mut self, mean_dn: f32) -> u16 {
+        let Sensor { electrons_per_dn, read_noise_e, .. } = self.sensor;
+        if mean_dn == self.mean_dn {
+            self.run += 1;
+            if self.run == GROUND_RUN && self.grounds < GROUNDS_MAX {
+                self.find_ground(mean_dn);
+            }
+        } else {
+            (self.mean_dn, self.run) = (mean_dn, 1);
+            self.poisson = Poisson::new(f64::from(mean_dn) * electrons_per_dn);
+        }
+        let mut electrons = self.poisson.sample(&mut self.random);
+        if read_noise_e > 0.0 {
+            electrons += read_noise_e * self.random.normal();
+        }
+        self.sensor.digitised(electrons / electrons_per_dn)
+    }
+
+    fn find_ground(&mut self, mean_dn: f32) {
+        self.grounds += 1;
+        let remembered = self.memory.take().filter(|levels| levels.mean_dn() == mean_dn);
+        self.ground = remembered.or_else(|| Levels::new(mean_dn, &self.sensor));
+    }
+}
+
+impl Sensor {
+    /// Rounded (half up) and clipped; a NaN reads 0.
+    fn digitised(&self, dn: f64) -> u16 {
+        // `as` saturates, truncates and sends NaN to 0; the value is not negative by then.
+        (dn + 0.5).clamp(0.0, self.saturation.floor() + 0.5) as u16
+    }
+}
+
+/// The random numbers of one frame.
+pub(crate) struct Random(Pcg64Mcg);
+
+impl Random {
+    /// A stream of its own for every (seed, frame): a frame does not depend on the frames before it.
+    pub fn of_frame(seed: u64, frame: u64) -> Random {
+        Random(Pcg64Mcg::seed_from_u64(scrambled(scrambled(seed) ^ frame)))
+    }
+
+    /// Uniform in [0, 1), 53 bits.
+    fn uniform(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+    }
+
+    fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+}
+
+/// The finaliser of SplitMix64: a bijection that leaves no pattern of neighbouring seeds.
+fn scrambled(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// A Poisson distribution, prepared for its mean.
+#[derive(Clone, Copy, Debug)]
+enum Poisson {
+    Zero,
+    Inversion { zero_probability: f64, mean: f64 },
+    Ptrs { mean: f64, a: f64, b: f64, v_quick: f64 },
+}
+
+impl Poisson {
+    /// A mean that is not positive (or NaN) gives no electrons.
+    fn new(mean: f64) -> Poisson {
+        if mean.is_nan() || mean <= 0.0 {
+            Poisson::Zero
+        } else if mean < INVERSION_BELOW {
+            Poisson::Inversion { zero_probability: libm::exp(-mean), mean }
+        } else {
+            let b = 0.931 + 2.53 * mean.sqrt();
+            Poisson::Ptrs { mean, a: -0.059 + 0.02483 * b, b, v_quick: 0.9277 - 3.6224 / (b - 2.0) }
+        }
+    }
+
+    fn sample(&self, random: &mut Random) -> f64 {
+        match *self {
+            Poisson::Zero => 0.0,
+            Poisson::Inversion { zero_probability, mean } => inverted(zero_probability, mean, random.uniform()),
+            Poisson::Ptrs { mean, a, b, v_quick } => loop {
+                // Ends: each turn accepts with a probability over 0.7, whatever the mean.
+                let (u, v) = (random.uniform() - 0.5, random.uniform());
+                let us = 0.5 - u.abs();
+                let k = ((2.0 * a / us + b) * u + mean + 0.43).floor();
+                if us >= 0.07 && v <= v_quick {
+                    return k;
+                }
+                if k < 0.0 || (us < 0.013 && v > us) {
+                    continue;
+                }
+                let inverse_alpha = 1.1239 + 1.1328 / (b - 3.4);
+                if libm::log(v * inverse_alpha / (a / (us * us) + b)) <= poisson_logarithm(mean, k) {
+                    return k;
+                }
+            },
+        }
+    }
+}
+
+/// The smallest k whose cumulative probability exceeds `u`.
+fn inverted(zero_probability: f64, mean: f64, u: f64) -> f64 {
+    let (mut k, mut probability, mut cumulative) = (0.0, zero_probability, zero_probability);
+    for _ in 0..INVERSION_STEPS {
+        if u < cumulative {
+            break;
+        }
+        k += 1.0;
+        probability *= mean / k;
+        cumulative += probability;
+    }
+    k
+}
+
+/// The logarithm of the probability of k ≥ 0 counts at a positive mean.
+pub(crate) fn poisson_logarithm(mean: f64, k: f64) -> f64 {
+    k * libm::log(mean) - mean - log_factorial(k)
+}
+
+/// ln k! for whole k ≥ 0: products up to 15, then Stirling's series (its error is below 1e-11 there).
+fn log_factorial(k: f64) -> f64 {
+    if k < 16.0 {
+        let product: f64 = (2..=k as u32).map(f64::from).product();
+        return libm::log(product);
+    }
+    const HALF_LOG_TWO_PI: f64 = 0.918_938_533_204_672_8;
+    let r = 1.0 / (k * k);
+    (k + 0.5) * libm::log(k) - k + HALF_LOG_TWO_PI + (1.0 / 12.0 - r * (1.0 / 360.0 - r / 1260.0)) / k
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn log_factorial_is_the_gamma_function() {
+        for k in (0..400).map(f64::from) {
+            let expected = libm::lgamma(k + 1.0);
+            assert!((log_factorial(k) - expected).abs() <= 1e-12 * (1.0 + expected), "{k}");
+        }
+    }
+
+    /// Pearson's χ² of 400,000 numbers against the distribution, for means on both sides of the change of method. With ν
+    /// bins χ² has mean ν and variance 2ν; five standard deviations pass.
+    #[test]
+    fn poisson_numbers_follow_the_distribution() {
+        const N: usize = 400_000;
+        for (seed, mean) in [0.05, 0.7, 3.0, 9.99, 10.0, 12.5, 40.0, 391.0, 5000.0].into_iter().enumerate() {
+            let mut random = Random::of_frame(seed as u64, 0);
+            let poisson = Poisson::new(mean);
+            let mut counts = std::collections::BTreeMap::<u64, u64>::new();
+            for _ in 0..N {
+                *counts.entry(poisson.sample(&mut random) as u64).or_default() += 1;
+            }
+            let (mut chi_square, mut bins, mut rest, mut rest_seen) = (0.0, 0.0, N as f64, N as f64);
+            for k in 0..=(mean + 20.0 * f64::sqrt(mean) + 20.0) as u64 {
+                let expected = N as f64 * libm::exp(poisson_logarithm(mean, k as f64));
+                if expected < 10.0 {
+                    continue;
+                }
+                let seen = counts.get(&k).copied().unwrap_or(0) as f64;
+                chi_square += (seen - expected).powi(2) / expected;
+                (bins, rest, rest_seen) = (bins + 1.0, rest - expected, rest_seen - seen);
+            }
+            let limit = bins + 5.0 * f64::sqrt(2.0 * bins);
+            assert!(chi_square < limit, "mean {mean}: chi-square {chi_square} over {bins} bins, limit {limit}");
+            assert!((rest - rest_seen).abs() < 5.0 * rest.max(4.0).sqrt(), "mean {mean}: tails {rest_seen} for {rest}");
+        }
+    }
+
+    #[test]
+    fn read_out_rounds_and_clips_without_noise() {
+        let sensor = Sensor { saturation: 253.0, electrons_per_dn: 0.0, read_noise_e: 15.0 };
+        let means = [-3.0, 0.0, 0.49, 0.5, 1.5, 252.4, 252.6, 900.0, f32::NAN, f32::INFINITY];
+        let mut pixels = [7; 10];
+        ReadOut::new(sensor).row(&means, &mut pixels);
+        assert_eq!(pixels, [0, 0, 0, 1, 2, 252, 253, 253, 0, 253]);
+    }
+
+    /// Mean and variance of 1,000,000 pixels: σ²(DN) = m/g + (r/g)² + 1/12 for g electrons a DN and r electrons of read
+    /// noise. Tolerances: 5 standard errors, √(σ²/N) and σ²·√(2/N).
+    #[test]
+    fn noise_has_the_stated_mean_and_variance() {
+        const N: usize = 1_000_000;
+        for (gain, read_noise_e, mean) in [(19.6, 15.0, 20.0), (19.6, 15.0, 150.0), (1.0, 2.0, 100.0), (0.2, 0.0, 120.0)] {
+            let sensor = Sensor { saturation: 65_535.0, electrons_per_dn: gain, read_noise_e };
+            let mut pixels = vec![0; N];
+            let mut read_out = ReadOut::new(sensor);
+            read_out.begin(42, 7);
+            // A neighbour that differs by nothing that matters: no ground, every pixel is counted.
+            let means: Vec<f32> = (0..N).map(|i| if i % 2 == 0 { mean } else { mean * 1.000_001 }).collect();
+            read_out.row(&means, &mut pixels);
+            let sum: f64 = pixels.iter().map(|p| f64::from(*p)).sum();
+            let average = sum / N as f64;
+            let variance = pixels.iter().map(|p| (f64::from(*p) - average).powi(2)).sum::<f64>() / N as f64;
+            let mut expected = f64::from(mean) / gain + (read_noise_e / gain).powi(2);
+            if gain >= 1.0 {
+                expected += if read_noise_e > 0.0 { 1.0 / 12.0 } else { 0.0 };
+            }
+            let n = N as f64;
+            assert!((average - f64::from(mean)).abs() < 5.0 * (expected / n).sqrt(), "mean {average} for {mean}");
+            assert!((variance - expected).abs() < 5.0 * expected * (2.0 / n).sqrt(), "variance {variance} for {expected}");
+        }
+    }
+
+    /// Ground by table and the same light counted electron by electron have the same distribution: χ² of two samples.
+    #[test]
+    fn ground_is_read_as_everything_else() {
+        const N: usize = 400_000;
+        for (gain, read_noise_e, mean) in [(19.6, 15.0, 20.0), (19.6, 15.0, 250.0), (1.0, 0.0, 4.0), (0.3, 2.0, 90.0)] {
+            let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e };
+            let count = |means: Vec<f32>, seed| {
+                let mut read_out = ReadOut::new(sensor);
+                read_out.begin(seed, 0);
+                let mut pixels = vec![0; N];
+                read_out.row(&means, &mut pixels);
+                let mut counts = vec![0.0; 256];
+                pixels.iter().for_each(|pixel| counts[usize::from(*pixel)] += 1.0);
+                (counts, read_out.ground.is_some())
+            };
+            let (ground, has_table) = count(vec![mean; N], 1);
+            let (counted, has_none) = count((0..N).map(|i| mean * (1.0 + (i % 2) as f32 * 1e-6)).collect(), 2);
+            assert!(has_table && !has_none);
+            let (mut chi_square, mut bins) = (0.0, 0.0);
+            for (a, b) in ground.iter().zip(&counted) {
+                if a + b > 20.0 {
+                    chi_square += f64::powi(a - b, 2) / (a + b);
+                    bins += 1.0;
+                }
+            }
+            assert!(chi_square < bins + 5.0 * f64::sqrt(2.0 * bins), "gain {gain}: {chi_square} over {bins} bins");
+        }
+    }
+
+    /// A frame is the same whether or not others were read before it.
+    #[test]
+    fn frames_do_not_depend_on_earlier_ones() {
+        let sensor = Sensor { saturation: 255.0, electrons_per_dn: 19.6, read_noise_e: 15.0 };
+        let means = vec![20.0; 2000];
+        let (mut fresh, mut used) = (ReadOut::new(sensor), ReadOut::new(sensor));
+        let (mut first, mut second) = (vec![0; 2000], vec![0; 2000]);
+        used.begin(1, 0);
+        used.row(&means, &mut second);
+        for read_out in [&mut fresh, &mut used] {
+            read_out.begin(1, 1);
+        }
+        fresh.row(&means, &mut first);
+        used.row(&means, &mut second);
+        assert_eq!(first, second);
+    }
+
+    #[test]
+    fn frames_have_streams_of_their_own() {
+        let draw = |seed, frame| Random::of_frame(seed, frame).uniform();
+        assert_eq!(draw(1, 5), draw(1, 5));
+        assert_ne!(draw(1, 5), draw(1, 6));
+        assert_ne!(draw(1, 5), draw(2, 5));
+        assert_ne!(draw(0, 1), draw(1, 0));
+    }
+}

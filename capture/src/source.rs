@@ -1,0 +1,104 @@
+//! The door: what every source of frames offers.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use isophote_tracker::Frame;
+
+/// One frame and what is known about it besides its pixels.
+#[derive(Clone, Debug)]
+pub struct Captured {
+    /// The pixels; its `sequence` counts from 0.
+    pub frame: Frame,
+    /// The file it came from (name without folder); `None` where there is none.
+    pub file: Option<String>,
+    /// The parameters it was made from, where they are known: synthetic frames and recordings of them.
+    pub truth: Option<BTreeMap<String, f64>>,
+}
+
+/// Frames one after the other. The owner decides when: a source never waits (a camera, which waits for its driver,
+/// excepted) and never drops.
+pub trait FrameSource: Send {
+    /// The next frame; `None` when there are no more. After an error the source may be asked again: it goes on with
+    /// the frame after the one that failed.
+    fn next(&mut self) -> Result<Option<Captured>, SourceError>;
+
+    /// One line for people: what it is and where.
+    fn description(&self) -> String;
+
+    /// Size of the first frame, inner coordinate first, where it is known beforehand.
+    fn size(&self) -> Option<Vec<usize>>;
+}
+
+/// Why a source cannot deliver. Every message names the file and says what would help.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// Nothing is there.
+    #[error("{}: no such file or folder", path.display())]
+    Missing {
+        /// What was asked for.
+        path: PathBuf,
+    },
+    /// The operating system refused.
+    #[error("{}: cannot be read: {reason}", path.display())]
+    Unreadable {
+        /// What was asked for.
+        path: PathBuf,
+        /// The system's words.
+        reason: std::io::Error,
+    },
+    /// A folder without frames.
+    #[error("{}: holds no frames; a recording is a folder of PNG or JPEG files, one such file, or one CSV file", path.display())]
+    Empty {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A kind of file that this build does not read.
+    #[error("{}: not a PNG, JPEG or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
+    UnknownKind {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A file that is not what it claims to be.
+    #[error("{}: damaged: {reason}; write it again or take it out of the recording", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder says.
+        reason: String,
+    },
+    /// More than the limits allow.
+    #[error("{}: {reason}", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Which limit, and its value.
+        reason: String,
+    },
+    /// A CSV or truth file with a fault in a line.
+    #[error("{}:{line}: {reason}", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// From 1.
+        line: u64,
+        /// What is wrong and what would be right.
+        reason: String,
+    },
+    /// The planes of a frame do not fit the channels of the model.
+    #[error("{}: {reason}", path.display())]
+    Channels {
+        /// The file.
+        path: PathBuf,
+        /// What there is and what was asked for.
+        reason: String,
+    },
+    /// A synthetic frame cannot be made.
+    #[error("frame {frame}: {reason}")]
+    Synthetic {
+        /// From 0.
+        frame: u64,
+        /// What went wrong.
+        reason: String,
+    },
+}

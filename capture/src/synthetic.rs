@@ -1,0 +1,317 @@
+//! The synthetic camera: any model, rendered with sub-pixel samples, motion, noise and saturation; the truth with each frame.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use isophote_jit::{PixelFormat, Window};
+use isophote_symbolic::{Diagnostics, Estimator, Model, Start};
+use isophote_tracker::{Frame, Plane};
+use serde::{Deserialize, Serialize};
+
+use crate::limits::LIMITS;
+use crate::motion::{Motion, MotionFault};
+use crate::noise::{ReadOut, Sensor};
+use crate::sampling::{BAND_ROWS, Numbers, Scene, SceneFault, Scratch};
+use crate::source::{Captured, FrameSource, SourceError};
+
+/// When the next frame is due. The source itself never waits; its owner obeys.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Pace {
+    /// At `rate_hz`, like a camera: a fit that is too slow misses frames.
+    #[default]
+    Realtime,
+    /// When the last frame has been fitted: no frame is ever lost.
+    Fit,
+}
+
+/// What to render and how to see it. `SyntheticSpec::new(model)` has the contract's defaults.
+#[derive(Clone, Debug)]
+pub struct SyntheticSpec {
+    /// One- or two-dimensional, with one channel.
+    pub model: Arc<Model>,
+    /// Parameters and constants by name; what is not set starts as [`Synthetic`] says.
+    pub set: BTreeMap<String, f64>,
+    /// Parameters by name as formulas of `t`, seconds since the first frame.
+    pub motion: BTreeMap<String, String>,
+    /// Pixels of a row.
+    pub width: usize,
+    /// Rows; a one-dimensional model has one whatever this says.
+    pub height: usize,
+    /// Frames a second: t of frame n is n / rate.
+    pub rate_hz: f64,
+    /// For the owner of the source.
+    pub pace: Pace,
+    /// Of a pixel, 1 to 16; over 8 gives u16 planes.
+    pub bits: u32,
+    /// Sub-pixel samples per pixel side.
+    pub samples: u32,
+    /// Electrons at the saturation limit; 0: no noise at all.
+    pub full_well_e: f64,
+    /// Standard deviation of the read noise, electrons.
+    pub read_noise_e: f64,
+    /// Pixel values are clipped here, DN.
+    pub saturation: f64,
+    /// Of the noise; same seed, same frames.
+    pub seed: u64,
+}
+
+impl SyntheticSpec {
+    /// 640 × 480 pixels of 8 bit at 60 Hz, 8 × 8 samples, no noise.
+    pub fn new(model: Arc<Model>) -> SyntheticSpec {
+        SyntheticSpec {
+            model,
+            set: BTreeMap::new(),
+            motion: BTreeMap::new(),
+            width: 640,
+            height: 480,
+            rate_hz: 60.0,
+            pace: Pace::Realtime,
+            bits: 8,
+            samples: 8,
+            full_well_e: 0.0,
+            read_noise_e: 0.0,
+            saturation: 255.0,
+            seed: 1,
+        }
+    }
+}
+
+/// Why there is no synthetic camera.
+#[derive(Debug, thiserror::Error)]
+pub enum SyntheticError {
+    /// A number out of its range.
+    #[error("{name} is {value}; it must be {range}")]
+    Range {
+        /// As in the contract.
+        name: &'static str,
+        /// What was given.
+        value: f64,
+        /// What would be right.
+        range: String,
+    },
+    /// A name that the model does not have.
+    #[error("the model `{model}` has no {wanted} named `{name}`; {remedy}")]
+    UnknownName {
+        /// The model's name.
+        model: String,
+        /// Parameter, or parameter or constant.
+        wanted: &'static str,
+        /// What was given.
+        name: String,
+        /// The name that was probably meant, or all there are.
+        remedy: String,
+    },
+    /// A motion formula is wrong.
+    #[error("the motion of `{name}` is no formula of t: {}", first_message(diagnostics))]
+    Motion {
+        /// The parameter.
+        name: String,
+        /// The faults, with places in the formula.
+        diagnostics: Diagnostics,
+    },
+    /// The model cannot be rendered.
+    #[error("the model `{model}` cannot be rendered: {reason}")]
+    Model {
+        /// The model's name.
+        model: String,
+        /// Why.
+        reason: String,
+    },
+}
+
+fn first_message(diagnostics: &Diagnostics) -> String {
+    diagnostics.first().map_or_else(String::new, |d| match &d.help {
+        Some(help) => format!("{} ({help})", d.message),
+        None => d.message.clone(),
+    })
+}
+
+/// A camera that looks at a model.
+///
+/// A parameter that is neither set nor moved has its start if that is a number; else it follows from its estimator:
+/// `centroid` the middle of the frame, `extent` an ellipse of semi-axes 60 × 42 px at 640 px width (in
+/// proportion to the width), `size` 40 px, `background` 20 and `amplitude` 150 of 255 DN (in proportion to the saturation),
+/// or 200 and −150 where the model wants a dark target (`max` not above 0).
+pub struct Synthetic {
+    spec: SyntheticSpec,
+    size: Vec<usize>,
+    scene: Scene,
+    motion: Motion,
+    parameters: Vec<f64>,
+    constants: Vec<f64>,
+    read_out: ReadOut,
+    frame: u64,
+    scratch: Scratch,
+    means: Vec<f32>,
+}
+
+impl Synthetic {
+    /// Checks the numbers and compiles the model.
+    pub fn new(spec: SyntheticSpec) -> Result<Synthetic, SyntheticError> {
+        check(&spec)?;
+        let refused = |reason: String| SyntheticError::Model { model: spec.model.name().into(), reason };
+        if spec.model.channels().len() != 1 {
+            let channels = spec.model.channels().join(", ");
+            return Err(refused(format!("it reads {channels}; the synthetic camera has one channel")));
+        }
+        let size = match spec.model.coordinates().len() {
+            1 => vec![spec.width],
+            2 => vec![spec.width, spec.height],
+            n => return Err(refused(format!("it has {n} coordinates; the synthetic camera has one or two"))),
+        };
+        let scene = Scene::new(&spec.model, spec.samples).map_err(|fault| match fault {
+            SceneFault::Model(diagnostics) => refused(first_message(&diagnostics)),
+            SceneFault::Compile(reason) => refused(format!("{reason} (a bug of isophote)")),
+        })?;
+        let motion = Motion::parse(&spec.model, &spec.motion).map_err(|fault| match fault {
+            MotionFault::UnknownName(name) => unknown(&spec.model, "parameter", name),
+            MotionFault::Formula { name, diagnostics } => SyntheticError::Motion { name, diagnostics },
+        })?;
+        let (parameters, constants) = numbers(&spec)?;
+        let electrons_per_dn = spec.full_well_e / spec.saturation;
+        let sensor = Sensor { saturation: spec.saturation, electrons_per_dn, read_noise_e: spec.read_noise_e };
+        let (read_out, scratch, means) = (ReadOut::new(sensor), Scratch::default(), Vec::new());
+        Ok(Synthetic { spec, size, scene, motion, parameters, constants, read_out, frame: 0, scratch, means })
+    }
+
+    /// What was asked for.
+    pub fn spec(&self) -> &SyntheticSpec {
+        &self.spec
+    }
+
+    /// The parameters of frame n by name.
+    pub fn truth(&self, frame: u64) -> Result<BTreeMap<String, f64>, SourceError> {
+        let parameters = self.parameters_of(frame)?;
+        let names = self.spec.model.parameters().iter().map(|p| p.name.clone());
+        Ok(names.zip(parameters).collect())
+    }
+
+    fn parameters_of(&self, frame: u64) -> Result<Vec<f64>, SourceError> {
+        let mut parameters = self.parameters.clone();
+        let t_s = frame as f64 / self.spec.rate_hz;
+        self.motion.apply(t_s, &mut parameters).map_err(|reason| SourceError::Synthetic { frame, reason })?;
+        Ok(parameters)
+    }
+
+    fn pixels(&mut self, frame: u64) -> Result<Plane, SourceError> {
+        let fault = |reason: String| SourceError::Synthetic { frame, reason };
+        let parameters = self.parameters_of(frame)?;
+        let numbers = Numbers { parameters: &parameters, constants: &self.constants };
+        let (width, height) = (self.size[0], self.size.get(1).copied().unwrap_or(1));
+        self.read_out.begin(self.spec.seed, frame);
+        let mut row = vec![0u16; width];
+        let format = if self.spec.bits > 8 { PixelFormat::U16 } else { PixelFormat::U8 };
+        let mut bytes = Vec::with_capacity(width * height * format.bytes_per_pixel());
+        for y in (0..height).step_by(BAND_ROWS) {
+            let band = Window { x: 0, y, width, height: BAND_ROWS.min(height - y) };
+            self.means.resize(width * band.height, 0.0);
+            self.scene.render(&numbers, band, &mut self.scratch, &mut self.means).map_err(fault)?;
+            for means in self.means.chunks_exact(width) {
+                self.read_out.row(means, &mut row);
+                match format {
+                    PixelFormat::U16 => bytes.extend(row.iter().flat_map(|pixel| pixel.to_le_bytes())),
+                    // The saturation limit is at most 255 here, so no pixel is cut.
+                    _ => bytes.extend(row.iter().map(|pixel| *pixel as u8)),
+                }
+            }
+        }
+        Ok(Plane::owned(format, bytes, width))
+    }
+}
+
+impl FrameSource for Synthetic {
+    fn next(&mut self) -> Result<Option<Captured>, SourceError> {
+        let frame = self.frame;
+        self.frame += 1;
+        let plane = self.pixels(frame)?;
+        let truth = self.truth(frame)?;
+        let made = Frame::new(&self.size, vec![plane])
+            .map_err(|error| SourceError::Synthetic { frame, reason: error.to_string() })?;
+        Ok(Some(Captured { frame: made.with_sequence(frame), file: None, truth: Some(truth) }))
+    }
+
+    fn description(&self) -> String {
+        let size: Vec<String> = self.size.iter().map(usize::to_string).collect();
+        format!("synthetic `{}` ({} px, {} Hz)", self.spec.model.name(), size.join("×"), self.spec.rate_hz)
+    }
+
+    fn size(&self) -> Option<Vec<usize>> {
+        Some(self.size.clone())
+    }
+}
+
+fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
+    let whole = |name, value: u64, to: u64| match (1..=to).contains(&value) {
+        true => Ok(()),
+        false => Err(SyntheticError::Range { name, value: value as f64, range: format!("1 to {to}") }),
+    };
+    whole("width", spec.width as u64, LIMITS.side_px.into())?;
+    whole("height", spec.height as u64, LIMITS.side_px.into())?;
+    whole("width × height", spec.width as u64 * spec.height as u64, LIMITS.frame_pixels)?;
+    whole("samples", spec.samples.into(), LIMITS.samples.into())?;
+    whole("bits", spec.bits.into(), LIMITS.bits.into())?;
+    let largest = f64::from((1u32 << spec.bits) - 1);
+    let in_range = |name, value: f64, holds: bool, range: &str| match holds && value.is_finite() {
+        true => Ok(()),
+        false => Err(SyntheticError::Range { name, value, range: range.into() }),
+    };
+    let (saturation, range) = (spec.saturation, format!("at least 1 and at most {largest}, the largest of {} bits", spec.bits));
+    in_range("saturation", saturation, (1.0..=largest).contains(&saturation), &range)?;
+    in_range("rate_hz", spec.rate_hz, spec.rate_hz > 0.0, "positive")?;
+    in_range("full_well_e", spec.full_well_e, spec.full_well_e >= 0.0, "0 (no noise) or positive")?;
+    in_range("read_noise_e", spec.read_noise_e, spec.read_noise_e >= 0.0, "0 or positive")
+}
+
+/// Parameters and constants of the first frame, motion apart.
+fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), SyntheticError> {
+    let model = &spec.model;
+    let dark = model.parameters().iter().any(|p| {
+        matches!(p.start, Start::Estimator(Estimator::Amplitude)) && p.max.is_some_and(|max| max <= 0.0)
+    });
+    let start = |start: &Start| match start {
+        Start::Number(number) => *number,
+        Start::Estimator(estimator) => typical(*estimator, spec, dark),
+    };
+    let mut parameters: Vec<f64> = model.parameters().iter().map(|p| start(&p.start)).collect();
+    let mut constants: Vec<f64> = model.constants().iter().map(|c| c.value).collect();
+    for (name, value) in &spec.set {
+        let value = *value;
+        if !value.is_finite() {
+            return Err(SyntheticError::Range { name: "a value of `set`", value, range: "a finite number".into() });
+        }
+        match (model.parameter(name), model.constant(name)) {
+            (Some(id), _) => parameters[id.index()] = value,
+            (None, Some(id)) => constants[id.index()] = value,
+            (None, None) => return Err(unknown(model, "parameter or constant", name.clone())),
+        }
+    }
+    Ok((parameters, constants))
+}
+
+/// What an estimator would find in an ordinary frame.
+fn typical(estimator: Estimator, spec: &SyntheticSpec, dark: bool) -> f64 {
+    let scale = spec.width as f64 / 640.0;
+    let level = spec.saturation / 255.0;
+    match estimator {
+        Estimator::CentroidX => (spec.width as f64 - 1.0) / 2.0,
+        Estimator::CentroidY => (spec.height as f64 - 1.0) / 2.0,
+        Estimator::ExtentXX => (60.0 * scale).powi(-2),
+        Estimator::ExtentXY => 0.0,
+        Estimator::ExtentYY => (42.0 * scale).powi(-2),
+        Estimator::SizeX | Estimator::SizeY => 40.0 * scale,
+        Estimator::Background => level * if dark { 200.0 } else { 20.0 },
+        Estimator::Amplitude => level * if dark { -150.0 } else { 150.0 },
+    }
+}
+
+fn unknown(model: &Model, wanted: &'static str, name: String) -> SyntheticError {
+    let remedy = match model.nearest_name(&name) {
+        Some(nearest) => format!("is `{nearest}` meant?"),
+        None => {
+            let parameters: Vec<&str> = model.parameters().iter().map(|p| p.name.as_str()).collect();
+            format!("its parameters are {}", parameters.join(", "))
+        }
+    };
+    SyntheticError::UnknownName { model: model.name().into(), wanted, name, remedy }
+}

@@ -1,0 +1,37 @@
+//! `truth.jsonl` beside a rendered recording: which parameters each file was made from.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::source::SourceError;
+
+/// The file's name in a recording's folder.
+pub(crate) const FILE: &str = "truth.jsonl";
+
+#[derive(Deserialize)]
+struct Line {
+    file: String,
+    parameters: BTreeMap<String, f64>,
+}
+
+/// Parameters by file name. A folder without the file has no truth, which is no fault.
+pub(crate) fn read(folder: &Path) -> Result<BTreeMap<String, BTreeMap<String, f64>>, SourceError> {
+    let path = folder.join(FILE);
+    let text = match std::fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(BTreeMap::new()),
+        Err(reason) => return Err(SourceError::Unreadable { path, reason }),
+    };
+    let mut truth = BTreeMap::new();
+    for (i, text) in text.lines().enumerate().filter(|(_, text)| !text.trim().is_empty()) {
+        let line: Line = serde_json::from_str(text).map_err(|error| SourceError::Line {
+            path: path.clone(),
+            line: i as u64 + 1,
+            reason: format!("not a line of truth ({error}); `isophote render` writes such files"),
+        })?;
+        truth.insert(line.file, line.parameters);
+    }
+    Ok(truth)
+}

@@ -1,0 +1,207 @@
+//! Recordings from folders and files: order, formats, truth, and what is wrong with damaged ones.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+
+use image::{DynamicImage, GrayImage, ImageFormat, RgbImage};
+use isophote_capture::{FrameSource, Recording, SourceError, encode_png};
+use isophote_jit::PixelFormat;
+
+fn gray(path: &Path, value: u8) {
+    std::fs::write(path, encode_png(3, 2, PixelFormat::U8, &[value; 6]).unwrap()).unwrap();
+}
+
+fn names(recording: &mut Recording) -> Vec<String> {
+    std::iter::from_fn(|| recording.next().unwrap()).map(|captured| captured.file.unwrap()).collect()
+}
+
+#[test]
+fn folders_are_read_in_natural_order_and_only_their_images() {
+    let folder = tempfile::tempdir().unwrap();
+    for (i, name) in ["f10.png", "f2.png", "f1.png", "F3.PNG"].iter().enumerate() {
+        gray(&folder.path().join(name), i as u8);
+    }
+    for other in ["LICENSE.txt", "notes.md", "table.csv", "f0.tiff"] {
+        std::fs::write(folder.path().join(other), "x\n1\n").unwrap();
+    }
+    std::fs::create_dir(folder.path().join("more.png")).unwrap();
+    let mut recording = Recording::open(folder.path()).unwrap();
+    assert_eq!(recording.len(), 4);
+    assert_eq!(recording.size(), Some(vec![3, 2]));
+    assert_eq!(names(&mut recording), ["F3.PNG", "f1.png", "f2.png", "f10.png"]);
+    recording.rewind();
+    let again = recording.next().unwrap().unwrap();
+    assert_eq!((again.frame.sequence, again.frame.plane_view(0).pixel(2, 1)), (4, 3.0));
+}
+
+/// Every pixel of every kind of PNG comes back as it was written.
+#[test]
+fn pixels_survive_at_8_and_16_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let (width, height) = (7, 5);
+    let sample = |i: usize| (i * 7919 % 65_536) as u16;
+    for channels in 1..=4usize {
+        for bits in [8, 16] {
+            let values: Vec<u16> = (0..width * height * channels).map(|i| sample(i) >> (16 - bits)).collect();
+            let bytes: Vec<u8> = values.iter().map(|v| *v as u8).collect();
+            let image = match (channels, bits) {
+                (1, 8) => DynamicImage::ImageLuma8(image::ImageBuffer::from_raw(7, 5, bytes).unwrap()),
+                (2, 8) => DynamicImage::ImageLumaA8(image::ImageBuffer::from_raw(7, 5, bytes).unwrap()),
+                (3, 8) => DynamicImage::ImageRgb8(image::ImageBuffer::from_raw(7, 5, bytes).unwrap()),
+                (4, 8) => DynamicImage::ImageRgba8(image::ImageBuffer::from_raw(7, 5, bytes).unwrap()),
+                (1, _) => DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(7, 5, values.clone()).unwrap()),
+                (2, _) => DynamicImage::ImageLumaA16(image::ImageBuffer::from_raw(7, 5, values.clone()).unwrap()),
+                (3, _) => DynamicImage::ImageRgb16(image::ImageBuffer::from_raw(7, 5, values.clone()).unwrap()),
+                _ => DynamicImage::ImageRgba16(image::ImageBuffer::from_raw(7, 5, values.clone()).unwrap()),
+            };
+            let path = folder.path().join("frame.png");
+            image.save_with_format(&path, ImageFormat::Png).unwrap();
+            let frame = Recording::open(&path).unwrap().next().unwrap().unwrap().frame;
+            let planes = if channels < 3 { 1 } else { 3 };
+            assert_eq!((frame.size(), frame.planes().len()), (&[width, height][..], planes));
+            for (i, value) in values.iter().enumerate() {
+                let (pixel, channel) = (i / channels, i % channels);
+                if channel < planes {
+                    let found = frame.plane_view(channel).pixel(pixel % width, pixel / width);
+                    assert_eq!(found, f64::from(*value), "{channels} channels, {bits} bit, sample {i}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn palettes_become_colours() {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, 4, 1);
+    encoder.set_color(png::ColorType::Indexed);
+    encoder.set_depth(png::BitDepth::Two);
+    encoder.set_palette(vec![0, 0, 0, 10, 20, 30, 40, 50, 60, 200, 200, 200]);
+    encoder.write_header().unwrap().write_image_data(&[0b00_01_10_11]).unwrap();
+    let frame = isophote_capture::decode(&bytes).unwrap();
+    assert_eq!(frame.planes().len(), 3);
+    let found: Vec<f64> = (0..4).map(|x| frame.plane_view(2).pixel(x, 0)).collect();
+    assert_eq!(found, [0.0, 30.0, 60.0, 200.0]);
+    assert_eq!(frame.luma().plane_view(0).pixel(3, 0), 200.0);
+}
+
+#[test]
+fn our_own_16_bit_png_comes_back() {
+    let values: Vec<u16> = (0..640 * 48).map(|i| (i * 40_503 % 65_536) as u16).collect();
+    let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    let frame = isophote_capture::decode(&encode_png(640, 48, PixelFormat::U16, &bytes).unwrap()).unwrap();
+    assert_eq!(frame.planes()[0].buffer.bytes(), bytes);
+    assert!(encode_png(640, 48, PixelFormat::F32, &bytes).is_err());
+    assert!(encode_png(640, 47, PixelFormat::U16, &bytes).is_err());
+}
+
+#[test]
+fn colour_fits_a_model_of_one_channel_by_its_luma_and_one_of_three_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("colour.png");
+    RgbImage::from_fn(4, 3, |x, _| image::Rgb([200, 100, x as u8 * 10])).save(&path).unwrap();
+    let one = Recording::open(&path).unwrap().for_channels(&["phi".into()]).next().unwrap().unwrap().frame;
+    assert_eq!(one.planes().len(), 1);
+    assert_eq!(one.plane_view(0).pixel(3, 2), (0.299 * 200.0 + 0.587 * 100.0 + 0.114 * 30.0f64).round());
+    let names = ["r".to_string(), "g".into(), "b".into()];
+    let three = Recording::open(&path).unwrap().for_channels(&names).next().unwrap().unwrap().frame;
+    assert_eq!(three.plane_view(2).pixel(3, 2), 30.0);
+    let two = Recording::open(&path).unwrap().for_channels(&names[..2]).next().unwrap_err();
+    assert!(two.to_string().ends_with("a colour image has three channels (r, g, b), but the model reads 2: r, g"), "{two}");
+    gray(&path, 1);
+    let gray = Recording::open(&path).unwrap().for_channels(&names).next().unwrap_err();
+    assert!(gray.to_string().ends_with("a gray image has one channel, but the model reads 3: r, g, b"), "{gray}");
+}
+
+#[test]
+fn jpeg_is_read_in_gray_and_colour() {
+    let folder = tempfile::tempdir().unwrap();
+    let (g, c) = (folder.path().join("g.jpg"), folder.path().join("h.jpeg"));
+    GrayImage::from_pixel(16, 8, image::Luma([90])).save(&g).unwrap();
+    RgbImage::from_pixel(16, 8, image::Rgb([90, 91, 92])).save(&c).unwrap();
+    let mut recording = Recording::open(folder.path()).unwrap();
+    let first = recording.next().unwrap().unwrap().frame;
+    let second = recording.next().unwrap().unwrap().frame;
+    assert_eq!((first.planes().len(), second.planes().len()), (1, 3));
+    assert!((first.plane_view(0).pixel(8, 4) - 90.0).abs() <= 2.0);
+}
+
+/// Each fault names the file and a remedy; the frame after a damaged one can still be had.
+#[test]
+fn damaged_files_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let noisy = GrayImage::from_fn(64, 64, |x, y| image::Luma([(x * 37 + y * 91) as u8]));
+    noisy.save(path("1.png")).unwrap();
+    noisy.save(path("2.jpg")).unwrap();
+    for name in ["1.png", "2.jpg"] {
+        let whole = std::fs::read(path(name)).unwrap();
+        std::fs::write(path(name), &whole[..whole.len() / 2]).unwrap();
+    }
+    std::fs::write(path("3.png"), b"GIF89a").unwrap();
+    std::fs::write(path("4.png"), b"").unwrap();
+    gray(&path("5.png"), 9);
+    let mut recording = Recording::open(folder.path()).unwrap();
+    for (name, word) in [("1.png", "damaged"), ("2.jpg", "damaged"), ("3.png", "not a PNG"), ("4.png", "not a PNG")] {
+        let message = recording.next().unwrap_err().to_string();
+        assert!(message.contains(name) && message.contains(word), "{message}");
+    }
+    assert_eq!(recording.next().unwrap().unwrap().frame.sequence, 4);
+    assert!(recording.next().unwrap().is_none());
+}
+
+#[test]
+fn what_is_no_recording_is_refused_with_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let message = |path: &Path| Recording::open(path).unwrap_err().to_string();
+    assert!(message(&folder.path().join("none")).ends_with("none: no such file or folder"));
+    assert!(message(folder.path()).contains("holds no frames; a recording is a folder of PNG or JPEG files"));
+    let tiff = folder.path().join("a.tiff");
+    std::fs::write(&tiff, b"II*").unwrap();
+    assert!(message(&tiff).contains("convert it to PNG"));
+    // A PNG whose header claims 60,000 × 60,000 pixels takes no memory.
+    let mut bomb = encode_png(1, 1, PixelFormat::U8, &[0]).unwrap();
+    for i in [16, 20] {
+        bomb[i..i + 4].copy_from_slice(&30_000u32.to_be_bytes());
+    }
+    let crc = crc32(&bomb[12..29]);
+    bomb[29..33].copy_from_slice(&crc.to_be_bytes());
+    let path = folder.path().join("bomb.png");
+    std::fs::write(&path, bomb).unwrap();
+    let error = Recording::open(&path).unwrap().next().unwrap_err();
+    assert!(matches!(error, SourceError::TooLarge { .. }), "{error}");
+}
+
+#[test]
+fn a_csv_file_is_one_frame_whose_header_names_the_channels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("curve.csv");
+    std::fs::write(&path, "x,y\n0.5,1e3\n1.5,2e3\n2.5,3e3\n").unwrap();
+    let recording = Recording::open(&path).unwrap();
+    assert_eq!(recording.csv_channels().unwrap(), Some(vec!["x".into(), "y".into()]));
+    let mut recording = recording.for_channels(&["y".into()]);
+    let captured = recording.next().unwrap().unwrap();
+    assert_eq!((captured.frame.size(), captured.frame.planes()[0].format), (&[3][..], PixelFormat::F64));
+    assert_eq!(captured.frame.plane_view(0).pixel(2, 0), 3000.0);
+    assert!(recording.next().unwrap().is_none());
+}
+
+#[test]
+fn truth_stands_beside_the_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    gray(&folder.path().join("000000.png"), 1);
+    gray(&folder.path().join("000001.png"), 1);
+    let truth = folder.path().join("truth.jsonl");
+    std::fs::write(&truth, "{\"frame\":1,\"file\":\"000001.png\",\"parameters\":{\"bx\":3.25}}\n").unwrap();
+    let mut recording = Recording::open(folder.path()).unwrap();
+    assert_eq!(recording.next().unwrap().unwrap().truth, None);
+    assert_eq!(recording.next().unwrap().unwrap().truth.unwrap()["bx"], 3.25);
+    std::fs::write(&truth, "{\"frame\":1}\n").unwrap();
+    assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("truth.jsonl:1: not a line of truth"));
+}
+
+/// CRC-32 of PNG chunks.
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, _| if crc & 1 == 1 { 0xedb8_8320 ^ (crc >> 1) } else { crc >> 1 };
+    !bytes.iter().fold(!0u32, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
+}

@@ -1,0 +1,191 @@
+//! Values of options that several commands share: `k=v,…`, `k=FORMULA,…`, `x,y,w,h`, `640x480`.
+
+use std::collections::BTreeMap;
+use std::str::FromStr;
+
+use isophote_jit::Window;
+use isophote_symbolic::Precision;
+
+/// `k=v,…`: numbers by name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Numbers(pub BTreeMap<String, f64>);
+
+/// `k=FORMULA,…`: formulas by name; a comma inside brackets belongs to its formula.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Formulas(pub BTreeMap<String, String>);
+
+/// `x,y,w,h`: a pixel rectangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WindowArgument(pub Window);
+
+/// `WIDTHxHEIGHT`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Size(pub usize, pub usize);
+
+/// Arithmetic of the pixel loops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum PrecisionArgument {
+    /// 4 lanes of f32, rows summed in f64.
+    F32,
+    /// 2 lanes of f64.
+    F64,
+}
+
+impl From<PrecisionArgument> for Precision {
+    fn from(argument: PrecisionArgument) -> Precision {
+        match argument {
+            PrecisionArgument::F32 => Precision::F32,
+            PrecisionArgument::F64 => Precision::F64,
+        }
+    }
+}
+
+impl Numbers {
+    /// All options of one kind as one map; a name may stand once.
+    pub fn merged(options: &[Numbers]) -> Result<BTreeMap<String, f64>, String> {
+        merged(options.iter().map(|option| &option.0))
+    }
+}
+
+impl Formulas {
+    /// All options of one kind as one map; a name may stand once.
+    pub fn merged(options: &[Formulas]) -> Result<BTreeMap<String, String>, String> {
+        merged(options.iter().map(|option| &option.0))
+    }
+}
+
+fn merged<'a, T: Clone + 'a>(maps: impl Iterator<Item = &'a BTreeMap<String, T>>) -> Result<BTreeMap<String, T>, String> {
+    let mut all = BTreeMap::new();
+    for (name, value) in maps.flatten() {
+        if all.insert(name.clone(), value.clone()).is_some() {
+            return Err(format!("`{name}` is given twice"));
+        }
+    }
+    Ok(all)
+}
+
+impl FromStr for Numbers {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Numbers, String> {
+        let mut numbers = BTreeMap::new();
+        for (name, value) in pairs(text)? {
+            let number: f64 = value.parse().map_err(|_| format!("`{value}` (of `{name}`) is not a number"))?;
+            if !number.is_finite() {
+                return Err(format!("`{name}` is {number}; it must be a finite number"));
+            }
+            if numbers.insert(name.to_string(), number).is_some() {
+                return Err(format!("`{name}` is given twice"));
+            }
+        }
+        Ok(Numbers(numbers))
+    }
+}
+
+impl FromStr for Formulas {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Formulas, String> {
+        let mut formulas = BTreeMap::new();
+        for (name, formula) in pairs(text)? {
+            if formulas.insert(name.to_string(), formula.to_string()).is_some() {
+                return Err(format!("`{name}` is given twice"));
+            }
+        }
+        Ok(Formulas(formulas))
+    }
+}
+
+impl FromStr for WindowArgument {
+    type Err = String;
+    fn from_str(text: &str) -> Result<WindowArgument, String> {
+        let wrong = || format!("`{text}` is not x,y,w,h: four whole numbers of pixels");
+        let numbers: Vec<usize> = text.split(',').map(|n| n.trim().parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
+        let [x, y, width, height] = numbers[..] else { return Err(wrong()) };
+        if width == 0 || height == 0 {
+            return Err(format!("`{text}` has no pixels: width and height must be positive"));
+        }
+        Ok(WindowArgument(Window { x, y, width, height }))
+    }
+}
+
+impl FromStr for Size {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Size, String> {
+        let wrong = || format!("`{text}` is not WIDTHxHEIGHT, e.g. 640x480");
+        let (width, height) = text.split_once('x').ok_or_else(wrong)?;
+        Ok(Size(width.trim().parse().map_err(|_| wrong())?, height.trim().parse().map_err(|_| wrong())?))
+    }
+}
+
+/// Splits `k=v,…` at commas outside of brackets, and each part at its first `=`. An empty text has no pairs.
+fn pairs(text: &str) -> Result<Vec<(&str, &str)>, String> {
+    let mut parts = Vec::new();
+    let (mut start, mut depth) = (0, 0i64);
+    for (i, character) in text.char_indices() {
+        match character {
+            '(' | '[' => depth += 1,
+            ')' | ']' => depth -= 1,
+            ',' if depth <= 0 => {
+                parts.push(&text[start..i]);
+                start = i + 1;
+            }
+            _ => {}
+        }
+    }
+    parts.push(&text[start..]);
+    if text.trim().is_empty() {
+        return Ok(Vec::new());
+    }
+    parts.into_iter().map(pair).collect()
+}
+
+fn pair(part: &str) -> Result<(&str, &str), String> {
+    let (name, value) = part.split_once('=').unwrap_or((part, ""));
+    let (name, value) = (name.trim(), value.trim());
+    if name.is_empty() || value.is_empty() {
+        return Err(format!("`{}` is not name=value", part.trim()));
+    }
+    Ok((name, value))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn formulas_keep_their_commas() {
+        let text = "bx=320 + max(1, 2)*t , by = if(t <= 1, [1, 2][0], atan2(1, t)),v1=3";
+        let Formulas(formulas) = text.parse().unwrap();
+        let expected = [("bx", "320 + max(1, 2)*t"), ("by", "if(t <= 1, [1, 2][0], atan2(1, t))"), ("v1", "3")];
+        assert_eq!(formulas.len(), 3);
+        for (name, formula) in expected {
+            assert_eq!(formulas[name], formula);
+        }
+    }
+
+    #[test]
+    fn numbers_and_rectangles_are_read() {
+        let Numbers(numbers) = "a1=2.5e-3, bx = -7".parse().unwrap();
+        assert_eq!(numbers, BTreeMap::from([("a1".into(), 2.5e-3), ("bx".into(), -7.0)]));
+        assert_eq!("".parse(), Ok(Numbers::default()));
+        assert_eq!("1,2, 30,40".parse(), Ok(WindowArgument(Window { x: 1, y: 2, width: 30, height: 40 })));
+        assert_eq!("640x480".parse(), Ok(Size(640, 480)));
+    }
+
+    #[test]
+    fn faults_say_what_would_be_right() {
+        let numbers = |text: &str| text.parse::<Numbers>().unwrap_err();
+        assert_eq!(numbers("bx"), "`bx` is not name=value");
+        assert_eq!(numbers("bx=1,,by=2"), "`` is not name=value");
+        assert_eq!(numbers("bx=one"), "`one` (of `bx`) is not a number");
+        assert_eq!(numbers("bx=inf"), "`bx` is inf; it must be a finite number");
+        assert_eq!(numbers("bx=1,bx=2"), "`bx` is given twice");
+        let twice = Numbers::merged(&["bx=1".parse().unwrap(), "bx=2".parse().unwrap()]);
+        assert_eq!(twice.unwrap_err(), "`bx` is given twice");
+        for text in ["1,2,3", "1,2,3,4,5", "1,2,-3,4", "a,b,c,d"] {
+            assert!(text.parse::<WindowArgument>().unwrap_err().contains("four whole numbers of pixels"));
+        }
+        assert!("1,2,0,4".parse::<WindowArgument>().unwrap_err().contains("no pixels"));
+        assert!("640".parse::<Size>().unwrap_err().contains("e.g. 640x480"));
+    }
+}

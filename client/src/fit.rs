@@ -1,0 +1,248 @@
+//! `isophote fit`: a model fitted to every frame of a recording, without a service.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use isophote_capture::encode::encode_png_rgb;
+use isophote_capture::{Captured, FrameSource, Recording};
+use isophote_jit::Window;
+use isophote_server::wire;
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::{Camera, Compiled, Estimate, TrackState, Tracker, TrackerOptions, contours};
+
+use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
+use crate::failure::Failure;
+use crate::model_files;
+use crate::overlay;
+
+/// Fit a model to every frame of a folder or file: one line a frame
+#[derive(Clone, Debug, clap::Args)]
+pub struct FitArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "FILE")]
+    pub model: PathBuf,
+    /// A folder of PNG or JPEG files (in natural name order, counted from 0), one such file, or one CSV file, which is one
+    /// 1-D frame whose header names the channels
+    #[arg(long, value_name = "PATH")]
+    pub frames: PathBuf,
+    /// Starting values of the first frame, instead of the document's
+    #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
+    pub start: Vec<Numbers>,
+    /// Constants of the model
+    #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
+    pub constant: Vec<Numbers>,
+    /// Look at these pixels only
+    #[arg(long, value_name = "x,y,w,h")]
+    pub window: Option<WindowArgument>,
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, intrinsics
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// A JSON document about the target; checked and kept, this build fits no pose
+    #[arg(long, value_name = "FILE")]
+    pub target: Option<PathBuf>,
+    /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
+    #[arg(long, value_enum)]
+    pub precision: Option<PrecisionArgument>,
+    /// Write a picture of each frame with the fitted contour and centre
+    #[arg(long, value_name = "DIR")]
+    pub overlay: Option<PathBuf>,
+    /// One JSON object a line
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Fits all frames. A frame whose target is lost is a line with its state; a file that cannot be read ends the run.
+pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = model_files::read(&args.model)?;
+    let mut recording = Recording::open(&args.frames).map_err(other)?.for_channels(model.channels());
+    let is_csv = recording.csv_channels().map_err(other)?.is_some();
+    let precision = args.precision.map_or(if is_csv { Precision::F64 } else { Precision::F32 }, Precision::from);
+    let mut tracker = tracker(args, &model, precision)?;
+    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, &args.frames)).transpose()?;
+    let model_id = wire::model_id(model.name(), model.digest());
+    let window = args.window.map(|window| window.0);
+    while let Some(captured) = recording.next().map_err(other)? {
+        check_frame(args, &model, &captured, window)?;
+        let start = std::time::Instant::now();
+        let estimate = tracker.track(&captured.frame);
+        let fit_us = start.elapsed().as_micros() as u64;
+        let mut line = wire::Estimate::new(&model, &model_id, captured.frame.sequence, &estimate);
+        line.file = captured.file.clone();
+        line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
+        line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
+        let text = if args.json { serde_json::to_string(&line).map_err(other)? } else { columns(&model, &line, &estimate) };
+        writeln!(out, "{text}").map_err(Failure::output)?;
+        if let Some(overlays) = &mut overlays {
+            overlays.write(&model, &captured, &estimate, window)?;
+        }
+    }
+    Ok(())
+}
+
+fn other(error: impl std::fmt::Display) -> Failure {
+    Failure::Other(error.to_string())
+}
+
+fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<Tracker, Failure> {
+    let options = TrackerOptions {
+        precision,
+        window: args.window.map(|window| window.0),
+        start: Numbers::merged(&args.start).map_err(Failure::Usage)?,
+        constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
+        camera: args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?,
+    };
+    if let Some(path) = &args.target {
+        let _kept: serde_json::Map<String, serde_json::Value> = json(path, "a target document (a JSON object)")?;
+    }
+    let compiled = Compiled::new(model.clone(), precision).map_err(|failure| {
+        Failure::model(&args.model.display().to_string(), &isophote_server::explain::diagnostics(&failure))
+    })?;
+    Tracker::new(Arc::new(compiled), options).map_err(|error| Failure::Usage(error.to_string()))
+}
+
+fn camera(path: &Path) -> Result<Camera, Failure> {
+    json(path, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})")
+}
+
+fn json<T: serde::de::DeserializeOwned>(path: &Path, wanted: &str) -> Result<T, Failure> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| Failure::Usage(format!("{}: cannot be read: {error}", path.display())))?;
+    serde_json::from_str(&text).map_err(|error| Failure::Usage(format!("{}: not {wanted}: {error}", path.display())))
+}
+
+/// What the tracker could only call a wrong frame is said here in full.
+fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, window: Option<Window>) -> Result<(), Failure> {
+    let name = captured.file.as_deref().unwrap_or("the frame");
+    let size: Vec<String> = captured.frame.size().iter().map(usize::to_string).collect();
+    let (dimensions, coordinates) = (size.len(), model.coordinates().len());
+    let is_line = coordinates == 1 && captured.frame.rows() == 1;
+    if dimensions != coordinates && !is_line {
+        return Err(Failure::Other(format!(
+            "{name} has {dimensions} dimensions ({} px), but the model {} has {coordinates}: {}",
+            size.join("×"),
+            args.model.display(),
+            model.coordinates().join(", ")
+        )));
+    }
+    let (width, rows) = (captured.frame.width(), captured.frame.rows());
+    if window.is_some_and(|window| window.clipped(width, rows).is_none()) {
+        return Err(Failure::Usage(format!("the window lies outside of {name}, which has {} px", size.join("×"))));
+    }
+    Ok(())
+}
+
+fn in_document_order(model: &Model, truth: &BTreeMap<String, f64>) -> wire::Named {
+    let names = model.parameters().iter().map(|p| p.name.as_str());
+    names.filter_map(|name| truth.get(name).map(|value| (name, *value))).collect()
+}
+
+/// A frame's line for people: number, file, state, parameters with standard deviations, χ², saturated share.
+fn columns(model: &Model, line: &wire::Estimate, estimate: &Estimate) -> String {
+    let state = serde_json::to_value(line.state).ok().and_then(|v| v.as_str().map(str::to_string)).unwrap_or_default();
+    let mut text = format!("{:>6}  {:<24}  {state:<9}", line.frame, line.file.as_deref().unwrap_or("-"));
+    if line.state == TrackState::Tracking {
+        for (name, value) in line.parameters.iter() {
+            let deviation = model.parameter(name).and_then(|id| estimate.deviation(id));
+            text += &format!("  {name} {}", with_deviation(value, deviation));
+        }
+        if let Some(chi_square) = line.reduced_chi_square {
+            text += &format!("  χ² {chi_square:.3}");
+        }
+        text += &format!("  saturated {:.1} %", 100.0 * line.saturated);
+    }
+    text + "  " + line.ending.name()
+}
+
+/// A number to two digits of its standard deviation; to six digits where that is not known.
+pub(crate) fn with_deviation(value: f64, deviation: Option<f64>) -> String {
+    let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
+    // Digits after the point such that two of the deviation's digits are shown.
+    let digits = 1 - deviation.log10().floor() as i32;
+    if (-3..=5).contains(&digits) && value.abs() < 1e9 {
+        let digits = digits.max(0) as usize;
+        return format!("{value:.digits$} ± {deviation:.digits$}");
+    }
+    let significant = (value.abs() / deviation).log10().ceil().clamp(0.0, 12.0) as usize + 1;
+    format!("{value:.significant$e} ± {deviation:.1e}")
+}
+
+fn shortest(value: f64) -> String {
+    let magnitude = value.abs();
+    if magnitude == 0.0 || (1e-3..1e6).contains(&magnitude) { format!("{value:.4}") } else { format!("{value:.5e}") }
+}
+
+/// The folder of pictures.
+struct Overlays {
+    folder: PathBuf,
+    written: BTreeSet<String>,
+}
+
+impl Overlays {
+    /// Makes the folder. It must not be the recording's own, whose files the pictures would replace.
+    fn create(folder: &Path, frames: &Path) -> Result<Overlays, Failure> {
+        let failed = |error| Failure::Other(format!("{}: cannot be made: {error}", folder.display()));
+        std::fs::create_dir_all(folder).map_err(failed)?;
+        let own = if frames.is_dir() { Some(frames) } else { frames.parent() };
+        let own = own.map(|own| if own.as_os_str().is_empty() { Path::new(".") } else { own });
+        if own.and_then(|own| own.canonicalize().ok()) == Some(folder.canonicalize().map_err(failed)?) {
+            let message = "--overlay names the folder of the frames, whose files the pictures would replace";
+            return Err(Failure::Usage(message.into()));
+        }
+        Ok(Overlays { folder: folder.into(), written: BTreeSet::new() })
+    }
+
+    /// Draws one frame; the target is drawn only where the tracker has it.
+    fn write(
+        &mut self, model: &Model, captured: &Captured, estimate: &Estimate, window: Option<Window>,
+    ) -> Result<(), Failure> {
+        let frame = &captured.frame;
+        if frame.size().len() != 2 {
+            return Err(Failure::Usage("--overlay draws two-dimensional frames only".into()));
+        }
+        let plane = frame.plane_view(0);
+        let part = overlay::part_to_draw(window, frame.width(), frame.rows());
+        let found = estimate.state == TrackState::Tracking;
+        let contours = found.then(|| contours(model, &estimate.parameters));
+        let picture = overlay::draw(&plane, part, overlay::white(&plane), contours.as_deref());
+        let name = self.name(captured);
+        let path = self.folder.join(name);
+        let failed = |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
+        let png = encode_png_rgb(picture.width, picture.height, &picture.rgb).map_err(|error| failed(&error))?;
+        std::fs::write(&path, png).map_err(|error| failed(&error))
+    }
+
+    /// The frame's file name with `.png`; its number where that name is taken (a.jpg beside a.png).
+    fn name(&mut self, captured: &Captured) -> String {
+        let file = captured.file.as_deref().unwrap_or("frame");
+        let stem = Path::new(file).file_stem().map_or_else(|| file.into(), |stem| stem.to_string_lossy());
+        let mut name = format!("{stem}.png");
+        if self.written.contains(&name) {
+            name = format!("{stem}-{}.png", captured.frame.sequence);
+        }
+        self.written.insert(name.clone());
+        name
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::with_deviation;
+
+    #[test]
+    fn numbers_show_two_digits_of_their_deviation() {
+        let cases = [
+            (321.33712, Some(0.01034), "321.337 ± 0.010"),
+            (150.0, Some(2.5), "150.0 ± 2.5"),
+            (1500.4, Some(25.0), "1500 ± 25"),
+            (2.7712e-4, Some(1.5e-7), "2.7712e-4 ± 1.5e-7"),
+            (-0.5, None, "-0.5000"),
+            (2.5e-4, None, "2.50000e-4"),
+            (1.0, Some(f64::NAN), "1.0000"),
+        ];
+        for (value, deviation, expected) in cases {
+            assert_eq!(with_deviation(value, deviation), expected);
+        }
+    }
+}

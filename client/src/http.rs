@@ -1,0 +1,201 @@
+//! The service as the commands see it: one request, one answer; a WebSocket for estimates.
+
+use std::net::TcpStream;
+use std::time::Duration;
+
+use isophote_server::wire::ProblemDocument;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::handshake::HandshakeError;
+use tungstenite::http::{HeaderValue, Uri};
+use tungstenite::{Error, Message, WebSocket};
+
+use crate::failure::Failure;
+
+/// Where the service is, and how results are printed
+#[derive(Clone, Debug, clap::Args)]
+pub struct ServiceArgs {
+    /// Where the service is
+    #[arg(long, value_name = "URL", env = "ISOPHOTE_SERVER", default_value = "http://127.0.0.1:7240")]
+    pub server: String,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// For every answer; a model compiles in milliseconds, but may wait for others.
+const TIMEOUT: Duration = Duration::from_secs(60);
+/// Bytes of an answer.
+const ANSWER_BYTES_MAX: u64 = 64 * 1024 * 1024;
+
+/// A service that may be running.
+pub struct Service {
+    agent: ureq::Agent,
+    url: String,
+}
+
+impl Service {
+    /// Nothing is sent yet.
+    pub fn new(args: &ServiceArgs) -> Result<Service, Failure> {
+        let url = args.server.trim_end_matches('/').to_string();
+        if !url.starts_with("http://") {
+            return Err(Failure::Usage(format!("`{url}` is not an address like http://127.0.0.1:7240")));
+        }
+        let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(TIMEOUT));
+        Ok(Service { agent: config.build().into(), url })
+    }
+
+    /// `GET`
+    pub fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        read(&self.get_text(path, "application/json")?)
+    }
+
+    /// `GET`, as text of a media type.
+    pub fn get_text(&self, path: &str, accept: &str) -> Result<String, Failure> {
+        let answer = self.agent.get(format!("{}{path}", self.url)).header("accept", accept).call();
+        Ok(self.text(answer)?)
+    }
+
+    /// `PUT` of a JSON document.
+    pub fn put<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Failure> {
+        let body = serde_json::to_string(document).map_err(|error| Failure::Other(error.to_string()))?;
+        read(&self.put_text(path, "application/json", &body, None)?)
+    }
+
+    /// `PUT` of a text; the refusal as it came.
+    pub fn put_text(&self, path: &str, media: &str, body: &str, if_match: Option<&str>) -> Result<String, Refusal> {
+        let mut request = self.agent.put(format!("{}{path}", self.url)).header("content-type", media);
+        if let Some(tag) = if_match {
+            request = request.header("if-match", tag);
+        }
+        self.text(request.send(body))
+    }
+
+    /// `DELETE`
+    pub fn delete(&self, path: &str) -> Result<(), Failure> {
+        self.text(self.agent.delete(format!("{}{path}", self.url)).call())?;
+        Ok(())
+    }
+
+    fn text(&self, answer: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Result<String, Refusal> {
+        let unreachable = |error: ureq::Error| Refusal::Failed(self.unreachable(&error));
+        let mut answer = answer.map_err(unreachable)?;
+        let status = answer.status().as_u16();
+        let body = answer.body_mut().with_config().limit(ANSWER_BYTES_MAX).read_to_string().map_err(unreachable)?;
+        if (200..300).contains(&status) { Ok(body) } else { Err(Refusal::of(status, &body)) }
+    }
+
+    fn unreachable(&self, error: &dyn std::fmt::Display) -> Failure {
+        Failure::Other(format!("no answer from {}: {error}; is `isophote serve` running there?", self.url))
+    }
+
+    /// Opens a WebSocket with the subprotocol `isophote.v1`.
+    pub fn websocket(&self, path: &str) -> Result<Estimates, Failure> {
+        let wrong = |error: &dyn std::fmt::Display| Failure::Usage(format!("`{}` is no address: {error}", self.url));
+        let uri: Uri = self.url.parse().map_err(|error| wrong(&error))?;
+        let host = uri.host().unwrap_or_default();
+        let port = uri.port_u16().unwrap_or(80);
+        let stream = TcpStream::connect((host.trim_matches(['[', ']']), port)).map_err(|error| self.unreachable(&error))?;
+        stream.set_nodelay(true).map_err(|error| self.unreachable(&error))?;
+        let url = format!("ws{}{path}", self.url.trim_start_matches("http"));
+        let mut request = url.into_client_request().map_err(|error| wrong(&error))?;
+        request.headers_mut().insert("sec-websocket-protocol", HeaderValue::from_static("isophote.v1"));
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(Estimates(socket)),
+            Err(HandshakeError::Failure(Error::Http(answer))) => {
+                let body = answer.body().as_ref().map(|body| String::from_utf8_lossy(body).into_owned());
+                Err(Refusal::of(answer.status().as_u16(), &body.unwrap_or_default()).into())
+            }
+            Err(error) => Err(self.unreachable(&error)),
+        }
+    }
+}
+
+/// Estimates as they come.
+pub struct Estimates(WebSocket<TcpStream>);
+
+impl Estimates {
+    /// The next one as JSON text; `None` when there will be no more.
+    pub fn next(&mut self) -> Result<Option<String>, Failure> {
+        loop {
+            match self.0.read() {
+                Ok(Message::Text(text)) => return Ok(Some(text.to_string())),
+                Ok(Message::Close(Some(frame))) if u16::from(frame.code) != 1000 => {
+                    return Err(Failure::Other(format!("the service ended the stream: {}", frame.reason)));
+                }
+                Ok(Message::Close(Some(frame))) => {
+                    eprintln!("{}", frame.reason);
+                    return Ok(None);
+                }
+                Ok(_) => {}
+                Err(Error::ConnectionClosed) => return Ok(None),
+                Err(error) => return Err(Failure::Other(format!("the stream broke off: {error}"))),
+            }
+        }
+    }
+
+    /// Asks for so many more.
+    pub fn renew(&mut self, credit: u32) -> Result<(), Failure> {
+        let message = Message::text(format!("{{\"credit\":{credit}}}"));
+        match self.0.send(message) {
+            Ok(()) | Err(Error::ConnectionClosed | Error::Protocol(_)) => Ok(()), // `next` will say why it ended
+            Err(error) => Err(Failure::Other(format!("the stream broke off: {error}"))),
+        }
+    }
+}
+
+/// Why a request did not succeed.
+pub enum Refusal {
+    /// The service's own words.
+    Problem(ProblemDocument),
+    /// No answer, or none that is understood.
+    Failed(Failure),
+}
+
+impl Refusal {
+    fn of(status: u16, body: &str) -> Refusal {
+        match serde_json::from_str(body) {
+            Ok(problem) => Refusal::Problem(problem),
+            Err(_) => Refusal::Failed(Failure::Other(format!("the service answered {status}"))),
+        }
+    }
+}
+
+impl From<Refusal> for Failure {
+    fn from(refusal: Refusal) -> Failure {
+        match refusal {
+            Refusal::Failed(failure) => failure,
+            Refusal::Problem(problem) if problem.diagnostics.is_empty() => {
+                Failure::Other(format!("{} ({})", problem.detail, problem.status))
+            }
+            Refusal::Problem(problem) => {
+                let shown: Vec<String> = problem.diagnostics.iter().map(|d| d.render("(as sent)")).collect();
+                Failure::Other(format!("the service refused the document\n{}", shown.join("\n").trim_end()))
+            }
+        }
+    }
+}
+
+/// An answer's JSON.
+pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, Failure> {
+    serde_json::from_str(text).map_err(|error| Failure::Other(format!("an answer that this program does not know: {error}")))
+}
+
+/// A name as part of a path. Wrong names are the service's to refuse; here they must only stay in their place.
+pub fn segment(name: &str) -> String {
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
+    let encoded = name.bytes().map(|byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") });
+    encoded.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::segment;
+
+    #[test]
+    fn names_stay_in_their_place() {
+        assert_eq!(segment("spot-2"), "spot-2");
+        assert_eq!(segment("a/b?c ä"), "a%2Fb%3Fc%20%C3%A4");
+    }
+}

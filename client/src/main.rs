@@ -1,0 +1,107 @@
+//! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
+//! success, 2 bad usage, 3 a wrong model, 1 any other failure.
+//!
+//! `fit`, `render`, `model check` and `model explain` work alone; `serve` is the service; the others are its clients.
+
+mod arguments;
+mod failure;
+mod fit;
+mod http;
+mod model_files;
+mod models;
+mod output;
+mod overlay;
+mod render;
+#[cfg(feature = "serve")]
+mod serve;
+mod sessions;
+mod source_uri;
+mod watch;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use failure::Failure;
+use output::Output;
+
+/// Write down what your target looks like as a formula; get a native-speed tracker, live, in milliseconds
+#[derive(Parser)]
+#[command(version, propagate_version = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    #[cfg(feature = "serve")]
+    Serve(serve::ServeArgs),
+    /// Model documents: in files, and those of the service
+    #[command(subcommand)]
+    Model(ModelCommand),
+    /// Sessions of the service
+    #[command(subcommand)]
+    Session(SessionCommand),
+    Watch(watch::WatchArgs),
+    Fit(fit::FitArgs),
+    Render(render::RenderArgs),
+}
+
+#[derive(Subcommand)]
+enum ModelCommand {
+    Check(model_files::CheckArgs),
+    Explain(model_files::ExplainArgs),
+    Push(models::PushArgs),
+    List(models::ListArgs),
+    Show(models::NameArgs),
+    /// Remove a model from the service
+    Remove(models::NameArgs),
+}
+
+#[derive(Subcommand)]
+enum SessionCommand {
+    Start(sessions::StartArgs),
+    List(sessions::ListArgs),
+    /// Show a session with its document and its last estimate
+    Show(sessions::NameArgs),
+    Swap(sessions::SwapArgs),
+    /// Stop and remove a session
+    Stop(sessions::NameArgs),
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse(); // bad usage ends here, with 2
+    let mut out = Output::new();
+    let done = run(&arguments.command, &mut out).and_then(|()| out.flush().map_err(Failure::output));
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(_) if out.is_unread() => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("{failure}");
+            ExitCode::from(failure.status())
+        }
+    }
+}
+
+fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
+    match command {
+        #[cfg(feature = "serve")]
+        Command::Serve(args) => serve::run(args),
+        Command::Model(ModelCommand::Check(args)) => model_files::check(args, out),
+        Command::Model(ModelCommand::Explain(args)) => model_files::explain(args, out),
+        Command::Model(ModelCommand::Push(args)) => models::push(args, out),
+        Command::Model(ModelCommand::List(args)) => models::list(args, out),
+        Command::Model(ModelCommand::Show(args)) => models::show(args, out),
+        Command::Model(ModelCommand::Remove(args)) => models::remove(args, out),
+        Command::Session(SessionCommand::Start(args)) => sessions::start(args, out),
+        Command::Session(SessionCommand::List(args)) => sessions::list(args, out),
+        Command::Session(SessionCommand::Show(args)) => sessions::show(args, out),
+        Command::Session(SessionCommand::Swap(args)) => sessions::swap(args, out),
+        Command::Session(SessionCommand::Stop(args)) => sessions::stop(args, out),
+        Command::Watch(args) => watch::run(args, out),
+        Command::Fit(args) => fit::run(args, out),
+        Command::Render(args) => render::run(args, out),
+    }
+}

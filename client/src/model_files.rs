@@ -1,0 +1,122 @@
+//! Model documents in files: reading, `model check`, `model explain`. None of it needs a service.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use isophote_server::explain::{self, ExplainError};
+use isophote_server::wire::{ModelReport, StageReport};
+use isophote_symbolic::{Diagnostics, LIMITS, Model, Precision};
+use isophote_tracker::Compiled;
+
+use crate::failure::Failure;
+
+/// Parse, differentiate, compile and report; nothing is fitted
+#[derive(Clone, Debug, clap::Args)]
+pub struct CheckArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "FILE")]
+    pub model: PathBuf,
+    /// One JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Show what becomes of a model for some of its parameters
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExplainArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "FILE")]
+    pub model: PathBuf,
+    /// The free parameters [default: those of the last stage]
+    #[arg(long, value_name = "bx,by", value_delimiter = ',')]
+    pub parameters: Vec<String>,
+    /// derivative, sums, program, clif, asm (later builds: latex, mathml)
+    #[arg(long, value_name = "WHAT", default_value = "derivative",
+          value_parser = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml"])]
+    pub show: String,
+    /// The method whose derivatives are taken
+    #[arg(long, value_name = "METHOD", default_value = "newton",
+          value_parser = ["newton", "gauss-newton", "levenberg-marquardt"])]
+    pub method: String,
+    /// One JSON object: figures and text
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `isophote model check`.
+pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = read(&args.model)?;
+    let refused = |diagnostics: &Diagnostics| Failure::model(&args.model.display().to_string(), diagnostics);
+    let report = Compiled::new(model, Precision::F32).and_then(|compiled| explain::report(&compiled));
+    let report = report.map_err(|error| refused(&explain::diagnostics(&error)))?;
+    let text = if args.json { json(&report)? } else { table(&report) };
+    writeln!(out, "{text}").map_err(Failure::output)
+}
+
+/// `isophote model explain`.
+pub fn explain(args: &ExplainArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = read(&args.model)?;
+    let names: Vec<&str> = args.parameters.iter().map(|name| name.trim()).filter(|name| !name.is_empty()).collect();
+    let explained = explain::explain(&model, Some(&names), Some(&args.method), &args.show);
+    let explained = explained.map_err(|error| match error {
+        ExplainError::Question(message) => Failure::Usage(message),
+        ExplainError::Model(diagnostics) => Failure::model(&args.model.display().to_string(), &diagnostics),
+        other => Failure::Other(other.to_string()),
+    })?;
+    let text = match args.json {
+        true => json(&explained)?,
+        false => format!("{}\n\n{}", figures(&explained.stage), explained.text.trim_end()),
+    };
+    writeln!(out, "{text}").map_err(Failure::output)
+}
+
+fn json(value: &impl serde::Serialize) -> Result<String, Failure> {
+    serde_json::to_string(value).map_err(|error| Failure::Other(error.to_string()))
+}
+
+fn table(report: &ModelReport) -> String {
+    let mut text = format!("{}  {}\n", report.model, report.digest);
+    for (number, stage) in report.stages.iter().enumerate() {
+        text += &format!("stage {number}: {}\n", figures(stage));
+    }
+    match report.self_check_error {
+        Some(error) => text + &format!("self check: {error:.1e}"),
+        None => text.trim_end().to_string(),
+    }
+}
+
+/// One line: which parameters by which method, and what a pixel costs.
+fn figures(stage: &StageReport) -> String {
+    let calls: Vec<String> = stage.calls.iter().map(|(name, count)| format!("{count} {name}")).collect();
+    let calls = if calls.is_empty() { String::new() } else { format!(" and {}", calls.join(", ")) };
+    format!(
+        "{} by {}: {} flops{calls} a pixel, {} accumulators, {} flops a row, {} a pass; compiled in {:.1} ms",
+        stage.parameters.join(", "),
+        stage.method.name(),
+        stage.flops_per_pixel,
+        stage.accumulators,
+        stage.flops_per_row,
+        stage.flops_per_pass,
+        stage.compile_ms,
+    )
+}
+
+/// Reads and checks a document: `.json` is JSON, everything else TOML.
+pub fn read(path: &Path) -> Result<Arc<Model>, Failure> {
+    let unreadable = |reason: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be read: {reason}", path.display()));
+    let bytes = std::fs::metadata(path).map_err(|error| unreadable(&error))?.len();
+    if bytes > LIMITS.document_bytes as u64 {
+        return Err(Failure::Model(format!(
+            "error: {}: {bytes} bytes; a model document has at most {}",
+            path.display(),
+            LIMITS.document_bytes
+        )));
+    }
+    let text = std::fs::read(path).map_err(|error| unreadable(&error))?;
+    let text = String::from_utf8(text)
+        .map_err(|_| Failure::Model(format!("error: {}: not UTF-8 text; save the document as UTF-8", path.display())))?;
+    let is_json = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let checked = if is_json { Model::from_json(&text) } else { Model::from_toml(&text) };
+    checked.map(Arc::new).map_err(|diagnostics| Failure::model(&path.display().to_string(), &diagnostics))
+}

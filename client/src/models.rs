@@ -1,0 +1,95 @@
+//! `isophote model push|list|show|remove`: models of the service.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isophote_server::wire::{Items, ModelAnswer, ModelItem};
+
+use crate::failure::Failure;
+use crate::http::{self, Refusal, Service, ServiceArgs, segment};
+use crate::output;
+
+/// Send a model document to the service
+#[derive(Clone, Debug, clap::Args)]
+pub struct PushArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "FILE")]
+    pub model: PathBuf,
+    /// Its name there [default: the document's own]
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Only if the service still has this version
+    #[arg(long, value_name = "VERSION")]
+    pub if_match: Option<String>,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Name a model of the service
+#[derive(Clone, Debug, clap::Args)]
+pub struct NameArgs {
+    /// The model's name
+    pub name: String,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// List the models of the service
+#[derive(Clone, Debug, clap::Args)]
+pub struct ListArgs {
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Sends a document.
+pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let file = args.model.display().to_string();
+    let text = std::fs::read_to_string(&args.model)
+        .map_err(|error| Failure::Other(format!("{file}: cannot be read: {error}")))?;
+    let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let name = match &args.name {
+        Some(name) => name.clone(),
+        None => crate::model_files::read(&args.model)?.name().to_string(),
+    };
+    let media = if is_json { "application/json" } else { "application/toml" };
+    let tag = args.if_match.as_ref().map(|tag| format!("\"{}\"", tag.trim_matches('"')));
+    let path = format!("/v1/models/{}", segment(&name));
+    let answer = Service::new(&args.service)?.put_text(&path, media, &text, tag.as_deref());
+    let answer = answer.map_err(|refusal| match refusal {
+        Refusal::Problem(problem) if !problem.diagnostics.is_empty() => Failure::model(&file, &problem.diagnostics),
+        other => other.into(),
+    })?;
+    let answer: ModelAnswer = http::read(&answer)?;
+    if args.service.json {
+        return output::json(out, &answer);
+    }
+    writeln!(out, "{} version {} {}", answer.name, answer.version, answer.report.digest).map_err(Failure::output)
+}
+
+/// Lists all.
+pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let models: Items<ModelItem> = Service::new(&args.service)?.get("/v1/models")?;
+    if args.service.json {
+        return output::json(out, &models);
+    }
+    let row = |model: &ModelItem| {
+        let digest = model.digest.chars().take("sha256:".len() + 12).collect();
+        vec![model.name.clone(), model.version.to_string(), digest, model.parameters.join(","), model.description.clone()]
+    };
+    let rows: Vec<Vec<String>> = models.items.iter().map(row).collect();
+    output::table(out, &["NAME", "VERSION", "DIGEST", "PARAMETERS", "DESCRIPTION"], &rows)
+}
+
+/// Prints a document: as it was sent, or with `--json` in its canonical form with version and digest.
+pub fn show(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let path = format!("/v1/models/{}", segment(&args.name));
+    let accept = if args.service.json { "application/json" } else { "application/toml, application/json;q=0.5" };
+    let text = Service::new(&args.service)?.get_text(&path, accept)?;
+    writeln!(out, "{}", text.trim_end()).map_err(Failure::output)
+}
+
+/// Removes one.
+pub fn remove(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    Service::new(&args.service)?.delete(&format!("/v1/models/{}", segment(&args.name)))?;
+    if args.service.json { output::json(out, &serde_json::json!({"removed": args.name})) } else { Ok(()) }
+}

@@ -1,0 +1,171 @@
+//! Pictures for people: a frame in gray, the fitted contour and centre over it in colour.
+//!
+//! In: a two-dimensional frame and the contours of its targets. Out: r, g, b bytes. A contour is s = dᵀ A d = 1, d = [x, y] −
+//! centre; a pixel's distance to it is |√s − 1| / |∇√s| to first order.
+
+use isophote_jit::{PixelFormat, PlaneView, Window};
+use isophote_tracker::Contour;
+
+const CONTOUR: [f64; 3] = [255.0, 150.0, 0.0];
+const CENTRE: [f64; 3] = [0.0, 220.0, 255.0];
+const LOST: [f64; 3] = [255.0, 0.0, 60.0];
+/// Line width and length of a cross' arms, in pixels of the picture.
+const LINE_PX: f64 = 1.6;
+const ARM_PX: f64 = 7.0;
+/// Pictures are magnified (nearest neighbour) up to about this side…
+const SIDE_PX: usize = 640;
+/// …but not more than this.
+const MAGNIFICATION_MAX: usize = 8;
+
+/// A picture: r, g, b bytes, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Pixels of a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// 3 · width · height.
+    pub rgb: Vec<u8>,
+}
+
+/// Draws `part` of a frame, magnified to a comfortable size. `white` is the pixel value shown as white. `None` says that the
+/// target was not found: the picture has a red frame.
+pub fn draw(plane: &PlaneView, part: Window, white: f64, contours: Option<&[Contour]>) -> Picture {
+    let scale = (SIDE_PX / part.width.max(part.height).max(1)).clamp(1, MAGNIFICATION_MAX);
+    let (width, height) = (part.width * scale, part.height * scale);
+    let mut picture = Picture { width, height, rgb: Vec::with_capacity(3 * width * height) };
+    for row in 0..height {
+        // Position of this picture row in the frame; pixel centres are at whole numbers.
+        let y = part.y as f64 + (row as f64 + 0.5) / scale as f64 - 0.5;
+        for column in 0..width {
+            let x = part.x as f64 + (column as f64 + 0.5) / scale as f64 - 0.5;
+            let gray = plane.pixel(part.x + column / scale, part.y + row / scale) / white * 255.0;
+            let mut colour = [if gray.is_finite() { gray.clamp(0.0, 255.0) } else { 0.0 }; 3];
+            for contour in contours.unwrap_or_default() {
+                blend(&mut colour, CONTOUR, coverage(distance(contour, x, y) * scale as f64));
+                blend(&mut colour, CENTRE, cross_coverage(contour, x, y, scale as f64));
+            }
+            if contours.is_none() && (row < 3 || column < 3 || row + 3 >= height || column + 3 >= width) {
+                colour = LOST;
+            }
+            picture.rgb.extend(colour.map(|c| c.round() as u8));
+        }
+    }
+    picture
+}
+
+/// Distance to the contour, px; infinite where there is none (no shape, or not an ellipse).
+fn distance(contour: &Contour, x: f64, y: f64) -> f64 {
+    let Some([[a1, a2], [_, a3]]) = contour.shape else { return f64::INFINITY };
+    let (dx, dy) = (x - contour.centre[0], y - contour.centre[1]);
+    // ∇√s = A d / √s.
+    let (gx, gy) = (a1 * dx + a2 * dy, a2 * dx + a3 * dy);
+    let root = (dx * gx + dy * gy).sqrt();
+    let distance = (root - 1.0).abs() * root / gx.hypot(gy);
+    let is_ellipse = a1 > 0.0 && a1 * a3 > a2 * a2;
+    if is_ellipse && distance.is_finite() { distance } else { f64::INFINITY }
+}
+
+/// How much of a picture pixel the centre's cross covers, 0…1.
+fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64) -> f64 {
+    let (dx, dy) = ((x - contour.centre[0]).abs() * scale, (y - contour.centre[1]).abs() * scale);
+    let arm = |along: f64, across: f64| coverage(across) * (ARM_PX + 0.5 - along).clamp(0.0, 1.0);
+    let cover = arm(dx, dy).max(arm(dy, dx));
+    if cover.is_nan() { 0.0 } else { cover }
+}
+
+/// How much of a pixel a line covers whose middle is `distance` pixels away.
+fn coverage(distance: f64) -> f64 {
+    (LINE_PX / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
+}
+
+fn blend(colour: &mut [f64; 3], over: [f64; 3], share: f64) {
+    for (c, o) in colour.iter_mut().zip(over) {
+        *c += share * (o - *c);
+    }
+}
+
+/// The pixel value to show as white: the storage's largest, or what the frame's brightest pixel needs.
+pub fn white(plane: &PlaneView) -> f64 {
+    match plane.format() {
+        PixelFormat::U8 => 255.0,
+        _ => {
+            let pixels = (0..plane.height()).flat_map(|y| (0..plane.width()).map(move |x| plane.pixel(x, y)));
+            pixels.filter(|v| v.is_finite()).fold(f64::MIN_POSITIVE, f64::max)
+        }
+    }
+}
+
+/// `window` with a margin, inside a frame of `width` × `height`; the whole frame without a window.
+pub fn part_to_draw(window: Option<Window>, width: usize, height: usize) -> Window {
+    let whole = Window { x: 0, y: 0, width, height };
+    let Some(window) = window.and_then(|window| window.clipped(width, height)) else { return whole };
+    let margin = (window.width.max(window.height) / 8).max(4);
+    let (x, y) = (window.x.saturating_sub(margin), window.y.saturating_sub(margin));
+    let (right, bottom) = (window.x + window.width + margin, window.y + window.height + margin);
+    Window { x, y, width: right.min(width) - x, height: bottom.min(height) - y }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn contour(centre: [f64; 2], shape: Option<[[f64; 2]; 2]>) -> Contour {
+        Contour { target: "0".into(), centre, shape }
+    }
+
+    /// The distance to an ellipse of semi-axes 60 × 30 turned by 0.5 rad, on points moved along its normal.
+    #[test]
+    fn contour_distance_is_right_to_first_order() {
+        let (m, n, angle) = (60.0f64, 30.0f64, 0.5f64);
+        let (c, s) = (angle.cos(), angle.sin());
+        let (p, q) = (m.powi(-2), n.powi(-2));
+        let (a1, a2, a3) = (c * c * p + s * s * q, c * s * (p - q), s * s * p + c * c * q);
+        let contour = contour([100.25, 80.75], Some([[a1, a2], [a2, a3]]));
+        for i in 0..64 {
+            let t = f64::from(i) * 0.1;
+            let (u, v) = (m * t.cos(), n * t.sin());
+            let (nu, nv) = (t.cos() / m, t.sin() / n);
+            let length = nu.hypot(nv);
+            for offset in [-0.8, 0.0, 0.8] {
+                let (u, v) = (u + offset * nu / length, v + offset * nv / length);
+                let (x, y) = (100.25 + c * u - s * v, 80.75 + s * u + c * v);
+                let distance = distance(&contour, x, y);
+                assert!((distance - f64::abs(offset)).abs() < 0.03, "{t} {offset}: {distance}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_ellipse_is_not_drawn() {
+        let matrix = |a1, a2, a3| Some([[a1, a2], [a2, a3]]);
+        for shape in [None, matrix(1.0, 2.0, 1.0), matrix(-1.0, 0.0, -1.0), matrix(f64::NAN, 0.0, 1.0)] {
+            assert_eq!(distance(&contour([2.0, 2.0], shape), 3.0, 2.0), f64::INFINITY);
+        }
+    }
+
+    #[test]
+    fn the_cross_marks_the_centre_and_a_lost_target_a_red_frame() {
+        let pixels = vec![100u8; 40 * 30];
+        let plane = PlaneView::new(PixelFormat::U8, &pixels, 40, 30, 40, 1).unwrap();
+        let part = part_to_draw(None, 40, 30);
+        let contour = contour([10.0, 20.0], None);
+        let picture = draw(&plane, part, 255.0, Some(&[contour]));
+        assert_eq!((picture.width, picture.height), (320, 240));
+        let at = |picture: &Picture, x: usize, y: usize| picture.rgb[3 * (y * picture.width + x)..][..3].to_vec();
+        assert_eq!(at(&picture, 83, 163), CENTRE.map(|c| c as u8));
+        assert_eq!(at(&picture, 200, 100), [100, 100, 100]);
+        let lost = draw(&plane, part, 255.0, None);
+        assert_eq!(at(&lost, 0, 0), LOST.map(|c| c as u8));
+        assert_eq!(at(&lost, 160, 120), [100, 100, 100]);
+    }
+
+    #[test]
+    fn the_part_has_a_margin_inside_the_frame() {
+        let window = |x, y, width, height| Window { x, y, width, height };
+        assert_eq!(part_to_draw(Some(window(50, 60, 32, 16)), 640, 480), window(46, 56, 40, 24));
+        assert_eq!(part_to_draw(Some(window(0, 470, 32, 64)), 640, 480), window(0, 466, 36, 14));
+        assert_eq!(part_to_draw(Some(window(700, 0, 5, 5)), 640, 480), window(0, 0, 640, 480));
+    }
+}

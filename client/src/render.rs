@@ -1,0 +1,131 @@
+//! `isophote render`: frames of any model as files, with the truth beside them.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use isophote_capture::{Captured, FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png};
+use serde::Serialize;
+
+use crate::arguments::{Formulas, Numbers, Size};
+use crate::failure::Failure;
+use crate::model_files;
+
+/// Render a model to PNG files, with sub-pixel samples, motion, noise and saturation
+#[derive(Clone, Debug, clap::Args)]
+pub struct RenderArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "FILE")]
+    pub model: PathBuf,
+    /// Parameters and constants; what is not set starts in the middle of the frame at an ordinary size and brightness
+    #[arg(long, value_name = "k=v,…")]
+    pub set: Vec<Numbers>,
+    /// Where 000000.png, … and truth.jsonl go
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Pixels of a frame
+    #[arg(long, value_name = "WxH", default_value = "640x480")]
+    pub size: Size,
+    /// How many frames
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: u64,
+    /// Parameters as formulas of t, seconds since the first frame
+    #[arg(long, value_name = "k=FORMULA,…")]
+    pub motion: Vec<Formulas>,
+    /// Frames a second, for motion: frame n is at t = n / rate
+    #[arg(long, value_name = "HZ", default_value_t = 60.0)]
+    pub rate_hz: f64,
+    /// Bits of a pixel; over 8 writes 16-bit PNG
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub bits: u32,
+    /// Sub-pixel samples per side
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub samples: u32,
+    /// Electrons at the saturation limit; 0: no noise
+    #[arg(long, value_name = "E", default_value_t = 0.0)]
+    pub full_well_e: f64,
+    /// Standard deviation of the read noise
+    #[arg(long, value_name = "E", default_value_t = 0.0)]
+    pub read_noise_e: f64,
+    /// Pixel values are clipped here [default: the largest of the bits, 255 for 8]
+    #[arg(long, value_name = "DN")]
+    pub saturation: Option<f64>,
+    /// Of the noise; same seed, same frames
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Print the lines of truth.jsonl on standard output as well
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// One line of truth.jsonl.
+#[derive(Serialize)]
+struct Truth<'a> {
+    frame: u64,
+    file: &'a str,
+    parameters: &'a std::collections::BTreeMap<String, f64>,
+}
+
+/// Renders all frames.
+pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = model_files::read(&args.model)?;
+    let spec = SyntheticSpec {
+        set: Numbers::merged(&args.set).map_err(Failure::Usage)?,
+        motion: Formulas::merged(&args.motion).map_err(Failure::Usage)?,
+        width: args.size.0,
+        height: args.size.1,
+        rate_hz: args.rate_hz,
+        bits: args.bits,
+        samples: args.samples,
+        full_well_e: args.full_well_e,
+        read_noise_e: args.read_noise_e,
+        saturation: args.saturation.unwrap_or_else(|| f64::from((1u32 << args.bits.clamp(1, 16)) - 1)),
+        seed: args.seed,
+        ..SyntheticSpec::new(model)
+    };
+    let mut camera = Synthetic::new(spec).map_err(|error| refused(&args.model, error))?;
+    let failed = |path: &Path, error: &dyn std::fmt::Display| {
+        Failure::Other(format!("{}: cannot be written: {error}", path.display()))
+    };
+    std::fs::create_dir_all(&args.out).map_err(|error| failed(&args.out, &error))?;
+    let truth_path = args.out.join("truth.jsonl");
+    let mut truth = std::fs::File::create(&truth_path).map_err(|error| failed(&truth_path, &error))?;
+    for number in 0..args.frames {
+        let captured = camera.next().map_err(|error| Failure::Other(error.to_string()))?;
+        let Some(Captured { frame, truth: Some(parameters), .. }) = captured else { break };
+        let file = format!("{number:06}.png");
+        let path = args.out.join(&file);
+        let plane = &frame.planes()[0];
+        let png = encode_png(frame.width(), frame.rows(), plane.format, plane.buffer.bytes())
+            .map_err(|error| failed(&path, &error))?;
+        std::fs::write(&path, png).map_err(|error| failed(&path, &error))?;
+        let line = Truth { frame: number, file: &file, parameters: &parameters };
+        let line = serde_json::to_string(&line).map_err(|error| failed(&truth_path, &error))?;
+        writeln!(truth, "{line}").map_err(|error| failed(&truth_path, &error))?;
+        if args.json {
+            writeln!(out, "{line}").map_err(Failure::output)?;
+        }
+    }
+    warn_of_strangers(args);
+    Ok(())
+}
+
+/// A wrong name or number is wrong usage; a document that cannot be rendered is a wrong model.
+fn refused(model: &Path, error: SyntheticError) -> Failure {
+    match error {
+        SyntheticError::Motion { name, diagnostics } => {
+            let rendered: Vec<String> = diagnostics.iter().map(|d| d.render(&format!("--motion {name}"))).collect();
+            Failure::Usage(format!("the motion of `{name}` is wrong\n{}", rendered.join("\n").trim_end()))
+        }
+        SyntheticError::Model { .. } => Failure::Model(format!("error: {}: {error}", model.display())),
+        other => Failure::Usage(other.to_string()),
+    }
+}
+
+/// Frames of an earlier, longer run would be taken for this one's.
+fn warn_of_strangers(args: &RenderArgs) {
+    let found = Recording::open(&args.out).map_or(0, |recording| recording.len() as u64);
+    if found > args.frames {
+        let (out, others) = (args.out.display(), found - args.frames);
+        eprintln!("warning: {out} holds {others} images more than were rendered; `isophote fit` will read them too");
+    }
+}

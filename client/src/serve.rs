@@ -1,0 +1,33 @@
+//! `isophote serve`: the service in the foreground, until it is interrupted.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use isophote_server::{Options, Server, StartError};
+
+use crate::failure::Failure;
+
+/// Run the service: models, sources, sessions and streams over HTTP
+#[derive(Clone, Debug, clap::Args)]
+pub struct ServeArgs {
+    /// A loopback address; port 0 takes any free one
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7240")]
+    pub listen: SocketAddr,
+    /// Keep models here; in memory only when absent
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// With a synthetic source and a running session, both named demo
+    #[arg(long)]
+    pub demo: bool,
+}
+
+/// Serves until SIGINT or SIGTERM. The line on standard error is for people and programs: it names the real port.
+pub fn run(args: &ServeArgs) -> Result<(), Failure> {
+    let options = Options { listen: args.listen, data: args.data.clone(), demo: args.demo };
+    let server = Server::start(&options).map_err(|error| match error {
+        StartError::NotLoopback(_) => Failure::Usage(error.to_string()),
+        other => Failure::Other(other.to_string()),
+    })?;
+    eprintln!("isophote: listening on http://{}", server.address());
+    server.run_until_signal().map_err(|error| Failure::Other(error.to_string()))
+}

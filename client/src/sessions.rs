@@ -1,0 +1,164 @@
+//! `isophote session start|list|show|swap|stop`: sessions of the service.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isophote_server::wire::{Items, SessionView, SwapAnswer, SwapDocument};
+use serde_json::{Map, Value, json};
+
+use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
+use crate::failure::Failure;
+use crate::http::{self, Service, ServiceArgs, segment};
+use crate::output;
+use crate::source_uri;
+
+/// Start a session, or replace the one of that name
+#[derive(Clone, Debug, clap::Args)]
+pub struct StartArgs {
+    /// The session's name
+    pub name: String,
+    /// A model of the service
+    #[arg(long)]
+    pub model: String,
+    /// Where the frames come from: the name of a source of the service; @FILE, a JSON source document;
+    /// synthetic:MODEL[?key=value&…]; a path or file:PATH[?rate_hz=30&loop=true], a recording; pushed:WIDTHxHEIGHT[?format=u8]
+    #[arg(long, value_name = "URI|@FILE")]
+    pub source: String,
+    /// Starting values, instead of the document's
+    #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
+    pub start: Vec<Numbers>,
+    /// Constants of the model
+    #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
+    pub constant: Vec<Numbers>,
+    /// Look at these pixels only
+    #[arg(long, value_name = "x,y,w,h")]
+    pub window: Option<WindowArgument>,
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, intrinsics
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Arithmetic of the pixel loops [default: f32]
+    #[arg(long, value_enum)]
+    pub precision: Option<PrecisionArgument>,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Name a session
+#[derive(Clone, Debug, clap::Args)]
+pub struct NameArgs {
+    /// The session's name
+    pub name: String,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// List the sessions
+#[derive(Clone, Debug, clap::Args)]
+pub struct ListArgs {
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Give a running session another model, between two frames
+#[derive(Clone, Debug, clap::Args)]
+pub struct SwapArgs {
+    /// The session's name
+    pub name: String,
+    /// A model of the service
+    pub model: String,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+fn path(name: &str) -> String {
+    format!("/v1/sessions/{}", segment(name))
+}
+
+/// Starts one.
+pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let mut document = Map::new();
+    document.insert("source".into(), source_uri::document(&args.source)?);
+    document.insert("model".into(), json!(args.model));
+    document.insert("start".into(), json!(Numbers::merged(&args.start).map_err(Failure::Usage)?));
+    document.insert("constants".into(), json!(Numbers::merged(&args.constant).map_err(Failure::Usage)?));
+    if let Some(WindowArgument(window)) = args.window {
+        let window = json!({"x": window.x, "y": window.y, "width": window.width, "height": window.height});
+        document.insert("window".into(), window);
+    }
+    if let Some(path) = &args.camera {
+        document.insert("camera".into(), source_uri::read_json(path)?);
+    }
+    if let Some(precision) = args.precision {
+        document.insert("options".into(), json!({"precision": isophote_symbolic::Precision::from(precision)}));
+    }
+    let view: Value = Service::new(&args.service)?.put(&path(&args.name), &document)?;
+    if args.service.json {
+        return output::json(out, &view);
+    }
+    writeln!(out, "{} {}", args.name, view["state"].as_str().unwrap_or_default()).map_err(Failure::output)
+}
+
+/// Lists all.
+pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let service = Service::new(&args.service)?;
+    if args.service.json {
+        return output::json(out, &service.get::<Value>("/v1/sessions")?);
+    }
+    let sessions: Items<SessionView> = service.get("/v1/sessions")?;
+    let row = |session: &SessionView| {
+        let track = session.last.as_ref().and_then(|last| serde_json::to_value(last.state).ok());
+        vec![
+            session.name.clone(),
+            word(serde_json::to_value(session.state).ok()),
+            word(track),
+            session.active_model.clone(),
+            format!("{:.1}", session.rate_hz),
+            session.frames.to_string(),
+            session.dropped.to_string(),
+            session.reason.clone().unwrap_or_default(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = sessions.items.iter().map(row).collect();
+    output::table(out, &["NAME", "STATE", "TRACK", "MODEL", "HZ", "FRAMES", "DROPPED", ""], &rows)
+}
+
+fn word(value: Option<Value>) -> String {
+    value.and_then(|value| value.as_str().map(str::to_string)).unwrap_or_else(|| "-".into())
+}
+
+/// Prints one as JSON, with `--json` on one line.
+pub fn show(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let text = Service::new(&args.service)?.get_text(&path(&args.name), "application/json")?;
+    if args.service.json {
+        return writeln!(out, "{text}").map_err(Failure::output);
+    }
+    let view: SessionView = http::read(&text)?;
+    let pretty = serde_json::to_string_pretty(&view).map_err(|error| Failure::Other(error.to_string()))?;
+    writeln!(out, "{pretty}").map_err(Failure::output)
+}
+
+/// Swaps the model of one.
+pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let document = SwapDocument { model: args.model.clone() };
+    let answer: SwapAnswer = Service::new(&args.service)?.put(&format!("{}/model", path(&args.name)), &document)?;
+    if args.service.json {
+        return output::json(out, &answer);
+    }
+    let list = |names: &[String]| if names.is_empty() { "nothing".to_string() } else { names.join(", ") };
+    writeln!(
+        out,
+        "{} since frame {} (compiled in {:.1} ms); carried {}; reset {}",
+        answer.active_model,
+        answer.active_since_frame,
+        answer.compile_ms,
+        list(&answer.carried),
+        list(&answer.reset)
+    )
+    .map_err(Failure::output)
+}
+
+/// Stops and removes one.
+pub fn stop(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    Service::new(&args.service)?.delete(&path(&args.name))?;
+    if args.service.json { output::json(out, &json!({"stopped": args.name})) } else { Ok(()) }
+}

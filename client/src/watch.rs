@@ -1,0 +1,66 @@
+//! `isophote watch`: estimates of a session as they come.
+
+use std::io::Write;
+
+use isophote_server::wire::{Estimate, TrackState};
+
+use crate::failure::Failure;
+use crate::http::{self, Service, ServiceArgs, segment};
+
+/// Messages under way at most: a slow terminal gets the newest estimates, not old ones.
+const CREDIT: u32 = 8;
+
+/// Print the estimates of a session as they come
+#[derive(Clone, Debug, clap::Args)]
+pub struct WatchArgs {
+    /// The session's name
+    pub name: String,
+    /// Stop after so many
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+    /// Every estimate, in order, instead of the newest ones
+    #[arg(long)]
+    pub all: bool,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Until the session ends, or `--count`.
+pub fn run(args: &WatchArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let mode = if args.all { "all" } else { "latest" };
+    let path = format!("/v1/sessions/{}/estimates?mode={mode}&credit={CREDIT}", segment(&args.name));
+    let mut estimates = Service::new(&args.service)?.websocket(&path)?;
+    let mut left = args.count.unwrap_or(u64::MAX);
+    while left > 0 {
+        let Some(text) = estimates.next()? else { return Ok(()) };
+        left -= 1;
+        if args.service.json {
+            writeln!(out, "{text}").map_err(Failure::output)?;
+        } else {
+            writeln!(out, "{}", line(&http::read(&text)?)).map_err(Failure::output)?;
+        }
+        out.flush().map_err(Failure::output)?;
+        estimates.renew(1)?;
+    }
+    Ok(())
+}
+
+/// Frame, state, free parameters with standard deviations, fit time, and what was lost.
+fn line(estimate: &Estimate) -> String {
+    let state = serde_json::to_value(estimate.state).ok().and_then(|v| v.as_str().map(str::to_string));
+    let mut text = format!("{:>8}  {:<9}", estimate.frame, state.unwrap_or_default());
+    if estimate.state == TrackState::Tracking {
+        for (index, name) in estimate.order.iter().enumerate() {
+            let Some(value) = estimate.parameters.get(name) else { continue };
+            let variance = estimate.covariance.as_ref().and_then(|rows| rows.get(index)?.get(index).copied());
+            text += &format!("  {name} {}", crate::fit::with_deviation(value, variance.map(f64::sqrt)));
+        }
+    }
+    if let Some(timing) = estimate.timing_us {
+        text += &format!("  {} µs", timing.fit);
+    }
+    if estimate.dropped > 0 {
+        text += &format!("  ({} dropped)", estimate.dropped);
+    }
+    text
+}

@@ -1,0 +1,180 @@
+//! The commands that need no service, run as a user runs them: render, fit, model check, model explain.
+#![allow(clippy::unwrap_used)]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn model(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name)
+}
+
+fn isophote(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
+}
+
+/// Standard output of a run that must succeed.
+fn output(arguments: &[&str]) -> String {
+    let run = isophote(arguments);
+    let errors = String::from_utf8(run.stderr).unwrap();
+    assert!(run.status.success(), "{arguments:?}: {errors}");
+    String::from_utf8(run.stdout).unwrap()
+}
+
+/// Exit status and standard error of a run that must fail without results.
+fn failure(arguments: &[&str]) -> (i32, String) {
+    let run = isophote(arguments);
+    assert_eq!(String::from_utf8(run.stdout).unwrap(), "", "{arguments:?}");
+    (run.status.code().unwrap(), String::from_utf8(run.stderr).unwrap())
+}
+
+fn lines(text: &str) -> Vec<Value> {
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn rendered_frames_are_fitted_back_to_their_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let spot = model("spot.toml");
+    let (frames, overlays) = (folder.path().join("frames"), folder.path().join("overlays"));
+    output(&[
+        "render", text(&spot), "--out", text(&frames), "--frames", "4", "--set", "by=231.4,v1=180,k1=-0.5",
+        "--motion", "bx=340 + max(0, 30*sin(2*pi*5*t))",
+    ]);
+    let truth = lines(&std::fs::read_to_string(frames.join("truth.jsonl")).unwrap());
+    assert_eq!(truth.len(), 4);
+    assert_eq!((&truth[3]["frame"], &truth[3]["file"]), (&Value::from(3), &Value::from("000003.png")));
+    assert_eq!(truth[0]["parameters"]["by"], 231.4);
+
+    let fits = output(&["fit", text(&spot), "--frames", text(&frames), "--json", "--overlay", text(&overlays)]);
+    for (truth, fit) in truth.iter().zip(lines(&fits)) {
+        assert_eq!((&fit["state"], &fit["ending"]), (&Value::from("tracking"), &Value::from("small-step")));
+        assert_eq!((&fit["frame"], &fit["file"]), (&truth["frame"], &truth["file"]));
+        assert_eq!(fit["truth"], truth["parameters"]);
+        for name in ["bx", "by"] {
+            let error = fit["parameters"][name].as_f64().unwrap() - truth["parameters"][name].as_f64().unwrap();
+            assert!(error.abs() < 0.01, "{name} is {error} px off");
+        }
+        assert_eq!(fit["order"].as_array().unwrap().len(), fit["covariance"].as_array().unwrap().len());
+        assert!(fit.get("capture_ns").is_none() && fit.get("session").is_none());
+        assert!(fit["timing_us"]["fit"].is_u64());
+    }
+    assert_eq!(std::fs::read_dir(&overlays).unwrap().count(), 4);
+    let plain = output(&["fit", text(&spot), "--frames", text(&frames)]);
+    assert_eq!(plain.lines().count(), 4);
+    let first = plain.lines().next().unwrap();
+    assert!(first.contains("000000.png") && first.contains("tracking") && first.contains("bx 340.0"), "{first}");
+}
+
+#[test]
+fn the_same_seed_renders_the_same_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let spot = model("spot.toml");
+    let render = |name: &str, seed: &str| {
+        let out = folder.path().join(name);
+        let noise = ["--full-well-e", "5000", "--read-noise-e", "15", "--size", "160x120", "--bits", "12"];
+        output(&[&["render", text(&spot), "--out", text(&out), "--seed", seed], &noise[..]].concat());
+        std::fs::read(out.join("000000.png")).unwrap()
+    };
+    assert_eq!(render("a", "1"), render("b", "1"));
+    assert_ne!(render("c", "1"), render("d", "2"));
+    assert_eq!(render("e", "1")[24], 16, "12 bits are written as 16-bit PNG");
+}
+
+/// A lost frame is a line with its state, and the run goes on and succeeds.
+#[test]
+fn a_lost_target_is_a_line_like_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let spot = model("spot.toml");
+    let render = |out: &Path, set: &str| {
+        output(&["render", text(&spot), "--out", text(out), "--set", set, "--size", "320x240"]);
+    };
+    let frames = folder.path().join("frames");
+    render(&frames, "v1=150");
+    render(&folder.path().join("dark"), "v1=0.001");
+    std::fs::copy(folder.path().join("dark/000000.png"), frames.join("000001.png")).unwrap();
+    std::fs::copy(frames.join("000000.png"), frames.join("000002.png")).unwrap();
+    let fits = lines(&output(&["fit", text(&spot), "--frames", text(&frames), "--json"]));
+    let states: Vec<&str> = fits.iter().map(|fit| fit["state"].as_str().unwrap()).collect();
+    assert_eq!(states, ["tracking", "lost", "tracking"]);
+}
+
+#[test]
+fn a_csv_file_is_a_curve_fit() {
+    let folder = tempfile::tempdir().unwrap();
+    let (document, data) = (folder.path().join("decay.toml"), folder.path().join("decay.csv"));
+    let toml = "name = \"decay\"\ncoordinates = [\"i\"]\nchannels = [\"t\", \"y\"]\n[parameters]\na = { start = 1.0 }\nb = { start = 1.0 }\n\
+                [model]\nobserved = \"y\"\nintensity = \"a*exp(-b*t)\"\n";
+    std::fs::write(&document, toml).unwrap();
+    let rows: String = (0..20).map(|i| f64::from(i) * 0.25).map(|t| format!("{t},{}\n", 3.0 * (-0.7 * t).exp())).collect();
+    std::fs::write(&data, format!("t,y\n{rows}")).unwrap();
+    let fit = &lines(&output(&["fit", text(&document), "--frames", text(&data), "--json"]))[0];
+    assert!((fit["parameters"]["a"].as_f64().unwrap() - 3.0).abs() < 1e-9, "{fit}");
+    assert!((fit["parameters"]["b"].as_f64().unwrap() - 0.7).abs() < 1e-9, "{fit}");
+    let started = lines(&output(&["fit", text(&document), "--frames", text(&data), "--start", "a=2,b=0.5", "--json"]));
+    assert_eq!(started[0]["converged"], true);
+}
+
+#[test]
+fn failures_have_their_status_and_name_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let (spot, frames, wrong) = (model("spot.toml"), folder.path().join("frames"), folder.path().join("wrong.toml"));
+    output(&["render", text(&spot), "--out", text(&frames), "--size", "64x48"]);
+    std::fs::write(&wrong, std::fs::read_to_string(&spot).unwrap().replace("v0 + v1 * f", "v0 + v2 * f")).unwrap();
+    let (spot, frames, wrong) = (text(&spot), text(&frames), text(&wrong));
+    let camera = folder.path().join("camera.json");
+    std::fs::write(&camera, "{\"saturatoin\": 253}").unwrap();
+    let nowhere = folder.path().join("nowhere");
+    let cases: &[(&[&str], i32, &[&str])] = &[
+        (&["fit", wrong, "--frames", frames], 3, &["wrong.toml:", "model.intensity", "v2", "^"]),
+        (&["model", "check", wrong], 3, &["wrong.toml:", "v2"]),
+        (&["render", wrong, "--out", frames], 3, &["v2"]),
+        (&["model", "check", text(&nowhere)], 1, &["nowhere", "cannot be read"]),
+        (&["fit", spot, "--frames", text(&nowhere)], 1, &["nowhere", "no such file"]),
+        (&["fit", spot], 2, &["--frames"]),
+        (&["fit", spot, "--frames", frames, "--start", "bx"], 2, &["`bx` is not name=value"]),
+        (&["fit", spot, "--frames", frames, "--start", "bxx=1"], 2, &["bxx", "`bx`"]),
+        (&["fit", spot, "--frames", frames, "--constant", "gian=1"], 2, &["gian"]),
+        (&["fit", spot, "--frames", frames, "--window", "100,0,5,5"], 2, &["outside", "64×48"]),
+        (&["fit", spot, "--frames", frames, "--camera", text(&camera)], 2, &["camera.json", "saturatoin"]),
+        (&["fit", spot, "--frames", frames, "--overlay", frames], 2, &["--overlay"]),
+        (&["render", spot, "--out", frames, "--set", "b=1"], 2, &["`b`"]),
+        (&["render", spot, "--out", frames, "--motion", "bx=3 + "], 2, &["--motion bx"]),
+        (&["render", spot, "--out", frames, "--saturation", "256"], 2, &["at most 255"]),
+        (&["model", "explain", spot, "--parameters", "bx,zz"], 2, &["zz"]),
+    ];
+    for (arguments, status, words) in cases {
+        let (found, message) = failure(arguments);
+        assert_eq!(found, *status, "{arguments:?}: {message}");
+        for word in *words {
+            assert!(message.contains(word), "{arguments:?}: `{word}` is missing in: {message}");
+        }
+    }
+    std::fs::write(Path::new(frames).join("000000.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
+    let (status, message) = failure(&["fit", spot, "--frames", frames]);
+    assert!(status == 1 && message.contains("000000.png: damaged"), "{message}");
+}
+
+#[test]
+fn check_and_explain_give_the_same_figures() {
+    let thesis = model("thesis-spot.toml");
+    let report = &lines(&output(&["model", "check", text(&thesis), "--json"]))[0];
+    assert_eq!(report["model"], "thesis-spot");
+    assert!(report["digest"].as_str().unwrap().starts_with("sha256:"));
+    let stage = &report["stages"][0];
+    let explained = output(&["model", "explain", text(&thesis), "--parameters", "bx,by", "--show", "program", "--json"]);
+    let explained = &lines(&explained)[0];
+    for key in ["parameters", "method", "flops_per_pixel", "accumulators", "flops_per_row", "flops_per_pass"] {
+        assert_eq!(explained[key], stage[key], "{key}");
+    }
+    for show in ["derivative", "sums", "program", "clif", "asm"] {
+        let shown = output(&["model", "explain", text(&thesis), "--parameters", "bx,by", "--show", show]);
+        assert!(shown.len() > 100, "{show}: {shown}");
+    }
+    assert!(output(&["model", "check", text(&thesis)]).contains("bx, by"));
+}

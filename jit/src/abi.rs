@@ -1,0 +1,139 @@
+//! What native code and the crate agree on: the argument block and the table of elementary functions.
+//!
+//! Native code has one argument, a pointer to [`Args`]. It imports nothing by name: the elementary functions are called
+//! through [`Functions`], whose slots are numbered as `Function1` and `Function2` are.
+
+use isophote_symbolic::{Function1, Function2, Precision};
+
+/// A plane as native code sees it.
+#[repr(C)]
+pub(crate) struct PlaneArgs {
+    /// The window's first pixel.
+    pub first: *const u8,
+    /// Bytes.
+    pub row_stride: i64,
+    /// Bytes.
+    pub pixel_stride: i64,
+}
+
+/// The argument block of a kernel.
+#[repr(C)]
+pub(crate) struct Args {
+    /// The numbers of `Program::inputs`.
+    pub inputs: *const f64,
+    /// Written at the end of the pass.
+    pub outputs: *mut f64,
+    /// [`FUNCTIONS`].
+    pub functions: *const Functions,
+    /// One a channel.
+    pub planes: *const PlaneArgs,
+    /// `Sink::Plane`: the output plane, packed, as large as the window.
+    pub target: *mut f32,
+    /// The window, px.
+    pub x: i64,
+    /// The window, px.
+    pub y: i64,
+    /// The window, px.
+    pub width: i64,
+    /// The window, px.
+    pub height: i64,
+    /// Written: pixels that took part.
+    pub pixels: i64,
+    /// Written: pixels left out for saturation.
+    pub saturated: i64,
+}
+
+type Scalar1 = extern "C" fn(f64) -> f64;
+type Scalar2 = extern "C" fn(f64, f64) -> f64;
+type Lanes1<T, const L: usize> = extern "C" fn(&mut [T; L]);
+type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
+
+/// Code addresses of the elementary functions. The forms for lanes overwrite their first operand with the result.
+#[repr(C)]
+pub(crate) struct Functions {
+    scalar1: [Scalar1; 12],
+    scalar2: [Scalar2; 2],
+    single1: [Lanes1<f32, 4>; 12],
+    single2: [Lanes2<f32, 4>; 2],
+    double1: [Lanes1<f64, 2>; 12],
+    double2: [Lanes2<f64, 2>; 2],
+}
+
+impl Functions {
+    const SLOT: usize = size_of::<Scalar1>();
+
+    /// The byte offset of a function's scalar form.
+    pub fn scalar1(function: Function1) -> i32 {
+        (std::mem::offset_of!(Functions, scalar1) + function as usize * Self::SLOT) as i32
+    }
+    /// The byte offset of a function's scalar form.
+    pub fn scalar2(function: Function2) -> i32 {
+        (std::mem::offset_of!(Functions, scalar2) + function as usize * Self::SLOT) as i32
+    }
+    /// The byte offset of a function's form for lanes.
+    pub fn lanes1(precision: Precision, function: Function1) -> i32 {
+        let table = match precision {
+            Precision::F32 => std::mem::offset_of!(Functions, single1),
+            Precision::F64 => std::mem::offset_of!(Functions, double1),
+        };
+        (table + function as usize * Self::SLOT) as i32
+    }
+    /// The byte offset of a function's form for lanes.
+    pub fn lanes2(precision: Precision, function: Function2) -> i32 {
+        let table = match precision {
+            Precision::F32 => std::mem::offset_of!(Functions, single2),
+            Precision::F64 => std::mem::offset_of!(Functions, double2),
+        };
+        (table + function as usize * Self::SLOT) as i32
+    }
+}
+
+extern "C" fn scalar1<const F: usize>(x: f64) -> f64 {
+    Function1::ALL[F].value(x)
+}
+extern "C" fn scalar2<const F: usize>(x: f64, y: f64) -> f64 {
+    Function2::ALL[F].value(x, y)
+}
+extern "C" fn single1<const F: usize>(lanes: &mut [f32; 4]) {
+    *lanes = lanes.map(|x| Function1::ALL[F].value(f64::from(x)) as f32);
+}
+extern "C" fn single2<const F: usize>(lanes: &mut [f32; 4], others: &[f32; 4]) {
+    for (x, y) in lanes.iter_mut().zip(others) {
+        *x = Function2::ALL[F].value(f64::from(*x), f64::from(*y)) as f32;
+    }
+}
+extern "C" fn double1<const F: usize>(lanes: &mut [f64; 2]) {
+    *lanes = lanes.map(|x| Function1::ALL[F].value(x));
+}
+extern "C" fn double2<const F: usize>(lanes: &mut [f64; 2], others: &[f64; 2]) {
+    for (x, y) in lanes.iter_mut().zip(others) {
+        *x = Function2::ALL[F].value(*x, *y);
+    }
+}
+
+macro_rules! twelve {
+    ($f:ident) => {
+        [$f::<0>, $f::<1>, $f::<2>, $f::<3>, $f::<4>, $f::<5>, $f::<6>, $f::<7>, $f::<8>, $f::<9>, $f::<10>, $f::<11>]
+    };
+}
+
+/// The table that every kernel is handed.
+pub(crate) static FUNCTIONS: Functions = Functions {
+    scalar1: twelve!(scalar1),
+    scalar2: [scalar2::<0>, scalar2::<1>],
+    single1: twelve!(single1),
+    single2: [single2::<0>, single2::<1>],
+    double1: twelve!(double1),
+    double2: [double2::<0>, double2::<1>],
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_numeric_value_of_a_function_is_its_place_in_all() {
+        assert!(Function1::ALL.iter().enumerate().all(|(i, f)| *f as usize == i));
+        assert!(Function2::ALL.iter().enumerate().all(|(i, f)| *f as usize == i));
+    }
+}

@@ -1,0 +1,230 @@
+//! `Kernel`: a program as native code, ready to run over the pixels of a window.
+
+use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
+use thiserror::Error;
+
+use crate::check::Parts;
+use crate::compile;
+use crate::plane::{PixelFormat, PlaneView, Region, Window};
+use crate::runner::{Code, Shape};
+
+/// What a kernel is compiled for besides its program.
+#[derive(Clone, PartialEq, Eq, Hash, Debug)]
+pub struct KernelOptions {
+    /// The arithmetic of the pixel loop.
+    pub precision: Precision,
+    /// How the pixels of each channel are stored; may be empty for a program that reads no channel.
+    pub formats: Vec<PixelFormat>,
+    /// The pixels of a row follow each other without gaps, in every plane.
+    pub packed: bool,
+}
+
+/// Why there is no kernel. All but `NoFma` and `NoCodeMemory` are bugs or a machine that is not supported.
+#[derive(Clone, PartialEq, Eq, Debug, Error)]
+pub enum CompileError {
+    /// The program multiplies and adds with one rounding, which this processor does not offer.
+    #[error("this processor has no fused multiply-add; lower the program without")]
+    NoFma,
+    /// As many formats as channels are needed.
+    #[error("the program has {channels} channels, {formats} pixel formats were given")]
+    Formats {
+        /// Of the program.
+        channels: usize,
+        /// In the options.
+        formats: usize,
+    },
+    /// The instructions are not a program.
+    #[error("malformed program: {0}")]
+    Malformed(String),
+    /// The processor or operating system is not supported.
+    #[error("no native code on this machine: {0}")]
+    Host(String),
+    /// The function holds what it must not hold.
+    #[error("refused by the audit: {0}")]
+    Audit(String),
+    /// The compiler refused it.
+    #[error("the compiler failed: {0}")]
+    Compiler(String),
+    /// More than [`Kernel::CODE_BYTES_MAX`].
+    #[error("{bytes} bytes of machine code, {} are allowed", Kernel::CODE_BYTES_MAX)]
+    TooLarge {
+        /// Of machine code.
+        bytes: usize,
+    },
+    /// The operating system gave no executable memory.
+    #[error("no memory for code: {0}")]
+    NoCodeMemory(String),
+}
+
+/// Why a kernel did not run. Nothing was written.
+#[derive(Clone, PartialEq, Eq, Debug, Error)]
+pub enum RunError {
+    /// As many planes as channels are needed.
+    #[error("the kernel reads {channels} planes, {planes} were given")]
+    Planes {
+        /// Of the program.
+        channels: usize,
+        /// Given.
+        planes: usize,
+    },
+    /// The kernel was compiled for another pixel format.
+    #[error("channel {channel} holds {given:?} pixels, the kernel was compiled for {expected:?}")]
+    Format {
+        /// Number of the plane.
+        channel: usize,
+        /// Of the kernel.
+        expected: PixelFormat,
+        /// Of the plane.
+        given: PixelFormat,
+    },
+    /// The kernel was compiled for pixels without gaps.
+    #[error("channel {channel} has {stride} bytes from pixel to pixel, the kernel was compiled for packed pixels")]
+    Packing {
+        /// Number of the plane.
+        channel: usize,
+        /// Of the plane.
+        stride: usize,
+    },
+    /// The window is empty or leaves a plane.
+    #[error("the window {window:?} is empty or leaves the plane of {width} × {height} px")]
+    Window {
+        /// As given.
+        window: Window,
+        /// Of the plane.
+        width: usize,
+        /// Of the plane.
+        height: usize,
+    },
+    /// The output plane has another size than the window.
+    #[error("the output plane holds {given} px, the window has {expected}")]
+    Target {
+        /// Of the window.
+        expected: usize,
+        /// Given.
+        given: usize,
+    },
+    /// Sums were asked of a kernel that renders, or the other way round.
+    #[error("the kernel {}", if *.renders { "renders a plane, it has no sums" } else { "sums, it does not render" })]
+    Sink {
+        /// What the kernel does.
+        renders: bool,
+    },
+}
+
+/// What a pass hands back.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct Sums {
+    /// The program's outputs.
+    pub outputs: Vec<f64>,
+    /// Pixels used.
+    pub pixels: u64,
+    /// Pixels of the domain that were left out as saturated.
+    pub saturated: u64,
+}
+
+/// Native code of a program. It may run on several threads at once; its memory is given back on drop.
+#[derive(Debug)]
+pub struct Kernel {
+    program: Program,
+    options: KernelOptions,
+    code: Code,
+}
+
+impl Kernel {
+    /// The most machine code that a kernel may have.
+    pub const CODE_BYTES_MAX: usize = 1 << 20;
+
+    /// Compiles a program.
+    pub fn compile(program: &Program, options: &KernelOptions) -> Result<Kernel, CompileError> {
+        check(program, options)?;
+        let compiled = compile::native(program, options)?;
+        if compiled.bytes.len() > Self::CODE_BYTES_MAX {
+            return Err(CompileError::TooLarge { bytes: compiled.bytes.len() });
+        }
+        let outputs = match program.sink() {
+            Sink::Sums { outputs, .. } => outputs.len(),
+            Sink::Plane(_) => 0,
+        };
+        let shape = Shape {
+            inputs: program.inputs().len(),
+            outputs,
+            formats: options.formats.clone(),
+            packed: options.packed,
+            renders: matches!(program.sink(), Sink::Plane(_)),
+        };
+        let code = Code::load(&compiled, shape).map_err(CompileError::NoCodeMemory)?;
+        Ok(Kernel { program: program.clone(), options: options.clone(), code })
+    }
+
+    /// The program that it computes.
+    pub fn program(&self) -> &Program {
+        &self.program
+    }
+    /// What it was compiled for.
+    pub fn options(&self) -> &KernelOptions {
+        &self.options
+    }
+    /// The size of its machine code, constants included.
+    pub fn code_bytes(&self) -> usize {
+        self.code.bytes()
+    }
+
+    /// One pass over the pixels of `window`, which must lie inside every plane.
+    pub fn sums(&self, bindings: &Bindings<'_>, planes: &[PlaneView<'_>], window: Window) -> Result<Sums, RunError> {
+        let Sink::Sums { outputs, .. } = self.program.sink() else { return Err(RunError::Sink { renders: true }) };
+        let regions = self.regions(planes, window)?;
+        let mut outputs = vec![0.0; outputs.len()];
+        let counts = self.code.sums(&self.program.gather(bindings), &mut outputs, &regions, window);
+        Ok(Sums { outputs, pixels: counts.pixels, saturated: counts.saturated })
+    }
+
+    /// Adds the program's value to every pixel of `plane`, which holds the pixels of `window` row by row.
+    pub fn render(&self, bindings: &Bindings<'_>, window: Window, plane: &mut [f32]) -> Result<(), RunError> {
+        let Sink::Plane(_) = self.program.sink() else { return Err(RunError::Sink { renders: false }) };
+        let side = PlaneView::SIDE_MAX;
+        if window.clipped(side, side) != Some(window) {
+            return Err(RunError::Window { window, width: side, height: side });
+        }
+        if window.pixels() != plane.len() {
+            return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
+        }
+        self.code.render(&self.program.gather(bindings), window, plane);
+        Ok(())
+    }
+
+    fn regions<'a>(&self, planes: &[PlaneView<'a>], window: Window) -> Result<Vec<Region<'a>>, RunError> {
+        let formats = &self.options.formats;
+        if planes.len() != formats.len() {
+            return Err(RunError::Planes { channels: formats.len(), planes: planes.len() });
+        }
+        let region = |(channel, (plane, expected)): (usize, (&PlaneView<'a>, &PixelFormat))| {
+            if plane.format() != *expected {
+                return Err(RunError::Format { channel, expected: *expected, given: plane.format() });
+            }
+            if self.options.packed && !plane.is_packed() {
+                return Err(RunError::Packing { channel, stride: plane.pixel_stride() });
+            }
+            let (width, height) = (plane.width(), plane.height());
+            plane.region(window).ok_or(RunError::Window { window, width, height })
+        };
+        planes.iter().zip(formats).enumerate().map(region).collect()
+    }
+}
+
+/// What [`compile::native`] takes for granted.
+pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), CompileError> {
+    let reads = |op: &Op| matches!(op, Op::Channel(_));
+    let any = program.instructions().iter().any(|i| reads(&i.op));
+    let (channels, formats) = (program.channels(), options.formats.len());
+    let renders = matches!(program.sink(), Sink::Plane(_));
+    if formats != channels && (any || !renders || formats != 0) {
+        return Err(CompileError::Formats { channels, formats });
+    }
+    if renders && any {
+        return Err(CompileError::Malformed("a program that renders reads a channel".into()));
+    }
+    if program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..))) && !crate::has_fma() {
+        return Err(CompileError::NoFma);
+    }
+    Parts::of(program).check().map_err(CompileError::Malformed)
+}

@@ -1,0 +1,221 @@
+//! `Emitter`: the function under construction, the record, and access to both.
+
+use cranelift_codegen::ir::{
+    self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, StackSlot, StackSlotData, StackSlotKind, types,
+};
+use cranelift_codegen::isa::{TargetFrontendConfig, TargetIsa};
+use cranelift_frontend::FunctionBuilder;
+use isophote_symbolic::{Level, Op, Precision, Value};
+
+use crate::kernel::KernelOptions;
+use crate::plan::{Plan, Slot};
+
+/// Byte offsets of [`crate::abi::Args`].
+pub(super) mod arg {
+    use crate::abi::Args;
+    use std::mem::offset_of;
+    pub const INPUTS: i32 = offset_of!(Args, inputs) as i32;
+    pub const OUTPUTS: i32 = offset_of!(Args, outputs) as i32;
+    pub const FUNCTIONS: i32 = offset_of!(Args, functions) as i32;
+    pub const PLANES: i32 = offset_of!(Args, planes) as i32;
+    pub const TARGET: i32 = offset_of!(Args, target) as i32;
+    pub const X: i32 = offset_of!(Args, x) as i32;
+    pub const Y: i32 = offset_of!(Args, y) as i32;
+    pub const WIDTH: i32 = offset_of!(Args, width) as i32;
+    pub const HEIGHT: i32 = offset_of!(Args, height) as i32;
+    pub const PIXELS: i32 = offset_of!(Args, pixels) as i32;
+    pub const SATURATED: i32 = offset_of!(Args, saturated) as i32;
+}
+
+pub(super) struct Emitter<'a, 'p> {
+    pub b: FunctionBuilder<'a>,
+    pub plan: &'p Plan<'p>,
+    pub options: &'p KernelOptions,
+    /// The type of a group: 4 × f32 or 2 × f64, and its truth values.
+    pub number: ir::Type,
+    pub truth: ir::Type,
+    /// The results of the level that is being emitted, by value.
+    pub results: Vec<Option<ir::Value>>,
+    /// What stays in registers during a row's loop, by value.
+    pub held: Vec<Option<ir::Value>>,
+    /// The outer coordinate of the row.
+    pub outer: Option<ir::Value>,
+    /// Pixels of the row, at its end, or of the pass, at its end.
+    pub count: Option<ir::Value>,
+    /// Accumulators at the end of the row; `None` where the record has it.
+    pub sums: Vec<Option<ir::Value>>,
+    /// Of the row, by channel: the window's first pixel and the pixel stride.
+    pub rows: Vec<Option<(ir::Value, ir::Value)>>,
+    /// The row of the output plane.
+    pub target: Option<ir::Value>,
+    record: StackSlot,
+    args: Option<ir::Value>,
+    pub frontend: TargetFrontendConfig,
+    signatures: [Option<SigRef>; 4],
+}
+
+/// The record: aligned, never faults.
+const RECORD: MemFlagsData = MemFlagsData::trusted();
+/// Pixels: inside their plane by construction, of any alignment.
+pub(super) const PIXELS: MemFlagsData = MemFlagsData::new().with_notrap();
+
+impl<'a, 'p> Emitter<'a, 'p> {
+    pub fn new(mut b: FunctionBuilder<'a>, plan: &'p Plan<'p>, options: &'p KernelOptions, isa: &dyn TargetIsa) -> Self {
+        let slot = StackSlotData::new(StackSlotKind::ExplicitSlot, plan.record_bytes, 4);
+        let record = b.create_sized_stack_slot(slot);
+        let (number, truth) = match options.precision {
+            Precision::F32 => (types::F32X4, types::I32X4),
+            Precision::F64 => (types::F64X2, types::I64X2),
+        };
+        let count = plan.program.instructions().len();
+        Emitter {
+            b,
+            plan,
+            options,
+            number,
+            truth,
+            results: vec![None; count],
+            held: vec![None; count],
+            outer: None,
+            count: None,
+            sums: Vec::new(),
+            rows: vec![None; plan.program.channels()],
+            target: None,
+            record,
+            args: None,
+            frontend: isa.frontend_config(),
+            signatures: [None; 4],
+        }
+    }
+
+    /// Opens the entry block.
+    pub fn enter(&mut self) {
+        let entry = self.b.create_block();
+        self.b.append_block_params_for_function_params(entry);
+        self.b.switch_to_block(entry);
+        self.args = Some(self.b.block_params(entry)[0]);
+    }
+
+    pub fn lanes(&self) -> usize {
+        self.options.precision.lanes()
+    }
+
+    /// The type of one lane.
+    pub fn lane(&self) -> ir::Type {
+        self.number.lane_type()
+    }
+
+    pub fn integer(&mut self, value: i64) -> ir::Value {
+        self.b.ins().iconst(types::I64, value)
+    }
+
+    pub fn parameters<const N: usize>(&mut self, block: Block, types: [ir::Type; N]) -> [ir::Value; N] {
+        types.map(|t| self.b.append_block_param(block, t))
+    }
+
+    fn args(&self) -> ir::Value {
+        match self.args {
+            Some(args) => args,
+            None => unreachable!("the entry block is opened first"),
+        }
+    }
+
+    /// A field of the argument block.
+    pub fn arg(&mut self, kind: ir::Type, offset: i32) -> ir::Value {
+        let args = self.args();
+        self.b.ins().load(kind, RECORD, args, offset)
+    }
+
+    pub fn set_arg(&mut self, value: ir::Value, offset: i32) {
+        let args = self.args();
+        self.b.ins().store(RECORD, value, args, offset);
+    }
+
+    pub fn address(&mut self, slot: Slot) -> ir::Value {
+        self.b.ins().stack_addr(types::I64, self.record, slot.0)
+    }
+
+    /// Reads the record. Emitted right before its reader the load becomes that instruction's memory operand.
+    pub fn load(&mut self, kind: ir::Type, slot: Slot) -> ir::Value {
+        let address = self.address(slot);
+        self.b.ins().load(kind, RECORD, address, 0)
+    }
+
+    pub fn store(&mut self, value: ir::Value, slot: Slot) {
+        let address = self.address(slot);
+        self.b.ins().store(RECORD, value, address, 0);
+    }
+
+    /// Goes on in a new block if `condition` holds, else jumps to `otherwise`.
+    pub fn go_on_if(&mut self, condition: ir::Value, otherwise: Block, arguments: &[BlockArg]) {
+        let block = self.b.create_block();
+        self.b.ins().brif(condition, block, &[], otherwise, arguments);
+        self.b.switch_to_block(block);
+    }
+
+    /// A pass, row, row-end or pass-end value as f64 (or a truth value), read by `level`.
+    pub fn scalar(&mut self, value: Value, level: Level) -> ir::Value {
+        if self.plan.program.instruction(value).level == level
+            && let Some(result) = self.results[value.index()]
+        {
+            return result;
+        }
+        let kind = if self.plan.program.is_truth(value) { types::I8 } else { types::F64 };
+        match self.plan.scalars[value.index()] {
+            Some(slot) => self.load(kind, slot),
+            None => unreachable!("the plan gives a slot to every value that crosses levels"),
+        }
+    }
+
+    /// The instructions of a level with their values.
+    pub fn instructions(&self, level: Level) -> Vec<(Value, Op)> {
+        let all = self.plan.program.instructions().iter().enumerate();
+        all.filter(|(_, i)| i.level == level).map(|(at, i)| (Value(at as u32), i.op)).collect()
+    }
+
+    /// Calls the elementary function at byte `offset` of the table.
+    pub fn call(&mut self, offset: i32, form: Form, arguments: &[ir::Value]) -> Option<ir::Value> {
+        let signature = self.signature(form);
+        let table = self.arg(types::I64, arg::FUNCTIONS);
+        let function = self.b.ins().load(types::I64, RECORD, table, offset);
+        let call = self.b.ins().call_indirect(signature, function, arguments);
+        self.b.inst_results(call).first().copied()
+    }
+
+    fn signature(&mut self, form: Form) -> SigRef {
+        if let Some(signature) = self.signatures[form as usize] {
+            return signature;
+        }
+        let (kind, count) = match form {
+            Form::Scalar1 => (types::F64, 1),
+            Form::Scalar2 => (types::F64, 2),
+            Form::Lanes1 => (types::I64, 1),
+            Form::Lanes2 => (types::I64, 2),
+        };
+        let mut signature = ir::Signature::new(self.frontend.default_call_conv);
+        signature.params.resize(count, ir::AbiParam::new(kind));
+        if kind == types::F64 {
+            signature.returns.push(ir::AbiParam::new(kind));
+        }
+        let signature = self.b.import_signature(signature);
+        self.signatures[form as usize] = Some(signature);
+        signature
+    }
+
+    /// The same bits as another vector type.
+    pub fn cast(&mut self, kind: ir::Type, value: ir::Value) -> ir::Value {
+        if self.b.func.dfg.value_type(value) == kind {
+            return value;
+        }
+        self.b.ins().bitcast(kind, MemFlagsData::new().with_endianness(Endianness::Little), value)
+    }
+}
+
+/// How an elementary function is called, see [`crate::abi::Functions`].
+#[derive(Clone, Copy)]
+pub(super) enum Form {
+    Scalar1,
+    Scalar2,
+    Lanes1,
+    Lanes2,
+}

@@ -1,0 +1,222 @@
+//! Reading raw planes, and adding to the output plane.
+
+use cranelift_codegen::ir::{self, InstBuilder, types};
+use isophote_symbolic::{Op, Precision, Sink};
+use std::mem::offset_of;
+
+use super::emit::{Emitter, PIXELS, arg};
+use crate::abi::PlaneArgs;
+use crate::plane::PixelFormat;
+
+/// Which pixels the lanes of a group are.
+pub(super) enum Reach {
+    /// Neighbours.
+    Full,
+    /// These pixels of the row, one a lane; dead lanes repeat the row's last.
+    Clamped(Vec<ir::Value>),
+}
+
+impl Emitter<'_, '_> {
+    /// Computes what the loop needs of row `y`: the address of the first pixel of each plane that is read, its pixel
+    /// stride, and the row of the output plane.
+    pub fn open_row(&mut self, y: ir::Value) {
+        let program = self.plan.program;
+        let read = self.plan.pixels.iter().filter_map(|v| match program.instruction(*v).op {
+            Op::Channel(channel) => Some(channel.index()),
+            _ => None,
+        });
+        for channel in read {
+            let planes = self.arg(types::I64, arg::PLANES);
+            let field = |offset: usize| (channel * size_of::<PlaneArgs>() + offset) as i32;
+            let base = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, first)));
+            let stride = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, row_stride)));
+            let down = self.b.ins().imul(y, stride);
+            let row = self.b.ins().iadd(base, down);
+            let stride = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, pixel_stride)));
+            self.rows[channel] = Some((row, stride));
+        }
+        if let Sink::Plane(_) = program.sink() {
+            let target = self.arg(types::I64, arg::TARGET);
+            let width = self.arg(types::I64, arg::WIDTH);
+            let pixels = self.b.ins().imul(y, width);
+            let down = self.b.ins().ishl_imm_s(pixels, 2);
+            self.target = Some(self.b.ins().iadd(target, down));
+        }
+    }
+
+    /// The lanes of a raw plane in the lane type.
+    pub fn channel(&mut self, channel: usize, first: ir::Value, reach: &Reach) -> ir::Value {
+        let Some((row, stride)) = self.rows[channel] else { unreachable!("open_row comes first") };
+        let format = self.options.formats[channel];
+        if let (Reach::Full, true) = (reach, self.options.packed) {
+            let bytes = format.bytes_per_pixel();
+            let across = self.b.ins().ishl_imm_s(first, i64::from(bytes.trailing_zeros()));
+            let address = self.b.ins().iadd(row, across);
+            return self.packed(format, address);
+        }
+        let addresses: Vec<ir::Value> = match reach {
+            Reach::Full => {
+                let across = self.b.ins().imul(first, stride);
+                let mut address = self.b.ins().iadd(row, across);
+                let mut all = vec![address];
+                for _ in 1..self.lanes() {
+                    address = self.b.ins().iadd(address, stride);
+                    all.push(address);
+                }
+                all
+            }
+            Reach::Clamped(pixels) => pixels
+                .iter()
+                .map(|pixel| {
+                    let across = self.b.ins().imul(*pixel, stride);
+                    self.b.ins().iadd(row, across)
+                })
+                .collect(),
+        };
+        self.gathered(format, &addresses)
+    }
+
+    /// Neighbouring pixels: one load.
+    fn packed(&mut self, format: PixelFormat, at: ir::Value) -> ir::Value {
+        let single = self.options.precision == Precision::F32;
+        match (format, single) {
+            (PixelFormat::F32, true) => self.b.ins().load(types::F32X4, PIXELS, at, 0),
+            (PixelFormat::F64, false) => self.b.ins().load(types::F64X2, PIXELS, at, 0),
+            (PixelFormat::F64, true) => {
+                let low = self.b.ins().load(types::F64X2, PIXELS, at, 0);
+                let high = self.b.ins().load(types::F64X2, PIXELS, at, 16);
+                let low = self.b.ins().fvdemote(low);
+                let high = self.b.ins().fvdemote(high);
+                self.low_halves(low, high)
+            }
+            (PixelFormat::F32, false) => {
+                let pair = self.b.ins().load(types::I64, PIXELS, at, 0);
+                let pair = self.b.ins().scalar_to_vector(types::I64X2, pair);
+                let pair = self.cast(types::F32X4, pair);
+                self.b.ins().fvpromote_low(pair)
+            }
+            (PixelFormat::U8, _) => {
+                let bytes = if single {
+                    self.b.ins().load(types::I32, PIXELS, at, 0)
+                } else {
+                    self.b.ins().uload16(types::I32, PIXELS, at, 0)
+                };
+                let bytes = self.b.ins().scalar_to_vector(types::I32X4, bytes);
+                let bytes = self.cast(types::I8X16, bytes);
+                let words = self.b.ins().uwiden_low(bytes);
+                let integers = self.b.ins().uwiden_low(words);
+                self.from_integers(integers)
+            }
+            (PixelFormat::U16, true) => {
+                let integers = self.b.ins().uload16x4(PIXELS, at, 0);
+                self.from_integers(integers)
+            }
+            (PixelFormat::U16, false) => {
+                let words = self.b.ins().load(types::I32, PIXELS, at, 0);
+                let words = self.b.ins().scalar_to_vector(types::I32X4, words);
+                let words = self.cast(types::I16X8, words);
+                let integers = self.b.ins().uwiden_low(words);
+                self.from_integers(integers)
+            }
+        }
+    }
+
+    /// Pixels anywhere: one load a lane.
+    fn gathered(&mut self, format: PixelFormat, at: &[ir::Value]) -> ir::Value {
+        match format {
+            PixelFormat::U8 | PixelFormat::U16 => {
+                let load = |emit: &mut Self, at: ir::Value| match format {
+                    PixelFormat::U8 => emit.b.ins().uload8(types::I32, PIXELS, at, 0),
+                    _ => emit.b.ins().uload16(types::I32, PIXELS, at, 0),
+                };
+                let first = load(self, at[0]);
+                let mut integers = self.b.ins().scalar_to_vector(types::I32X4, first);
+                for (lane, at) in at.iter().enumerate().skip(1) {
+                    let pixel = load(self, *at);
+                    integers = self.b.ins().insertlane(integers, pixel, lane as u8);
+                }
+                self.from_integers(integers)
+            }
+            PixelFormat::F32 | PixelFormat::F64 => {
+                let load = |emit: &mut Self, at: ir::Value| match (format, emit.options.precision) {
+                    (PixelFormat::F32, Precision::F32) => emit.b.ins().load(types::F32, PIXELS, at, 0),
+                    (PixelFormat::F32, Precision::F64) => {
+                        let pixel = emit.b.ins().load(types::F32, PIXELS, at, 0);
+                        emit.b.ins().fpromote(types::F64, pixel)
+                    }
+                    _ => {
+                        let pixel = emit.b.ins().load(types::F64, PIXELS, at, 0);
+                        emit.rounded(pixel)
+                    }
+                };
+                let first = load(self, at[0]);
+                let mut lanes = self.b.ins().scalar_to_vector(self.number, first);
+                for (lane, at) in at.iter().enumerate().skip(1) {
+                    let pixel = load(self, *at);
+                    lanes = self.b.ins().insertlane(lanes, pixel, lane as u8);
+                }
+                lanes
+            }
+        }
+    }
+
+    /// 4 × i32 in the lane type; of two lanes the low ones.
+    fn from_integers(&mut self, integers: ir::Value) -> ir::Value {
+        match self.options.precision {
+            Precision::F32 => self.b.ins().fcvt_from_sint(types::F32X4, integers),
+            Precision::F64 => {
+                let wide = self.b.ins().swiden_low(integers);
+                self.b.ins().fcvt_from_sint(types::F64X2, wide)
+            }
+        }
+    }
+
+    /// The low two f32 of each.
+    fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
+        let bytes: Vec<u8> = (0..8).chain(16..24).collect();
+        let mask = self.b.func.dfg.immediates.push(bytes.into());
+        let low = self.cast(types::I8X16, low);
+        let high = self.cast(types::I8X16, high);
+        let both = self.b.ins().shuffle(low, high, mask);
+        self.cast(types::F32X4, both)
+    }
+
+    /// Adds the group's values, as f32, to the output plane where `used` holds.
+    pub fn write(&mut self, value: ir::Value, used: Option<ir::Value>, first: ir::Value, reach: &Reach) {
+        let Some(target) = self.target else { unreachable!("open_row comes first") };
+        let address_of = |emit: &mut Self, x: ir::Value| {
+            let across = emit.b.ins().ishl_imm_s(x, 2);
+            emit.b.ins().iadd(target, across)
+        };
+        if let (Reach::Full, Precision::F32) = (reach, self.options.precision) {
+            let at = address_of(self, first);
+            let old = self.b.ins().load(types::F32X4, PIXELS, at, 0);
+            let mut new = self.b.ins().fadd(old, value);
+            if let Some(used) = used {
+                new = self.b.ins().bitselect(used, new, old);
+            }
+            self.b.ins().store(PIXELS, new, at, 0);
+            return;
+        }
+        let used = used.map(|used| self.cast(self.truth, used));
+        for lane in 0..self.lanes() {
+            let x = match reach {
+                Reach::Full => self.b.ins().iadd_imm_s(first, lane as i64),
+                Reach::Clamped(pixels) => pixels[lane],
+            };
+            let at = address_of(self, x);
+            let term = self.b.ins().extractlane(value, lane as u8);
+            let term = match self.options.precision {
+                Precision::F32 => term,
+                Precision::F64 => self.b.ins().fdemote(types::F32, term),
+            };
+            let old = self.b.ins().load(types::F32, PIXELS, at, 0);
+            let mut new = self.b.ins().fadd(old, term);
+            if let Some(used) = used {
+                let holds = self.b.ins().extractlane(used, lane as u8);
+                new = self.b.ins().select(holds, new, old);
+            }
+            self.b.ins().store(PIXELS, new, at, 0);
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! From a program to the compiler's own form: the loop nest.
+//!
+//! What comes in: a [`Plan`] and how the pixels are stored. What goes out: one function of one argument, the address of
+//! [`Args`]. Blocks, in the order of execution:
+//! ```text
+//! entry ─► row_head ─► row ─► begin ─► loop ⟲ ─► rest? ─► tail ─► row_end ─► row_head … ─► pass_end
+//!                       └── outside the domain ──────────────────────────────────┘
+//! ```
+//! `loop` takes full groups of lanes; `tail` takes the last pixels of a row, with the dead lanes reading the row's last
+//! pixel again.
+
+mod emit;
+mod group;
+mod load;
+mod scalar;
+
+use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
+use cranelift_codegen::ir::{self, Block, BlockArg, Function, InstBuilder, Signature, UserFuncName, types};
+use cranelift_codegen::isa::TargetIsa;
+use cranelift_frontend::{FunctionBuilder, FunctionBuilderContext};
+use isophote_symbolic::{Level, Program, Sink};
+
+use self::emit::{Emitter, arg};
+use self::group::{Group, Loop};
+use crate::kernel::KernelOptions;
+use crate::plan::Plan;
+
+/// The loop nest of `program`, for `isa`'s calling convention.
+pub(crate) fn lower(program: &Program, options: &KernelOptions, isa: &dyn TargetIsa) -> Function {
+    let plan = Plan::new(program, options.precision);
+    let mut signature = Signature::new(isa.default_call_conv());
+    signature.params.push(ir::AbiParam::new(types::I64));
+    let mut function = Function::with_name_signature(UserFuncName::default(), signature);
+    let mut context = FunctionBuilderContext::new();
+    let builder = FunctionBuilder::new(&mut function, &mut context);
+    Nest { emit: Emitter::new(builder, &plan, options, isa) }.build();
+    function
+}
+
+/// A row while it is worked on.
+#[derive(Clone, Copy)]
+struct Row {
+    /// First and last pixel, relative to the window.
+    start: ir::Value,
+    end: ir::Value,
+    /// The first pixel that is left over when full groups are done.
+    rest: ir::Value,
+}
+
+struct Nest<'a, 'p> {
+    emit: Emitter<'a, 'p>,
+}
+
+impl Nest<'_, '_> {
+    fn build(mut self) {
+        let blocks: [Block; 3] = std::array::from_fn(|_| self.emit.b.create_block());
+        let [head, row, pass_end] = blocks;
+        self.emit.enter();
+        self.emit.level(Level::Pass);
+        self.emit.splat(Level::Pass);
+        for slot in self.emit.plan.totals.clone() {
+            let zero = self.emit.b.ins().f64const(0.0);
+            self.emit.store(zero, slot);
+        }
+        let zero = self.emit.integer(0);
+        self.emit.b.ins().jump(head, &[zero.into(), zero.into(), zero.into()]);
+
+        let [y, pixels, saturated] = self.emit.parameters(head, [types::I64; 3]);
+        self.emit.b.switch_to_block(head);
+        let height = self.emit.arg(types::I64, arg::HEIGHT);
+        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, y, height);
+        self.emit.b.ins().brif(more, row, &[], pass_end, &[]);
+
+        self.emit.b.switch_to_block(row);
+        let next = self.emit.b.create_block();
+        let counts = self.emit.parameters(next, [types::I64; 2]);
+        self.row(y, next, [pixels, saturated]);
+
+        self.emit.b.switch_to_block(next);
+        let y = self.emit.b.ins().iadd_imm_s(y, 1);
+        self.emit.b.ins().jump(head, &[y.into(), counts[0].into(), counts[1].into()]);
+
+        self.emit.b.switch_to_block(pass_end);
+        self.emit.count = Some(pixels);
+        self.emit.level(Level::PassEnd);
+        if let Sink::Sums { outputs, .. } = self.emit.plan.program.sink() {
+            self.emit.outputs(outputs);
+        }
+        self.emit.set_arg(pixels, arg::PIXELS);
+        self.emit.set_arg(saturated, arg::SATURATED);
+        self.emit.b.ins().return_(&[]);
+        self.emit.b.seal_all_blocks();
+        let frontend = self.emit.frontend;
+        self.emit.b.finalize(frontend);
+    }
+
+    /// One row; ends in a jump to `next` with the pass' pixel counts.
+    fn row(&mut self, y: ir::Value, next: Block, [pixels, saturated]: [ir::Value; 2]) {
+        let top = self.emit.arg(types::I64, arg::Y);
+        let absolute = self.emit.b.ins().iadd(top, y);
+        self.emit.outer = Some(self.emit.b.ins().fcvt_from_sint(types::F64, absolute));
+        self.emit.level(Level::Row);
+        let (start, end) = self.range(next, [pixels, saturated]);
+
+        let lanes = self.emit.lanes() as i64;
+        let count = self.emit.b.ins().isub(end, start);
+        let count = self.emit.b.ins().iadd_imm_s(count, 1);
+        let full = self.emit.b.ins().band_imm_s(count, -lanes);
+        let rest = self.emit.b.ins().iadd(start, full);
+        let row = Row { start, end, rest };
+
+        self.emit.splat(Level::Row);
+        self.emit.open_row(y);
+        let before = Loop::start(&mut self.emit, row);
+        let (body, after, tail, row_end) = (
+            self.emit.b.create_block(),
+            self.emit.b.create_block(),
+            self.emit.b.create_block(),
+            self.emit.b.create_block(),
+        );
+        let any = self.emit.b.ins().icmp(IntCC::SignedLessThan, start, rest);
+        let values = before.values();
+        self.emit.b.ins().brif(any, body, &with(start, &values), after, &values);
+
+        let i = self.emit.b.append_block_param(body, types::I64);
+        let state = before.parameters(&mut self.emit, body);
+        self.emit.b.switch_to_block(body);
+        let state = Group::full(&mut self.emit, i).run(state);
+        let i = self.emit.b.ins().iadd_imm_s(i, lanes);
+        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, i, rest);
+        let values = state.values();
+        self.emit.b.ins().brif(more, body, &with(i, &values), after, &values);
+
+        let state = before.parameters(&mut self.emit, after);
+        let done = before.parameters(&mut self.emit, row_end);
+        self.emit.b.switch_to_block(after);
+        let left = self.emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, rest, end);
+        self.emit.b.ins().brif(left, tail, &[], row_end, &state.values());
+
+        self.emit.b.switch_to_block(tail);
+        let state = Group::tail(&mut self.emit, row).run(state);
+        self.emit.b.ins().jump(row_end, &state.values());
+
+        self.emit.b.switch_to_block(row_end);
+        let (used, dropped) = done.counts(count);
+        self.emit.count = Some(used);
+        self.emit.sums = done.sums();
+        self.emit.level(Level::RowEnd);
+        self.emit.totals();
+        let pixels = self.emit.b.ins().iadd(pixels, used);
+        let saturated = match dropped {
+            Some(dropped) => self.emit.b.ins().iadd(saturated, dropped),
+            None => saturated,
+        };
+        self.emit.b.ins().jump(next, &[pixels.into(), saturated.into()]);
+    }
+
+    /// First and last pixel of the row; jumps to `next` when there is none. The order of comparisons is the
+    /// interpreter's, so that NaN and infinities end the same way; conversions saturate, so that nothing traps.
+    fn range(&mut self, next: Block, counts: [ir::Value; 2]) -> (ir::Value, ir::Value) {
+        let emit = &mut self.emit;
+        let width = emit.arg(types::I64, arg::WIDTH);
+        let Some((lo, hi)) = emit.plan.program.pixel_set().bounds else {
+            let zero = emit.integer(0);
+            let last = emit.b.ins().iadd_imm_s(width, -1);
+            return (zero, last);
+        };
+        let counts: [BlockArg; 2] = counts.map(BlockArg::from);
+        let (lo, hi) = (emit.scalar(lo, Level::Row), emit.scalar(hi, Level::Row));
+        let x = emit.arg(types::I64, arg::X);
+        let first = emit.b.ins().fcvt_from_sint(types::F64, x);
+        let last = emit.b.ins().iadd(x, width);
+        let last = emit.b.ins().iadd_imm_s(last, -1);
+        let last = emit.b.ins().fcvt_from_sint(types::F64, last);
+
+        let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
+        emit.go_on_if(ordered, next, &counts);
+        let inside = emit.b.ins().fcmp(FloatCC::GreaterThan, lo, first);
+        let lo = emit.b.ins().select(inside, lo, first);
+        let inside = emit.b.ins().fcmp(FloatCC::LessThan, hi, last);
+        let hi = emit.b.ins().select(inside, hi, last);
+        let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
+        emit.go_on_if(ordered, next, &counts);
+
+        let distance = emit.b.ins().fsub(lo, first);
+        let start = emit.b.ins().fcvt_to_sint_sat(types::I64, distance);
+        let floor = emit.b.ins().fcvt_from_sint(types::F64, start);
+        let above = emit.b.ins().fcmp(FloatCC::LessThan, floor, distance);
+        let above = emit.b.ins().uextend(types::I64, above);
+        let start = emit.b.ins().iadd(start, above);
+        let distance = emit.b.ins().fsub(hi, first);
+        let end = emit.b.ins().fcvt_to_sint_sat(types::I64, distance);
+        let any = emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, start, end);
+        emit.go_on_if(any, next, &counts);
+        (start, end)
+    }
+}
+
+fn with(first: ir::Value, rest: &[BlockArg]) -> Vec<BlockArg> {
+    std::iter::once(BlockArg::from(first)).chain(rest.iter().copied()).collect()
+}

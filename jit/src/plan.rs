@@ -1,0 +1,196 @@
+//! `Plan`: where every value of a program lives while the loop runs.
+//!
+//! What comes in: a [`Program`]. What goes out: the order of the pixel instructions, the layout of the *record* (one slot
+//! on the stack) and the few vectors that stay in registers. Values that one level computes and another reads go through
+//! the record, so that nothing but the loop's own vectors is alive across the loop: register allocation stays short and
+//! linear, and x64 reads an operand in memory for free.
+
+use isophote_symbolic::{Level, Op, PixelSet, Precision, Program, Sink, Value};
+
+/// A byte offset in the record.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Slot(pub i32);
+
+/// A vector that the loop reads or adds to.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Home {
+    /// Its place in the record.
+    pub slot: Slot,
+    /// Whether it stays in a register while a row's loop runs.
+    pub register: bool,
+}
+
+/// The plan of one program.
+pub(crate) struct Plan<'a> {
+    pub program: &'a Program,
+    pub precision: Precision,
+    /// The pixel instructions that something needs, the pixel set's first.
+    pub pixels: Vec<Value>,
+    /// Pass and row values that another level reads as f64: their slot, by value.
+    pub scalars: Vec<Option<Slot>>,
+    /// Pass and row values that pixel instructions read: their vector, by value.
+    pub splats: Vec<Option<Home>>,
+    /// The vector of each accumulator.
+    pub accumulators: Vec<Home>,
+    /// The f64 of each total.
+    pub totals: Vec<Slot>,
+    /// Two vectors through which elementary functions take lanes.
+    pub operands: [Slot; 2],
+    /// Bytes of the record.
+    pub record_bytes: u32,
+}
+
+/// Vectors that the loop may keep in registers besides what an instruction is working on. x64 has 16 of them.
+const REGISTERS: usize = 16;
+
+#[derive(Default)]
+struct Record {
+    bytes: u32,
+}
+
+impl Record {
+    fn take(&mut self, bytes: u32) -> Slot {
+        let at = self.bytes.next_multiple_of(bytes);
+        self.bytes = at + bytes;
+        Slot(at as i32)
+    }
+    fn scalar(&mut self) -> Slot {
+        self.take(8)
+    }
+    fn vector(&mut self) -> Slot {
+        self.take(16)
+    }
+}
+
+impl<'a> Plan<'a> {
+    /// Plans a program.
+    pub fn new(program: &'a Program, precision: Precision) -> Plan<'a> {
+        let count = program.instructions().len();
+        let pixels = order(program);
+        let mut record = Record::default();
+
+        let mut scalars = vec![None; count];
+        for (reader, value) in scalar_reads(program) {
+            let level = program.instruction(value).level;
+            if level != reader && scalars[value.index()].is_none() {
+                scalars[value.index()] = Some(record.scalar());
+            }
+        }
+
+        let mut reads = vec![0_usize; count];
+        let instructions = pixels.iter().map(|v| program.instruction(*v));
+        let operands = instructions.filter(|i| !matches!(i.op, Op::Offset(_))).flat_map(|i| i.op.operands());
+        for value in operands.chain(sinks(program)) {
+            if program.instruction(value).level != Level::Pixel {
+                reads[value.index()] += 1;
+            }
+        }
+
+        let sums = match program.sink() {
+            Sink::Sums { accumulators, .. } => accumulators.len(),
+            Sink::Plane(_) => 0,
+        };
+        let calls = pixels.iter().any(|v| matches!(program.instruction(*v).op, Op::Call1(..) | Op::Call2(..)));
+        let busy = if calls { REGISTERS } else { busy_registers(program, &pixels) };
+        let mut free = REGISTERS.saturating_sub(busy);
+        let mut settle = |record: &mut Record| {
+            let register = free > 0;
+            free = free.saturating_sub(1);
+            Home { slot: record.vector(), register }
+        };
+        let accumulators: Vec<Home> = (0..sums).map(|_| settle(&mut record)).collect();
+        let mut splats = vec![None; count];
+        let mut by_reads: Vec<usize> = (0..count).filter(|i| reads[*i] > 0).collect();
+        by_reads.sort_by_key(|i| std::cmp::Reverse(reads[*i]));
+        by_reads.into_iter().for_each(|i| splats[i] = Some(settle(&mut record)));
+
+        let totals = match program.sink() {
+            Sink::Sums { totals, .. } => totals.iter().map(|_| record.scalar()).collect(),
+            Sink::Plane(_) => Vec::new(),
+        };
+        let operands = [record.vector(), record.vector()];
+        let record_bytes = record.bytes;
+        Plan { program, precision, pixels, scalars, splats, accumulators, totals, operands, record_bytes }
+    }
+
+    /// True when the program looks at each pixel before it takes it.
+    pub fn is_masked(&self) -> bool {
+        let PixelSet { mask, saturated, .. } = self.program.pixel_set();
+        mask.is_some() || saturated.is_some()
+    }
+}
+
+/// The values that leave the pixel level, the pixel set's included.
+fn sinks(program: &Program) -> impl Iterator<Item = Value> {
+    let PixelSet { mask, saturated, .. } = *program.pixel_set();
+    let summed = match program.sink() {
+        Sink::Sums { accumulators, .. } => accumulators.as_slice(),
+        Sink::Plane(value) => std::slice::from_ref(value),
+    };
+    mask.into_iter().chain(saturated).chain(summed.iter().copied())
+}
+
+/// The pixel instructions that are needed; those that decide on the pixel come first, so that a sum can be added to as
+/// soon as its value is there.
+fn order(program: &Program) -> Vec<Value> {
+    let cone = |roots: &[Value]| {
+        let mut needed = vec![false; program.instructions().len()];
+        roots.iter().for_each(|v| needed[v.index()] = true);
+        for (i, instruction) in program.instructions().iter().enumerate().rev() {
+            if needed[i] {
+                instruction.op.operands().for_each(|v| needed[v.index()] = true);
+            }
+        }
+        needed
+    };
+    let PixelSet { mask, saturated, .. } = *program.pixel_set();
+    let first = cone(&mask.into_iter().chain(saturated).collect::<Vec<_>>());
+    let all = cone(&sinks(program).collect::<Vec<_>>());
+    let pixel = |i: &usize| program.instructions()[*i].level == Level::Pixel;
+    let (set, rest): (Vec<usize>, Vec<usize>) = (0..all.len()).filter(|i| all[*i]).filter(pixel).partition(|i| first[*i]);
+    set.into_iter().chain(rest).map(|i| Value(i as u32)).collect()
+}
+
+/// Who reads which pass or row value as an f64: (level of the reader, value).
+fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
+    let mut reads = Vec::new();
+    for instruction in program.instructions() {
+        match (instruction.level, instruction.op) {
+            (Level::Pixel, Op::Offset(c)) => reads.push((Level::Row, c)),
+            (Level::Pixel, _) => {}
+            (level, op) => reads.extend(op.operands().map(|v| (level, v))),
+        }
+    }
+    if let Some((lo, hi)) = program.pixel_set().bounds {
+        reads.extend([(Level::Row, lo), (Level::Row, hi)]);
+    }
+    if let Sink::Sums { totals, outputs, .. } = program.sink() {
+        reads.extend(totals.iter().map(|v| (Level::RowEnd, *v)));
+        reads.extend(outputs.iter().map(|v| (Level::PassEnd, *v)));
+    }
+    reads
+}
+
+/// Vectors in use at the busiest place of a group: values computed and still to be read, what the pixel set needs, the
+/// running offsets, and one for an operand on its way from memory.
+fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
+    let mut last_read = vec![0_usize; program.instructions().len()];
+    for (at, value) in pixels.iter().enumerate() {
+        program.instruction(*value).op.operands().for_each(|v| last_read[v.index()] = at);
+    }
+    let PixelSet { mask, saturated, .. } = *program.pixel_set();
+    mask.into_iter().chain(saturated).for_each(|v| last_read[v.index()] = pixels.len());
+    let (mut live, mut most) = (0_usize, 0);
+    for (at, value) in pixels.iter().enumerate() {
+        live += 1;
+        most = most.max(live);
+        let mut ended: Vec<Value> = program.instruction(*value).op.operands().collect();
+        ended.push(*value);
+        ended.sort();
+        ended.dedup();
+        let pixel = |v: &Value| program.instruction(*v).level == Level::Pixel;
+        live -= ended.iter().filter(|v| pixel(v) && last_read[v.index()] <= at).count();
+    }
+    let offsets = pixels.iter().filter(|v| matches!(program.instruction(**v).op, Op::Offset(_))).count();
+    most + offsets + 1
+}

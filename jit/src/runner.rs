@@ -1,0 +1,150 @@
+//! The one file that runs code: executable memory, the call, and the memory's release.
+#![allow(unsafe_code)] // machine code cannot be called without; every block names the type that carries the proof
+
+use std::mem::ManuallyDrop;
+use std::ptr;
+
+use cranelift_codegen::ir::{AbiParam, types};
+use cranelift_jit::{JITBuilder, JITModule};
+use cranelift_module::{Linkage, Module, default_libcall_names};
+
+use crate::abi::{Args, FUNCTIONS, PlaneArgs};
+use crate::compile::Native;
+use crate::host::{self, Allocator};
+use crate::plane::{PixelFormat, Region, Window};
+
+/// What the code expects of its arguments.
+#[derive(Debug)]
+pub(crate) struct Shape {
+    pub inputs: usize,
+    pub outputs: usize,
+    pub formats: Vec<PixelFormat>,
+    pub packed: bool,
+    pub renders: bool,
+}
+
+/// Pixels that a pass counted.
+pub(crate) struct Counts {
+    pub pixels: u64,
+    pub saturated: u64,
+}
+
+type Entry = unsafe extern "C" fn(*mut Args);
+
+/// Machine code in executable memory; both live and die together.
+pub(crate) struct Code {
+    module: ManuallyDrop<JITModule>,
+    entry: Entry,
+    bytes: usize,
+    shape: Shape,
+}
+
+// SAFETY: `Code` is read-only after `load`: `entry` points to memory that is executable and not writable, and the module is
+// touched again by `drop` alone, which has the only reference. (`JITModule` is Send; it lacks Sync for a symbol cache.)
+unsafe impl Sync for Code {}
+
+impl std::fmt::Debug for Code {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Code").field("bytes", &self.bytes).field("shape", &self.shape).finish_non_exhaustive()
+    }
+}
+
+impl Drop for Code {
+    fn drop(&mut self) {
+        // SAFETY: `module` is taken once, here. Nothing runs the code any more: `sums` and `render` borrow `Code`, and
+        // `entry` is handed to nobody.
+        unsafe { ManuallyDrop::take(&mut self.module).free_memory() }
+    }
+}
+
+impl Code {
+    /// Puts code into memory of its own, which is writable first and executable afterwards, never both.
+    pub fn load(native: &Native, shape: Shape) -> Result<Code, String> {
+        let isa = host::isa(Allocator::Backtracking).map_err(|e| e.to_string())?;
+        let mut module = ManuallyDrop::new(JITModule::new(JITBuilder::with_isa(isa, default_libcall_names())));
+        match define(&mut module, native) {
+            Ok(entry) => Ok(Code { module, entry, bytes: native.bytes.len(), shape }),
+            Err(error) => {
+                // SAFETY: `module` is taken once, and no pointer into it has been given out.
+                unsafe { ManuallyDrop::take(&mut module).free_memory() };
+                Err(error)
+            }
+        }
+    }
+
+    /// The size of the code.
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// A pass of a program that sums.
+    pub fn sums(&self, inputs: &[f64], outputs: &mut [f64], regions: &[Region<'_>], window: Window) -> Counts {
+        assert!(!self.shape.renders && outputs.len() == self.shape.outputs, "another program's outputs");
+        self.run(inputs, outputs, regions, window, &mut [])
+    }
+
+    /// A pass of a program that renders.
+    pub fn render(&self, inputs: &[f64], window: Window, target: &mut [f32]) {
+        assert!(self.shape.renders && target.len() == window.width * window.height, "a plane of another size");
+        self.run(inputs, &mut [], &[], window, target);
+    }
+
+    fn run(
+        &self,
+        inputs: &[f64],
+        outputs: &mut [f64],
+        regions: &[Region<'_>],
+        window: Window,
+        target: &mut [f32],
+    ) -> Counts {
+        assert!(inputs.len() == self.shape.inputs, "another program's inputs");
+        assert!(self.shape.renders || regions.len() == self.shape.formats.len(), "another program's planes");
+        for (region, format) in regions.iter().zip(&self.shape.formats) {
+            let plane = region.plane();
+            assert!(region.window() == window && plane.format() == *format, "another window's or program's plane");
+            assert!(plane.is_packed() || !self.shape.packed, "pixels with gaps");
+        }
+        let planes: Vec<PlaneArgs> = regions.iter().map(plane_args).collect();
+        let mut args = Args {
+            inputs: inputs.as_ptr(),
+            outputs: outputs.as_mut_ptr(),
+            functions: ptr::from_ref(&FUNCTIONS),
+            planes: planes.as_ptr(),
+            target: target.as_mut_ptr(),
+            x: window.x as i64,
+            y: window.y as i64,
+            width: window.width as i64,
+            height: window.height as i64,
+            pixels: 0,
+            saturated: 0,
+        };
+        // SAFETY: the code was lowered from a checked and audited program of this `Shape`: it reads `inputs`, writes
+        // `outputs`, and reads or writes pixels of `window` only. The assertions above say that the slices are that long;
+        // each `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies
+        // inside its bytes. All borrows outlive the call.
+        unsafe { (self.entry)(&raw mut args) };
+        Counts { pixels: args.pixels as u64, saturated: args.saturated as u64 }
+    }
+}
+
+fn plane_args(region: &Region<'_>) -> PlaneArgs {
+    let plane = region.plane();
+    PlaneArgs {
+        first: region.first().as_ptr(),
+        row_stride: plane.row_stride() as i64,
+        pixel_stride: plane.pixel_stride() as i64,
+    }
+}
+
+fn define(module: &mut JITModule, native: &Native) -> Result<Entry, String> {
+    let mut signature = module.make_signature();
+    signature.params.push(AbiParam::new(types::I64));
+    let id = module.declare_anonymous_function(&signature).map_err(|e| e.to_string())?;
+    debug_assert_eq!(Linkage::Local, module.declarations().get_function_decl(id).linkage);
+    module.define_function_bytes(id, native.alignment, &native.bytes, &[]).map_err(|e| e.to_string())?;
+    module.finalize_definitions().map_err(|e| e.to_string())?;
+    let address = module.get_finalized_function(id);
+    // SAFETY: `address` is the first byte of `native`, whose only function has `Entry`'s signature (see `lower`), in
+    // memory that is executable now; `Code` keeps the memory for as long as the pointer.
+    Ok(unsafe { std::mem::transmute::<*const u8, Entry>(address) })
+}

@@ -1,0 +1,168 @@
+//! A request's body in, a typed document out, or a problem whose diagnostics name key, line and column.
+
+use axum::body::Body;
+use axum::http::{HeaderMap, header};
+use futures_util::StreamExt;
+use isophote_symbolic::{Diagnostic, Span};
+use jsonc_parser::ast::{ObjectPropName, Value};
+use jsonc_parser::common::Ranged;
+use jsonc_parser::{CollectOptions, ParseOptions, parse_to_ast};
+use serde::de::DeserializeOwned;
+
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+
+/// The media type of the body, without its parameters, in lower case.
+pub fn media_type(headers: &HeaderMap) -> String {
+    let text = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
+}
+
+/// Reads a body of at most `limit` bytes. A longer one is read on for a while and thrown away, so that a client that
+/// sends before it listens gets the answer.
+pub async fn read_body(body: Body, limit: usize) -> Result<Vec<u8>, Problem> {
+    let read = async {
+        let mut stream = body.into_data_stream();
+        let mut bytes = Vec::new();
+        let mut total = 0;
+        while let Some(chunk) = stream.next().await {
+            let chunk = chunk.map_err(|error| Problem::bad_request(format!("the body broke off: {error}")))?;
+            total += chunk.len();
+            if total <= limit {
+                bytes.extend_from_slice(&chunk);
+            } else if total > limit + LIMITS.drain_bytes {
+                break;
+            }
+        }
+        if total > limit { Err(Problem::too_large(limit)) } else { Ok(bytes) }
+    };
+    let late = |_| Problem::bad_request(format!("the body took more than {} s", LIMITS.body_time.as_secs()));
+    tokio::time::timeout(LIMITS.body_time, read).await.map_err(late)?
+}
+
+/// A body as text.
+pub fn text(bytes: Vec<u8>) -> Result<String, Problem> {
+    String::from_utf8(bytes).map_err(|error| {
+        let valid = error.utf8_error().valid_up_to();
+        let bytes = error.into_bytes();
+        let head = String::from_utf8_lossy(&bytes[..valid]).into_owned();
+        let span = Span { start: valid as u32, end: valid as u32 + 1 };
+        let diagnostic = Diagnostic::error(&head, "not-utf-8", "", span, "the document is not UTF-8 text");
+        Problem::wrong_document(vec![diagnostic.help("save it as UTF-8")])
+    })
+}
+
+/// Reads a JSON body: 415, 413, or 422 with the wrong key and its place.
+pub async fn read_json<T: DeserializeOwned>(headers: &HeaderMap, body: Body) -> Result<(T, String), Problem> {
+    if media_type(headers) != "application/json" {
+        return Err(Problem::wrong_type("application/json"));
+    }
+    let text = text(read_body(body, LIMITS.document_bytes).await?)?;
+    let document = parse(&text)?;
+    Ok((document, text))
+}
+
+/// Parses a JSON document.
+pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, Problem> {
+    let mut deserializer = serde_json::Deserializer::from_str(text);
+    let parsed = serde_path_to_error::deserialize(&mut deserializer);
+    let value = parsed.map_err(|error| {
+        let path = error.path().to_string();
+        wrong(text, if path == "." { "" } else { &path }, error.inner())
+    })?;
+    deserializer.end().map_err(|error| wrong(text, "", &error))?;
+    Ok(value)
+}
+
+fn wrong(text: &str, path: &str, error: &serde_json::Error) -> Problem {
+    let message = error.to_string();
+    let message = message.split(" at line ").next().unwrap_or_default().to_string();
+    let at = offset(text, error.line(), error.column());
+    if error.is_syntax() || error.is_eof() {
+        let span = Span { start: at, end: at };
+        return Problem::wrong_document(vec![Diagnostic::error(text, "syntax", path, span, message)]);
+    }
+    // A source document is read by its kind, which hides the path inside it: the key stands in the message then.
+    let unknown = message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
+    let (code, key) = match unknown {
+        Some(name) if path == name || path.ends_with(&format!(".{name}")) => ("unknown-key", path.to_string()),
+        Some(name) if path.is_empty() => ("unknown-key", name.to_string()),
+        Some(name) => ("unknown-key", format!("{path}.{name}")),
+        None if message.starts_with("missing field") => ("missing-key", path.to_string()),
+        None => ("wrong-value", path.to_string()),
+    };
+    Problem::wrong_document(vec![placed(text, code, &key, message)])
+}
+
+/// A diagnostic at the value of `key` (a path with dots), or at the nearest of its parents that is there.
+pub fn placed(text: &str, code: &str, key: &str, message: impl Into<String>) -> Diagnostic {
+    Diagnostic::error(text, code, key, span_of(text, key), message)
+}
+
+/// Gives diagnostics that know only their key their place in `text`.
+pub fn place(mut problem: Problem, text: &str) -> Problem {
+    for diagnostic in &mut problem.diagnostics {
+        if diagnostic.span == Span::default() && !diagnostic.key.is_empty() {
+            let help = diagnostic.help.take();
+            *diagnostic = placed(text, &diagnostic.code, &diagnostic.key, diagnostic.message.clone());
+            diagnostic.help = help;
+        }
+    }
+    problem
+}
+
+fn span_of(text: &str, key: &str) -> Span {
+    let Ok(parsed) = parse_to_ast(text, &CollectOptions::default(), &ParseOptions::default()) else {
+        return Span::default();
+    };
+    let Some(mut value) = parsed.value.as_ref() else { return Span::default() };
+    let mut range = value.range();
+    for part in key.split('.').filter(|part| !part.is_empty()) {
+        let Value::Object(object) = value else { break };
+        let Some(property) = object.properties.iter().find(|p| property_name(&p.name) == part) else { break };
+        range = property.range();
+        value = &property.value;
+    }
+    Span { start: range.start as u32, end: range.end as u32 }
+}
+
+fn property_name<'a>(name: &'a ObjectPropName) -> &'a str {
+    match name {
+        ObjectPropName::String(text) => &text.value,
+        ObjectPropName::Word(word) => word.value,
+    }
+}
+
+/// Byte offset of a line and column (in bytes) from 1.
+fn offset(text: &str, line: usize, column: usize) -> u32 {
+    let start: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
+    (start + column.saturating_sub(1)).min(text.len()) as u32
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::wire::SessionDocument;
+
+    fn fault(text: &str) -> Diagnostic {
+        parse::<SessionDocument>(text).unwrap_err().diagnostics.remove(0)
+    }
+
+    #[test]
+    fn faults_name_key_line_and_column() {
+        let cases = [
+            ("{\n \"source\": \"s\",\n \"model\": 3}", "model", 3, 2),
+            ("{\"source\": \"s\", \"model\": \"m\",\n  \"windw\": 1}", "windw", 2, 3),
+            ("{\"source\": \"s\", \"model\": \"m\", \"options\": {\"exposure\":\n {\"gaol\": 1}}}", "options.exposure.gaol", 2, 3),
+            ("{\"source\": {\"kind\": \"pushed\",\n \"width\": 1, \"height\": 1, \"depth\": 1}, \"model\": \"m\"}", "source.depth", 2, 27),
+            ("{\"source\": \"s\"}", "", 1, 1),
+            ("{\"source\": \"s\",\n \"model\" \"m\"}", "", 2, 10),
+        ];
+        for (text, key, line, column) in cases {
+            let fault = fault(text);
+            assert_eq!((fault.key.as_str(), fault.line, fault.column), (key, line, column), "{text}\n{fault:?}");
+        }
+        assert!(fault("{\"source\": \"s\"}").message.contains("model"));
+    }
+}

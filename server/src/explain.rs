@@ -1,0 +1,143 @@
+//! Reports and explanations of a model, the same for the service and the commands: figures and texts come from `symbolic`,
+//! `jit` and `tracker`; here they get their names.
+
+use std::sync::Arc;
+
+use isophote_jit::{CompileError, Kernel, KernelOptions, PixelFormat, has_fma};
+use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Show, Span};
+use isophote_tracker::{CompileFailure, Compiled};
+
+use crate::clock::{elapsed_ms, monotonic_ns};
+use crate::wire::{Explanation, ModelReport, StageReport};
+
+/// What an explanation can show, in this build.
+pub const SHOWN: [&str; 5] = ["derivative", "sums", "program", "clif", "asm"];
+/// What later builds will show.
+const NOT_YET: [&str; 2] = ["latex", "mathml"];
+
+/// Why there is no explanation.
+#[derive(Debug, thiserror::Error)]
+pub enum ExplainError {
+    /// A wrong word in the question.
+    #[error("{0}")]
+    Question(String),
+    /// The contract knows it, this build does not have it.
+    #[error("`--show {0}`: not in this build")]
+    NotInThisBuild(String),
+    /// The document asks for what this build cannot do.
+    #[error("the model cannot be explained")]
+    Model(Diagnostics),
+    /// A kernel could not be made.
+    #[error("a kernel could not be compiled: {0}")]
+    Kernel(#[from] CompileError),
+}
+
+impl From<Diagnostics> for ExplainError {
+    fn from(diagnostics: Diagnostics) -> ExplainError {
+        ExplainError::Model(diagnostics)
+    }
+}
+
+/// `bx,by` as names.
+pub fn split(names: &str) -> Vec<&str> {
+    names.split(',').map(str::trim).filter(|name| !name.is_empty()).collect()
+}
+
+/// The figures for one subset of the parameters (absent: those of the last stage), and a text: see [`SHOWN`]. `method` is
+/// a name as in a document; absent, `newton`.
+pub fn explain(
+    model: &Arc<Model>, subset: Option<&[&str]>, method: Option<&str>, show: &str,
+) -> Result<Explanation, ExplainError> {
+    if NOT_YET.contains(&show) {
+        return Err(ExplainError::NotInThisBuild(show.to_string()));
+    }
+    if !SHOWN.contains(&show) {
+        return Err(ExplainError::Question(format!("`{show}` cannot be shown; there are {}", SHOWN.join(", "))));
+    }
+    let last = model.stages().last();
+    let subset = match subset {
+        Some(names) if !names.is_empty() => parameters(model, names)?,
+        _ => last.map(|stage| stage.parameters.clone()).unwrap_or_default(),
+    };
+    let method = named_method(method.unwrap_or("newton"))?;
+    let start_ns = monotonic_ns();
+    let objective = model.objective(&subset, method)?;
+    let lowering = Lowering { fma: has_fma(), drop_saturated: false };
+    let program = objective.program(lowering)?;
+    let formats = vec![PixelFormat::U8; model.channels().len()];
+    let options = KernelOptions { precision: Precision::F32, packed: formats.len() == 1, formats };
+    drop(Kernel::compile(&program, &options)?); // for its time alone
+    let compile_ms = elapsed_ms(start_ns);
+    let cost = objective.cost(lowering)?;
+    let text = match show {
+        "sums" => objective.explain(Show::Sums),
+        "program" => program.to_string(),
+        "clif" => isophote_jit::explain(&program, &options)?.clif,
+        "asm" => isophote_jit::explain(&program, &options)?.disassembly,
+        _ => objective.explain(Show::Derivative),
+    };
+    let stage = StageReport {
+        parameters: subset.iter().map(|id| model.parameters()[id.index()].name.clone()).collect(),
+        method,
+        flops_per_pixel: cost.flops_per_pixel,
+        accumulators: cost.accumulators,
+        flops_per_row: cost.flops_per_row,
+        flops_per_pass: cost.flops_per_pass,
+        calls: cost.calls.iter().map(|(name, count)| (name.to_string(), *count)).collect(),
+        compile_ms,
+    };
+    let (name, digest) = (model.name().to_string(), model.digest().to_string());
+    Ok(Explanation { model: name, digest, show: show.to_string(), stage, text })
+}
+
+/// What `model check --json` prints, compile times included.
+pub fn report(compiled: &Compiled) -> Result<ModelReport, CompileFailure> {
+    compiled.report(&monotonic_ns)
+}
+
+fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterId>, ExplainError> {
+    let unknown = |name: &str| {
+        let all: Vec<&str> = model.parameters().iter().map(|p| p.name.as_str()).collect();
+        ExplainError::Question(format!("the model `{}` has no parameter `{name}`; it has {}", model.name(), all.join(", ")))
+    };
+    let mut subset = Vec::new();
+    for name in names {
+        let id = model.parameter(name).ok_or_else(|| unknown(name))?;
+        if subset.contains(&id) {
+            return Err(ExplainError::Question(format!("the parameter `{name}` is given twice")));
+        }
+        subset.push(id);
+    }
+    Ok(subset)
+}
+
+fn named_method(name: &str) -> Result<Method, ExplainError> {
+    let all = [Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt];
+    let found = all.into_iter().find(|method| method.name() == name);
+    let names = || all.map(Method::name).join(", ");
+    found.ok_or_else(|| ExplainError::Question(format!("`{name}` is no method; there are {}", names())))
+}
+
+/// The diagnostics of a model that does not compile: the document's own, or one for the model as a whole.
+pub fn diagnostics(failure: &CompileFailure) -> Diagnostics {
+    match failure {
+        CompileFailure::Model(diagnostics) => diagnostics.clone(),
+        kernel => vec![Diagnostic::error("", "no-kernel", "model", Span::default(), kernel.to_string())],
+    }
+}
+
+#[cfg(feature = "http")]
+pub(crate) fn compile_problem(failure: CompileFailure) -> crate::problem::Problem {
+    crate::problem::Problem::wrong_document(diagnostics(&failure))
+}
+
+#[cfg(feature = "http")]
+pub(crate) fn problem(error: ExplainError) -> crate::problem::Problem {
+    use crate::problem::Problem;
+    match error {
+        ExplainError::Question(_) => Problem::bad_request(error.to_string()),
+        ExplainError::NotInThisBuild(show) => Problem::not_in_this_build(&format!("show={show}")),
+        ExplainError::Model(diagnostics) => Problem::wrong_document(diagnostics),
+        ExplainError::Kernel(_) => Problem::bug(error.to_string()),
+    }
+}

@@ -1,0 +1,183 @@
+//! From one fit thread to many subscribers. Publishing never waits: a slow subscriber loses messages and is told how many.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::wire::Estimate;
+
+/// What a subscriber gets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The newest estimate, whenever it has credit.
+    #[default]
+    Latest,
+    /// Every estimate, up to the queue's bound; then the oldest go.
+    All,
+}
+
+/// Why there will be no more estimates.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The service stops.
+    ServiceStops,
+    /// The session was stopped or replaced.
+    SessionStopped,
+    /// The source has ended, or cannot deliver; the session stands.
+    SourceEnded(String),
+    /// The session cannot go on.
+    SessionFailed(String),
+}
+
+/// The estimates of one session.
+#[derive(Default)]
+pub struct Hub {
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    subscribers: Vec<Arc<Subscriber>>,
+    last: Option<Arc<Estimate>>,
+    end: Option<End>,
+}
+
+struct Subscriber {
+    capacity: usize,
+    queue: Mutex<Queue>,
+    wake: Notify,
+}
+
+#[derive(Default)]
+struct Queue {
+    waiting: VecDeque<Arc<Estimate>>,
+    end: Option<End>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Hub {
+    /// Hands an estimate to every subscriber.
+    pub fn publish(&self, estimate: Arc<Estimate>) {
+        let mut state = lock(&self.state);
+        state.last = Some(estimate.clone());
+        for subscriber in &state.subscribers {
+            subscriber.push(estimate.clone());
+        }
+    }
+
+    /// Tells every subscriber, also those to come, that nothing more will come.
+    pub fn end(&self, end: End) {
+        let mut state = lock(&self.state);
+        for subscriber in &state.subscribers {
+            lock(&subscriber.queue).end = Some(end.clone());
+            subscriber.wake.notify_one();
+        }
+        state.end = Some(end);
+    }
+
+    /// The last estimate.
+    pub fn last(&self) -> Option<Arc<Estimate>> {
+        lock(&self.state).last.clone()
+    }
+
+    /// A new subscriber. In mode `latest` it begins with the last estimate, in mode `all` with the next one.
+    pub fn subscribe(self: &Arc<Hub>, mode: Mode) -> Result<Subscription, Problem> {
+        let mut state = lock(&self.state);
+        if state.subscribers.len() >= LIMITS.subscribers {
+            return Err(Problem::over_limit("subscribers of one session", LIMITS.subscribers));
+        }
+        let mut queue = Queue { waiting: VecDeque::new(), end: state.end.clone() };
+        if mode == Mode::Latest {
+            queue.waiting.extend(state.last.clone());
+        }
+        let capacity = if mode == Mode::Latest { 1 } else { LIMITS.queue };
+        let subscriber = Arc::new(Subscriber { capacity, queue: Mutex::new(queue), wake: Notify::new() });
+        state.subscribers.push(subscriber.clone());
+        Ok(Subscription { hub: self.clone(), subscriber, mode, last_frame: None })
+    }
+}
+
+impl Subscriber {
+    fn push(&self, estimate: Arc<Estimate>) {
+        let mut queue = lock(&self.queue);
+        if queue.waiting.len() == self.capacity {
+            queue.waiting.pop_front();
+        }
+        queue.waiting.push_back(estimate);
+        drop(queue);
+        self.wake.notify_one();
+    }
+}
+
+/// What a subscriber is handed.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Next {
+    /// An estimate, `dropped` filled in.
+    Estimate(Box<Estimate>),
+    /// There are no more.
+    End(End),
+}
+
+/// One subscriber; dropping it unsubscribes.
+pub struct Subscription {
+    hub: Arc<Hub>,
+    subscriber: Arc<Subscriber>,
+    mode: Mode,
+    last_frame: Option<u64>,
+}
+
+impl Subscription {
+    /// What was asked for.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The next estimate, as soon as there is one. Nothing is lost when the future is dropped.
+    pub async fn next(&mut self) -> Next {
+        loop {
+            if let Some(next) = self.take() {
+                return next;
+            }
+            self.subscriber.wake.notified().await;
+        }
+    }
+
+    /// The end, for a subscriber without credit: at once when the service stops, else when nothing waits any more.
+    pub async fn end(&mut self) -> Next {
+        loop {
+            {
+                let queue = lock(&self.subscriber.queue);
+                match &queue.end {
+                    Some(end) if queue.waiting.is_empty() || *end == End::ServiceStops => return Next::End(end.clone()),
+                    _ => {}
+                }
+            }
+            self.subscriber.wake.notified().await;
+        }
+    }
+
+    fn take(&mut self) -> Option<Next> {
+        let mut queue = lock(&self.subscriber.queue);
+        let Some(estimate) = queue.waiting.pop_front() else {
+            return queue.end.clone().map(Next::End);
+        };
+        drop(queue);
+        let mut estimate = Box::new(Estimate::clone(&estimate));
+        estimate.dropped = self.last_frame.map_or(0, |last| estimate.frame.saturating_sub(last).saturating_sub(1));
+        self.last_frame = Some(estimate.frame);
+        Some(Next::Estimate(estimate))
+    }
+}
+
+impl Drop for Subscription {
+    fn drop(&mut self) {
+        lock(&self.hub.state).subscribers.retain(|one| !Arc::ptr_eq(one, &self.subscriber));
+    }
+}

@@ -1,0 +1,109 @@
+//! `Problem`: every error that a client gets, RFC 9457.
+
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use isophote_symbolic::{Diagnostic, Diagnostics};
+
+use crate::wire::ProblemDocument;
+
+/// An error with its status, a stable code, a sentence, and diagnostics where a document is wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Problem {
+    /// The HTTP status.
+    pub status: StatusCode,
+    /// Stable, to branch on.
+    pub code: &'static str,
+    /// A sentence to read.
+    pub detail: String,
+    /// Faults of the document.
+    pub diagnostics: Diagnostics,
+}
+
+impl Problem {
+    /// Any status.
+    pub fn new(status: StatusCode, code: &'static str, detail: impl Into<String>) -> Problem {
+        Problem { status, code, detail: detail.into(), diagnostics: Vec::new() }
+    }
+    /// 404: there is no such model, source, session or route.
+    pub fn unknown(what: &str, name: &str) -> Problem {
+        let shown: String = name.chars().take(80).collect();
+        Problem::new(StatusCode::NOT_FOUND, "unknown-name", format!("there is no {what} `{shown}`"))
+    }
+    /// 400: query or header.
+    pub fn bad_request(detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::BAD_REQUEST, "bad-request", detail)
+    }
+    /// 409: in use, or not applicable in this state.
+    pub fn conflict(code: &'static str, detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::CONFLICT, code, detail)
+    }
+    /// 412: `If-Match` names another version.
+    pub fn stale(detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::PRECONDITION_FAILED, "stale", detail)
+    }
+    /// 413.
+    pub fn too_large(limit_bytes: usize) -> Problem {
+        Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", format!("the body is larger than {limit_bytes} bytes"))
+    }
+    /// 415.
+    pub fn wrong_type(accepted: &str) -> Problem {
+        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong-type", format!("the body must be {accepted}"))
+    }
+    /// 422: the document is wrong, and where.
+    pub fn wrong_document(diagnostics: Diagnostics) -> Problem {
+        let first = diagnostics.first();
+        let detail = match (first, diagnostics.len()) {
+            (None, _) => "the document is wrong".to_string(),
+            (Some(one), 1) => one.message.clone(),
+            (Some(one), n) => format!("{} (and {} more)", one.message, n - 1),
+        };
+        let status = StatusCode::UNPROCESSABLE_ENTITY;
+        Problem { status, code: "wrong-document", detail, diagnostics }
+    }
+    /// 422 with one diagnostic at `key`, whose place follows later from the text (see `documents`).
+    pub fn wrong_key(code: &str, key: &str, message: impl Into<String>) -> Problem {
+        let mut diagnostic = Diagnostic::error("", code, key, isophote_symbolic::Span::default(), message);
+        diagnostic.key = key.to_string();
+        Problem::wrong_document(vec![diagnostic])
+    }
+    /// 429: over a limit.
+    pub fn over_limit(what: &str, limit: usize) -> Problem {
+        Problem::new(StatusCode::TOO_MANY_REQUESTS, "over-limit", format!("there can be no more than {limit} {what}"))
+    }
+    /// 501: the contract knows it, this build does not have it.
+    pub fn not_in_this_build(what: &str) -> Problem {
+        Problem::new(StatusCode::NOT_IMPLEMENTED, "not-in-this-build", format!("{what}: not in this build"))
+    }
+    /// 503: the service is about to stop.
+    pub fn stopping() -> Problem {
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the service is stopping")
+    }
+    /// 500: our fault.
+    pub fn bug(detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "bug", detail)
+    }
+
+    /// The JSON form.
+    pub fn document(&self) -> ProblemDocument {
+        ProblemDocument {
+            kind: format!("urn:isophote:problem:{}", self.code),
+            title: self.status.canonical_reason().unwrap_or("Error").to_string(),
+            status: self.status.as_u16(),
+            detail: self.detail.clone(),
+            diagnostics: self.diagnostics.clone(),
+        }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let body = serde_json::to_vec(&self.document()).unwrap_or_default();
+        let mut response = (self.status, body).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        if self.status == StatusCode::TOO_MANY_REQUESTS {
+            headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+        }
+        response
+    }
+}

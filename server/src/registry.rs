@@ -1,0 +1,238 @@
+//! The models that the service knows, by name. Changed only on the compile thread, read from anywhere.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+
+use isophote_symbolic::{Diagnostics, Model, Precision};
+use isophote_tracker::Compiled;
+
+use crate::explain::compile_problem;
+use crate::limits::LIMITS;
+use crate::name::Name;
+use crate::problem::Problem;
+use crate::store::{Store, StoreError, Stored};
+use crate::wire::{ModelItem, ModelView, model_id};
+
+/// How a document was sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub enum Media {
+    /// `application/toml`
+    #[serde(rename = "application/toml")]
+    Toml,
+    /// `application/json`
+    #[serde(rename = "application/json")]
+    Json,
+}
+
+impl Media {
+    /// Parses a document of this kind.
+    pub fn model(self, text: &str) -> Result<Model, Diagnostics> {
+        match self {
+            Media::Toml => Model::from_toml(text),
+            Media::Json => Model::from_json(text),
+        }
+    }
+}
+
+/// One document under one name.
+pub struct Entry {
+    /// The name in the registry.
+    pub name: Name,
+    /// Counts the documents put under this name.
+    pub version: u64,
+    /// The checked document.
+    pub model: Arc<Model>,
+    /// How it was sent.
+    pub media: Media,
+    /// As it was sent, comments and all.
+    pub text: Arc<str>,
+    kernels: Mutex<[Option<Arc<Compiled>>; 2]>,
+}
+
+impl Entry {
+    /// A document that has no kernels yet.
+    pub fn new(name: Name, version: u64, model: Model, media: Media, text: &str) -> Entry {
+        let (model, text) = (Arc::new(model), text.into());
+        Entry { name, version, model, media, text, kernels: Mutex::default() }
+    }
+
+    /// `name@sha256:…`.
+    pub fn id(&self) -> String {
+        model_id(self.name.as_str(), self.model.digest())
+    }
+
+    /// A strong ETag without its quotes: version and the digest's first letters, so that a name that was removed and
+    /// put again has another one.
+    pub fn tag(&self) -> String {
+        let digest = self.model.digest().trim_start_matches("sha256:");
+        format!("{}-{}", self.version, &digest[..digest.len().min(12)])
+    }
+
+    /// The kernels; made at the first call. Only from the compile thread.
+    pub fn kernels(&self, precision: Precision) -> Result<Arc<Compiled>, Problem> {
+        let slot = usize::from(precision == Precision::F64);
+        let lock = || self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kernels) = &lock()[slot] {
+            return Ok(kernels.clone());
+        }
+        let kernels = Arc::new(Compiled::new(self.model.clone(), precision).map_err(compile_problem)?);
+        lock()[slot] = Some(kernels.clone());
+        Ok(kernels)
+    }
+
+    /// `GET /v1/models/{name}`.
+    pub fn view(&self) -> ModelView {
+        let document = self.model.document().as_object().cloned().unwrap_or_default();
+        ModelView { version: self.version, digest: self.model.digest().to_string(), document }
+    }
+
+    /// One item of the list.
+    pub fn item(&self) -> ModelItem {
+        ModelItem {
+            name: self.name.to_string(),
+            version: self.version,
+            digest: self.model.digest().to_string(),
+            description: self.model.description().to_string(),
+            parameters: self.model.parameters().iter().map(|p| p.name.clone()).collect(),
+        }
+    }
+}
+
+/// What a writer expects to be there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Expected {
+    /// Anything: the last writer wins.
+    Anything,
+    /// `If-Match: *`: some document.
+    Something,
+    /// `If-Match`: one of these tags (`version-digest`, or a version or digest alone).
+    Tags(Vec<String>),
+    /// `If-None-Match: *`: no document.
+    Nothing,
+}
+
+impl Expected {
+    fn check(&self, name: &Name, present: Option<&Entry>) -> Result<(), Problem> {
+        let is_right = match self {
+            Expected::Anything => true,
+            Expected::Something => present.is_some(),
+            Expected::Nothing => present.is_none(),
+            Expected::Tags(tags) => present.is_some_and(|entry| {
+                tags.iter().any(|tag| {
+                    *tag == entry.tag() || *tag == entry.version.to_string() || tag == entry.model.digest()
+                })
+            }),
+        };
+        if is_right {
+            return Ok(());
+        }
+        Err(Problem::stale(match present {
+            Some(entry) => format!("`{name}` is at version {} ({})", entry.version, entry.model.digest()),
+            None => format!("there is no model `{name}`"),
+        }))
+    }
+}
+
+/// All models.
+pub struct Registry {
+    models: RwLock<BTreeMap<Name, Arc<Entry>>>,
+    store: Option<Store>,
+}
+
+/// The shipped documents.
+const SHIPPED: [&str; 6] = [
+    include_str!("../../models/dark-disc.toml"),
+    include_str!("../../models/gaussian.toml"),
+    include_str!("../../models/profile-1d.toml"),
+    include_str!("../../models/rational-spot.toml"),
+    include_str!("../../models/spot.toml"),
+    include_str!("../../models/thesis-spot.toml"),
+];
+
+impl Registry {
+    /// The shipped models, and those of the folder over them. A stored document that this build refuses is reported and
+    /// left where it is.
+    pub fn open(data: Option<&Path>) -> Result<Registry, StoreError> {
+        let mut models = BTreeMap::new();
+        for text in SHIPPED {
+            match Model::from_toml(text) {
+                Ok(model) => {
+                    if let Some(name) = Name::parse(model.name()) {
+                        models.insert(name.clone(), Arc::new(Entry::new(name, 1, model, Media::Toml, text)));
+                    }
+                }
+                Err(faults) => report("a shipped model", &faults),
+            }
+        }
+        let store = data.map(Store::open).transpose()?;
+        for (name, stored) in store.as_ref().map(Store::load).transpose()?.unwrap_or_default() {
+            match stored.media.model(&stored.text) {
+                Ok(model) => {
+                    let entry = Entry::new(name.clone(), stored.version, model, stored.media, &stored.text);
+                    models.insert(name, Arc::new(entry));
+                }
+                Err(faults) => report(&format!("the stored model `{name}`"), &faults),
+            }
+        }
+        Ok(Registry { models: RwLock::new(models), store })
+    }
+
+    /// The document of that name.
+    pub fn get(&self, name: &str) -> Result<Arc<Entry>, Problem> {
+        let found = Name::parse(name).and_then(|name| self.read().get(&name).cloned());
+        found.ok_or_else(|| Problem::unknown("model", name))
+    }
+
+    /// All documents, by name.
+    pub fn list(&self) -> Vec<Arc<Entry>> {
+        self.read().values().cloned().collect()
+    }
+
+    /// Refuses early what [`Registry::put`] would refuse.
+    pub fn check(&self, name: &Name, expected: &Expected) -> Result<(), Problem> {
+        let models = self.read();
+        expected.check(name, models.get(name).map(Arc::as_ref))?;
+        if models.len() >= LIMITS.models && !models.contains_key(name) {
+            return Err(Problem::over_limit("models", LIMITS.models));
+        }
+        Ok(())
+    }
+
+    /// Puts a document whose kernels are made. True when the name is new. Only from the compile thread.
+    pub fn put(&self, name: &Name, expected: &Expected, mut entry: Entry) -> Result<(bool, Arc<Entry>), Problem> {
+        self.check(name, expected)?;
+        let before = self.read().get(name).map(|entry| entry.version);
+        entry.version = before.unwrap_or(0) + 1;
+        if let Some(store) = &self.store {
+            let stored = Stored { version: entry.version, media: entry.media, text: entry.text.to_string() };
+            store.save(name, &stored).map_err(StoreError::problem)?;
+        }
+        let entry = Arc::new(entry);
+        self.write().insert(name.clone(), entry.clone());
+        Ok((before.is_none(), entry))
+    }
+
+    /// Removes a document. Only from the compile thread.
+    pub fn remove(&self, name: &Name, expected: &Expected) -> Result<(), Problem> {
+        let present = self.get(name.as_str())?;
+        expected.check(name, Some(&present))?;
+        if let Some(store) = &self.store {
+            store.remove(name).map_err(StoreError::problem)?;
+        }
+        self.write().remove(name);
+        Ok(())
+    }
+
+    fn read(&self) -> std::sync::RwLockReadGuard<'_, BTreeMap<Name, Arc<Entry>>> {
+        self.models.read().unwrap_or_else(PoisonError::into_inner)
+    }
+    fn write(&self) -> std::sync::RwLockWriteGuard<'_, BTreeMap<Name, Arc<Entry>>> {
+        self.models.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn report(what: &str, faults: &Diagnostics) {
+    let first = faults.first().map(|fault| format!("{} ({}:{})", fault.message, fault.line, fault.column));
+    eprintln!("isophote: {what} is refused: {}", first.unwrap_or_default());
+}

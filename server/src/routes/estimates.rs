@@ -1,0 +1,62 @@
+//! `GET /v1/sessions/{name}/estimates`: WebSocket where the client upgrades, else server-sent events or NDJSON by `Accept`.
+
+use axum::extract::rejection::QueryRejection;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{Query, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use serde::Deserialize;
+
+use super::{Answer, App, RawName, raw};
+use crate::hub::Mode;
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::streams::{body, websocket};
+
+/// The subprotocol's name.
+pub const PROTOCOL: &str = "isophote.v1";
+
+/// How to be sent estimates.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EstimatesQuery {
+    #[serde(default)]
+    mode: Mode,
+    /// WebSocket only. Absent: as many messages as the socket takes.
+    credit: Option<u32>,
+}
+
+/// Subscribes.
+pub async fn get(
+    State(app): State<App>,
+    name: RawName,
+    query: Result<Query<EstimatesQuery>, QueryRejection>,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Answer {
+    let session = app.service.session(&raw(name)?)?;
+    let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
+    if query.credit.is_some_and(|credit| credit > LIMITS.credit) {
+        return Err(Problem::bad_request(format!("credit is at most {}", LIMITS.credit)));
+    }
+    if headers.contains_key(header::UPGRADE) {
+        let upgrade = upgrade.map_err(|error| Problem::bad_request(error.body_text()))?;
+        let is_offered = headers.contains_key(header::SEC_WEBSOCKET_PROTOCOL);
+        let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(LIMITS.message_bytes);
+        if is_offered && upgrade.selected_protocol().is_none() {
+            return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
+        }
+        let subscription = session.hub().subscribe(query.mode)?;
+        let held = app.stream.clone();
+        return Ok(upgrade.on_upgrade(async move |socket| {
+            websocket::serve(socket, subscription, query.credit).await;
+            drop(held);
+        }));
+    }
+    let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or("*/*");
+    let format = body::Format::accepted(accept).ok_or_else(|| {
+        let detail = "estimates come as text/event-stream, application/x-ndjson, or over a WebSocket";
+        Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", detail)
+    })?;
+    Ok(body::response(session.hub().subscribe(query.mode)?, format, app.stream.clone()))
+}

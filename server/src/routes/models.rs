@@ -1,0 +1,120 @@
+//! `/v1/models`
+
+use axum::body::Body;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+
+use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
+use crate::documents::{media_type, read_body, text};
+use crate::limits::LIMITS;
+use crate::name::Name;
+use crate::problem::Problem;
+use crate::registry::{Entry, Expected, Media};
+use crate::wire::Items;
+
+/// `PUT /v1/models/{name}`
+pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+    let name = new_name(name)?;
+    let expected = expected(&headers)?;
+    let (media, text) = document(&headers, body).await?;
+    let service = app.service.clone();
+    let work = move || service.put_model(&name, &expected, media, &text);
+    let (put, entry, answer) = app.service.compiler.run(work).await?;
+    Ok(tagged(json(put_status(put), &answer)?, &entry))
+}
+
+/// `POST /v1/models:check`: what `PUT` would answer, and nothing is kept.
+pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> Answer {
+    let (media, text) = document(&headers, body).await?;
+    let service = app.service.clone();
+    let work = move || {
+        let name = Name::parse("check").ok_or_else(|| Problem::bug("check is a name"))?;
+        service.check_model(&name, media, &text)
+    };
+    let (_, answer) = app.service.compiler.run(work).await?;
+    json(StatusCode::OK, &answer.report)
+}
+
+/// `GET /v1/models/{name}`: as JSON, or as sent where TOML is asked for and was sent.
+pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
+    let entry = app.service.registry.get(&raw(name)?)?;
+    let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
+    let response = if accept.contains("application/toml") && entry.media == Media::Toml {
+        let mut response = entry.text.to_string().into_response();
+        response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/toml"));
+        response
+    } else {
+        json(StatusCode::OK, &entry.view())?
+    };
+    Ok(tagged(response, &entry))
+}
+
+/// `DELETE /v1/models/{name}`
+pub async fn delete(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
+    let name = old_name("model", name)?;
+    let expected = expected(&headers)?;
+    let service = app.service.clone();
+    app.service.compiler.run(move || service.remove_model(&name, &expected)).await?;
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// `GET /v1/models`
+pub async fn list(State(app): State<App>) -> Answer {
+    let items = app.service.registry.list().iter().map(|entry| entry.item()).collect();
+    json(StatusCode::OK, &Items { items })
+}
+
+/// What to explain, and how.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExplainQuery {
+    parameters: Option<String>,
+    show: Option<String>,
+    method: Option<String>,
+}
+
+/// `GET /v1/models/{name}/explain?parameters=bx,by&show=program`
+pub async fn explain(
+    State(app): State<App>, name: RawName, query: Result<Query<ExplainQuery>, QueryRejection>,
+) -> Answer {
+    let entry = app.service.registry.get(&raw(name)?)?;
+    let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
+    let work = move || {
+        let subset = query.parameters.as_deref().map(crate::explain::split);
+        let show = query.show.as_deref().unwrap_or("derivative");
+        crate::explain::explain(&entry.model, subset.as_deref(), query.method.as_deref(), show)
+            .map_err(crate::explain::problem)
+    };
+    json(StatusCode::OK, &app.service.compiler.run(work).await?)
+}
+
+async fn document(headers: &HeaderMap, body: Body) -> Result<(Media, String), Problem> {
+    let media = match media_type(headers).as_str() {
+        "application/toml" => Media::Toml,
+        "application/json" => Media::Json,
+        _ => return Err(Problem::wrong_type("application/toml or application/json")),
+    };
+    Ok((media, text(read_body(body, LIMITS.document_bytes).await?)?))
+}
+
+/// `If-Match` and `If-None-Match`.
+fn expected(headers: &HeaderMap) -> Result<Expected, Problem> {
+    let value = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default().trim().to_string());
+    match (value(header::IF_MATCH), value(header::IF_NONE_MATCH)) {
+        (None, None) => Ok(Expected::Anything),
+        (Some(any), None) if any == "*" => Ok(Expected::Something),
+        (Some(tags), None) => Ok(Expected::Tags(tags.split(',').map(|tag| tag.trim().trim_matches('"').into()).collect())),
+        (None, Some(any)) if any == "*" => Ok(Expected::Nothing),
+        _ => Err(Problem::bad_request("give either If-Match, or If-None-Match: *")),
+    }
+}
+
+fn tagged(mut response: Response, entry: &Entry) -> Response {
+    if let Ok(tag) = HeaderValue::from_str(&format!("\"{}\"", entry.tag())) {
+        response.headers_mut().insert(header::ETAG, tag);
+    }
+    response
+}

@@ -1,0 +1,25 @@
+//! `/`: the sessions and their estimates, live. One page and one script, nothing from elsewhere.
+
+use axum::http::{HeaderMap, HeaderValue, header};
+use axum::response::{IntoResponse, Response};
+
+const POLICY: &str = "default-src 'none'; img-src data:; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// `GET /`
+pub async fn html() -> Response {
+    asset("text/html; charset=utf-8", include_str!("../../web/index.html"))
+}
+
+/// `GET /page.js`
+pub async fn script() -> Response {
+    asset("text/javascript; charset=utf-8", include_str!("../../web/page.js"))
+}
+
+fn asset(media: &'static str, text: &'static str) -> Response {
+    let mut headers = HeaderMap::new();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(media));
+    headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    (headers, text).into_response()
+}

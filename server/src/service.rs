@@ -1,0 +1,255 @@
+//! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other; read
+//! from anywhere.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
+
+use isophote_symbolic::Precision;
+use tokio::sync::oneshot;
+
+use crate::compiler::Compiler;
+use crate::explain;
+use crate::hub::End;
+use crate::limits::LIMITS;
+use crate::name::Name;
+use crate::problem::Problem;
+use crate::registry::{Entry, Expected, Media, Registry};
+use crate::session::{Session, SourceOf, Swapped};
+use crate::source::{self, Source};
+use crate::store::StoreError;
+use crate::wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
+
+/// The service without its network.
+pub struct Service {
+    /// The thread on which everything changes.
+    pub compiler: Compiler,
+    /// The models.
+    pub registry: Registry,
+    sources: Table<Source>,
+    sessions: Table<Session>,
+    is_draining: AtomicBool,
+}
+
+type Table<T> = RwLock<BTreeMap<Name, Arc<T>>>;
+
+fn get<T>(table: &Table<T>, what: &str, name: &str) -> Result<Arc<T>, Problem> {
+    let table = table.read().unwrap_or_else(PoisonError::into_inner);
+    let found = Name::parse(name).and_then(|name| table.get(&name).cloned());
+    found.ok_or_else(|| Problem::unknown(what, name))
+}
+
+fn list<T>(table: &Table<T>) -> Vec<(Name, Arc<T>)> {
+    let table = table.read().unwrap_or_else(PoisonError::into_inner);
+    table.iter().map(|(name, one)| (name.clone(), one.clone())).collect()
+}
+
+fn insert<T>(table: &Table<T>, name: &Name, one: T) -> Option<Arc<T>> {
+    table.write().unwrap_or_else(PoisonError::into_inner).insert(name.clone(), Arc::new(one))
+}
+
+fn remove<T>(table: &Table<T>, name: &Name) -> Option<Arc<T>> {
+    table.write().unwrap_or_else(PoisonError::into_inner).remove(name)
+}
+
+/// Whether a PUT made something or replaced it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Put {
+    /// 201
+    Created,
+    /// 200
+    Replaced,
+}
+
+/// Why the service does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The data folder.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// No thread.
+    #[error("no thread for the compiler: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+impl Service {
+    /// Models are loaded, nothing runs yet.
+    pub fn open(data: Option<&Path>) -> Result<Service, OpenError> {
+        Ok(Service {
+            registry: Registry::open(data)?,
+            compiler: Compiler::start()?,
+            sources: Table::default(),
+            sessions: Table::default(),
+            is_draining: AtomicBool::new(false),
+        })
+    }
+
+    /// False while it stops.
+    pub fn is_ready(&self) -> bool {
+        !self.is_draining.load(Ordering::SeqCst)
+    }
+
+    /// The session of that name.
+    pub fn session(&self, name: &str) -> Result<Arc<Session>, Problem> {
+        get(&self.sessions, "session", name)
+    }
+
+    /// All sessions, by name.
+    pub fn sessions(&self) -> Vec<(Name, Arc<Session>)> {
+        list(&self.sessions)
+    }
+
+    /// The source of that name.
+    pub fn source(&self, name: &str) -> Result<Arc<Source>, Problem> {
+        get(&self.sources, "source", name)
+    }
+
+    /// All named sources, by name.
+    pub fn sources(&self) -> Vec<(Name, Arc<Source>)> {
+        list(&self.sources)
+    }
+
+    /// Parses, compiles and reports a document; nothing is kept. Only from the compile thread.
+    pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(Entry, ModelAnswer), Problem> {
+        let model = media.model(text).map_err(Problem::wrong_document)?;
+        let entry = Entry::new(name.clone(), 0, model, media, text);
+        let report = explain::report(&*entry.kernels(Precision::F32)?).map_err(explain::compile_problem)?;
+        Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
+    }
+
+    /// `PUT /v1/models/{name}`. Only from the compile thread.
+    pub fn put_model(
+        &self, name: &Name, expected: &Expected, media: Media, text: &str,
+    ) -> Result<(Put, Arc<Entry>, ModelAnswer), Problem> {
+        self.refuse_when_draining()?;
+        self.registry.check(name, expected)?;
+        let (entry, mut answer) = self.check_model(name, media, text)?;
+        let (is_new, entry) = self.registry.put(name, expected, entry)?;
+        answer.version = entry.version;
+        Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
+    }
+
+    /// `DELETE /v1/models/{name}`. Only from the compile thread.
+    pub fn remove_model(&self, name: &Name, expected: &Expected) -> Result<(), Problem> {
+        self.registry.get(name.as_str())?;
+        if let Some((session, _)) = self.sessions().iter().find(|(_, session)| session.uses_model(name.as_str())) {
+            return Err(Problem::conflict("in-use", format!("session `{session}` uses the model `{name}`")));
+        }
+        self.registry.remove(name, expected)
+    }
+
+    /// `PUT /v1/sources/{name}`. Only from the compile thread.
+    pub fn put_source(&self, name: &Name, document: SourceDocument) -> Result<Put, Problem> {
+        self.refuse_when_draining()?;
+        let before = self.source(name.as_str()).ok();
+        match &before {
+            Some(source) if source.sessions() > 0 => return Err(source_in_use(name, source)),
+            None if self.sources().len() >= LIMITS.sources => return Err(Problem::over_limit("sources", LIMITS.sources)),
+            _ => {}
+        }
+        let opened = source::open(&document, "", |model| Ok(self.registry.get(model)?.model.clone()), None)?;
+        let source = Source::start(name.as_str(), document, opened)?;
+        insert(&self.sources, name, source);
+        match before {
+            Some(before) => before.stop(),
+            None => return Ok(Put::Created),
+        }
+        Ok(Put::Replaced)
+    }
+
+    /// `DELETE /v1/sources/{name}`. Only from the compile thread.
+    pub fn remove_source(&self, name: &Name) -> Result<(), Problem> {
+        let source = self.source(name.as_str())?;
+        if source.sessions() > 0 {
+            return Err(source_in_use(name, &source));
+        }
+        remove(&self.sources, name);
+        source.stop();
+        Ok(())
+    }
+
+    /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops. Only from the compile thread.
+    pub fn put_session(&self, name: &Name, document: SessionDocument) -> Result<Put, Problem> {
+        self.refuse_when_draining()?;
+        let before = self.session(name.as_str()).ok();
+        if before.is_none() && self.sessions().len() >= LIMITS.sessions {
+            return Err(Problem::over_limit("sessions", LIMITS.sessions));
+        }
+        let entry = self.registry.get(&document.model)?;
+        let source = self.source_of(name, &document.source, &entry)?;
+        let session = Session::start(name.as_str(), document, source.clone(), &entry).inspect_err(|_| {
+            if source.is_own {
+                source.source.stop();
+            }
+        })?;
+        insert(&self.sessions, name, session);
+        match before {
+            Some(before) => before.stop(End::SessionStopped),
+            None => return Ok(Put::Created),
+        }
+        Ok(Put::Replaced)
+    }
+
+    fn source_of(&self, name: &Name, reference: &SourceReference, entry: &Entry) -> Result<SourceOf, Problem> {
+        match reference {
+            SourceReference::Named(source) => Ok(SourceOf { source: self.source(source)?, is_own: false }),
+            SourceReference::Own(document) => {
+                let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
+                let opened = source::open(document, "source.", find, Some(&entry.model))?;
+                let source = Source::start(name.as_str(), document.clone(), opened)?;
+                Ok(SourceOf { source: Arc::new(source), is_own: true })
+            }
+        }
+    }
+
+    /// `DELETE /v1/sessions/{name}`. Only from the compile thread.
+    pub fn remove_session(&self, name: &Name) -> Result<(), Problem> {
+        let session = self.session(name.as_str())?;
+        remove(&self.sessions, name);
+        session.stop(End::SessionStopped);
+        Ok(())
+    }
+
+    /// The first half of a hot swap: compiled and handed over. Only from the compile thread.
+    pub fn begin_swap(&self, session: &str, model: &str) -> Result<(SwapAnswer, oneshot::Receiver<Swapped>), Problem> {
+        self.refuse_when_draining()?;
+        let session = self.session(session)?;
+        let entry = self.registry.get(model)?;
+        let (compile_ms, swapped) = session.begin_swap(&entry)?;
+        let answer = SwapAnswer {
+            requested_model: model.to_string(),
+            active_model: model.to_string(),
+            active_digest: entry.model.digest().to_string(),
+            active_since_frame: 0,
+            carried: Vec::new(),
+            reset: Vec::new(),
+            compile_ms,
+        };
+        Ok((answer, swapped))
+    }
+
+    /// From now on nothing new is taken, and every stream ends.
+    pub fn drain(&self) {
+        self.is_draining.store(true, Ordering::SeqCst);
+        for (_, session) in self.sessions() {
+            session.hub().end(End::ServiceStops);
+        }
+    }
+
+    /// Ends all threads, in the order of the data's way back: sessions, sources, compiler.
+    pub fn stop(&self) {
+        self.drain();
+        self.compiler.stop();
+        self.sessions().iter().for_each(|(_, session)| session.stop(End::ServiceStops));
+        self.sources().iter().for_each(|(_, source)| source.stop());
+    }
+
+    fn refuse_when_draining(&self) -> Result<(), Problem> {
+        if self.is_ready() { Ok(()) } else { Err(Problem::stopping()) }
+    }
+}
+
+fn source_in_use(name: &Name, source: &Source) -> Problem {
+    Problem::conflict("in-use", format!("{} session(s) use the source `{name}`; stop them first", source.sessions()))
+}

@@ -1,0 +1,108 @@
+//! The fit thread: frames and swaps in, estimates out. Between two frames it takes a new model; during one, nothing.
+
+use std::sync::{Arc, PoisonError};
+
+use isophote_tracker::Tracker;
+
+use super::Shared;
+use super::inbox::{Delivery, Event, SourceEnd};
+use super::swap::{Active, Swap, Swapped};
+use crate::clock::monotonic_ns;
+use crate::hub::End;
+use crate::wire::{Estimate, Named, SessionState, Timing};
+
+/// What the thread owns.
+pub struct Fitter {
+    /// Its session's name.
+    pub name: String,
+    /// What the rest of the service sees of it.
+    pub shared: Arc<Shared>,
+    /// The solver with its state.
+    pub tracker: Tracker,
+    /// The model in `tracker`: the two change together, here only.
+    pub active: Active,
+    /// The number after the last fitted frame.
+    pub next_frame: Option<u64>,
+}
+
+impl Fitter {
+    /// Until the inbox is closed.
+    pub fn run(mut self) {
+        let guard = EndGuard(self.shared.clone());
+        loop {
+            match self.shared.inbox.next() {
+                Event::Swap(swap) => self.swap(*swap),
+                Event::Frame(delivery) => self.fit(&delivery),
+                Event::SourceEnded(end) => self.source_ended(end),
+                Event::Closed => break,
+            }
+        }
+        std::mem::forget(guard); // no panic
+    }
+
+    fn swap(&mut self, swap: Swap) {
+        let carried = self.tracker.swap(swap.compiled, swap.options);
+        self.active = swap.active;
+        let active_since_frame = self.next_frame.unwrap_or(0);
+        {
+            let mut status = self.shared.status();
+            status.active = self.active.clone();
+            status.active_since_frame = active_since_frame;
+        }
+        let swapped = Swapped { active_since_frame, carried: carried.carried, reset: carried.reset };
+        drop(swap.reply.send(swapped)); // the client may have gone
+    }
+
+    fn fit(&mut self, delivery: &Delivery) {
+        let captured = &delivery.captured;
+        let frame = &captured.frame;
+        let start_ns = monotonic_ns();
+        let result = self.tracker.track(frame);
+        let end_ns = monotonic_ns();
+        let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, &result);
+        estimate.session = Some(self.name.clone());
+        estimate.file = captured.file.clone();
+        estimate.capture_ns = frame.capture_ns;
+        estimate.publish_ns = Some(end_ns);
+        estimate.truth = captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
+        let wait_ns = frame.capture_ns.map(|capture_ns| start_ns.saturating_sub(capture_ns));
+        let fit = end_ns.saturating_sub(start_ns) / 1000;
+        estimate.timing_us = Some(Timing { wait: wait_ns.map(|ns| ns / 1000), fit });
+        let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
+        self.next_frame = Some(frame.sequence + 1);
+        let estimate = Arc::new(estimate);
+        self.shared.status().fitted(frame, end_ns, lost);
+        self.shared.hub.publish(estimate.clone());
+        self.answer(delivery, estimate);
+    }
+
+    /// Whoever pushed the frame to this session gets its estimate.
+    fn answer(&self, delivery: &Delivery, estimate: Arc<Estimate>) {
+        let mut reply = delivery.reply.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_ours = reply.as_ref().is_some_and(|reply| Arc::ptr_eq(&reply.session, &self.shared.inbox));
+        if let (true, Some(reply)) = (is_ours, reply.take_if(|_| is_ours)) {
+            drop(reply.sender.send(estimate)); // the client may have gone
+        }
+    }
+
+    fn source_ended(&mut self, end: SourceEnd) {
+        let (state, reason) = match end {
+            SourceEnd::Finished(reason) => (SessionState::Stopped, reason),
+            SourceEnd::Failed(reason) => (SessionState::LostSource, reason),
+        };
+        self.shared.status().end(state, reason.clone());
+        self.shared.hub.end(End::SourceEnded(reason));
+    }
+}
+
+/// Says what happened when the thread panics.
+struct EndGuard(Arc<Shared>);
+
+impl Drop for EndGuard {
+    fn drop(&mut self) {
+        let reason = "bug: the fit thread panicked".to_string();
+        self.0.status().end(SessionState::Failed, reason.clone());
+        self.0.inbox.close();
+        self.0.hub.end(End::SessionFailed(reason));
+    }
+}

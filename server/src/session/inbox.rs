@@ -1,0 +1,141 @@
+//! What waits for a fit thread: the newest frame, swaps in order, the end of the source.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use isophote_capture::Captured;
+use tokio::sync::oneshot;
+
+use super::swap::Swap;
+use crate::wire::Estimate;
+
+/// One frame on its way to the sessions that share its source.
+pub struct Delivery {
+    /// The frame and what is known about it.
+    pub captured: Captured,
+    /// Who pushed it and waits for its estimate.
+    pub reply: Mutex<Option<Reply>>,
+}
+
+/// Where the estimate of a pushed frame goes.
+pub struct Reply {
+    /// The session that was asked.
+    pub session: Arc<Inbox>,
+    /// Dropped when the frame is not fitted.
+    pub sender: oneshot::Sender<Arc<Estimate>>,
+}
+
+/// Why no more frames come.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SourceEnd {
+    /// There are no more.
+    Finished(String),
+    /// The source failed.
+    Failed(String),
+}
+
+/// What a fit thread does next.
+pub enum Event {
+    /// Take the new model; comes before a frame that waits.
+    Swap(Box<Swap>),
+    /// Fit.
+    Frame(Arc<Delivery>),
+    /// Say so and go on waiting: a swap may still come.
+    SourceEnded(SourceEnd),
+    /// Leave.
+    Closed,
+}
+
+/// The slot between source and fit thread: the newest frame wins.
+#[derive(Default)]
+pub struct Inbox {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    frame: Option<Arc<Delivery>>,
+    is_fitting: bool,
+    swaps: VecDeque<Box<Swap>>,
+    end: Option<SourceEnd>,
+    is_closed: bool,
+}
+
+impl Inbox {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A frame from the source; one that still waits is dropped.
+    pub fn deliver(&self, frame: Arc<Delivery>) {
+        let replaced = {
+            let mut state = self.lock();
+            if state.is_closed { Some(frame) } else { state.frame.replace(frame) }
+        };
+        self.changed.notify_all();
+        drop(replaced); // its buffer may be large
+    }
+
+    /// Blocks until everything delivered is fitted, or the inbox is closed.
+    pub fn wait_idle(&self) {
+        let is_busy = |state: &mut State| !state.is_closed && (state.is_fitting || state.frame.is_some());
+        drop(self.changed.wait_while(self.lock(), is_busy).unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// No more frames come.
+    pub fn end(&self, end: SourceEnd) {
+        self.lock().end = Some(end);
+        self.changed.notify_all();
+    }
+
+    /// Hands a compiled model over; gives it back when the fit thread is gone.
+    pub fn swap(&self, swap: Box<Swap>) -> Result<(), Box<Swap>> {
+        {
+            let mut state = self.lock();
+            if state.is_closed {
+                return Err(swap);
+            }
+            state.swaps.push_back(swap);
+        }
+        self.changed.notify_all();
+        Ok(())
+    }
+
+    /// Ends the fit thread after what it does now. Swaps and frames that wait are dropped, and with them their replies.
+    pub fn close(&self) {
+        let (frame, swaps) = {
+            let mut state = self.lock();
+            state.is_closed = true;
+            state.is_fitting = false;
+            (state.frame.take(), std::mem::take(&mut state.swaps))
+        };
+        self.changed.notify_all();
+        drop((frame, swaps));
+    }
+
+    /// For the fit thread: what comes next. Calling it says that the last event is done with.
+    pub fn next(&self) -> Event {
+        let mut state = self.lock();
+        if state.is_fitting {
+            state.is_fitting = false;
+            self.changed.notify_all();
+        }
+        loop {
+            if state.is_closed {
+                return Event::Closed;
+            }
+            if let Some(swap) = state.swaps.pop_front() {
+                return Event::Swap(swap);
+            }
+            if let Some(frame) = state.frame.take() {
+                state.is_fitting = true;
+                return Event::Frame(frame);
+            }
+            if let Some(end) = state.end.take() {
+                return Event::SourceEnded(end);
+            }
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}

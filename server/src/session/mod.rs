@@ -1,0 +1,224 @@
+//! A session: one named fit thread that follows one target in the frames of one source.
+
+mod fit;
+pub mod inbox;
+mod status;
+mod swap;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use isophote_tracker::{Camera, Tracker};
+use tokio::sync::oneshot;
+
+use crate::clock::{elapsed_ms, monotonic_ns};
+use crate::explain::compile_problem;
+use crate::hub::{End, Hub};
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::registry::Entry;
+use crate::source::{Shape, Source};
+use crate::wire::{SessionDocument, SessionView};
+use fit::Fitter;
+use inbox::Inbox;
+use status::Status;
+pub use swap::Swapped;
+use swap::{Active, Swap};
+
+/// What the fit thread shares with the rest of the service.
+pub struct Shared {
+    /// What waits for the thread.
+    pub inbox: Arc<Inbox>,
+    /// What it has found.
+    pub hub: Arc<Hub>,
+    status: Mutex<Status>,
+}
+
+impl Shared {
+    fn status(&self) -> MutexGuard<'_, Status> {
+        self.status.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The source of a session.
+#[derive(Clone)]
+pub struct SourceOf {
+    /// The running source.
+    pub source: Arc<Source>,
+    /// It lives and ends with the session.
+    pub is_own: bool,
+}
+
+/// A running session.
+pub struct Session {
+    name: String,
+    document: SessionDocument,
+    camera: Camera,
+    source: SourceOf,
+    shared: Arc<Shared>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Session {
+    /// Compiles, checks, and starts the thread. Only from the compile thread.
+    pub fn start(name: &str, document: SessionDocument, source: SourceOf, entry: &Entry) -> Result<Session, Problem> {
+        check_document(&document)?;
+        check_shape(&entry.model, source.source.shape())
+            .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
+        let mut camera = document.camera.clone();
+        camera.saturation = camera.saturation.or(source.source.shape().saturation);
+        let compiled = entry.kernels(document.options.precision)?;
+        if let Some(format) = source.source.shape().format {
+            compiled.warm(format).map_err(compile_problem)?;
+        }
+        let options = swap::options(&document, &camera, &entry.model, false);
+        let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
+        let active = Active::new(entry);
+        let status = Status::new(active.clone(), document.model.clone());
+        let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
+        let fitter = Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, next_frame: None };
+        let thread = std::thread::Builder::new()
+            .name(format!("fit {name}"))
+            .spawn(move || fitter.run())
+            .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
+        source.source.subscribe(&shared.inbox);
+        let thread = Mutex::new(Some(thread));
+        Ok(Session { name: name.to_string(), document, camera, source, shared, thread })
+    }
+
+    /// Its estimates.
+    pub fn hub(&self) -> &Arc<Hub> {
+        &self.shared.hub
+    }
+
+    /// What waits for its fit thread.
+    pub fn inbox(&self) -> &Arc<Inbox> {
+        &self.shared.inbox
+    }
+
+    /// Its source.
+    pub fn source(&self) -> &SourceOf {
+        &self.source
+    }
+
+    /// Whether it fits that model, or is about to.
+    pub fn uses_model(&self, name: &str) -> bool {
+        let status = self.shared.status();
+        status.active.name == name || status.requested_model == name
+    }
+
+    /// Its document with its state.
+    pub fn view(&self) -> SessionView {
+        let last = self.shared.hub.last();
+        let mut document = self.document.clone();
+        let status = self.shared.status();
+        document.model = status.active.name.clone();
+        SessionView {
+            name: self.name.clone(),
+            document,
+            state: status.state(monotonic_ns(), self.source.source.is_steady()),
+            reason: status.reason.clone(),
+            requested_model: status.requested_model.clone(),
+            active_model: status.active.name.clone(),
+            active_digest: status.active.model.digest().to_string(),
+            active_since_frame: status.active_since_frame,
+            frames: status.frames,
+            dropped: status.dropped,
+            rate_hz: status.rate_hz(monotonic_ns()),
+            last: last.map(|estimate| (*estimate).clone()),
+        }
+    }
+
+    /// Compiles a model and hands it to the fit thread, which takes it between two frames. Only from the compile thread,
+    /// so that swaps are ordered. Answers the compile time and where the fit thread's answer will come.
+    pub fn begin_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+        let before = std::mem::replace(&mut self.shared.status().requested_model, entry.name.to_string());
+        let result = self.try_swap(entry);
+        if result.is_err() {
+            self.shared.status().requested_model = before;
+        }
+        result
+    }
+
+    fn try_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+        let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
+        check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
+        let start_ns = monotonic_ns();
+        let compiled = entry.kernels(self.document.options.precision)?;
+        if let Some(format) = shape.format {
+            compiled.warm(format).map_err(compile_problem)?;
+        }
+        let compile_ms = elapsed_ms(start_ns);
+        let options = swap::options(&self.document, &self.camera, &entry.model, true);
+        // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
+        Tracker::new(compiled.clone(), options.clone())
+            .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
+        let (reply, answer) = oneshot::channel();
+        let swap = Box::new(Swap { active: Active::new(entry), compiled, options, reply });
+        let gone = |_| Problem::conflict("not-applicable", "the session has ended");
+        self.shared.inbox.swap(swap).map_err(gone)?;
+        Ok((compile_ms, answer))
+    }
+
+    /// Tells subscribers and ends the threads.
+    pub fn stop(&self, end: End) {
+        self.source.source.unsubscribe(&self.shared.inbox);
+        self.shared.inbox.close();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if thread.is_some_and(|thread| thread.join().is_err()) {
+            eprintln!("isophote: the fit thread of session {} panicked", self.name);
+        }
+        self.shared.hub.end(end);
+        if self.source.is_own {
+            self.source.source.stop();
+        }
+    }
+}
+
+/// What this build cannot honour is said, never ignored.
+fn check_document(document: &SessionDocument) -> Result<(), Problem> {
+    let absent = |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
+    if !document.target.is_empty() {
+        return absent("target", "fits no pose, so a session's target must be {}");
+    }
+    if document.options.exposure.control {
+        return absent("options.exposure.control", "does not control exposure");
+    }
+    if let Some(window) = document.window {
+        let pixels = window.width.saturating_mul(window.height);
+        if pixels == 0 || pixels > LIMITS.window_pixels {
+            let message = format!("a window has 1 to {} pixels", LIMITS.window_pixels);
+            return Err(Problem::wrong_key("out-of-range", "window", message));
+        }
+    }
+    let finite = |key: &str, numbers: &std::collections::BTreeMap<String, f64>| {
+        let wrong = numbers.iter().find(|(_, value)| !value.is_finite());
+        wrong.map_or(Ok(()), |(name, _)| Err(Problem::wrong_key("out-of-range", &format!("{key}.{name}"), "not a finite number")))
+    };
+    finite("constants", &document.constants)?;
+    finite("start", &document.start)
+}
+
+/// Whether a model can look at such frames.
+fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), String> {
+    let (coordinates, channels) = (model.coordinates().len(), model.channels().len());
+    if let Some(dimensions) = shape.dimensions.filter(|dimensions| *dimensions != coordinates) {
+        return Err(format!("the model `{}` has {coordinates} coordinates, the source's frames have {dimensions}", model.name()));
+    }
+    if let Some(planes) = shape.planes.filter(|planes| *planes != channels && !(*planes == 3 && channels == 1)) {
+        return Err(format!("the model `{}` has {channels} channels, the source's frames have {planes} planes", model.name()));
+    }
+    Ok(())
+}
+
+/// The key of the option that a tracker refuses.
+fn wrong_options(document: &SessionDocument, entry: &Entry, error: &isophote_tracker::TrackError) -> Problem {
+    let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
+    let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
+    let key = match (parameter, constant) {
+        (Some(name), _) => format!("start.{name}"),
+        (None, Some(name)) => format!("constants.{name}"),
+        (None, None) => "model".to_string(),
+    };
+    Problem::wrong_key("wrong-value", &key, error.to_string())
+}

@@ -1,0 +1,100 @@
+//! What a session tells about itself.
+
+use std::collections::VecDeque;
+
+use isophote_tracker::Frame;
+
+use super::swap::Active;
+use crate::source::Shape;
+use crate::wire::SessionState;
+
+/// Estimates over which the rate is measured.
+const RATE_WINDOW: usize = 32;
+/// Without a frame for this long a steady source has stalled, ns; and for this many periods.
+const STALL_NS: u64 = 2_000_000_000;
+const STALL_PERIODS: u64 = 8;
+
+/// Changed by the fit thread, read by everybody.
+pub struct Status {
+    /// The model asked for last.
+    pub requested_model: String,
+    /// The model that fits.
+    pub active: Active,
+    /// Frames from this number on are fitted with it.
+    pub active_since_frame: u64,
+    /// Frames fitted.
+    pub frames: u64,
+    /// Frames of the source that were not fitted.
+    pub dropped: u64,
+    /// Why it does not run.
+    pub reason: Option<String>,
+    /// What the frames look like, as soon as there was one.
+    pub shape: Option<Shape>,
+    ended: Option<SessionState>,
+    times_ns: VecDeque<u64>,
+}
+
+impl Status {
+    /// Before the first frame.
+    pub fn new(active: Active, requested_model: String) -> Status {
+        Status {
+            requested_model,
+            active,
+            active_since_frame: 0,
+            frames: 0,
+            dropped: 0,
+            reason: None,
+            shape: None,
+            ended: None,
+            times_ns: VecDeque::with_capacity(RATE_WINDOW),
+        }
+    }
+
+    /// One frame more, after `lost` that were not fitted.
+    pub fn fitted(&mut self, frame: &Frame, now_ns: u64, lost: u64) {
+        self.frames += 1;
+        self.dropped += lost;
+        if self.times_ns.len() == RATE_WINDOW {
+            self.times_ns.pop_front();
+        }
+        self.times_ns.push_back(now_ns);
+        if self.shape.is_none() {
+            self.shape = Some(Shape {
+                dimensions: Some(frame.size().len()),
+                planes: Some(frame.planes().len()),
+                format: frame.planes().first().map(|plane| plane.format),
+                saturation: None,
+                size: Some(frame.size().to_vec()),
+            });
+        }
+    }
+
+    /// The session goes on existing, but not fitting.
+    pub fn end(&mut self, state: SessionState, reason: String) {
+        self.ended = Some(state);
+        self.reason = Some(reason);
+    }
+
+    /// What it does at the time `now_ns`.
+    pub fn state(&self, now_ns: u64, is_steady: bool) -> SessionState {
+        let Some(last_ns) = self.times_ns.back() else { return self.ended.unwrap_or(SessionState::Starting) };
+        let first_ns = self.times_ns.front().unwrap_or(last_ns);
+        let period_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
+        let is_late = now_ns.saturating_sub(*last_ns) > STALL_NS.max(STALL_PERIODS * period_ns);
+        let running = if is_steady && is_late { SessionState::Stalled } else { SessionState::Running };
+        self.ended.unwrap_or(running)
+    }
+
+    /// Estimates a second; falls when none come.
+    pub fn rate_hz(&self, now_ns: u64) -> f64 {
+        let (Some(first_ns), Some(last_ns)) = (self.times_ns.front(), self.times_ns.back()) else { return 0.0 };
+        let periods = self.times_ns.len() as u64 - 1;
+        if periods == 0 || self.ended.is_some() {
+            return 0.0;
+        }
+        let period_ns = (last_ns - first_ns) / periods;
+        let silence_ns = now_ns.saturating_sub(*last_ns);
+        let span_ns = last_ns - first_ns + silence_ns.saturating_sub(period_ns);
+        if span_ns == 0 { 0.0 } else { periods as f64 * 1e9 / span_ns as f64 }
+    }
+}

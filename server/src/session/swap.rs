@@ -1,0 +1,71 @@
+//! A model on its way into a running session, and the answer when it is there.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use isophote_symbolic::Model;
+use isophote_tracker::{Camera, Compiled, TrackerOptions};
+use tokio::sync::oneshot;
+
+use crate::registry::Entry;
+use crate::wire::{SessionDocument, Window};
+
+/// A model that fits, or will.
+#[derive(Clone)]
+pub struct Active {
+    /// Its name in the registry.
+    pub name: String,
+    /// `name@sha256:…`, as estimates name it.
+    pub id: Arc<str>,
+    /// The checked document.
+    pub model: Arc<Model>,
+}
+
+impl Active {
+    /// The model of a registry's entry.
+    pub fn new(entry: &Entry) -> Active {
+        Active { name: entry.name.to_string(), id: entry.id().into(), model: entry.model.clone() }
+    }
+}
+
+/// Compiled and checked; waits for the boundary between two frames.
+pub struct Swap {
+    /// What will fit.
+    pub active: Active,
+    /// Its kernels, warm for the frames that the source delivers.
+    pub compiled: Arc<Compiled>,
+    /// The session's options as far as they apply to it.
+    pub options: TrackerOptions,
+    /// Told when the swap is done; dropped when the session ends before.
+    pub reply: oneshot::Sender<Swapped>,
+}
+
+/// What became of a swap.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Swapped {
+    /// Frames from this number on are fitted with it.
+    pub active_since_frame: u64,
+    /// Parameters that keep their values.
+    pub carried: Vec<String>,
+    /// Parameters that start anew.
+    pub reset: Vec<String>,
+}
+
+/// The options of a session for a model. Constants and starting values that the model does not know are left out when
+/// `is_swap`: they belong to the model that ran before, and come back with it.
+pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_swap: bool) -> TrackerOptions {
+    let known = |names: &BTreeMap<String, f64>, has: &dyn Fn(&str) -> bool| {
+        names.iter().filter(|(name, _)| !is_swap || has(name)).map(|(name, value)| (name.clone(), *value)).collect()
+    };
+    TrackerOptions {
+        precision: document.options.precision,
+        window: document.window.map(jit_window),
+        start: known(&document.start, &|name| model.parameter(name).is_some()),
+        constants: known(&document.constants, &|name| model.constant(name).is_some()),
+        camera: camera.clone(),
+    }
+}
+
+fn jit_window(window: Window) -> isophote_jit::Window {
+    isophote_jit::Window { x: window.x, y: window.y, width: window.width, height: window.height }
+}

@@ -1,0 +1,291 @@
+//! A source: one named thread that produces frames and hands them to the sessions that subscribed.
+//!
+//! It waits until the first session subscribes. In pace `realtime` a frame goes out when it is due and replaces one that a
+//! session has not begun; in pace `fit` it goes out when every session has finished the last one. Numbers of frames
+//! count what the source produced, so that gaps say what was lost.
+
+mod open;
+mod schedule;
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use isophote_capture::{Captured, FrameSource};
+use isophote_jit::PixelFormat;
+
+use crate::clock::monotonic_ns;
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
+use crate::wire::{Pace, SourceDocument, SourceState, SourceView};
+pub use open::{Opened, open, pixel_format};
+use schedule::Schedule;
+
+/// What is known about a source's frames before the first one comes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shape {
+    /// Number of coordinates.
+    pub dimensions: Option<usize>,
+    /// Number of planes.
+    pub planes: Option<usize>,
+    /// Of the pixels.
+    pub format: Option<PixelFormat>,
+    /// Largest pixel value.
+    pub saturation: Option<f64>,
+    /// px, inner first.
+    pub size: Option<Vec<usize>>,
+}
+
+/// Where a source's frames come from.
+pub enum Producer {
+    /// They are made or read.
+    Frames(Box<dyn FrameSource>),
+    /// Clients send them.
+    Pushed,
+}
+
+/// A running source.
+pub struct Source {
+    document: SourceDocument,
+    shape: Shape,
+    shared: Arc<Shared>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+struct State {
+    sessions: Vec<Arc<Inbox>>,
+    pushed: VecDeque<(Captured, Reply)>,
+    state: SourceState,
+    reason: Option<String>,
+    frames: u64,
+    is_stopping: bool,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Source {
+    /// Starts the thread; it waits for the first session.
+    pub fn start(label: &str, document: SourceDocument, opened: Opened) -> Result<Source, Problem> {
+        let state = State {
+            sessions: Vec::new(),
+            pushed: VecDeque::new(),
+            state: SourceState::Idle,
+            reason: None,
+            frames: 0,
+            is_stopping: false,
+        };
+        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let (pace, rate_hz) = (opened.pace, opened.rate_hz);
+        let worker = Worker { shared: shared.clone(), pace, schedule: Schedule::new(rate_hz), frame: 0 };
+        let thread = std::thread::Builder::new()
+            .name(format!("source {label}"))
+            .spawn(move || worker.run(opened.producer))
+            .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
+        Ok(Source { document, shape: opened.shape, shared, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// What is known about its frames.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// As put, defaults filled in.
+    pub fn document(&self) -> &SourceDocument {
+        &self.document
+    }
+
+    /// Whether a pause between frames is a fault: not when clients push them.
+    pub fn is_steady(&self) -> bool {
+        !matches!(self.document, SourceDocument::Pushed(_))
+    }
+
+    /// Its document with its state.
+    pub fn view(&self, name: &str) -> SourceView {
+        let state = self.shared.lock();
+        SourceView {
+            name: name.to_string(),
+            document: self.document.clone(),
+            state: state.state,
+            reason: state.reason.clone(),
+            frames: state.frames,
+            sessions: state.sessions.len(),
+        }
+    }
+
+    /// Number of sessions that listen.
+    pub fn sessions(&self) -> usize {
+        self.shared.lock().sessions.len()
+    }
+
+    /// From the next frame on `inbox` gets them all.
+    pub fn subscribe(&self, inbox: &Arc<Inbox>) {
+        let mut state = self.shared.lock();
+        if let (SourceState::Ended | SourceState::Failed, reason) = (state.state, state.reason.clone()) {
+            inbox.end(end_of(state.state, reason.unwrap_or_default()));
+        }
+        state.sessions.push(inbox.clone());
+        self.shared.changed.notify_all();
+    }
+
+    /// No more frames for `inbox`.
+    pub fn unsubscribe(&self, inbox: &Arc<Inbox>) {
+        self.shared.lock().sessions.retain(|one| !Arc::ptr_eq(one, inbox));
+    }
+
+    /// A frame that a client sent.
+    pub fn push(&self, captured: Captured, reply: Reply) -> Result<(), Problem> {
+        let mut state = self.shared.lock();
+        if state.is_stopping {
+            return Err(Problem::stopping());
+        }
+        if state.pushed.len() >= LIMITS.pushed_frames {
+            return Err(Problem::over_limit("pushed frames that wait", LIMITS.pushed_frames));
+        }
+        state.pushed.push_back((captured, reply));
+        self.shared.changed.notify_all();
+        Ok(())
+    }
+
+    /// Ends the thread and waits for it. Its sessions must be closed before.
+    pub fn stop(&self) {
+        self.shared.lock().is_stopping = true;
+        self.shared.changed.notify_all();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if thread.is_some_and(|thread| thread.join().is_err()) {
+            eprintln!("isophote: a source thread panicked");
+        }
+    }
+}
+
+fn end_of(state: SourceState, reason: String) -> SourceEnd {
+    if state == SourceState::Failed { SourceEnd::Failed(reason) } else { SourceEnd::Finished(reason) }
+}
+
+struct Worker {
+    shared: Arc<Shared>,
+    pace: Pace,
+    schedule: Schedule,
+    frame: u64,
+}
+
+impl Worker {
+    fn run(mut self, producer: Producer) {
+        let guard = EndGuard(self.shared.clone());
+        match producer {
+            Producer::Frames(frames) => self.run_frames(frames),
+            Producer::Pushed => self.run_pushed(),
+        }
+        std::mem::forget(guard); // no panic
+    }
+
+    fn run_frames(&mut self, mut frames: Box<dyn FrameSource>) {
+        while self.wait_for_sessions() {
+            match frames.next() {
+                Ok(Some(captured)) => {
+                    if !self.wait_until_due() {
+                        return;
+                    }
+                    self.deliver(captured, None);
+                }
+                Ok(None) => return finish(&self.shared, SourceState::Ended, "the recording has ended".into()),
+                Err(error) => return finish(&self.shared, SourceState::Failed, error.to_string()),
+            }
+        }
+    }
+
+    fn run_pushed(&mut self) {
+        loop {
+            let idle = |state: &mut State| !state.is_stopping && state.pushed.is_empty();
+            let waited = self.shared.changed.wait_while(self.shared.lock(), idle);
+            let mut state = waited.unwrap_or_else(PoisonError::into_inner);
+            let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
+            drop(state);
+            self.deliver(captured, Some(reply));
+        }
+    }
+
+    /// False when the source stops.
+    fn wait_for_sessions(&mut self) -> bool {
+        let mut state = self.shared.lock();
+        if state.sessions.is_empty() {
+            state.state = SourceState::Idle;
+            self.schedule.restart();
+        }
+        let idle = |state: &mut State| !state.is_stopping && state.sessions.is_empty();
+        let mut state = self.shared.changed.wait_while(state, idle).unwrap_or_else(PoisonError::into_inner);
+        state.state = SourceState::Running;
+        !state.is_stopping
+    }
+
+    /// False when the source stops.
+    fn wait_until_due(&mut self) -> bool {
+        if self.pace == Pace::Fit {
+            self.wait_for_fits();
+        }
+        let due = self.schedule.due(Instant::now());
+        let mut state = self.shared.lock();
+        loop {
+            let now = Instant::now();
+            if state.is_stopping || now >= due {
+                return !state.is_stopping;
+            }
+            let waited = self.shared.changed.wait_timeout(state, due - now);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn wait_for_fits(&self) {
+        let sessions = self.shared.lock().sessions.clone();
+        sessions.iter().for_each(|inbox| inbox.wait_idle());
+    }
+
+    fn deliver(&mut self, mut captured: Captured, reply: Option<Reply>) {
+        if reply.is_some() {
+            self.wait_for_fits(); // every pushed frame is answered
+        }
+        captured.frame.sequence = self.frame;
+        captured.frame.capture_ns = Some(monotonic_ns());
+        self.frame += 1;
+        let delivery = Arc::new(Delivery { captured, reply: Mutex::new(reply) });
+        let sessions = {
+            let mut state = self.shared.lock();
+            state.frames = self.frame;
+            state.sessions.clone()
+        };
+        for inbox in &sessions {
+            inbox.deliver(delivery.clone());
+        }
+    }
+}
+
+fn finish(shared: &Shared, end: SourceState, reason: String) {
+    let sessions = {
+        let mut state = shared.lock();
+        state.state = end;
+        state.reason = Some(reason.clone());
+        state.sessions.clone()
+    };
+    for inbox in &sessions {
+        inbox.end(end_of(end, reason.clone()));
+    }
+}
+
+/// Tells the sessions when the thread panics.
+struct EndGuard(Arc<Shared>);
+
+impl Drop for EndGuard {
+    fn drop(&mut self) {
+        finish(&self.0, SourceState::Failed, "bug: the source's thread panicked".into());
+    }
+}

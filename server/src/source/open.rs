@@ -1,0 +1,164 @@
+//! A source document in, something that produces frames out, or a diagnostic at the key that is wrong.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use isophote_capture::{Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticSpec};
+use isophote_jit::PixelFormat;
+use isophote_symbolic::Model;
+
+use super::{Producer, Shape};
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::wire::{Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument};
+
+/// A source that is ready to start.
+pub struct Opened {
+    /// What makes the frames.
+    pub producer: Producer,
+    /// What they look like, as far as that is known.
+    pub shape: Shape,
+    /// When the next one comes.
+    pub pace: Pace,
+    /// Frames a second, 0: as fast as `pace` allows.
+    pub rate_hz: f64,
+}
+
+/// Opens what a document describes. `prefix` is where it stands in the document that was sent (`source.` or nothing),
+/// `find` looks a model up, `reader` is the model that will look at the frames, when that is known.
+pub fn open(
+    document: &SourceDocument,
+    prefix: &str,
+    find: impl Fn(&str) -> Result<Arc<Model>, Problem>,
+    reader: Option<&Model>,
+) -> Result<Opened, Problem> {
+    match document {
+        SourceDocument::Synthetic(synthetic) => open_synthetic(synthetic, prefix, find(&synthetic.model)?),
+        SourceDocument::Recording(recording) => open_recording(recording, prefix, reader),
+        SourceDocument::Pushed(pushed) => open_pushed(pushed, prefix),
+        SourceDocument::Camera(_) => {
+            let message = "this build has no cameras; use a source of kind synthetic, recording or pushed";
+            Err(Problem::wrong_key("not-in-this-build", &format!("{prefix}kind"), message))
+        }
+    }
+}
+
+fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>) -> Result<Opened, Problem> {
+    check_rate(document.rate_hz, document.pace, prefix)?;
+    check_size(document.width, document.height, prefix)?;
+    let saturation = document.saturation_level();
+    let spec = SyntheticSpec {
+        set: document.set.clone(),
+        motion: document.motion.clone(),
+        width: document.width,
+        height: document.height,
+        // `t` of a motion is frames over rate; a rate of 0 says only that nothing waits
+        rate_hz: if document.rate_hz > 0.0 { document.rate_hz } else { SyntheticSpec::new(model.clone()).rate_hz },
+        bits: document.bits,
+        samples: document.samples,
+        full_well_e: document.full_well_e,
+        read_noise_e: document.read_noise_e,
+        saturation,
+        seed: document.seed,
+        ..SyntheticSpec::new(model.clone())
+    };
+    let source = Synthetic::new(spec)
+        .map_err(|error| Problem::wrong_key("wrong-source", prefix.trim_end_matches('.'), error.to_string()))?;
+    let shape = Shape {
+        dimensions: Some(model.coordinates().len()),
+        planes: Some(1),
+        format: Some(if document.bits <= 8 { PixelFormat::U8 } else { PixelFormat::U16 }),
+        saturation: Some(saturation),
+        size: source.size(),
+    };
+    let producer = Producer::Frames(Box::new(source));
+    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz })
+}
+
+fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Model>) -> Result<Opened, Problem> {
+    check_rate(document.rate_hz, document.pace, prefix)?;
+    let wrong = |error: SourceError| Problem::wrong_key("wrong-source", &format!("{prefix}path"), error.to_string());
+    let mut recording = Recording::open(Path::new(&document.path)).map_err(wrong)?;
+    // Columns of a table are picked by name; planes of images are left as they are, for each session to pick from.
+    let is_table = recording.csv_channels().map_err(wrong)?.is_some();
+    if let (true, Some(model)) = (is_table, reader) {
+        recording = recording.for_channels(model.channels());
+    }
+    let size = recording.size();
+    let shape = Shape {
+        dimensions: size.as_ref().map(Vec::len).or(is_table.then_some(1)),
+        planes: None,
+        format: None,
+        saturation: None,
+        size,
+    };
+    let source: Box<dyn FrameSource> = if document.repeat { Box::new(Loop(recording)) } else { Box::new(recording) };
+    Ok(Opened { producer: Producer::Frames(source), shape, pace: document.pace, rate_hz: document.rate_hz })
+}
+
+fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Problem> {
+    check_size(document.width, document.height, prefix)?;
+    let format = pixel_format(document.format);
+    let shape = Shape {
+        dimensions: Some(2),
+        planes: None, // a PNG may have colour
+        format: Some(format),
+        saturation: None,
+        size: Some(vec![document.width, document.height]),
+    };
+    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0 })
+}
+
+/// The pixels of raw pushed frames.
+pub fn pixel_format(format: PushedFormat) -> PixelFormat {
+    match format {
+        PushedFormat::U8 => PixelFormat::U8,
+        PushedFormat::U16le => PixelFormat::U16,
+        PushedFormat::F32 => PixelFormat::F32,
+    }
+}
+
+fn check_rate(rate_hz: f64, pace: Pace, prefix: &str) -> Result<(), Problem> {
+    let is_right = if pace == Pace::Fit { rate_hz >= 0.0 } else { rate_hz > 0.0 };
+    if is_right && rate_hz <= LIMITS.rate_hz {
+        return Ok(());
+    }
+    let message = format!("rate_hz is {rate_hz}; it must be above 0 and at most {} (0 with pace fit: no limit)", LIMITS.rate_hz);
+    Err(Problem::wrong_key("out-of-range", &format!("{prefix}rate_hz"), message))
+}
+
+fn check_size(width: usize, height: usize, prefix: &str) -> Result<(), Problem> {
+    let limit = LIMITS.window_pixels;
+    for (key, side) in [("width", width), ("height", height)] {
+        if side == 0 || side > limit {
+            let message = format!("{key} is {side}; it must be at least 1");
+            return Err(Problem::wrong_key("out-of-range", &format!("{prefix}{key}"), message));
+        }
+    }
+    if width.saturating_mul(height) > limit {
+        let message = format!("{width} × {height} pixels are more than the {limit} that a frame may have");
+        return Err(Problem::wrong_key("out-of-range", &format!("{prefix}width"), message));
+    }
+    Ok(())
+}
+
+/// A recording that begins again after its last file.
+struct Loop(Recording);
+
+impl FrameSource for Loop {
+    fn next(&mut self) -> Result<Option<Captured>, SourceError> {
+        match self.0.next()? {
+            Some(captured) => Ok(Some(captured)),
+            None => {
+                self.0.rewind();
+                self.0.next()
+            }
+        }
+    }
+    fn description(&self) -> String {
+        format!("{}, again and again", self.0.description())
+    }
+    fn size(&self) -> Option<Vec<usize>> {
+        self.0.size()
+    }
+}

@@ -1,0 +1,51 @@
+//! When a frame is due: an absolute schedule, so that waiting errors do not add up.
+
+use std::time::{Duration, Instant};
+
+/// Ticks at a rate.
+pub struct Schedule {
+    period: Duration,
+    next: Option<Instant>,
+}
+
+impl Schedule {
+    /// `rate_hz` 0: always due at once.
+    pub fn new(rate_hz: f64) -> Schedule {
+        let period = if rate_hz > 0.0 { Duration::from_secs_f64(1.0 / rate_hz) } else { Duration::ZERO };
+        Schedule { period, next: None }
+    }
+
+    /// When the next frame is due, seen from `now`. A schedule that is more than one period behind starts anew from
+    /// now: frames come late then, never in a burst.
+    pub fn due(&mut self, now: Instant) -> Instant {
+        let due = match self.next {
+            Some(next) if next + self.period >= now => next,
+            _ => now,
+        };
+        self.next = Some(due + self.period);
+        due
+    }
+
+    /// Forgets the past: after a pause.
+    pub fn restart(&mut self) {
+        self.next = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn is_absolute_and_never_bursts() {
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut schedule = Schedule::new(100.0);
+        assert_eq!(schedule.due(at(0)), at(0));
+        assert_eq!(schedule.due(at(3)), at(10));
+        assert_eq!(schedule.due(at(14)), at(20)); // woken late: the grid stays
+        assert_eq!(schedule.due(at(39)), at(30)); // one behind: at once
+        assert_eq!(schedule.due(at(95)), at(95)); // far behind: a new grid
+        assert_eq!(schedule.due(at(96)), at(105));
+    }
+}

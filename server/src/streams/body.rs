@@ -1,0 +1,79 @@
+//! Estimates as a response that goes on: server-sent events or one JSON object a line.
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::body::{Body, Bytes};
+use axum::http::{HeaderValue, header};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+use tokio::sync::mpsc;
+
+use crate::hub::{Next, Subscription};
+use crate::limits::LIMITS;
+use crate::wire::Estimate;
+
+/// How messages are set apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// `text/event-stream`
+    Events,
+    /// `application/x-ndjson`
+    Lines,
+}
+
+impl Format {
+    /// The first that `Accept` names; lines when it takes anything.
+    pub fn accepted(accept: &str) -> Option<Format> {
+        accept.split(',').find_map(|item| match item.split(';').next().unwrap_or_default().trim() {
+            "text/event-stream" => Some(Format::Events),
+            "application/x-ndjson" | "application/*" | "*/*" => Some(Format::Lines),
+            _ => None,
+        })
+    }
+
+    fn media(self) -> &'static str {
+        match self {
+            Format::Events => "text/event-stream",
+            Format::Lines => "application/x-ndjson",
+        }
+    }
+
+    fn message(self, estimate: &Estimate) -> Bytes {
+        let json = serde_json::to_string(estimate).unwrap_or_default();
+        match self {
+            Format::Events => format!("id: {}\ndata: {json}\n\n", estimate.frame).into(),
+            Format::Lines => format!("{json}\n").into(),
+        }
+    }
+}
+
+/// The response; it ends with the session or the service.
+pub fn response(subscription: Subscription, format: Format, held: mpsc::Sender<()>) -> Response {
+    let stream = stream::unfold((subscription, held), move |(mut subscription, held)| async move {
+        let quiet = if format == Format::Events { LIMITS.ping_time } else { Duration::MAX };
+        let message = match tokio::time::timeout(quiet, subscription.next()).await {
+            Err(_) => Bytes::from_static(b": still here\n\n"),
+            Ok(Next::Estimate(estimate)) => format.message(&estimate),
+            Ok(Next::End(_)) => return None,
+        };
+        Some((Ok::<Bytes, Infallible>(message), (subscription, held)))
+    });
+    let mut response = Body::from_stream(stream).into_response();
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media()));
+    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn accept_picks_the_format() {
+        assert_eq!(Format::accepted("text/event-stream"), Some(Format::Events));
+        assert_eq!(Format::accepted("text/html, application/x-ndjson;q=0.9"), Some(Format::Lines));
+        assert_eq!(Format::accepted("*/*"), Some(Format::Lines));
+        assert_eq!(Format::accepted("image/png"), None);
+    }
+}

@@ -1,0 +1,132 @@
+//! Estimates over a WebSocket, `isophote.v1`: one JSON text message an estimate, as long as the client has credit.
+
+use std::time::{Duration, Instant};
+
+use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+
+use crate::hub::{End, Mode, Next, Subscription};
+use crate::limits::LIMITS;
+use crate::wire::CreditDocument;
+
+/// How many more messages the client takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Credit {
+    /// As many as the socket takes.
+    Open,
+    /// So many.
+    Counted(u32),
+}
+
+impl Credit {
+    fn is_left(self) -> bool {
+        self != Credit::Counted(0)
+    }
+    fn spend(&mut self) {
+        if let Credit::Counted(n) = self {
+            *n = n.saturating_sub(1);
+        }
+    }
+    /// A client that never named a credit starts to count with its first renewal.
+    fn renew(&mut self, more: u32) {
+        let left = if let Credit::Counted(n) = *self { n } else { 0 };
+        *self = Credit::Counted(left.saturating_add(more).min(LIMITS.credit));
+    }
+}
+
+/// What happened on the socket.
+enum Turn {
+    Send(Next),
+    Received(Option<Result<Message, axum::Error>>),
+    Ping,
+}
+
+/// Until one side ends it.
+pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit: Option<u32>) {
+    let mut credit = credit.map_or(Credit::Open, Credit::Counted);
+    let mut heard = Instant::now();
+    let send_time = if subscription.mode() == Mode::All { LIMITS.send_time_all } else { LIMITS.send_time };
+    let mut ping = tokio::time::interval(LIMITS.ping_time);
+    ping.reset();
+    loop {
+        let next = async { if credit.is_left() { subscription.next().await } else { subscription.end().await } };
+        let turn = tokio::select! {
+            received = socket.recv() => Turn::Received(received),
+            _ = ping.tick() => Turn::Ping,
+            next = next => Turn::Send(next),
+        };
+        match turn {
+            Turn::Send(Next::Estimate(estimate)) => {
+                let Ok(json) = serde_json::to_string(&*estimate) else { return };
+                if !send(&mut socket, Message::Text(json.into()), send_time).await {
+                    return;
+                }
+                credit.spend();
+            }
+            Turn::Send(Next::End(end)) => return close(&mut socket, &end).await,
+            Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
+            Turn::Ping => {
+                if !send(&mut socket, Message::Ping(Vec::new().into()), send_time).await {
+                    return;
+                }
+            }
+            Turn::Received(None | Some(Err(_))) => return,
+            Turn::Received(Some(Ok(message))) => {
+                heard = Instant::now();
+                match message {
+                    Message::Text(text) => match serde_json::from_str::<CreditDocument>(&text) {
+                        Ok(more) => credit.renew(more.credit),
+                        Err(error) => return refuse(&mut socket, &error.to_string()).await,
+                    },
+                    Message::Binary(_) => return refuse(&mut socket, "messages are JSON text").await,
+                    Message::Close(_) | Message::Ping(_) | Message::Pong(_) => {}
+                }
+            }
+        }
+    }
+}
+
+/// False when the client does not take it.
+async fn send(socket: &mut WebSocket, message: Message, deadline: Duration) -> bool {
+    matches!(tokio::time::timeout(deadline, socket.send(message)).await, Ok(Ok(())))
+}
+
+async fn refuse(socket: &mut WebSocket, reason: &str) {
+    finish(socket, close_code::POLICY, reason).await;
+}
+
+async fn close(socket: &mut WebSocket, end: &End) {
+    match end {
+        End::ServiceStops => finish(socket, close_code::AWAY, "the service stops").await,
+        End::SessionStopped => finish(socket, close_code::NORMAL, "the session was stopped").await,
+        End::SourceEnded(reason) => finish(socket, close_code::NORMAL, reason).await,
+        End::SessionFailed(reason) => finish(socket, close_code::ERROR, reason).await,
+    }
+}
+
+/// Sends the close frame and waits a moment for the client's, so that what was sent before is not lost.
+async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
+    let reason: String = reason.chars().scan(0, |bytes, c| { *bytes += c.len_utf8(); (*bytes <= 120).then_some(c) }).collect();
+    if send(socket, Message::Close(Some(CloseFrame { code, reason: reason.into() })), LIMITS.send_time).await {
+        let answered = async { while let Some(Ok(_)) = socket.recv().await {} };
+        drop(tokio::time::timeout(LIMITS.drain_time / 2, answered).await); // late or not, the socket is closed now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn credit_is_spent_and_renewed() {
+        let mut credit = Credit::Counted(1);
+        credit.spend();
+        assert!(!credit.is_left());
+        credit.renew(2);
+        assert_eq!(credit, Credit::Counted(2));
+        credit.renew(u32::MAX);
+        assert_eq!(credit, Credit::Counted(LIMITS.credit));
+        let mut open = Credit::Open;
+        open.spend();
+        assert_eq!(open, Credit::Open);
+    }
+}

@@ -1,0 +1,298 @@
+//! What a client sends: the documents of sources and sessions. Unknown keys are refused.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use isophote_symbolic::Precision;
+use isophote_tracker::Camera;
+use serde::de::{self, Deserializer, MapAccess, Visitor};
+use serde::{Deserialize, Serialize};
+
+/// `PUT /v1/sessions/{name}`: everything but `source` and `model` has a default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SessionDocument {
+    /// Where the frames come from: a document of its own, or the name of a source that exists.
+    pub source: SourceReference,
+    /// Name of a model of the registry.
+    pub model: String,
+    /// Constants of the model, by name; those not given keep the document's default.
+    #[serde(default)]
+    pub constants: BTreeMap<String, f64>,
+    /// Starting values that replace the document's, by parameter.
+    #[serde(default)]
+    pub start: BTreeMap<String, f64>,
+    /// Pixels to look at; the whole frame when absent.
+    #[serde(default)]
+    pub window: Option<Window>,
+    /// What the camera is.
+    #[serde(default)]
+    pub camera: Camera,
+    /// The target's geometry; this build fits no pose and takes only `{}`.
+    #[serde(default)]
+    pub target: serde_json::Map<String, serde_json::Value>,
+    /// How it is computed.
+    #[serde(default)]
+    pub options: SessionOptions,
+}
+
+/// Options of a session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SessionOptions {
+    /// Arithmetic of the pixel loops.
+    pub precision: Precision,
+    /// What exposure is for; this build neither advises nor controls it.
+    pub exposure: ExposureOptions,
+}
+
+/// What exposure is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExposureOptions {
+    /// What is to be measured best.
+    pub goal: ExposureGoal,
+    /// Whether the camera's exposure is set by the session.
+    pub control: bool,
+}
+
+/// What is to be measured best.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ExposureGoal {
+    /// The centre.
+    #[default]
+    Centre,
+}
+
+/// A pixel rectangle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Window {
+    /// First column, px.
+    pub x: usize,
+    /// First row, px.
+    pub y: usize,
+    /// Columns, px.
+    pub width: usize,
+    /// Rows, px.
+    pub height: usize,
+}
+
+/// A source of its own, or the name of one that exists.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum SourceReference {
+    /// A source that several sessions may share.
+    Named(String),
+    /// A source that lives and ends with the session.
+    Own(SourceDocument),
+}
+
+impl<'de> serde::Deserialize<'de> for SourceReference {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<SourceReference, D::Error> {
+        struct Either;
+        impl<'de> Visitor<'de> for Either {
+            type Value = SourceReference;
+            fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+                formatter.write_str("a source document or the name of a source")
+            }
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<SourceReference, E> {
+                Ok(SourceReference::Named(name.to_string()))
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<SourceReference, A::Error> {
+                let document = SourceDocument::deserialize(de::value::MapAccessDeserializer::new(map))?;
+                Ok(SourceReference::Own(document))
+            }
+        }
+        deserializer.deserialize_any(Either)
+    }
+}
+
+/// `PUT /v1/sources/{name}`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum SourceDocument {
+    /// Renders a model, with truth.
+    Synthetic(SyntheticDocument),
+    /// Files in name order.
+    Recording(RecordingDocument),
+    /// Frames that clients send.
+    Pushed(PushedDocument),
+    /// A V4L2 device.
+    Camera(CameraDocument),
+}
+
+impl SourceDocument {
+    /// The value of `kind`.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            SourceDocument::Synthetic(_) => "synthetic",
+            SourceDocument::Recording(_) => "recording",
+            SourceDocument::Pushed(_) => "pushed",
+            SourceDocument::Camera(_) => "camera",
+        }
+    }
+}
+
+/// When the next frame comes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Pace {
+    /// At `rate_hz`, whether or not the fit keeps up: the newest frame wins.
+    #[default]
+    Realtime,
+    /// When every subscribed session has finished the last one, and not faster than `rate_hz` (0: no limit): no frame
+    /// is ever lost.
+    Fit,
+}
+
+/// The synthetic camera. Defaults are those of `isophote render`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SyntheticDocument {
+    /// Name of a model of the registry.
+    pub model: String,
+    /// Parameters that stand still.
+    #[serde(default)]
+    pub set: BTreeMap<String, f64>,
+    /// Parameters that move: formulas in `t`, seconds since the first frame.
+    #[serde(default)]
+    pub motion: BTreeMap<String, String>,
+    /// px.
+    #[serde(default = "default_width")]
+    pub width: usize,
+    /// px.
+    #[serde(default = "default_height")]
+    pub height: usize,
+    /// Frames a second.
+    #[serde(default = "default_synthetic_rate_hz")]
+    pub rate_hz: f64,
+    /// When the next frame comes.
+    #[serde(default)]
+    pub pace: Pace,
+    /// Of a pixel, 1 to 16.
+    #[serde(default = "default_bits")]
+    pub bits: u32,
+    /// Sub-pixel samples a side.
+    #[serde(default = "default_samples")]
+    pub samples: u32,
+    /// Electrons at `saturation`; 0: no noise.
+    #[serde(default)]
+    pub full_well_e: f64,
+    /// Electrons, 1 σ.
+    #[serde(default)]
+    pub read_noise_e: f64,
+    /// Largest pixel value; 2^bits − 1 when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub saturation: Option<f64>,
+    /// The same seed gives the same frames.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
+}
+
+impl SyntheticDocument {
+    /// `saturation`, or what `bits` allows.
+    pub fn saturation_level(&self) -> f64 {
+        self.saturation.unwrap_or(f64::from((1u32 << self.bits.clamp(1, 16)) - 1))
+    }
+}
+
+/// A folder or file of PNG, JPEG or CSV.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordingDocument {
+    /// On the machine of the service.
+    pub path: String,
+    /// Frames a second.
+    #[serde(default = "default_rate_hz")]
+    pub rate_hz: f64,
+    /// When the next frame comes.
+    #[serde(default)]
+    pub pace: Pace,
+    /// Begin again after the last file.
+    #[serde(default, rename = "loop")]
+    pub repeat: bool,
+}
+
+/// Frames that clients send with `POST /v1/sessions/{name}/frames`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PushedDocument {
+    /// px.
+    pub width: usize,
+    /// px.
+    pub height: usize,
+    /// Of frames sent as `application/octet-stream`.
+    #[serde(default)]
+    pub format: PushedFormat,
+}
+
+/// Pixels of raw frames; rows without padding.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PushedFormat {
+    /// One byte.
+    #[default]
+    U8,
+    /// Two bytes, little-endian.
+    U16le,
+    /// Four bytes, IEEE, little-endian.
+    F32,
+}
+
+/// A V4L2 device. This build has none; the document is known so that the answer can say so.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
+pub struct CameraDocument {
+    pub device: String,
+    #[serde(default)]
+    pub format: Option<String>,
+    #[serde(default)]
+    pub width: Option<usize>,
+    #[serde(default)]
+    pub height: Option<usize>,
+    #[serde(default)]
+    pub rate_hz: Option<f64>,
+    #[serde(default)]
+    pub controls: BTreeMap<String, serde_json::Value>,
+}
+
+/// `PUT /v1/sessions/{name}/model`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SwapDocument {
+    /// Name of a model of the registry.
+    pub model: String,
+}
+
+/// What a subscriber sends: how many more messages it wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CreditDocument {
+    /// Messages.
+    pub credit: u32,
+}
+
+fn default_width() -> usize {
+    640
+}
+fn default_height() -> usize {
+    480
+}
+fn default_rate_hz() -> f64 {
+    30.0
+}
+fn default_synthetic_rate_hz() -> f64 {
+    60.0
+}
+fn default_bits() -> u32 {
+    8
+}
+fn default_samples() -> u32 {
+    8
+}
+fn default_seed() -> u64 {
+    1
+}

@@ -1,0 +1,297 @@
+//! The formulas of a document: definitions in any order, then the formulas of `[model]`, and stand-alone formulas.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::diagnostic::{Diagnostics, quoted};
+use crate::document::{Entry, Item, Key, Text, to_json};
+use crate::elaborate::{Binding, Elaborator, Matrix};
+use crate::graph::{Graph, Node, NodeId, operands};
+use crate::limits::LIMITS;
+use crate::parser::{Expr, Fault, Kind, parse};
+use crate::program::{ConstantId, Input, Level};
+use crate::reader::Faults;
+
+/// A line of `[definitions]`; `g(t)` has arguments.
+pub(crate) struct Definition {
+    pub name: String,
+    pub arguments: Vec<String>,
+    pub key: String,
+    pub text: Text,
+    /// False when the name itself is at fault.
+    pub declared: bool,
+}
+
+/// Works out formulas over the document's names.
+pub(crate) struct FormulaReader<'f, 'd> {
+    pub graph: Graph,
+    names: BTreeMap<String, Binding>,
+    pub faults: &'f mut Faults<'d>,
+    tokens_left: usize,
+    steps_left: usize,
+}
+
+impl<'f, 'd> FormulaReader<'f, 'd> {
+    pub fn new(graph: Graph, names: BTreeMap<String, Binding>, faults: &'f mut Faults<'d>) -> FormulaReader<'f, 'd> {
+        FormulaReader { graph, names, faults, tokens_left: LIMITS.tokens, steps_left: LIMITS.steps }
+    }
+
+    /// Works out all definitions, each after those that it uses; a cycle is told once, at the first of its names.
+    pub fn definitions(&mut self, definitions: Vec<Definition>) {
+        let mut waiting: Vec<(Definition, Expr, BTreeSet<String>)> = Vec::new();
+        for definition in definitions {
+            match parse(&definition.text.value, &mut self.tokens_left) {
+                Ok(expr) => {
+                    let mut used = BTreeSet::new();
+                    names_used(&expr, &mut used);
+                    used.retain(|name| !definition.arguments.contains(name));
+                    waiting.push((definition, expr, used));
+                }
+                Err(fault) => {
+                    self.faults.tell_fault(fault, &definition.key, &definition.text);
+                    self.names.insert(definition.name, Binding::Poisoned);
+                }
+            }
+        }
+        while !waiting.is_empty() {
+            let open: BTreeSet<String> = waiting.iter().map(|(d, ..)| d.name.clone()).collect();
+            let (ready, rest): (Vec<_>, Vec<_>) = waiting.into_iter().partition(|(_, _, used)| used.is_disjoint(&open));
+            if ready.is_empty() {
+                self.tell_cycle(rest);
+                return;
+            }
+            ready.into_iter().for_each(|(definition, expr, _)| self.define(definition, expr));
+            waiting = rest;
+        }
+    }
+
+    /// Everything left waits for something left: follow the first until a name returns.
+    fn tell_cycle(&mut self, waiting: Vec<(Definition, Expr, BTreeSet<String>)>) {
+        let next = |i: usize| waiting.iter().position(|(d, ..)| waiting[i].2.contains(&d.name)).unwrap_or(i);
+        let mut path = vec![0];
+        while !path.contains(&next(path[path.len() - 1])) {
+            path.push(next(path[path.len() - 1]));
+        }
+        let entry = next(path[path.len() - 1]);
+        let cycle = &path[path.iter().position(|i| *i == entry).unwrap_or(0)..];
+        let mut chain: Vec<&str> = cycle.iter().map(|i| waiting[*i].0.name.as_str()).take(8).collect();
+        chain.push(&waiting[entry].0.name);
+        let (definition, ..) = &waiting[entry];
+        let span = definition.text.span(0, definition.text.value.len());
+        let message = format!("{} is defined by itself: {}", quoted(&definition.name), chain.join(" → "));
+        self.faults.tell(
+            "cycle",
+            &definition.key,
+            span,
+            message,
+            "definitions may stand in any order, but not in a circle",
+        );
+        for (definition, ..) in waiting {
+            self.names.insert(definition.name, Binding::Poisoned);
+        }
+    }
+
+    fn define(&mut self, definition: Definition, expr: Expr) {
+        let Definition { name, arguments, key, text, declared } = definition;
+        let binding = if !declared {
+            Binding::Poisoned
+        } else if !arguments.is_empty() {
+            // A trial with plain numbers finds names that nothing defines, even where nobody calls the function.
+            let trial = self.work_out(&expr, &text, |e, expr| e.trial(&arguments, expr));
+            if let Err(fault) = trial
+                && fault.code == "unknown-name"
+            {
+                self.faults.tell_fault(fault, &key, &text);
+                Binding::Poisoned
+            } else {
+                Binding::Function(arguments, expr, text)
+            }
+        } else {
+            match self.work_out(&expr, &text, |e, expr| e.expr(expr)) {
+                Ok(value) => {
+                    value.entries.iter().for_each(|n| self.graph.set_opaque(*n));
+                    Binding::Value(value)
+                }
+                Err(fault) => {
+                    self.faults.tell_fault(fault, &key, &text);
+                    Binding::Poisoned
+                }
+            }
+        };
+        self.names.entry(name).or_insert(binding);
+    }
+
+    fn work_out<T>(
+        &mut self,
+        expr: &Expr,
+        text: &Text,
+        f: impl Fn(&mut Elaborator<'_>, &Expr) -> Result<T, Fault>,
+    ) -> Result<T, Fault> {
+        let mut elaborator = Elaborator::new(&mut self.graph, &self.names, text.clone(), &mut self.steps_left);
+        let result = f(&mut elaborator, expr)?;
+        if self.graph.overflowed() {
+            let message = format!("the model's formulas grow past {} distinct operations", LIMITS.nodes);
+            return Err(Fault::new("limit", 0, text.value.len(), message).help("shorten the sums"));
+        }
+        Ok(result)
+    }
+
+    fn formula(
+        &mut self,
+        key: &str,
+        entry: &Entry,
+        f: fn(&mut Elaborator<'_>, &Expr) -> Result<NodeId, Fault>,
+    ) -> Option<NodeId> {
+        if let Item::Integer(_) | Item::Float(_) = entry.item {
+            let value = to_json(entry).to_string();
+            self.faults.tell("wrong-type", key, entry.span, "formulas are strings", format!("write `\"{value}\"`"));
+            return None;
+        }
+        let text = self.faults.text(key, entry)?;
+        let parsed = parse(&text.value, &mut self.tokens_left);
+        match parsed.and_then(|expr| self.work_out(&expr, text, f)) {
+            Ok(node) => Some(node),
+            Err(fault) => {
+                self.faults.tell_fault(fault, key, text);
+                None
+            }
+        }
+    }
+
+    /// A formula whose value is a number.
+    pub fn number(&mut self, key: &str, entry: &Entry) -> Option<NodeId> {
+        self.formula(key, entry, |e, expr| e.scalar(expr))
+    }
+    /// A formula whose value is a condition.
+    pub fn truth(&mut self, key: &str, entry: &Entry) -> Option<NodeId> {
+        self.formula(key, entry, |e, expr| e.truth(expr))
+    }
+
+    /// `observed` knows no parameters or coordinates, `domain` no channels, a constraint neither coordinates nor channels.
+    pub fn check_levels(
+        &mut self,
+        model: &[(Key, Entry)],
+        intensity: Option<NodeId>,
+        observed: Option<NodeId>,
+        domain: Option<NodeId>,
+        constraints: &[Option<NodeId>],
+    ) {
+        let tell = |reader: &mut Self, key: &str, message: &str, help: &str| {
+            let name = key.trim_start_matches("model.");
+            let at = model.iter().find(|(k, _)| k.name == name).map_or_else(Default::default, |(_, e)| e.span);
+            reader.faults.tell("bad-formula", key, at, message, help);
+        };
+        let reads = |reader: &Self, node: NodeId, wanted: fn(&Node) -> bool| {
+            reader.graph.reachable(&[node]).iter().any(|n| wanted(reader.graph.node(*n)))
+        };
+        if let Some(node) = observed
+            && reads(self, node, |n| matches!(n, Node::Input(Input::Parameter(_))))
+        {
+            tell(
+                self,
+                "model.observed",
+                "`observed` depends on a parameter",
+                "it is a formula over channels and constants",
+            );
+        }
+        if let Some(node) = domain
+            && reads(self, node, |n| matches!(n, Node::Channel(_)))
+        {
+            tell(
+                self,
+                "model.domain",
+                "`domain` depends on a channel",
+                "it is a condition on coordinates and parameters",
+            );
+        }
+        if let Some(node) = intensity
+            && !reads(self, node, |n| matches!(n, Node::Input(Input::Parameter(_))))
+        {
+            tell(self, "model.intensity", "`intensity` depends on no parameter", "there is nothing to fit");
+        }
+        if constraints.iter().flatten().any(|c| self.graph.level(*c) > Level::Pass) {
+            tell(
+                self,
+                "model.constraint",
+                "a constraint depends on a coordinate or channel",
+                "it is a condition on parameters and constants",
+            );
+        }
+    }
+}
+
+/// Every name that an expression mentions, functions included.
+fn names_used(expr: &Expr, names: &mut BTreeSet<String>) {
+    let mut visit = |list: &[Expr]| list.iter().for_each(|e| names_used(e, names));
+    match &expr.kind {
+        Kind::Number(_) => {}
+        Kind::Name(name) => {
+            names.insert(name.clone());
+        }
+        Kind::List(list) | Kind::And(list) | Kind::Or(list) => visit(list),
+        Kind::Sum(parts) | Kind::Product(parts) => parts.iter().for_each(|(_, e)| names_used(e, names)),
+        Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => names_used(a, names),
+        Kind::Power(a, b) | Kind::Compare(_, a, b) => {
+            names_used(a, names);
+            names_used(b, names);
+        }
+        Kind::Index(a, list) => {
+            visit(list);
+            names_used(a, names);
+        }
+        Kind::Call(name, list) => {
+            visit(list);
+            names.insert(name.clone());
+        }
+    }
+}
+
+/// A stand-alone formula over given names, in f64: motion scripts, session constants.
+#[derive(Clone, Debug)]
+pub struct Formula {
+    graph: Graph,
+    node: NodeId,
+    variables: usize,
+}
+
+impl Formula {
+    /// Parses a formula over `variables`; faults have the formula itself as their document.
+    pub fn parse(text: &str, variables: &[&str]) -> Result<Formula, Diagnostics> {
+        let mut faults = Faults::of(text);
+        let mut graph = Graph::default();
+        let mut names = BTreeMap::new();
+        for (i, name) in variables.iter().enumerate() {
+            let node = graph.input(Input::Constant(ConstantId(i as u32)));
+            names.insert(name.to_string(), Binding::Value(Matrix::scalar(node)));
+        }
+        let mut reader = FormulaReader::new(graph, names, &mut faults);
+        let text = Text::alone(text);
+        let mut tokens = LIMITS.tokens;
+        let worked = parse(&text.value, &mut tokens).and_then(|expr| reader.work_out(&expr, &text, |e, x| e.scalar(x)));
+        match worked {
+            Ok(node) => Ok(Formula { graph: reader.graph, node, variables: variables.len() }),
+            Err(fault) => {
+                faults.tell_fault(fault, "", &text);
+                Err(faults.list)
+            }
+        }
+    }
+
+    /// The value; `values` are those of the variables, in order. A missing one is NaN.
+    pub fn evaluate(&self, values: &[f64]) -> f64 {
+        debug_assert_eq!(values.len(), self.variables);
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Constant(c)) => values.get(c.index()).copied().unwrap_or(f64::NAN),
+            _ => f64::NAN,
+        };
+        self.graph.evaluate(self.node, &leaf)
+    }
+}
+
+/// Total uses of each node below `roots` by other nodes.
+pub(crate) fn use_counts(graph: &Graph, roots: &[NodeId]) -> BTreeMap<NodeId, u32> {
+    let mut counts = BTreeMap::new();
+    for id in graph.reachable(roots) {
+        operands(graph.node(id)).into_iter().for_each(|n| *counts.entry(n).or_default() += 1);
+    }
+    counts
+}

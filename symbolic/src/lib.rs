@@ -1,0 +1,48 @@
+//! From a model document to the smallest pixel loop.
+//!
+//! What comes in: a document (TOML or JSON) that says what a target looks like. What goes out, each step a type that only
+//! the step before can make:
+//! ```text
+//! text ─► Model ─► Objective ─► Program        (checked)  (what to sum)  (loop nest)
+//! ```
+//! [`Model`] holds the checked document and the graph of its formulas; [`Model::objective`] differentiates it for a
+//! subset of the parameters and takes the result apart into few per-pixel sums; [`Objective::program`] lowers them to a
+//! loop nest. [`interpreter::run`] is the meaning of a program: native code must equal it bit for bit.
+//!
+//! It must never know: a pixel's layout in memory, files, threads, clocks, or the compiler that comes after it.
+//! The user's faults are [`Diagnostic`]s with a place and a remedy; limits on what a document may ask for are [`LIMITS`].
+
+#![forbid(unsafe_code)]
+
+mod absorb;
+mod cuts;
+mod diagnostic;
+mod document;
+mod domain;
+mod elaborate;
+mod formulas;
+mod function;
+mod graph;
+pub mod interpreter;
+mod jet;
+mod lexer;
+mod limits;
+mod model;
+mod monomial;
+mod objective;
+mod parser;
+mod peephole;
+mod print;
+mod program;
+mod reader;
+mod schedule;
+mod steps;
+
+pub use diagnostic::{Diagnostic, Diagnostics, Severity, Span};
+pub use formulas::Formula;
+pub use function::{Function1, Function2};
+pub use limits::{LIMITS, Limits};
+pub use model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, Stage, Start};
+pub use objective::{Objective, ValueKind};
+pub use print::Show;
+pub use program::*;

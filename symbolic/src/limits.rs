@@ -1,0 +1,61 @@
+//! The one table of bounds on a document, checked before work is spent.
+
+/// Bounds on a model document and on what is derived from it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of a document.
+    pub document_bytes: usize,
+    /// Tokens of all formulas of a document.
+    pub tokens: usize,
+    /// Nesting of a formula, and of calls of the user's functions.
+    pub depth: usize,
+    /// Definitions of a document.
+    pub definitions: usize,
+    /// Bytes of a name.
+    pub name_bytes: usize,
+    /// Parameters of a document.
+    pub parameters: usize,
+    /// Constants of a document.
+    pub constants: usize,
+    /// Coordinates of a document (this build).
+    pub coordinates: usize,
+    /// Raw planes of a document.
+    pub channels: usize,
+    /// Stages of a document.
+    pub stages: usize,
+    /// Iterations of a stage.
+    pub iterations: u32,
+    /// Terms of one `sum` or `product`.
+    pub terms: usize,
+    /// Entries of a matrix.
+    pub entries: usize,
+    /// Magnitude of an integer exponent.
+    pub exponent: i64,
+    /// Steps of working a document's formulas out (sums and calls repeat theirs).
+    pub steps: usize,
+    /// Nodes of the expression graph, counted while it grows.
+    pub nodes: usize,
+    /// Instructions of one program.
+    pub instructions: usize,
+}
+
+/// The bounds in force.
+pub const LIMITS: Limits = Limits {
+    document_bytes: 64 * 1024,
+    tokens: 8192,
+    depth: 64,
+    definitions: 128,
+    name_bytes: 64,
+    parameters: 64,
+    constants: 64,
+    coordinates: 2,
+    channels: 8,
+    stages: 8,
+    iterations: 1000,
+    terms: 1024,
+    entries: 256,
+    exponent: 64,
+    steps: 262_144,
+    nodes: 32_768,
+    instructions: 8192,
+};

@@ -1,0 +1,288 @@
+//! `Model`: a checked document. What comes in: TOML or JSON. What goes out: parameters, roles, stages, and the graph of
+//! its formulas, ready to be differentiated. Only [`crate::reader`] can make one.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::diagnostic::{Diagnostics, Span};
+use crate::graph::{Graph, Node, NodeId};
+use crate::objective::{Objective, ValueKind};
+use crate::program::{ConstantId, Input, Names, ParameterId, Program};
+
+/// An unknown of the fit.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// Where a cold start takes its value from.
+    pub start: Start,
+    /// Exclusive lower bound.
+    pub min: Option<f64>,
+    /// Exclusive upper bound.
+    pub max: Option<f64>,
+    /// For display.
+    pub unit: Option<String>,
+    /// Its key in the document.
+    pub span: Span,
+}
+
+/// The start of a parameter.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub enum Start {
+    /// A number.
+    Number(f64),
+    /// Found in the image.
+    Estimator(Estimator),
+}
+
+/// Named starting values, found from the image's histogram and moments.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub enum Estimator {
+    /// Centre, first coordinate, px.
+    CentroidX,
+    /// Centre, second coordinate, px.
+    CentroidY,
+    /// Entry of A, px⁻².
+    ExtentXX,
+    /// Entry of A, px⁻².
+    ExtentXY,
+    /// Entry of A, px⁻².
+    ExtentYY,
+    /// Half extent along the first coordinate, px.
+    SizeX,
+    /// Half extent along the second coordinate, px.
+    SizeY,
+    /// Level of the surroundings, pixel value.
+    Background,
+    /// Signed height over the background, pixel value.
+    Amplitude,
+}
+
+impl Estimator {
+    /// Every estimator.
+    pub const ALL: [Estimator; 9] = {
+        use Estimator::*;
+        [CentroidX, CentroidY, ExtentXX, ExtentXY, ExtentYY, SizeX, SizeY, Background, Amplitude]
+    };
+
+    /// The name in a document.
+    pub fn name(self) -> &'static str {
+        match self {
+            Estimator::CentroidX => "centroid.x",
+            Estimator::CentroidY => "centroid.y",
+            Estimator::ExtentXX => "extent.xx",
+            Estimator::ExtentXY => "extent.xy",
+            Estimator::ExtentYY => "extent.yy",
+            Estimator::SizeX => "size.x",
+            Estimator::SizeY => "size.y",
+            Estimator::Background => "background",
+            Estimator::Amplitude => "amplitude",
+        }
+    }
+}
+
+/// A number given by session or camera.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Constant {
+    /// Its name.
+    pub name: String,
+    /// The document's default.
+    pub value: f64,
+    /// Its key in the document.
+    pub span: Span,
+}
+
+/// What parameters mean to the tracker, for one target.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Roles {
+    /// `None` for the plain `[roles]`.
+    pub name: Option<String>,
+    /// One a coordinate, or empty.
+    pub centre: Vec<ParameterId>,
+    /// The entries a1, a2, a3 of A (the outline is dᵀ A d = 1), or empty.
+    pub shape: Vec<ParameterId>,
+    /// Background level.
+    pub background: Option<ParameterId>,
+    /// Height over the background.
+    pub brightness: Option<ParameterId>,
+}
+
+/// How a stage steps.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The full Hessian.
+    Newton,
+    /// JᵀWJ for the Hessian.
+    GaussNewton,
+    /// As Gauss–Newton, damped from the start.
+    LevenbergMarquardt,
+}
+
+impl Method {
+    /// The name in a document.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Newton => "newton",
+            Method::GaussNewton => "gauss-newton",
+            Method::LevenbergMarquardt => "levenberg-marquardt",
+        }
+    }
+}
+
+/// One step of the schedule.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Stage {
+    /// The free parameters, in the order written.
+    pub parameters: Vec<ParameterId>,
+    /// How it steps.
+    pub method: Method,
+    /// At most so many steps.
+    pub iterations: u32,
+    /// It ends when every |δ|/σ is at most this.
+    pub tolerance: f64,
+}
+
+/// How a program is to be lowered.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
+pub struct Lowering {
+    /// Contract a · b + c (the processor has fused multiply-add).
+    pub fma: bool,
+    /// Leave out and count pixels at or above their channel's limit.
+    pub drop_saturated: bool,
+}
+
+/// The formulas of a model, as nodes.
+#[derive(Clone, Debug)]
+pub(crate) struct Formulas {
+    pub graph: Graph,
+    pub observed: NodeId,
+    pub intensity: NodeId,
+    pub domain: Option<NodeId>,
+    pub noise: Option<NodeId>,
+    pub constraints: Vec<NodeId>,
+}
+
+/// A checked document.
+#[derive(Clone, Debug)]
+pub struct Model {
+    pub(crate) name: String,
+    pub(crate) description: String,
+    pub(crate) text: Arc<str>,
+    pub(crate) coordinates: Vec<String>,
+    pub(crate) channels: Vec<String>,
+    pub(crate) parameters: Vec<Parameter>,
+    pub(crate) constants: Vec<Constant>,
+    pub(crate) roles: Vec<Roles>,
+    pub(crate) stages: Vec<Stage>,
+    pub(crate) document: serde_json::Value,
+    pub(crate) digest: String,
+    pub(crate) formulas: Formulas,
+}
+
+impl Model {
+    /// Reads a TOML document; on failure every fault that was found.
+    pub fn from_toml(text: &str) -> Result<Model, Diagnostics> {
+        crate::reader::read(text, crate::document::read_toml(text)?)
+    }
+    /// Reads a JSON document; on failure every fault that was found.
+    pub fn from_json(text: &str) -> Result<Model, Diagnostics> {
+        crate::reader::read(text, crate::document::read_json(text)?)
+    }
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+    /// A sentence for people.
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+    /// Names, inner loop first.
+    pub fn coordinates(&self) -> &[String] {
+        &self.coordinates
+    }
+    /// Names of the raw planes.
+    pub fn channels(&self) -> &[String] {
+        &self.channels
+    }
+    /// In document order.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+    /// In document order.
+    pub fn constants(&self) -> &[Constant] {
+        &self.constants
+    }
+    /// The parameter of that name.
+    pub fn parameter(&self, name: &str) -> Option<ParameterId> {
+        self.parameters.iter().position(|p| p.name == name).map(|i| ParameterId(i as u32))
+    }
+    /// The constant of that name.
+    pub fn constant(&self, name: &str) -> Option<ConstantId> {
+        self.constants.iter().position(|c| c.name == name).map(|i| ConstantId(i as u32))
+    }
+    /// One a target; never empty.
+    pub fn roles(&self) -> &[Roles] {
+        &self.roles
+    }
+    /// The schedule; never empty.
+    pub fn stages(&self) -> &[Stage] {
+        &self.stages
+    }
+    /// The document as JSON with sorted keys.
+    pub fn document(&self) -> &serde_json::Value {
+        &self.document
+    }
+    /// `sha256:` of [`Model::document`] without blanks.
+    pub fn digest(&self) -> &str {
+        &self.digest
+    }
+    /// True when the document gives the variance of a pixel.
+    pub fn has_noise(&self) -> bool {
+        self.formulas.noise.is_some()
+    }
+    /// The parameter nearest in spelling, for messages.
+    pub fn nearest_name(&self, name: &str) -> Option<&str> {
+        let names =
+            self.parameters.iter().map(|p| p.name.as_str()).chain(self.constants.iter().map(|c| c.name.as_str()));
+        crate::diagnostic::nearest_name(name, names)
+    }
+
+    /// True when every exclusive bound and every constraint holds; false for NaN.
+    pub fn constraints_hold(&self, parameters: &[f64], constants: &[f64]) -> bool {
+        let bounded = |(p, value): (&Parameter, &f64)| {
+            p.min.is_none_or(|min| *value > min) && p.max.is_none_or(|max| *value < max) && value.is_finite()
+        };
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Parameter(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            _ => f64::NAN,
+        };
+        self.parameters.iter().zip(parameters).all(bounded)
+            && self.formulas.constraints.iter().all(|c| self.formulas.graph.evaluate(*c, &leaf) == 1.0)
+    }
+
+    /// F, its gradient and its Hessian for a subset of the parameters.
+    pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
+        Objective::derive(self, subset, method)
+    }
+    /// F alone.
+    pub fn value_objective(&self, kind: ValueKind) -> Result<Objective, Diagnostics> {
+        Objective::value(self, kind)
+    }
+    /// The program that adds the model's intensity to a plane, at coordinates plus their shifts.
+    pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
+        crate::objective::rendering(self, lowering)
+    }
+
+    pub(crate) fn names(&self, outputs: Vec<String>) -> Names {
+        Names {
+            coordinates: self.coordinates.clone(),
+            channels: self.channels.clone(),
+            parameters: self.parameters.iter().map(|p| p.name.clone()).collect(),
+            constants: self.constants.iter().map(|c| c.name.clone()).collect(),
+            outputs,
+        }
+    }
+}

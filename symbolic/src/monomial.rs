@@ -1,0 +1,195 @@
+//! Polynomials in pixel and row monomials with coefficients known per pass: how outputs are taken apart into sums.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::graph::{Graph, Node, NodeId};
+use crate::program::Level;
+use crate::schedule::Term;
+
+/// A product of powers: of pixel values (summed over the row) and of row values (applied to the row's total).
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
+pub(crate) struct Monomial {
+    pub pixel: Vec<(NodeId, i32)>,
+    pub row: Vec<(NodeId, i32)>,
+}
+
+fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Vec<(NodeId, i32)> {
+    let mut product: BTreeMap<NodeId, i32> = BTreeMap::new();
+    a.iter().chain(b).for_each(|(n, e)| *product.entry(*n).or_default() += e);
+    product.into_iter().filter(|(_, e)| *e != 0).collect()
+}
+
+/// Σ coefficient · monomial.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Polynomial {
+    terms: BTreeMap<Monomial, NodeId>,
+}
+
+/// Terms that an expansion may have.
+const TERMS: usize = 256;
+
+impl Polynomial {
+    fn of(monomial: Monomial, coefficient: NodeId) -> Polynomial {
+        Polynomial { terms: BTreeMap::from([(monomial, coefficient)]) }
+    }
+
+    pub fn add(&mut self, graph: &mut Graph, other: &Polynomial) {
+        for (monomial, coefficient) in &other.terms {
+            let total = match self.terms.get(monomial) {
+                Some(old) => graph.add2(*old, *coefficient),
+                None => *coefficient,
+            };
+            self.terms.insert(monomial.clone(), total);
+        }
+        self.terms.retain(|_, c| graph.value_of(*c) != Some(0.0));
+    }
+
+    /// The product, or nothing when it has too many terms.
+    pub fn times(&self, graph: &mut Graph, other: &Polynomial) -> Option<Polynomial> {
+        let mut product = Polynomial::default();
+        if self.terms.len() * other.terms.len() > 4 * TERMS {
+            return None;
+        }
+        for (a, ca) in &self.terms {
+            for (b, cb) in &other.terms {
+                let monomial = Monomial { pixel: multiply(&a.pixel, &b.pixel), row: multiply(&a.row, &b.row) };
+                let coefficient = graph.mul(*ca, *cb);
+                product.add(graph, &Polynomial::of(monomial, coefficient));
+            }
+        }
+        (product.terms.len() <= TERMS).then_some(product)
+    }
+
+    pub fn into_terms(self, graph: &mut Graph) -> Vec<Term> {
+        let term = |(monomial, coefficient): (Monomial, NodeId)| Term {
+            coefficient,
+            row: (!monomial.row.is_empty()).then(|| graph.product(1.0, monomial.row)),
+            pixel: (!monomial.pixel.is_empty()).then(|| graph.product(1.0, monomial.pixel)),
+        };
+        self.terms.into_iter().map(term).collect()
+    }
+}
+
+/// Takes nodes apart; `atoms` are never looked into.
+pub(crate) struct Splitter<'a> {
+    atoms: &'a BTreeSet<NodeId>,
+}
+
+impl<'a> Splitter<'a> {
+    pub fn new(atoms: &'a BTreeSet<NodeId>) -> Splitter<'a> {
+        Splitter { atoms }
+    }
+
+    /// The node's invariant factors, row factors and pixel factors; no sum is looked into.
+    pub fn whole(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
+        let mut factors = Vec::new();
+        let mut coefficient = 1.0;
+        let mut pending = vec![(node, 1)];
+        while let Some((node, exponent)) = pending.pop() {
+            match graph.node(node) {
+                Node::Number(bits) => coefficient *= bits.get().powi(exponent),
+                Node::Product(list) if !self.atoms.contains(&node) => {
+                    pending.extend(list.iter().map(|(n, e)| (*n, e * exponent)))
+                }
+                Node::Sum(c, list) if list.len() == 1 && c.get() == 0.0 => {
+                    coefficient *= list[0].1.get().powi(exponent);
+                    pending.push((list[0].0, exponent));
+                }
+                _ => factors.push((node, exponent)),
+            }
+        }
+        let at = |graph: &Graph, level: Level| -> Vec<(NodeId, i32)> {
+            factors.iter().copied().filter(|(n, _)| graph.level(*n) == level).collect()
+        };
+        let pass = at(graph, Level::Pass);
+        let monomial =
+            Monomial { pixel: multiply(&at(graph, Level::Pixel), &[]), row: multiply(&at(graph, Level::Row), &[]) };
+        let coefficient = graph.product(coefficient, pass);
+        Polynomial::of(monomial, coefficient)
+    }
+
+    /// The node as a polynomial: sums and small powers of sums are multiplied out, down to atoms, offsets of coordinates
+    /// and whatever is not a polynomial.
+    pub fn expand(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
+        self.expand_at(graph, node, 12).unwrap_or_else(|| self.whole(graph, node))
+    }
+
+    fn expand_at(&self, graph: &mut Graph, node: NodeId, depth: u32) -> Option<Polynomial> {
+        let depth = depth.checked_sub(1)?;
+        if graph.level(node) != Level::Pixel || self.atoms.contains(&node) {
+            return Some(self.whole(graph, node));
+        }
+        match graph.node(node).clone() {
+            Node::Product(factors) => {
+                let one = graph.number(1.0);
+                let mut total = Polynomial::of(Monomial::default(), one);
+                for (factor, exponent) in factors {
+                    let part = if (1..=4).contains(&exponent) { self.expand_at(graph, factor, depth) } else { None };
+                    match part {
+                        Some(part) if part.terms.len() > 1 => {
+                            for _ in 0..exponent {
+                                total = total.times(graph, &part)?;
+                            }
+                        }
+                        _ => {
+                            let power = graph.product(1.0, [(factor, exponent)]);
+                            let part = self.whole(graph, power);
+                            total = total.times(graph, &part)?;
+                        }
+                    }
+                }
+                Some(total)
+            }
+            Node::Sum(constant, terms) if !self.is_atom(graph, node) => {
+                let mut total = Polynomial::default();
+                for (term, coefficient) in terms {
+                    let coefficient = graph.number(coefficient.get());
+                    let part = self.expand_at(graph, term, depth)?;
+                    let scale = Polynomial::of(Monomial::default(), coefficient);
+                    let part = part.times(graph, &scale)?;
+                    total.add(graph, &part);
+                }
+                if constant.get() != 0.0 {
+                    let constant = graph.number(constant.get());
+                    total.add(graph, &Polynomial::of(Monomial::default(), constant));
+                }
+                (total.terms.len() <= TERMS).then_some(total)
+            }
+            _ => Some(self.whole(graph, node)),
+        }
+    }
+
+    /// A coordinate with its offset stays whole (expanding x − bx would cancel), and so does what others share.
+    fn is_atom(&self, graph: &Graph, node: NodeId) -> bool {
+        let Node::Sum(_, terms) = graph.node(node) else { return true };
+        let scaled = terms.len() == 1;
+        !scaled && (graph.is_opaque(node) || terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_))))
+    }
+
+    /// A coefficient of the form: its invariant factors, and what is left as an atom of its own; when `split`, term by term.
+    pub fn form(graph: &mut Graph, node: NodeId, split: bool, atoms: &mut BTreeSet<NodeId>) -> Polynomial {
+        let pieces = match graph.node(node).clone() {
+            Node::Sum(constant, terms) if split => {
+                let mut pieces: Vec<NodeId> = terms.into_iter().map(|(n, c)| graph.scale(c.get(), n)).collect();
+                pieces.push(graph.number(constant.get()));
+                pieces
+            }
+            _ => {
+                // Take the content and the factors that all terms share out of the sum.
+                vec![graph.product(1.0, [(node, 1)])]
+            }
+        };
+        let mut total = Polynomial::default();
+        for piece in pieces {
+            if graph.value_of(piece) == Some(0.0) {
+                continue;
+            }
+            let part = Splitter::new(&BTreeSet::new()).whole(graph, piece);
+            for monomial in part.terms.keys() {
+                atoms.extend(monomial.pixel.iter().map(|(n, _)| *n));
+            }
+            total.add(graph, &part);
+        }
+        total
+    }
+}

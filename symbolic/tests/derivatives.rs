@@ -1,0 +1,156 @@
+//! Derivatives against finite differences of the interpreter's own F (f64), for every shipped model.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use isophote_symbolic::interpreter::{Outcome, Pixels, Window, run};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Start, ValueKind};
+
+struct Pattern;
+impl Pixels for Pattern {
+    fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
+        let (x, y) = (x as f64, y as f64);
+        20.0 + 90.0 * (-((x - 17.3).powi(2) + (y - 11.1).powi(2)) / 60.0).exp()
+            + ((x * 7.0 + y * 13.0) % 5.0)
+            + channel as f64
+    }
+}
+
+/// A plausible value for a parameter by its start.
+fn value(i: usize, start: Start, name: &str) -> f64 {
+    match start {
+        Start::Number(x) => x,
+        Start::Estimator(e) => match e.name() {
+            "centroid.x" => 16.6,
+            "centroid.y" => 11.7,
+            "extent.xx" => 0.011,
+            "extent.xy" => 0.0013,
+            "extent.yy" => 0.009,
+            "size.x" | "size.y" => 8.0,
+            "background" => 19.0,
+            "amplitude" => 80.0,
+            _ => panic!("{i} {name}"),
+        },
+    }
+}
+
+fn outcome(model: &Model, program: &isophote_symbolic::Program, p: &[f64], entry: &[f64]) -> Outcome {
+    let constants: Vec<f64> = model.constants().iter().map(|c| c.value).collect();
+    let saturation = vec![f64::INFINITY; model.channels().len()];
+    let bindings = Bindings { parameters: p, entry, constants: &constants, saturation: &saturation, shift: &[] };
+    let height = if model.coordinates().len() == 1 { 1 } else { 24 };
+    run(program, Precision::F64, &bindings, &Pattern, Window { x: 0, y: 0, width: 37, height }, None)
+}
+
+fn check(model: &Model, subset: &[ParameterId], method: Method) {
+    let lowering = Lowering { fma: true, drop_saturated: false };
+    let value_program = model.value_objective(ValueKind::Full).unwrap().program(lowering).unwrap();
+    let program = model.objective(subset, method).unwrap().program(lowering).unwrap();
+    let p: Vec<f64> = model.parameters().iter().enumerate().map(|(i, q)| value(i, q.start, &q.name)).collect();
+    let found = outcome(model, &program, &p, &p);
+    let n = subset.len();
+    let f = |p: &[f64], entry: &[f64]| outcome(model, &value_program, p, entry).outputs[0];
+    let gradient_at = |q: &[f64]| outcome(model, &program, q, &p).outputs[1..=n].to_vec();
+    let close = |a: f64, b: f64, scale: f64, what: &str| {
+        assert!((a - b).abs() <= 2e-5 * scale.abs().max(1e-9), "{}: {what}: {a} against {b}\n{program}", model.name());
+    };
+    if !model.has_noise() {
+        close(found.outputs[0], f(&p, &p), f(&p, &p), "F");
+    }
+    let mut k = 1 + n;
+    for (i, u) in subset.iter().enumerate() {
+        let h = 1e-6 * p[u.index()].abs().max(1e-3);
+        let mut q = p.clone();
+        q[u.index()] += h;
+        let (up, g_up) = (f(&q, &p), gradient_at(&q));
+        q[u.index()] -= 2.0 * h;
+        let (down, g_down) = (f(&q, &p), gradient_at(&q));
+        if !model.has_noise() || method == Method::Newton {
+            let scale = (up - down).abs() / (2.0 * h) + f(&p, &p) * 1e-10 / h;
+            close(found.outputs[1 + i], (up - down) / (2.0 * h), scale, &format!("gradient {i}"));
+        }
+        for j in i..n {
+            if method == Method::Newton {
+                let numeric = (g_up[j] - g_down[j]) / (2.0 * h);
+                let scale = numeric.abs() + (g_up[j].abs() + found.outputs[1 + j].abs()) * 1e-9 / h;
+                close(found.outputs[k], numeric, scale, &format!("hessian {i} {j}"));
+            }
+            k += 1;
+        }
+    }
+}
+
+const EXTRA: [&str; 3] = [
+    r#"
+name = "functions"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[parameters]
+b = { start = 16.2 }
+c = { start = 3.1, min = 0 }
+d = { start = 0.7 }
+[definitions]
+r = "sqrt((x - b)^2 + y^2 + c)"
+"g(t)" = "t^2 / (1 + t^2)"
+[model]
+intensity = "30*exp(-r/c) + d*atan2(y + c, x + b) + sin(d*r) + g(d*x/10)*erf(c) + abs(x - b)^1.5 + c^d + tanh(r - 9)*log(r + c)"
+"#,
+    r#"
+name = "branches"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[parameters]
+b = { start = 16.21 }
+c = { start = 3.1 }
+a = { start = 5.3 }
+[definitions]
+u = "x - b"
+s = "u^2 + (y - 11.3)^2"
+[model]
+intensity = "if(s < 50, a*sqrt(80 - s), if(u > 0, c*log(s), max(c*u, -a*u))) + piecewise(x < 5, c, x < 9, c^2, 0)"
+domain = "x > 2 and not (y == 3)"
+"#,
+    r#"
+name = "weights"
+coordinates = ["x", "y"]
+channels = ["p", "q"]
+[constants]
+gain = 0.05
+[parameters]
+bx = { start = "centroid.x" }
+by = { start = "centroid.y" }
+w = { start = 7.0, min = 0 }
+v0 = { start = "background" }
+v1 = { start = "amplitude" }
+[definitions]
+e = "exp(-((x-bx)^2 + (y-by)^2)/w^2)"
+[model]
+observed = "0.5*p + 0.5*q"
+intensity = "v0 + v1*e"
+noise = "4 + gain*max(intensity_again, 0)"
+"#,
+];
+
+fn models() -> Vec<Model> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../models");
+    let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    paths.sort();
+    let shipped = paths.iter().map(|p| std::fs::read_to_string(p).unwrap());
+    let extra = EXTRA.iter().map(|t| t.replace("intensity_again", "v0 + v1*e"));
+    let read = |text: String| {
+        Model::from_toml(&text)
+            .unwrap_or_else(|d| panic!("{}", d.iter().map(|d| d.render("model")).collect::<String>()))
+    };
+    shipped.chain(extra).map(read).collect()
+}
+
+#[test]
+fn gradients_and_hessians_agree_with_differences() {
+    for model in models() {
+        let all: Vec<ParameterId> = (0..model.parameters().len() as u32).map(ParameterId).collect();
+        let pair = &all[..2];
+        for subset in [pair, &all[..]] {
+            for method in [Method::Newton, Method::GaussNewton] {
+                check(&model, subset, method);
+            }
+        }
+    }
+}

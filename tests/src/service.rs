@@ -1,0 +1,162 @@
+//! A running `isophote serve`, and commands that end.
+
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+/// Time for a service to say its address.
+const START_S_MAX: u64 = 120;
+/// Lines of output that wait to be read; the service is never held up by more.
+const LINES_MAX: usize = 4096;
+
+/// A service on a port of its own; it ends when this is dropped.
+pub struct Service {
+    child: Child,
+    address: String,
+}
+
+impl Service {
+    /// Starts `program serve --listen 127.0.0.1:0 ARGUMENTS` in `folder` and waits until it has said its address.
+    pub fn start(program: &Path, arguments: &[&str], folder: &Path) -> io::Result<Service> {
+        let mut command = Command::new(program);
+        command.args(["serve", "--listen", "127.0.0.1:0"]).args(arguments).current_dir(folder);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn()?;
+        let (lines, heard) = sync_channel(LINES_MAX);
+        if let Some(stdout) = child.stdout.take() {
+            listen("service stdout", stdout, lines.clone())?;
+        }
+        if let Some(stderr) = child.stderr.take() {
+            listen("service stderr", stderr, lines)?;
+        }
+        let mut service = Service { child, address: String::new() };
+        service.address = address_said(&heard)?;
+        Ok(service)
+    }
+
+    /// Host and port, `127.0.0.1:49152`.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// What `ISOPHOTE_SERVER` is set to.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// The process, for tests that measure or end it.
+    pub fn child(&mut self) -> &mut Child {
+        &mut self.child
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        // It may have ended by itself, which is what is wanted here.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// Hands on every line; when nobody reads them any more, they are read and dropped, so that the pipe never fills.
+fn listen(name: &str, pipe: impl Read + Send + 'static, lines: SyncSender<String>) -> io::Result<()> {
+    let read = move || {
+        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+            lines.try_send(line).ok();
+        }
+    };
+    thread::Builder::new().name(name.into()).spawn(read).map(drop)
+}
+
+fn address_said(heard: &Receiver<String>) -> io::Result<String> {
+    let mut said = String::new();
+    loop {
+        match heard.recv_timeout(Duration::from_secs(START_S_MAX)) {
+            Ok(line) => match address_in(&line) {
+                Some(address) => return Ok(address),
+                None => said += &format!("{line}\n"),
+            },
+            Err(RecvTimeoutError::Timeout) => {
+                return Err(io::Error::other(format!("no address within {START_S_MAX} s; it said:\n{said}")));
+            }
+            Err(RecvTimeoutError::Disconnected) => {
+                return Err(io::Error::other(format!("the service ended; it said:\n{said}")));
+            }
+        }
+    }
+}
+
+/// `127.0.0.1:49152` in a line, port 0 left out.
+fn address_in(line: &str) -> Option<String> {
+    let host = "127.0.0.1:";
+    let start = line.find(host)?;
+    let digits: String = line[start + host.len()..].chars().take_while(char::is_ascii_digit).collect();
+    (digits.parse::<u16>().ok()? > 0).then(|| format!("{host}{digits}"))
+}
+
+/// How a command ended.
+#[derive(Clone, Debug)]
+pub struct Finished {
+    /// The exit status; `None` when it was ended from outside.
+    pub status: Option<i32>,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+}
+
+/// Runs a command without input to its end, or ends it after `limit`.
+pub fn finish(command: &mut Command, limit: Duration) -> io::Result<Finished> {
+    let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+    let (texts, heard) = sync_channel(2);
+    let pipes: [(usize, Option<Box<dyn Read + Send>>); 2] = [
+        (0, child.stdout.take().map(|pipe| Box::new(pipe) as _)),
+        (1, child.stderr.take().map(|pipe| Box::new(pipe) as _)),
+    ];
+    for (which, pipe) in pipes {
+        let (mut pipe, texts) = (pipe.ok_or_else(|| io::Error::other("no pipe"))?, texts.clone());
+        let read = move || {
+            let mut bytes = Vec::new();
+            pipe.read_to_end(&mut bytes).ok();
+            texts.send((which, String::from_utf8_lossy(&bytes).into_owned())).ok();
+        };
+        thread::Builder::new().name("command output".into()).spawn(read)?;
+    }
+    let mut both = [String::new(), String::new()];
+    let mut ended = false;
+    for _ in 0..2 {
+        let next = heard.recv_timeout(limit).or_else(|_| {
+            ended = true;
+            child.kill().ok();
+            heard.recv().map_err(io::Error::other)
+        })?;
+        both[next.0] = next.1;
+    }
+    let status = child.wait()?;
+    let [stdout, stderr] = both;
+    Ok(Finished { status: if ended { None } else { status.code() }, stdout, stderr })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn an_address_is_found_in_what_a_service_says() {
+        assert_eq!(address_in("listening on http://127.0.0.1:49152/"), Some("127.0.0.1:49152".into()));
+        assert_eq!(address_in("listening on http://127.0.0.1:0"), None);
+        assert_eq!(address_in("hello"), None);
+    }
+
+    #[test]
+    fn a_command_that_does_not_end_is_ended() {
+        let mut command = Command::new("sh");
+        command.args(["-c", "echo begun; exec tail -f /dev/null"]);
+        let finished = finish(&mut command, Duration::from_millis(500)).unwrap();
+        assert_eq!((finished.status, finished.stdout.as_str()), (None, "begun\n"));
+    }
+}

@@ -1,0 +1,172 @@
+//! A service of the test's own, and a client that checks nothing.
+
+use std::net::TcpStream;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use isophote_server::{Options, Server};
+use serde_json::{Value, json};
+use tungstenite::client::IntoClientRequest;
+use tungstenite::http::HeaderValue;
+use tungstenite::{Message, WebSocket};
+
+/// Nothing here takes this long.
+pub const DEADLINE: Duration = Duration::from_secs(60);
+
+/// A service on a port of its own, in this process.
+pub struct Running {
+    server: Option<Server>,
+    agent: ureq::Agent,
+    pub url: String,
+    pub address: String,
+}
+
+/// What was answered.
+pub struct Answer {
+    pub status: u16,
+    pub media: String,
+    pub etag: String,
+    pub text: String,
+}
+
+impl Answer {
+    pub fn json(&self) -> Value {
+        serde_json::from_str(&self.text).unwrap_or_else(|error| panic!("{error}: {}", self.text))
+    }
+    /// The status, and for a problem that it is one.
+    pub fn expect(self, status: u16) -> Value {
+        assert_eq!(self.status, status, "{}", self.text);
+        if status >= 400 {
+            assert_eq!(self.media, "application/problem+json");
+            let problem = self.json();
+            assert_eq!(problem["status"], status);
+            assert!(problem["detail"].as_str().unwrap().len() > 5, "{problem}");
+            assert!(problem["type"].as_str().unwrap().starts_with("urn:isophote:problem:"), "{problem}");
+            assert_eq!(problem["diagnostics"].is_array(), status == 422, "{problem}");
+        }
+        if self.text.is_empty() { Value::Null } else { self.json() }
+    }
+}
+
+impl Running {
+    pub fn start() -> Running {
+        Running::start_with(None, false)
+    }
+    pub fn start_with(data: Option<&Path>, demo: bool) -> Running {
+        let options = Options { listen: "127.0.0.1:0".parse().unwrap(), data: data.map(Path::to_path_buf), demo };
+        let server = Server::start(&options).unwrap();
+        let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(DEADLINE));
+        let address = server.address().to_string();
+        let agent = config.allow_non_standard_methods(true).build().into();
+        Running { server: Some(server), agent, url: format!("http://{address}"), address }
+    }
+    pub fn stop(mut self) {
+        self.server.take().unwrap().stop();
+    }
+
+    pub fn request(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
+        let mut request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.url));
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        let mut answer = self.agent.run(request.body(body.to_vec()).unwrap()).unwrap();
+        let header = |name: &str| answer.headers().get(name).map_or("", |value| value.to_str().unwrap()).to_string();
+        let (media, etag) = (header("content-type"), header("etag"));
+        Answer { status: answer.status().as_u16(), media, etag, text: answer.body_mut().read_to_string().unwrap() }
+    }
+    pub fn get(&self, path: &str) -> Answer {
+        self.request("GET", path, &[], b"")
+    }
+    pub fn delete(&self, path: &str) -> Answer {
+        self.request("DELETE", path, &[], b"")
+    }
+    pub fn put(&self, path: &str, document: &Value) -> Answer {
+        self.put_text(path, "application/json", &document.to_string())
+    }
+    pub fn put_text(&self, path: &str, media: &str, text: &str) -> Answer {
+        self.request("PUT", path, &[("content-type", media)], text.as_bytes())
+    }
+
+    /// Asks again until the session's document is as wanted.
+    pub fn wait_for(&self, session: &str, is_there: impl Fn(&Value) -> bool) -> Value {
+        let start = Instant::now();
+        loop {
+            let view = self.get(&format!("/v1/sessions/{session}")).expect(200);
+            if is_there(&view) {
+                return view;
+            }
+            assert!(start.elapsed() < DEADLINE, "{view}");
+            std::thread::yield_now();
+        }
+    }
+
+    pub fn socket(&self, session: &str, query: &str) -> Socket {
+        self.try_socket(session, query, "isophote.v1").unwrap()
+    }
+    pub fn try_socket(&self, session: &str, query: &str, protocol: &str) -> Result<Socket, u16> {
+        let url = format!("ws://{}/v1/sessions/{session}/estimates?{query}", self.address);
+        let mut request = url.into_client_request().unwrap();
+        request.headers_mut().insert("sec-websocket-protocol", HeaderValue::from_str(protocol).unwrap());
+        let stream = TcpStream::connect(&self.address).unwrap();
+        stream.set_read_timeout(Some(DEADLINE)).unwrap();
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(Socket(socket)),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => Err(answer.status().as_u16()),
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+/// Estimates over a WebSocket.
+pub struct Socket(WebSocket<TcpStream>);
+
+impl Socket {
+    /// The next estimate, or the code with which the service closed.
+    pub fn next(&mut self) -> Result<Value, u16> {
+        loop {
+            match self.0.read() {
+                Ok(Message::Text(text)) => return Ok(serde_json::from_str(&text).unwrap()),
+                Ok(Message::Close(frame)) => return Err(frame.map_or(0, |frame| frame.code.into())),
+                Ok(_) => {}
+                Err(error) => panic!("{error}"),
+            }
+        }
+    }
+    pub fn send(&mut self, text: &str) {
+        self.0.send(Message::text(text)).unwrap();
+    }
+}
+
+/// A small synthetic source that is cheap to render and to fit.
+pub fn synthetic(pace: &str, rate_hz: f64) -> Value {
+    json!({"kind": "synthetic", "model": "spot", "width": 64, "height": 48, "samples": 1, "rate_hz": rate_hz, "pace": pace,
+           "set": {"a1": 0.01, "a2": 0.0, "a3": 0.015625, "v0": 20, "v1": 150},
+           "motion": {"bx": "32 + 3*sin(2*pi*0.5*t)", "by": "24 + 2*cos(2*pi*0.5*t)"}})
+}
+
+/// A session over it.
+pub fn session(pace: &str, rate_hz: f64) -> Value {
+    json!({"source": synthetic(pace, rate_hz), "model": "spot"})
+}
+
+/// Names of an object, in order.
+pub fn names(object: &Value) -> Vec<String> {
+    object.as_object().unwrap().keys().cloned().collect()
+}
+
+/// A folder of the test's own, removed when dropped.
+pub struct Folder(pub std::path::PathBuf);
+
+impl Folder {
+    pub fn new(name: &str) -> Folder {
+        let folder = std::env::temp_dir().join(format!("isophote-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Folder(folder)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).ok();
+    }
+}

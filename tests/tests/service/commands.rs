@@ -1,0 +1,97 @@
+//! The commands against a running `isophote serve --demo`.
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use isophote_tests::{Finished, Service, finish, program, repository};
+use serde_json::Value;
+
+use crate::client::Folder;
+
+const LIMIT: Duration = Duration::from_secs(60);
+
+struct Demo {
+    program: std::path::PathBuf,
+    service: Service,
+}
+
+impl Demo {
+    fn start(folder: &Path) -> Demo {
+        let program = program().unwrap();
+        let service = Service::start(&program, &["--demo"], folder).unwrap();
+        Demo { program, service }
+    }
+    fn run(&self, arguments: &[&str]) -> Finished {
+        let mut command = Command::new(&self.program);
+        command.args(arguments).env("ISOPHOTE_SERVER", self.service.url()).current_dir(repository());
+        finish(&mut command, LIMIT).unwrap()
+    }
+    fn ok(&self, arguments: &[&str]) -> String {
+        let finished = self.run(arguments);
+        assert_eq!(finished.status, Some(0), "{arguments:?}: {}", finished.stderr);
+        finished.stdout
+    }
+    fn json(&self, arguments: &[&str]) -> Value {
+        serde_json::from_str(&self.ok(arguments)).unwrap()
+    }
+    fn fails(&self, arguments: &[&str], status: i32, says: &str) {
+        let finished = self.run(arguments);
+        assert_eq!(finished.status, Some(status), "{arguments:?}: {}", finished.stderr);
+        assert!(finished.stderr.contains(says), "{arguments:?}: {}", finished.stderr);
+        assert_eq!(finished.stdout, "", "{arguments:?}");
+    }
+}
+
+#[test]
+fn the_way_through_the_commands() {
+    let folder = Folder::new("commands");
+    let demo = Demo::start(&folder.0);
+    let lines = demo.ok(&["watch", "demo", "--count", "5", "--json"]);
+    let estimates: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(estimates.len(), 5);
+    assert_eq!(estimates[4]["session"], "demo");
+    assert_eq!(demo.ok(&["watch", "demo", "--count", "2"]).lines().count(), 2);
+
+    assert!(demo.ok(&["model", "list"]).contains("thesis-spot"));
+    let pushed = demo.json(&["model", "push", "models/gaussian.toml", "--name", "mine", "--json"]);
+    assert_eq!((&pushed["name"], &pushed["version"]), (&Value::from("mine"), &Value::from(1)));
+    assert_eq!(demo.json(&["model", "show", "mine", "--json"])["name"], "gaussian");
+    let text = std::fs::read_to_string(repository().join("models/gaussian.toml")).unwrap();
+    assert_eq!(demo.ok(&["model", "show", "mine"]).trim_end(), text.trim_end());
+
+    let started = demo.json(&["session", "start", "two", "--model", "mine", "--source", "demo", "--json"]);
+    assert_eq!(started["active_model"], "mine");
+    let swapped = demo.json(&["session", "swap", "two", "spot", "--json"]);
+    assert_eq!(swapped["active_model"], "spot");
+    demo.ok(&["model", "remove", "mine"]);
+    assert!(demo.ok(&["session", "list"]).contains("two"));
+    assert_eq!(demo.json(&["session", "show", "two", "--json"])["source"], "demo");
+    demo.ok(&["session", "stop", "two"]);
+    let source = "synthetic:spot?width=64&height=48&samples=1&pace=fit";
+    demo.ok(&["session", "start", "three", "--model", "spot", "--source", source, "--start", "a1=0.01"]);
+    assert_eq!(demo.ok(&["watch", "three", "--all", "--count", "3"]).lines().count(), 3);
+
+    demo.fails(&["watch", "nobody"], 1, "nobody");
+    demo.fails(&["session", "swap", "demo", "nobody"], 1, "nobody");
+    demo.fails(&["session", "start", "x", "--model", "spot", "--source", "synthetic:spot?colour=red"], 1, "colour");
+    demo.fails(&["session", "start", "x"], 2, "--model");
+    demo.fails(&["model", "list", "--server", "https://example.org"], 2, "address");
+    demo.fails(&["model", "list", "--server", "http://127.0.0.1:1"], 1, "isophote serve");
+    std::fs::write(folder.0.join("wrong.toml"), "name = \"wrong\"\ncolour = 1\n").unwrap();
+    let wrong = folder.0.join("wrong.toml");
+    demo.fails(&["model", "push", "--name", "wrong", wrong.to_str().unwrap()], 3, "colour");
+    demo.fails(&["serve", "--listen", "0.0.0.0:0"], 2, "loopback");
+    demo.fails(&["serve", "--listen", demo.service.address()], 1, "cannot listen");
+}
+
+#[test]
+fn it_ends_when_it_is_asked_to() {
+    let folder = Folder::new("ends-when-asked");
+    let mut demo = Demo::start(&folder.0);
+    demo.ok(&["watch", "demo", "--count", "1"]);
+    let process = demo.service.child().id().to_string();
+    let kill = finish(Command::new("kill").args(["-TERM", &process]), LIMIT).unwrap();
+    assert_eq!(kill.status, Some(0));
+    assert_eq!(demo.service.child().wait().unwrap().code(), Some(0));
+}

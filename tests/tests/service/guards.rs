@@ -1,0 +1,81 @@
+//! Hosts, origins, health, the page, and what a hostile client sends.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+
+use crate::client::{DEADLINE, Running};
+
+/// Sends bytes and reads until the service closes.
+fn raw(service: &Running, request: &str) -> String {
+    let mut stream = TcpStream::connect(&service.address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).ok(); // a reset after the answer is an answer
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+#[test]
+fn health_and_time() {
+    let service = Running::start();
+    service.get("/livez").expect(200);
+    service.get("/readyz").expect(200);
+    let first = service.get("/v1/time").expect(200)["monotonic_ns"].as_u64().unwrap();
+    assert!(service.get("/v1/time").expect(200)["monotonic_ns"].as_u64().unwrap() > first);
+}
+
+#[test]
+fn the_page_asks_nobody_else() {
+    let service = Running::start();
+    let page = service.get("/");
+    assert_eq!((page.status, page.media.as_str()), (200, "text/html; charset=utf-8"));
+    let script = service.get("/page.js");
+    assert_eq!(script.status, 200);
+    for text in [page.text, script.text] {
+        assert!(!text.contains("https://") && !text.contains("http://"), "{text}");
+    }
+}
+
+#[test]
+fn hosts_and_origins() {
+    let service = Running::start();
+    let status = |host: &str, more: &str| {
+        let request = format!("GET /livez HTTP/1.1\r\nHost: {host}\r\n{more}Connection: close\r\n\r\n");
+        raw(&service, &request).split(' ').nth(1).unwrap_or_default().to_string()
+    };
+    let own = service.address.clone();
+    assert_eq!(status(&own, ""), "200");
+    assert_eq!(status("localhost", ""), "200");
+    assert_eq!(status("evil.example", ""), "421");
+    assert_eq!(status("evil.example", "Origin: http://evil.example\r\n"), "421");
+    assert_eq!(status(&own, &format!("Origin: http://{own}\r\n")), "200");
+    assert_eq!(status(&own, "Origin: http://evil.example\r\n"), "403");
+    assert_eq!(status(&own, "Origin: null\r\n"), "403");
+    let upgrade = "Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\
+                   Origin: http://evil.example\r\n";
+    assert_eq!(status(&own, upgrade), "403", "WebSockets as well");
+}
+
+#[test]
+fn nonsense_is_answered_or_closed_and_the_service_stays() {
+    let service = Running::start();
+    let long = format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "a".repeat(200_000));
+    let host = "Host: localhost\r\n";
+    let requests = [
+        "\r\n\r\n\r\n".to_string(),
+        "\u{0}\u{1}\u{2}".repeat(100),
+        "GET / HTTP/9.9\r\n\r\n".to_string(),
+        format!("GET /v1/models/%00%ff HTTP/1.1\r\n{host}Connection: close\r\n\r\n"),
+        format!("GET /v1/models/..%2f..%2fetc HTTP/1.1\r\n{host}Connection: close\r\n\r\n"),
+        format!("PUT /v1/models/a HTTP/1.1\r\n{host}Content-Length: -5\r\n\r\n"),
+        format!("PUT /v1/models/a HTTP/1.1\r\n{host}Transfer-Encoding: chunked\r\n\r\nzz\r\n"),
+        format!("DELETE /v1/sessions/{} HTTP/1.1\r\n{host}Connection: close\r\n\r\n", "x".repeat(500)),
+        long,
+    ];
+    for request in requests {
+        let answer = raw(&service, &request);
+        let status = answer.split(' ').nth(1).unwrap_or_default();
+        assert!(status.is_empty() || status.starts_with('4'), "{request:.60}: {answer:.200}");
+        service.get("/livez").expect(200);
+    }
+}

@@ -1,0 +1,12 @@
+//! The service over real sockets: what a client may rely on.
+
+#![allow(clippy::unwrap_used)]
+
+mod client;
+mod commands;
+mod guards;
+mod malformed;
+mod models;
+mod sessions;
+mod streams;
+mod swaps;

@@ -1,0 +1,146 @@
+//! Models: life cycle, statuses, versions, storage.
+
+use serde_json::{Value, json};
+
+use crate::client::{Folder, Running, session};
+
+/// A one-dimensional document with one parameter.
+fn document(start: f64) -> Value {
+    json!({"name": "level", "description": "one number", "coordinates": ["x", "y"], "channels": ["phi"],
+           "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}})
+}
+
+#[test]
+fn the_shipped_models_are_there() {
+    let service = Running::start();
+    let items = service.get("/v1/models").expect(200);
+    let names: Vec<&str> = items["items"].as_array().unwrap().iter().map(|item| item["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["dark-disc", "gaussian", "profile-1d", "rational-spot", "spot", "thesis-spot"]);
+    let spot = service.get("/v1/models/spot").expect(200);
+    assert_eq!(spot["name"], "spot");
+    assert_eq!(spot["version"], 1);
+    assert!(spot["digest"].as_str().unwrap().starts_with("sha256:"));
+    assert_eq!(spot["model"]["domain"], "s <= 2.2");
+    let toml = service.request("GET", "/v1/models/spot", &[("accept", "application/toml")], b"");
+    let file = std::fs::read_to_string(isophote_tests::repository().join("models/spot.toml")).unwrap();
+    assert_eq!((toml.media.as_str(), toml.text), ("application/toml", file), "comments are kept");
+}
+
+#[test]
+fn life_cycle() {
+    let service = Running::start();
+    let created = service.put("/v1/models/level", &document(1.0));
+    let tag = created.etag.clone();
+    let created = created.expect(201);
+    assert_eq!((&created["model"], &created["version"]), (&json!("level"), &json!(1)));
+    assert_eq!(created["stages"][0]["parameters"], json!(["v0"]));
+    for key in ["flops_per_pixel", "accumulators", "flops_per_row", "flops_per_pass", "compile_ms"] {
+        assert!(created["stages"][0][key].is_number(), "{key}: {created}");
+    }
+    assert!(created["stages"][0]["calls"].is_object());
+
+    let again = service.put("/v1/models/level", &document(1.0)).expect(200);
+    assert_eq!((&again["version"], &again["digest"]), (&json!(2), &created["digest"]));
+    let other = service.put("/v1/models/level", &document(2.0)).expect(200);
+    assert_ne!(other["digest"], created["digest"]);
+
+    let put = |tag: &str| {
+        let headers = [("content-type", "application/json"), ("if-match", tag)];
+        service.request("PUT", "/v1/models/level", &headers, document(3.0).to_string().as_bytes())
+    };
+    put(&tag).expect(412);
+    let tag = service.get("/v1/models/level").etag;
+    put(&tag).expect(200);
+    put(&tag).expect(412);
+    put("*").expect(200);
+    service.request("DELETE", "/v1/models/level", &[("if-match", "\"9\"")], b"").expect(412);
+    assert_eq!(service.delete("/v1/models/level").status, 204);
+    service.get("/v1/models/level").expect(404);
+    service.delete("/v1/models/level").expect(404);
+    put("*").expect(412);
+}
+
+#[test]
+fn the_same_document_as_toml_and_json_has_one_digest() {
+    let service = Running::start();
+    let toml = "name = \"level\"\ndescription = \"one number\" # here\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n\
+                [parameters]\nv0 = { start = 1.0 }\n[model]\nintensity = \"v0\"\n";
+    let first = service.put_text("/v1/models/a", "application/toml; charset=utf-8", toml).expect(201);
+    let second = service.put("/v1/models/b", &document(1.0)).expect(201);
+    assert_eq!(first["digest"], second["digest"]);
+}
+
+#[test]
+fn what_is_refused() {
+    let service = Running::start();
+    let text = document(1.0).to_string();
+    service.put_text("/v1/models/level", "text/plain", &text).expect(415);
+    service.request("PUT", "/v1/models/level", &[], text.as_bytes()).expect(415);
+    let long = format!("{text}{}", " ".repeat(300_000));
+    service.put_text("/v1/models/level", "application/json", &long).expect(413);
+    for name in ["Level", "-a", "a_b", &"a".repeat(65), "%FF"] {
+        let status = service.put(&format!("/v1/models/{name}"), &document(1.0)).status;
+        assert!([404, 422].contains(&status), "{name}: {status}");
+    }
+    let wrong = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"], "parameters": {"v0": {"start": 1}},
+                       "model": {"intensity": "v0 + glare"}});
+    let problem = service.put("/v1/models/level", &wrong).expect(422);
+    let diagnostic = &problem["diagnostics"][0];
+    assert_eq!((&diagnostic["code"], &diagnostic["key"]), (&json!("unknown-name"), &json!("model.intensity")));
+    assert_eq!(diagnostic["severity"], "error");
+    assert!(diagnostic["line"] == 1 && diagnostic["column"].as_u64().unwrap() > 1, "{diagnostic}");
+    assert!(diagnostic["span"].as_array().unwrap().len() == 2);
+    service.get("/v1/models/level").expect(404);
+    service.request("POST", "/v1/models/spot", &[], b"").expect(405);
+}
+
+#[test]
+fn a_model_in_use_stays() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
+    service.delete("/v1/models/spot").expect(409);
+    assert_eq!(service.delete("/v1/sessions/one").status, 204);
+    assert_eq!(service.delete("/v1/models/spot").status, 204);
+}
+
+#[test]
+fn checks_and_explanations_keep_nothing() {
+    let service = Running::start();
+    let check = |text: &str| {
+        service.request("POST", "/v1/models:check", &[("content-type", "application/json")], text.as_bytes())
+    };
+    assert_eq!(check(&document(1.0).to_string()).expect(200)["model"], "level");
+    check("{").expect(422);
+    service.get("/v1/models/level").expect(404);
+
+    let explained = service.get("/v1/models/thesis-spot/explain?parameters=bx,by&show=program").expect(200);
+    assert_eq!(explained["parameters"], json!(["bx", "by"]));
+    assert!(explained["flops_per_pixel"].as_u64().unwrap() <= 60, "{explained}");
+    assert!(explained["text"].as_str().unwrap().contains("pixel:"), "{explained}");
+    for (query, status) in [
+        ("parameters=nobody", 400),
+        ("parameters=bx,bx", 400),
+        ("show=poem", 400),
+        ("colour=red", 400),
+        ("show=latex", 501),
+        ("", 200),
+    ] {
+        service.get(&format!("/v1/models/thesis-spot/explain?{query}")).expect(status);
+    }
+    service.get("/v1/models/nobody/explain").expect(404);
+}
+
+#[test]
+fn models_survive_a_restart_in_the_data_folder() {
+    let folder = Folder::new("data");
+    let service = Running::start_with(Some(&folder.0), false);
+    service.put("/v1/models/level", &document(1.0)).expect(201);
+    let put = service.put("/v1/models/level", &document(2.0)).expect(200);
+    service.put("/v1/models/gone", &document(2.0)).expect(201);
+    service.delete("/v1/models/gone");
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), false);
+    let found = service.get("/v1/models/level").expect(200);
+    assert_eq!((&found["version"], &found["digest"]), (&put["version"], &put["digest"]));
+    service.get("/v1/models/gone").expect(404);
+}

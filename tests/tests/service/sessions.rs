@@ -1,0 +1,205 @@
+//! Sources and sessions: life cycle, statuses, pushed frames, recordings.
+
+use isophote_jit::PixelFormat;
+use serde_json::json;
+
+use crate::client::{Folder, Running, session, synthetic};
+
+#[test]
+fn life_cycle() {
+    let service = Running::start();
+    let put = service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
+    assert!(["starting", "running"].contains(&put["state"].as_str().unwrap()));
+    let view = service.wait_for("one", |view| view["frames"].as_u64().unwrap() > 5);
+    assert_eq!(view["state"], "running");
+    assert_eq!((&view["requested_model"], &view["active_model"]), (&json!("spot"), &json!("spot")));
+    assert_eq!((&view["active_since_frame"], &view["dropped"]), (&json!(0), &json!(0)));
+    assert_eq!(view["source"]["kind"], "synthetic");
+    assert_eq!(view["options"]["precision"], "f32");
+    assert!(view["rate_hz"].as_f64().unwrap() > 0.0);
+    let last = &view["last"];
+    assert_eq!((&last["session"], &last["state"]), (&json!("one"), &json!("tracking")));
+    let error = last["parameters"]["bx"].as_f64().unwrap() - last["truth"]["bx"].as_f64().unwrap();
+    assert!(error.abs() < 0.1, "{last}");
+    assert!(last["capture_ns"].as_u64().unwrap() <= last["publish_ns"].as_u64().unwrap());
+
+    service.put("/v1/sessions/one", &session("fit", 200.0)).expect(200);
+    assert_eq!(service.get("/v1/sessions").expect(200)["items"].as_array().unwrap().len(), 1);
+    assert_eq!(service.delete("/v1/sessions/one").status, 204);
+    service.get("/v1/sessions/one").expect(404);
+    service.delete("/v1/sessions/one").expect(404);
+    assert_eq!(service.get("/v1/sessions").expect(200), json!({"items": []}));
+}
+
+#[test]
+fn a_shared_source() {
+    let service = Running::start();
+    service.put("/v1/sources/bench", &synthetic("fit", 200.0)).expect(201);
+    let idle = service.get("/v1/sources/bench").expect(200);
+    assert_eq!((&idle["state"], &idle["frames"]), (&json!("idle"), &json!(0)));
+    for (name, model) in [("one", "spot"), ("two", "gaussian")] {
+        service.put(&format!("/v1/sessions/{name}"), &json!({"source": "bench", "model": model})).expect(201);
+    }
+    for name in ["one", "two"] {
+        let view = service.wait_for(name, |view| view["frames"].as_u64().unwrap() > 5);
+        assert_eq!((&view["dropped"], &view["source"]), (&json!(0), &json!("bench")));
+    }
+    service.delete("/v1/sources/bench").expect(409);
+    service.put("/v1/sources/bench", &synthetic("fit", 100.0)).expect(409);
+    for name in ["one", "two"] {
+        service.delete(&format!("/v1/sessions/{name}"));
+    }
+    service.put("/v1/sources/bench", &synthetic("fit", 100.0)).expect(200);
+    assert_eq!(service.get("/v1/sources").expect(200)["items"][0]["name"], "bench");
+    assert_eq!(service.delete("/v1/sources/bench").status, 204);
+    service.delete("/v1/sources/bench").expect(404);
+    service.put("/v1/sessions/one", &json!({"source": "bench", "model": "spot"})).expect(404);
+}
+
+#[test]
+fn wrong_documents_name_the_key() {
+    let service = Running::start();
+    let with = |key: &str, value: serde_json::Value| {
+        let mut document = session("fit", 100.0);
+        document[key] = value;
+        document
+    };
+    let source = |key: &str, value: serde_json::Value| {
+        let mut document = session("fit", 100.0);
+        document["source"][key] = value;
+        document
+    };
+    let cases = [
+        (with("widnow", json!(null)), "widnow"),
+        (with("start", json!({"bz": 1})), "start.bz"),
+        (with("constants", json!({"gain": 1})), "constants.gain"),
+        (with("start", json!({"a1": -1})), "model"),
+        (with("window", json!({"x": 0, "y": 0, "width": 0, "height": 5})), "window"),
+        (with("target", json!({"name": "t"})), "target"),
+        (with("options", json!({"precision": "f16"})), "options.precision"),
+        (with("options", json!({"exposure": {"control": true}})), "options.exposure.control"),
+        (with("camera", json!({"saturatoin": 255})), "camera.saturatoin"),
+        (with("source", json!({"kind": "camera", "device": "/dev/video0"})), "source.kind"),
+        (with("source", json!({"kind": "recording", "path": "/no/such/folder"})), "source.path"),
+        (with("source", json!({"kind": "radio"})), "source"),
+        (with("model", json!("profile-1d")), "model"),
+        (source("rate_hz", json!(0)), ""),
+        (source("rate_hz", json!(-1)), "source.rate_hz"),
+        (source("width", json!(0)), "source.width"),
+        (source("height", json!(1_000_000)), "source.width"),
+        (source("bits", json!(40)), "source"),
+        (source("colour", json!("red")), "source.colour"),
+        (source("motion", json!({"bx": "320 +"})), "source"),
+    ];
+    for (document, key) in cases {
+        let answer = service.put("/v1/sessions/one", &document);
+        if key.is_empty() {
+            answer.expect(201);
+            service.delete("/v1/sessions/one");
+            continue;
+        }
+        let problem = answer.expect(422);
+        let diagnostic = &problem["diagnostics"][0];
+        assert_eq!(diagnostic["key"], key, "{problem}");
+        assert!(diagnostic["line"].as_u64().unwrap() >= 1 && diagnostic["column"].as_u64().unwrap() >= 1);
+        service.get("/v1/sessions/one").expect(404);
+    }
+    service.put("/v1/sessions/one", &with("model", json!("nobody"))).expect(404);
+    service.put("/v1/sessions/one", &source("model", json!("nobody"))).expect(404);
+    service.put_text("/v1/sessions/one", "application/json", "{\"source\": ").expect(422);
+    service.put_text("/v1/sessions/one", "application/json", "[]").expect(422);
+    service.put_text("/v1/sessions/one", "application/toml", "a = 1").expect(415);
+    assert_eq!(service.get("/v1/sessions").expect(200), json!({"items": []}));
+}
+
+#[test]
+fn what_this_build_does_not_have_is_said() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
+    service.get("/v1/sessions/one/preview?format=raw8").expect(501);
+    service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(501);
+    service.get("/metrics").expect(501);
+    service.get("/v1/nothing").expect(404);
+    service.request("POST", "/v1/sessions/one/frames", &[("content-type", "image/png")], b"x").expect(409);
+}
+
+#[test]
+fn sixty_four_sessions_and_no_more() {
+    let service = Running::start();
+    service.put("/v1/sources/idle", &json!({"kind": "pushed", "width": 8, "height": 8})).expect(201);
+    let document = json!({"source": "idle", "model": "spot"});
+    for number in 0..64 {
+        service.put(&format!("/v1/sessions/s{number}"), &document).expect(201);
+    }
+    service.put("/v1/sessions/s64", &document).expect(429);
+    service.put("/v1/sessions/s63", &document).expect(200);
+    service.delete("/v1/sessions/s0");
+    service.put("/v1/sessions/s64", &document).expect(201);
+}
+
+/// A spot of the kind that `spot` fits, 8 bit.
+fn picture(width: usize, height: usize, centre: (f64, f64)) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let (dx, dy) = (x as f64 - centre.0, y as f64 - centre.1);
+            let s = dx * dx * 0.01 + dy * dy * 0.015625;
+            let f = if s <= 1.0 { 1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s } else { 0.0 };
+            bytes.push((20.0 + 150.0 * f).round() as u8);
+        }
+    }
+    bytes
+}
+
+#[test]
+fn pushed_frames_are_answered_with_their_estimates() {
+    let service = Running::start();
+    let source = json!({"kind": "pushed", "width": 64, "height": 48, "format": "u8"});
+    service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
+    let post = |media: &str, bytes: &[u8]| {
+        service.request("POST", "/v1/sessions/one/frames", &[("content-type", media)], bytes)
+    };
+    for (frame, centre) in [(30.0, 20.0), (31.25, 20.5), (32.0, 21.0)].into_iter().enumerate() {
+        let bytes = picture(64, 48, centre);
+        let estimate = if frame == 1 {
+            let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &bytes).unwrap();
+            post("image/png", &png).expect(200)
+        } else {
+            post("application/octet-stream", &bytes).expect(200)
+        };
+        assert_eq!(estimate["frame"], frame as u64);
+        let found = (estimate["parameters"]["bx"].as_f64().unwrap(), estimate["parameters"]["by"].as_f64().unwrap());
+        assert!((found.0 - centre.0).abs() < 0.1 && (found.1 - centre.1).abs() < 0.1, "{estimate}");
+        assert!(estimate.get("truth").is_none(), "nobody knows the truth of a pushed frame");
+    }
+    post("application/octet-stream", &[0; 7]).expect(422);
+    post("image/png", b"not an image").expect(422);
+    post("image/tiff", b"").expect(415);
+    let small = isophote_capture::encode_png(8, 6, PixelFormat::U8, &picture(8, 6, (4.0, 3.0))).unwrap();
+    post("image/png", &small).expect(422);
+    assert_eq!(service.wait_for("one", |_| true)["state"], "running", "no frame, no fault");
+}
+
+#[test]
+fn a_recording_is_fitted_to_its_end() {
+    let folder = Folder::new("recording");
+    for frame in 0..5 {
+        let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0 + f64::from(frame), 22.0)));
+        std::fs::write(folder.0.join(format!("{frame}.png")), png.unwrap()).unwrap();
+    }
+    let service = Running::start();
+    let source = json!({"kind": "recording", "path": folder.0, "rate_hz": 0, "pace": "fit"});
+    service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
+    let view = service.wait_for("one", |view| view["state"] == "stopped");
+    assert_eq!((&view["frames"], &view["dropped"]), (&json!(5), &json!(0)));
+    assert_eq!((&view["last"]["file"], &view["last"]["frame"]), (&json!("4.png"), &json!(4)));
+    assert!((view["last"]["parameters"]["bx"].as_f64().unwrap() - 34.0).abs() < 0.1, "{view}");
+    assert!(view["reason"].as_str().unwrap().contains("ended"));
+
+    let source = json!({"kind": "recording", "path": folder.0, "rate_hz": 0, "pace": "fit", "loop": true});
+    service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(200);
+    service.wait_for("one", |view| view["frames"].as_u64().unwrap() > 12);
+    std::fs::write(folder.0.join("2.png"), b"torn").unwrap();
+    let view = service.wait_for("one", |view| view["state"] == "lost_source");
+    assert!(view["reason"].as_str().unwrap().contains("2.png"), "{view}");
+}

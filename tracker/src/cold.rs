@@ -1,0 +1,94 @@
+//! A cold start: from nothing but the window to complete starting values.
+
+use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
+
+use crate::compiled::Control;
+use crate::fit::View;
+use crate::grey::Grey;
+use crate::start::{Sight, Sign, Wanted, find};
+
+/// Starting values to try, and how.
+pub(crate) struct Cold {
+    /// Full parameter vectors.
+    pub starts: Vec<Vec<f64>>,
+    /// Whether the window holds saturated pixels.
+    pub control: Control,
+}
+
+/// From this many saturated pixels on, what is seen of the amplitude is too little, …
+const CLIPPED_PIXELS: usize = 10;
+/// … and this many times as much is tried as well.
+const BRIGHTER: f64 = 2.5;
+
+impl Cold {
+    /// `given` numbers first, then the model's own numbers, then what its estimators see. `None` when an estimator is
+    /// needed and there is no target for it.
+    pub fn look(model: &Model, view: &View, given: &[Option<f64>]) -> Option<Cold> {
+        let estimators: Vec<Option<Estimator>> = model
+            .parameters()
+            .iter()
+            .zip(given)
+            .map(|(parameter, given)| match (given, parameter.start) {
+                (None, Start::Estimator(estimator)) => Some(estimator),
+                _ => None,
+            })
+            .collect();
+        let grey = Grey::read(&view.planes, view.window, &view.saturation);
+        let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
+        let origin = [view.window.x as f64, view.window.y as f64];
+        let targets = if estimators.iter().any(Option::is_some) {
+            let targets = find(&grey, &wanted(model, given, origin));
+            if targets.len() < model.roles().len().max(1) {
+                return None;
+            }
+            targets
+        } else {
+            Vec::new()
+        };
+        let start = |brighter: f64| -> Vec<f64> {
+            let parameters = model.parameters().iter().enumerate();
+            let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
+                (Some(number), _) | (None, Start::Number(number)) => number,
+                (None, Start::Estimator(estimator)) => {
+                    let value = target_of(model, &targets, index).value(estimator, origin);
+                    if estimator == Estimator::Amplitude { brighter * value } else { value }
+                }
+            };
+            parameters.map(value).collect()
+        };
+        let mut starts = vec![start(1.0)];
+        let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
+        if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
+            starts.push(start(BRIGHTER));
+        }
+        Some(Cold { starts, control })
+    }
+}
+
+/// The target whose roles name the parameter, else the first.
+fn target_of<'a>(model: &Model, targets: &'a [Sight], parameter: usize) -> &'a Sight {
+    let is = |id: &ParameterId| id.index() == parameter;
+    let names = |roles: &Roles| {
+        roles.centre.iter().chain(&roles.shape).chain(&roles.background).chain(&roles.brightness).any(is)
+    };
+    let index = model.roles().iter().position(names).unwrap_or(0);
+    &targets[index.min(targets.len() - 1)]
+}
+
+/// What the model and the given numbers say about the targets beforehand.
+fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 2]) -> Wanted {
+    let first = model.roles().first();
+    let near = first.and_then(|roles| match roles.centre[..] {
+        [x, y] => Some([given[x.index()]? - origin[0], given[y.index()]? - origin[1]]),
+        [x] => Some([given[x.index()]? - origin[0], 0.0]),
+        _ => None,
+    });
+    let estimated = |start: &Start| *start == Start::Estimator(Estimator::Amplitude);
+    let brightness = model.parameters().iter().find(|parameter| estimated(&parameter.start));
+    let sign = brightness.and_then(|parameter| match (parameter.min, parameter.max) {
+        (Some(min), _) if min >= 0.0 => Some(Sign::Bright),
+        (_, Some(max)) if max <= 0.0 => Some(Sign::Dark),
+        _ => None,
+    });
+    Wanted { sign, near, targets_max: model.roles().len().max(1) }
+}

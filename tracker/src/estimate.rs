@@ -1,0 +1,160 @@
+//! `Estimate`: what one frame says about one target, and how the fit that says so ended.
+
+use isophote_symbolic::ParameterId;
+use serde::{Deserialize, Serialize};
+
+/// Whether the target is followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TrackState {
+    /// Not found yet.
+    Searching,
+    /// Found; the next frame starts from this estimate.
+    Tracking,
+    /// Predicted, not seen.
+    Coasting,
+    /// Was found, is not any more; every frame is searched.
+    Lost,
+}
+
+/// How a fit ended, and what it leaves behind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// Every parameter's step was below its tolerance; that last step is taken. The one ending that is convergence.
+    SmallStep,
+    /// The stage's iterations are used up. Parameters are the best point reached, a valid fit, perhaps not the minimum.
+    IterationLimit,
+    /// No step however short lowers F within bounds and constraints. Parameters are the best point reached.
+    NoDescent,
+    /// Too few pixels are left in the domain. Parameters are the last point that had enough of them.
+    DomainVanished,
+    /// F or a derivative is NaN or infinite, or no kernel could run. Parameters are the last point where all was finite.
+    NonFinite,
+    /// The fit ended well but its normal equations are singular: some parameters are undetermined. No covariance.
+    Singular,
+    /// No fit was tried: nothing in the window stands out of the background. Parameters are the last known ones.
+    #[default]
+    NoTarget,
+    /// No fit was tried: planes or dimensions are not those of the model. Parameters are the last known ones.
+    WrongFrame,
+    /// No fit was tried: the kernels could not be compiled. Parameters are the last known ones.
+    NoKernel,
+}
+
+impl Ending {
+    /// True when the parameters are those of a fit.
+    pub fn is_fit(self) -> bool {
+        matches!(self, Ending::SmallStep | Ending::IterationLimit | Ending::NoDescent | Ending::Singular)
+    }
+
+    /// The name in documents, e.g. `small-step`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Ending::SmallStep => "small-step",
+            Ending::IterationLimit => "iteration-limit",
+            Ending::NoDescent => "no-descent",
+            Ending::DomainVanished => "domain-vanished",
+            Ending::NonFinite => "non-finite",
+            Ending::Singular => "singular",
+            Ending::NoTarget => "no-target",
+            Ending::WrongFrame => "wrong-frame",
+            Ending::NoKernel => "no-kernel",
+        }
+    }
+}
+
+/// How one stage went.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StageReport {
+    /// Steps tried.
+    pub iterations: u32,
+    /// Gradient passes.
+    pub passes: u32,
+    /// How it ended.
+    pub ending: Ending,
+    /// Points at which the full Hessian was indefinite (Newton only).
+    pub indefinite_steps: u32,
+    /// Pixels of the first pass, …
+    pub pixels_first: u64,
+    /// … of the smallest, …
+    pub pixels_least: u64,
+    /// … and of the last.
+    pub pixels_last: u64,
+}
+
+impl StageReport {
+    /// True when the domain lost more than half of its pixels on the way.
+    pub fn domain_shrank(&self) -> bool {
+        2 * self.pixels_least < self.pixels_first
+    }
+}
+
+/// Why a fit is not taken for the target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rejection {
+    /// See the ending.
+    Ending,
+    /// The centre left the window.
+    OutsideWindow,
+    /// The brightness is less than five standard deviations from nothing.
+    Faint,
+    /// A bound or constraint does not hold.
+    OutsideBounds,
+}
+
+/// What one frame says about one target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// The target's id: the name of its roles, else its number.
+    pub target: String,
+    /// The frame's number.
+    pub sequence: u64,
+    /// When the frame was taken.
+    pub capture_ns: Option<u64>,
+    /// Whether the target is followed.
+    pub state: TrackState,
+    /// All parameters in document order; of the last good frame when `state` is lost; empty when never found.
+    pub parameters: Vec<f64>,
+    /// The free parameters of the last stage.
+    pub order: Vec<ParameterId>,
+    /// Their covariance, rows and columns in `order`. Absent when singular or when no fit is behind it.
+    pub covariance: Option<Vec<Vec<f64>>>,
+    /// F, without a factor ½.
+    pub objective: Option<f64>,
+    /// χ² over pixels minus free parameters; with `noise` near 1 for a good model.
+    pub reduced_chi_square: Option<f64>,
+    /// Pixels that the last pass used.
+    pub pixels: u64,
+    /// The share of the domain's pixels that are saturated.
+    pub saturated: f64,
+    /// Steps tried, one number a stage.
+    pub iterations: Vec<u32>,
+    /// True when the last stage ended by a small step and the normal equations are regular.
+    pub converged: bool,
+    /// How the fit ended.
+    pub ending: Ending,
+    /// Why the fit is not taken for the target, when it is not.
+    pub rejection: Option<Rejection>,
+    /// How each stage went.
+    pub stages: Vec<StageReport>,
+}
+
+impl Estimate {
+    /// Points at which the full Hessian was indefinite, over all stages.
+    pub fn indefinite_steps(&self) -> u32 {
+        self.stages.iter().map(|stage| stage.indefinite_steps).sum()
+    }
+
+    /// True when a stage's domain lost more than half of its pixels on the way.
+    pub fn domain_shrank(&self) -> bool {
+        self.stages.iter().any(StageReport::domain_shrank)
+    }
+
+    /// The standard deviation of a free parameter.
+    pub fn deviation(&self, parameter: ParameterId) -> Option<f64> {
+        let index = self.order.iter().position(|&p| p == parameter)?;
+        Some(self.covariance.as_ref()?.get(index)?.get(index)?.sqrt())
+    }
+}

@@ -1,0 +1,224 @@
+//! A fit: all stages of a model on one frame, from given starting values, and what the end point is worth.
+//!
+//! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
+
+use std::sync::Arc;
+
+use isophote_jit::{Kernel, PixelFormat, PlaneView, Sums, Window};
+use isophote_symbolic::{Bindings, ParameterId, Precision};
+use nalgebra::{DMatrix, DVector};
+
+use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature};
+use crate::estimate::{Ending, StageReport};
+use crate::stage::{self, Pass, Problem, Rules};
+use crate::trust::{Curvature, Quadratic, Spectrum};
+
+/// What a fit looks at.
+pub(crate) struct View<'a> {
+    pub planes: Vec<PlaneView<'a>>,
+    pub window: Window,
+    /// One limit a plane.
+    pub saturation: Vec<f64>,
+    pub layout: Layout,
+    /// What the lane's rounding does to a residual, in pixel values.
+    pub rounding: f64,
+}
+
+impl<'a> View<'a> {
+    /// Planes of one size; the window lies inside. `saturation`: the camera's limit, if known.
+    pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Option<f64>, precision: Precision) -> View<'a> {
+        let limit = |format| match format {
+            PixelFormat::U8 => f64::from(u8::MAX),
+            PixelFormat::U16 => f64::from(u16::MAX),
+            PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
+        };
+        let saturation: Vec<f64> = planes.iter().map(|plane| saturation.unwrap_or(limit(plane.format()))).collect();
+        let largest = planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
+        let lane = match precision {
+            Precision::F32 => f64::from(f32::EPSILON),
+            Precision::F64 => f64::EPSILON,
+        };
+        let layout = Layout::of(&planes);
+        View { planes, window, saturation, layout, rounding: lane * largest }
+    }
+}
+
+/// A magnitude that pixel values do not exceed; floats without a limit are looked at.
+fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
+    if limit.is_finite() {
+        return limit.abs();
+    }
+    let rows = window.y..window.y + window.height;
+    let pixels = rows.flat_map(|y| (window.x..window.x + window.width).map(move |x| plane.pixel(x, y).abs()));
+    pixels.filter(|value| value.is_finite()).fold(0.0, f64::max)
+}
+
+/// What a fit came to.
+#[derive(Clone, Debug)]
+pub(crate) struct Fit {
+    /// All parameters of the model.
+    pub parameters: Vec<f64>,
+    pub ending: Ending,
+    pub stages: Vec<StageReport>,
+    /// Absent when the ending is not that of a fit.
+    pub worth: Option<Worth>,
+}
+
+/// What the end point is worth, by a last pass that leaves saturated pixels out.
+#[derive(Clone, Debug)]
+pub(crate) struct Worth {
+    /// F; with noise that is χ² + Σ ln σ².
+    pub objective: f64,
+    /// χ²/ν; absent when there are no more pixels than parameters.
+    pub reduced: Option<f64>,
+    pub pixels: u64,
+    /// Share of the domain's pixels.
+    pub saturated: f64,
+    /// Of the last stage's parameters; absent when singular.
+    pub covariance: Option<DMatrix<f64>>,
+    /// Variances that they would have if all others were known: a lower bound, and never absent.
+    pub variance_alone: DVector<f64>,
+}
+
+/// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them.
+pub(crate) fn fit(compiled: &Compiled, view: &View, constants: &[f64], start: &[f64], control: Control) -> Result<Fit, CompileFailure> {
+    let fit = fit_controlled(compiled, view, constants, start, control)?;
+    let clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
+    if control == Control::Dropping || !clipped {
+        return Ok(fit);
+    }
+    fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
+}
+
+fn fit_controlled(compiled: &Compiled, view: &View, constants: &[f64], start: &[f64], control: Control) -> Result<Fit, CompileFailure> {
+    let model = compiled.model();
+    let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
+    let value = compiled.kernel(Job::Value, control, &view.layout)?;
+    for (index, stage) in model.stages().iter().enumerate() {
+        let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
+        let free = indices(&stage.parameters);
+        let count = free.len();
+        let mut problem =
+            Kernels { compiled, view, constants, gradient, value: value.clone(), count, curvature: curvature(stage.method) };
+        let rules = Rules {
+            free,
+            iterations: stage.iterations,
+            tolerance: stage.tolerance,
+            noise: model.has_noise(),
+            precision: compiled.precision(),
+            rounding: view.rounding,
+            window_pixels: (view.window.width * view.window.height) as u64,
+        };
+        let report = stage::run(&mut problem, &rules, &mut fit.parameters);
+        fit.ending = report.ending;
+        fit.stages.push(report);
+        if !fit.ending.is_fit() {
+            return Ok(fit);
+        }
+    }
+    let gradient = compiled.kernel(Job::Covariance, Control::Dropping, &view.layout)?;
+    let count = compiled.last_parameters().len();
+    let mut problem = Kernels { compiled, view, constants, gradient, value, count, curvature: Curvature::GaussNewton };
+    match problem.worth(&fit.parameters)? {
+        Some(worth) => {
+            if worth.covariance.is_none() {
+                fit.ending = Ending::Singular;
+            }
+            fit.worth = Some(worth);
+        }
+        None => fit.ending = Ending::NonFinite,
+    }
+    Ok(fit)
+}
+
+fn indices(parameters: &[ParameterId]) -> Vec<usize> {
+    parameters.iter().map(|parameter| parameter.index()).collect()
+}
+
+/// Kernels over a view, as something to minimise.
+struct Kernels<'a> {
+    compiled: &'a Compiled,
+    view: &'a View<'a>,
+    constants: &'a [f64],
+    gradient: Arc<Kernel>,
+    value: Arc<Kernel>,
+    /// Free parameters of the gradient kernel.
+    count: usize,
+    curvature: Curvature,
+}
+
+impl Kernels<'_> {
+    fn run(&self, kernel: &Kernel, parameters: &[f64], entry: &[f64]) -> Option<Sums> {
+        let bindings =
+            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.saturation, shift: &[] };
+        // The view was made for the kernel's model, so only a bug could refuse it; the stage then ends as not finite.
+        kernel.sums(&bindings, &self.view.planes, self.view.window).ok()
+    }
+
+    /// The pass that nothing follows.
+    fn worth(&mut self, end: &[f64]) -> Result<Option<Worth>, CompileFailure> {
+        let Some(sums) = self.run(&self.gradient, end, end) else { return Ok(None) };
+        let Some(quadratic) = quadratic(&sums.outputs, self.count, self.curvature) else { return Ok(None) };
+        let (mut objective, mut chi_square) = (quadratic.objective, quadratic.objective);
+        let noise = self.compiled.model().has_noise();
+        if noise {
+            let report = self.compiled.kernel(Job::Report, Control::Dropping, &self.view.layout)?;
+            match self.run(&report, end, end).as_ref().map(|sums| sums.outputs.as_slice()) {
+                Some(&[full, chi]) => (objective, chi_square) = (full, chi),
+                _ => return Ok(None),
+            }
+        }
+        if !quadratic.is_finite() || !objective.is_finite() {
+            return Ok(None);
+        }
+        let reduced = sums.pixels.checked_sub(self.count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
+        let variance = if noise { Some(1.0) } else { reduced };
+        let covariance = variance.and_then(|variance| Some(inverse_fisher(&quadratic, self.compiled.precision())? * variance));
+        let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
+        let met = sums.pixels + sums.saturated;
+        let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
+        Ok(Some(Worth { objective, reduced, pixels: sums.pixels, saturated, covariance, variance_alone }))
+    }
+}
+
+/// The inverse Fisher information at unit variance, `2 H⁻¹` with H = 2 JᵀWJ: F has no factor ½. `None` when singular.
+fn inverse_fisher(quadratic: &Quadratic, precision: Precision) -> Option<DMatrix<f64>> {
+    let scale = quadratic.hessian.diagonal().map(|entry| entry.sqrt());
+    if !scale.iter().all(|&d| d > 0.0) {
+        return None;
+    }
+    Some(Spectrum::new(quadratic, &scale, stage::eigen_resolution(precision))?.inverse()? * 2.0)
+}
+
+/// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
+fn quadratic(outputs: &[f64], n: usize, curvature: Curvature) -> Option<Quadratic> {
+    let (&objective, rest) = outputs.split_first()?;
+    if rest.len() != n + n * (n + 1) / 2 {
+        return None;
+    }
+    let (gradient, upper) = rest.split_at(n);
+    let mut hessian = DMatrix::zeros(n, n);
+    let mut entries = upper.iter();
+    for i in 0..n {
+        for (j, &entry) in (i..n).zip(&mut entries) {
+            hessian[(i, j)] = entry;
+            hessian[(j, i)] = entry;
+        }
+    }
+    Some(Quadratic { objective, gradient: DVector::from_row_slice(gradient), hessian, curvature })
+}
+
+impl Problem for Kernels<'_> {
+    fn gradient(&mut self, entry: &[f64]) -> Option<Pass> {
+        let sums = self.run(&self.gradient, entry, entry)?;
+        Some(Pass { quadratic: quadratic(&sums.outputs, self.count, self.curvature)?, pixels: sums.pixels })
+    }
+
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64> {
+        self.run(&self.value, point, entry)?.outputs.first().copied()
+    }
+
+    fn allowed(&self, point: &[f64]) -> bool {
+        point.iter().all(|value| value.is_finite()) && self.compiled.model().constraints_hold(point, self.constants)
+    }
+}

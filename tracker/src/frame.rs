@@ -1,0 +1,267 @@
+//! `Frame`: raw planes of one exposure, one to four dimensions, owned or on loan from a driver.
+//!
+//! What comes in: buffers with strides, as cameras and files have them; nothing is copied. What goes out: a
+//! [`PlaneView`] for each channel. A frame of more than two dimensions is a stack: its outer dimensions are rows.
+
+use std::fmt;
+use std::sync::Arc;
+
+use isophote_jit::{PixelFormat, PlaneError, PlaneView};
+
+/// Dimensions that a frame may have.
+const DIMENSIONS_MAX: usize = 4;
+/// Weights of red, green and blue in the luma of Rec. 601.
+const LUMA: [f64; 3] = [0.299, 0.587, 0.114];
+
+/// A buffer that goes back to its owner when it is dropped, e.g. to a driver's queue.
+pub trait Lease: Send + Sync {
+    /// The pixels; the same slice at every call.
+    fn bytes(&self) -> &[u8];
+}
+
+/// Where pixels are. Cloning shares them.
+#[derive(Clone)]
+pub enum Buffer {
+    /// In our memory.
+    Owned(Arc<[u8]>),
+    /// In somebody else's, until all clones are dropped.
+    Leased(Arc<dyn Lease>),
+}
+
+impl Buffer {
+    /// The pixels.
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Buffer::Owned(bytes) => bytes,
+            Buffer::Leased(lease) => lease.bytes(),
+        }
+    }
+}
+
+impl fmt::Debug for Buffer {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let kind = if matches!(self, Buffer::Owned(_)) { "Owned" } else { "Leased" };
+        write!(f, "{kind}({} bytes)", self.bytes().len())
+    }
+}
+
+/// One channel of a frame: which bytes of a buffer its pixels are.
+#[derive(Clone, Debug)]
+pub struct Plane {
+    /// What a pixel is.
+    pub format: PixelFormat,
+    /// Bytes from a row to the next.
+    pub row_stride: usize,
+    /// Bytes from a pixel to the next: 3 for one channel of interleaved 8-bit RGB.
+    pub pixel_stride: usize,
+    /// Bytes before the first pixel.
+    pub offset: usize,
+    /// The pixels, perhaps shared with other planes.
+    pub buffer: Buffer,
+}
+
+impl Plane {
+    /// A plane of its own: rows of `width` pixels without gaps.
+    pub fn owned(format: PixelFormat, bytes: Vec<u8>, width: usize) -> Plane {
+        let pixel_stride = format.bytes_per_pixel();
+        Plane { format, row_stride: width * pixel_stride, pixel_stride, offset: 0, buffer: Buffer::Owned(bytes.into()) }
+    }
+
+    /// Plane `channel` of `channels` interleaved ones without gaps between pixels or rows.
+    pub fn interleaved(format: PixelFormat, buffer: &Buffer, width: usize, channels: usize, channel: usize) -> Plane {
+        let pixel_stride = format.bytes_per_pixel() * channels;
+        let offset = format.bytes_per_pixel() * channel;
+        Plane { format, row_stride: width * pixel_stride, pixel_stride, offset, buffer: buffer.clone() }
+    }
+
+    fn view(&self, width: usize, height: usize) -> Result<PlaneView<'_>, PlaneError> {
+        let bytes = self.buffer.bytes().get(self.offset..).unwrap_or(&[]);
+        PlaneView::new(self.format, bytes, width, height, self.row_stride, self.pixel_stride)
+    }
+}
+
+/// Why planes do not make a frame.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// See the text.
+    #[error("a frame has one to {DIMENSIONS_MAX} dimensions, each of at least one pixel; this one has sizes {0:?}")]
+    Size(Vec<usize>),
+    /// See the text.
+    #[error("a frame has at least one plane")]
+    NoPlane,
+    /// A plane's pixels are not all inside its buffer.
+    #[error("plane {channel}: {source}")]
+    Plane {
+        /// Which.
+        channel: usize,
+        /// What is wrong with it.
+        source: PlaneError,
+    },
+}
+
+/// Raw planes of one exposure, all of one size.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    size: Vec<usize>,
+    planes: Vec<Plane>,
+    /// The source's number of this frame; gaps are frames that were lost.
+    pub sequence: u64,
+    /// When it was taken, CLOCK_MONOTONIC; `None` offline.
+    pub capture_ns: Option<u64>,
+}
+
+impl Frame {
+    /// A frame of `size` pixels, the inner dimension first.
+    ///
+    /// # Errors
+    /// When there are no planes, too many dimensions, none, or a plane's pixels are not all inside its buffer.
+    pub fn new(size: &[usize], planes: Vec<Plane>) -> Result<Frame, FrameError> {
+        let rows = size.iter().skip(1).try_fold(1usize, |rows, &n| rows.checked_mul(n));
+        if size.is_empty() || size.len() > DIMENSIONS_MAX || size.contains(&0) || rows.is_none() {
+            return Err(FrameError::Size(size.to_vec()));
+        }
+        if planes.is_empty() {
+            return Err(FrameError::NoPlane);
+        }
+        let frame = Frame { size: size.to_vec(), planes, sequence: 0, capture_ns: None };
+        for (channel, plane) in frame.planes.iter().enumerate() {
+            plane.view(frame.width(), frame.rows()).map_err(|source| FrameError::Plane { channel, source })?;
+        }
+        Ok(frame)
+    }
+
+    /// The same frame with its number.
+    pub fn with_sequence(mut self, sequence: u64) -> Frame {
+        self.sequence = sequence;
+        self
+    }
+
+    /// The same frame with its time.
+    pub fn with_capture_ns(mut self, capture_ns: Option<u64>) -> Frame {
+        self.capture_ns = capture_ns;
+        self
+    }
+
+    /// Pixels along each dimension, the inner one first.
+    pub fn size(&self) -> &[usize] {
+        &self.size
+    }
+
+    /// Pixels of a row.
+    pub fn width(&self) -> usize {
+        self.size[0]
+    }
+
+    /// Rows: the product of all dimensions but the inner one.
+    pub fn rows(&self) -> usize {
+        self.size[1..].iter().product()
+    }
+
+    /// The channels.
+    pub fn planes(&self) -> &[Plane] {
+        &self.planes
+    }
+
+    /// The pixels of a channel.
+    ///
+    /// # Panics
+    /// When there is no such channel, as indexing does.
+    pub fn plane_view(&self, channel: usize) -> PlaneView<'_> {
+        let view = self.planes[channel].view(self.width(), self.rows());
+        view.expect("Frame::new made this very view, and a buffer's bytes stay the same")
+    }
+
+    /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in the first plane's format, rounded to
+    /// whole values when that has no fractions. Frames of any other number of planes come back as they are.
+    pub fn luma(&self) -> Frame {
+        if self.planes.len() != LUMA.len() {
+            return self.clone();
+        }
+        let views: Vec<PlaneView> = (0..LUMA.len()).map(|channel| self.plane_view(channel)).collect();
+        let format = self.planes[0].format;
+        let mut bytes = Vec::with_capacity(self.width() * self.rows() * format.bytes_per_pixel());
+        for y in 0..self.rows() {
+            for x in 0..self.width() {
+                let value = LUMA.iter().zip(&views).map(|(weight, view)| weight * view.pixel(x, y)).sum();
+                append(&mut bytes, format, value);
+            }
+        }
+        Frame { size: self.size.clone(), planes: vec![Plane::owned(format, bytes, self.width())], ..*self }
+    }
+}
+
+/// Appends one pixel; whole values are rounded to nearest and clipped to the format.
+fn append(bytes: &mut Vec<u8>, format: PixelFormat, value: f64) {
+    match format {
+        PixelFormat::U8 => bytes.push(value.round() as u8),
+        PixelFormat::U16 => bytes.extend((value.round() as u16).to_le_bytes()),
+        PixelFormat::F32 => bytes.extend((value as f32).to_le_bytes()),
+        PixelFormat::F64 => bytes.extend(value.to_le_bytes()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    #[test]
+    fn sizes_and_buffers_are_checked() {
+        let plane = |bytes: usize| vec![Plane::owned(PixelFormat::U8, vec![0; bytes], 3)];
+        assert!(Frame::new(&[3, 2], plane(6)).is_ok());
+        assert!(Frame::new(&[3, 2], plane(5)).is_err());
+        assert!(Frame::new(&[3], plane(3)).is_ok());
+        assert!(Frame::new(&[3, 2, 2, 2], plane(24)).is_ok());
+        assert!(Frame::new(&[3, 2, 2, 2], plane(23)).is_err());
+        for size in [&[][..], &[0], &[3, 0], &[1, 1, 1, 1, 1], &[1, usize::MAX, 2]] {
+            assert!(matches!(Frame::new(size, plane(6)), Err(FrameError::Size(_))), "{size:?}");
+        }
+        assert!(matches!(Frame::new(&[3, 2], vec![]), Err(FrameError::NoPlane)));
+        let mut shifted = plane(6);
+        shifted[0].offset = 7;
+        assert!(Frame::new(&[3, 2], shifted).is_err());
+    }
+
+    #[test]
+    fn luma_of_interleaved_colour() {
+        let buffer = Buffer::Owned(vec![255, 255, 255, 255, 0, 0, 0, 100, 200].into());
+        let planes = (0..3).map(|channel| Plane::interleaved(PixelFormat::U8, &buffer, 3, 3, channel)).collect();
+        let frame = Frame::new(&[3, 1], planes).unwrap().with_sequence(7);
+        let luma = frame.luma();
+        assert_eq!(luma.planes().len(), 1);
+        assert_eq!(luma.planes()[0].buffer.bytes(), [255, 76, 82]); // 0.587·100 + 0.114·200 = 81.5
+        assert_eq!(luma.sequence, 7);
+        assert_eq!(luma.luma().planes()[0].buffer.bytes(), [255, 76, 82]);
+    }
+
+    #[test]
+    fn a_lease_ends_with_the_last_clone() {
+        static RETURNED: AtomicU32 = AtomicU32::new(0);
+        struct Loan(Vec<u8>);
+        impl Lease for Loan {
+            fn bytes(&self) -> &[u8] {
+                &self.0
+            }
+        }
+        impl Drop for Loan {
+            fn drop(&mut self) {
+                RETURNED.fetch_add(1, Ordering::SeqCst);
+            }
+        }
+        let plane = Plane {
+            format: PixelFormat::U16,
+            row_stride: 6,
+            pixel_stride: 2,
+            offset: 1,
+            buffer: Buffer::Leased(Arc::new(Loan((0..14).collect()))),
+        };
+        let frame = Frame::new(&[2, 2], vec![plane]).unwrap();
+        assert_eq!(frame.plane_view(0).pixel(1, 1), f64::from(u16::from_le_bytes([9, 10])));
+        let second = frame.clone();
+        drop(frame);
+        assert_eq!(RETURNED.load(Ordering::SeqCst), 0);
+        drop(second);
+        assert_eq!(RETURNED.load(Ordering::SeqCst), 1);
+    }
+}

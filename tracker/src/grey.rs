@@ -1,0 +1,71 @@
+//! `Grey`: the pixel values of a window as plain numbers, for everything that looks at an image before a fit.
+
+use isophote_jit::{PixelFormat, PlaneView, Window};
+
+/// The mean of all planes inside a window.
+#[derive(Clone, Debug)]
+pub(crate) struct Grey {
+    /// Row by row.
+    pub values: Vec<f64>,
+    /// Pixels of a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// At or above: saturated.
+    pub saturation: f64,
+    /// The step between two pixel values; 0 for fractions.
+    pub step: f64,
+}
+
+impl Grey {
+    /// Reads a window that lies inside the planes; `saturation` is one limit a plane. A pixel that is saturated in any
+    /// plane reads as `saturation`.
+    pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64]) -> Grey {
+        let limit = saturation.iter().copied().fold(f64::INFINITY, f64::min);
+        let mut values = Vec::with_capacity(window.width * window.height);
+        for y in window.y..window.y + window.height {
+            for x in window.x..window.x + window.width {
+                let (mut sum, mut clipped) = (0.0, false);
+                for (plane, limit) in planes.iter().zip(saturation) {
+                    let value = plane.pixel(x, y);
+                    clipped |= value >= *limit;
+                    sum += value;
+                }
+                let mean = sum / planes.len().max(1) as f64;
+                values.push(if clipped { mean.max(limit) } else { mean });
+            }
+        }
+        let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
+        Grey { values, width: window.width, height: window.height, saturation: limit, step: if whole { 1.0 } else { 0.0 } }
+    }
+
+    /// All pixels as (x, y, value), in window coordinates.
+    pub fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
+        self.values.iter().enumerate().map(|(i, &value)| ((i % self.width) as f64, (i / self.width) as f64, value))
+    }
+
+    /// How many are saturated.
+    pub fn saturated(&self) -> usize {
+        self.values.iter().filter(|&&value| value >= self.saturation).count()
+    }
+
+    /// The mean over 3 × 3 pixels (3 in a single row), fewer at the border: noise down by 3, single hot pixels by 9.
+    pub fn smoothed(&self) -> Vec<f64> {
+        let mut along = self.values.clone();
+        for (row, from) in along.chunks_exact_mut(self.width).zip(self.values.chunks_exact(self.width)) {
+            for (x, mean) in row.iter_mut().enumerate() {
+                let near = &from[x.saturating_sub(1)..(x + 2).min(self.width)];
+                *mean = near.iter().sum::<f64>() / near.len() as f64;
+            }
+        }
+        let mut smooth = along.clone();
+        for (y, row) in smooth.chunks_exact_mut(self.width).enumerate() {
+            let rows = y.saturating_sub(1)..(y + 2).min(self.height);
+            let share = 1.0 / rows.len() as f64;
+            for (x, mean) in row.iter_mut().enumerate() {
+                *mean = share * rows.clone().map(|near| along[near * self.width + x]).sum::<f64>();
+            }
+        }
+        smooth
+    }
+}

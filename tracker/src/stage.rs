@@ -1,0 +1,279 @@
+//! One stage: some of the parameters, one method, a bounded number of steps.
+//!
+//! What comes in: a [`Problem`], something that can sum F, its gradient and its Hessian over pixels. What goes out: moved
+//! parameters and a [`StageReport`]. It never knows kernels, pixels or roles.
+//!
+//! A pass *enters* at a point, and that point fixes its pixel set and its noise weights. F(u) and F(u + δ) are compared on
+//! the set of u; only after a step is accepted a new pass enters at u + δ, on its own set. So a domain that moves with the
+//! parameters cannot lower F by losing pixels.
+//!
+//! Near the minimum, one pixel at the rim of a domain or of a kink in the formula may come and go with every step, which
+//! then go to and fro for ever, some hundredths of a standard deviation long. So a step that insignificant which turns back
+//! may be half as long as the one before at most: the last steps are a bisection.
+
+use isophote_symbolic::Precision;
+use nalgebra::DVector;
+
+use crate::estimate::{Ending, StageReport};
+use crate::trust::{Curvature, Quadratic, Region, Spectrum, Step};
+
+/// What one gradient pass brings back.
+#[derive(Clone, Debug)]
+pub(crate) struct Pass {
+    /// F, g, H for the stage's free parameters.
+    pub quadratic: Quadratic,
+    /// Pixels summed.
+    pub pixels: u64,
+}
+
+/// A function to minimise. Points are full parameter vectors; free ones are the stage's.
+pub(crate) trait Problem {
+    /// F, g and H at `entry`, on its own pixel set. `None`: no kernel could run.
+    fn gradient(&mut self, entry: &[f64]) -> Option<Pass>;
+    /// F at `point`, on the pixel set and with the weights of `entry`.
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64>;
+    /// True when bounds and constraints hold.
+    fn allowed(&self, point: &[f64]) -> bool;
+}
+
+/// What a stage may do and what its numbers mean.
+#[derive(Clone, Debug)]
+pub(crate) struct Rules {
+    /// Free parameters, as indices into the full vector.
+    pub free: Vec<usize>,
+    /// Steps tried, at most.
+    pub iterations: u32,
+    /// A stage ends when every |δ| is below this times its standard deviation.
+    pub tolerance: f64,
+    /// Residuals are whitened: the variance of a pixel is known.
+    pub noise: bool,
+    /// Arithmetic of the pixel sums.
+    pub precision: Precision,
+    /// What rounding does to one residual, in pixel values; 0 when not known.
+    pub rounding: f64,
+    /// Pixels that the window holds.
+    pub window_pixels: u64,
+}
+
+/// A domain keeps at least this share of the pixels that the stage began with.
+const DOMAIN_SHARE: f64 = 0.02;
+/// … and at least this many pixels, twice the parameters, or all that the window has.
+const DOMAIN_PIXELS: u64 = 8;
+/// |δ| ≤ this · (|u| + this) ends a stage whatever σ says.
+const STEP_RELATIVE: f64 = 1e-10;
+/// Where the unlimited step moves no parameter by more than this many standard deviations, F has little more to give.
+const INSIGNIFICANT: f64 = 1.0;
+/// … and this share of F.
+const LITTLE: f64 = 1e-3;
+/// Refusals from one point after which a short step is short because there is no descent.
+const REJECTED: u32 = 3;
+/// ‖Dδ‖ below this share of ‖D u‖ is no step any more.
+const COLLAPSED: f64 = 1e-15;
+/// Halvings of a step that breaks a bound or a constraint.
+const HALVINGS: usize = 40;
+
+/// Size of an eigenvalue that the sums cannot tell from zero, relative to the largest, per parameter.
+pub(crate) fn eigen_resolution(precision: Precision) -> f64 {
+    match precision {
+        Precision::F32 => 1e-8,
+        Precision::F64 => f64::EPSILON,
+    }
+}
+
+impl Rules {
+    /// By how much rounding may shift F between two passes. With ρ the largest rounding of a residual, about ρ/8 the usual
+    /// one, `|Σ (r + ρ)² − Σ r²| ≈ 2 (ρ/8) √F` for random signs, and n (ρ/8)² where r vanishes; twice that; and the rounding
+    /// of the sums themselves.
+    fn slack(&self, objective: f64, pixels: u64) -> f64 {
+        let relative = match self.precision {
+            Precision::F32 => 5e-8,
+            Precision::F64 => 4.0 * f64::EPSILON,
+        };
+        let rho = self.rounding / 8.0;
+        relative * objective + 4.0 * rho * objective.sqrt() + 2.0 * pixels as f64 * rho * rho
+    }
+
+    fn pixels_needed(&self, first: u64) -> u64 {
+        let parameters = self.free.len() as u64;
+        let enough = DOMAIN_PIXELS.max(2 * parameters).min(self.window_pixels.max(parameters).max(1));
+        enough.max((DOMAIN_SHARE * first as f64).ceil() as u64)
+    }
+
+    /// χ²/ν with ν = pixels − parameters; `None` when ν ≤ 0.
+    fn reduced(&self, pass: &Pass) -> Option<f64> {
+        let freedom = pass.pixels.checked_sub(self.free.len() as u64).filter(|&n| n > 0)?;
+        Some(pass.quadratic.objective / freedom as f64)
+    }
+
+    /// Standard deviations from `2 H⁻¹`, the covariance at unit variance: times that of a residual, and times what rounding
+    /// does to a residual. 0 where H is indefinite.
+    fn deviations(&self, spectrum: &Spectrum, pass: &Pass) -> Deviations {
+        let zero = DVector::zeros(self.free.len());
+        let Some(inverse) = spectrum.inverse_diagonal() else { return Deviations { noise: zero.clone(), rounding: zero } };
+        let times = |unit: f64| inverse.map(|entry| if unit > 0.0 { unit * (2.0 * entry).sqrt() } else { 0.0 });
+        match self.noise {
+            true => Deviations { noise: times(1.0), rounding: zero },
+            false => Deviations {
+                noise: times(self.reduced(pass).unwrap_or(0.0).max(0.0).sqrt()),
+                rounding: times(self.rounding),
+            },
+        }
+    }
+}
+
+/// How far off each free parameter may be.
+struct Deviations {
+    /// By the noise of the pixels.
+    noise: DVector<f64>,
+    /// By the arithmetic.
+    rounding: DVector<f64>,
+}
+
+impl Deviations {
+    /// Every |δ| ≤ share · σ, or ≤ what rounding amounts to, or ≤ 1e-10 (|u| + 1e-10).
+    fn cover(&self, delta: &DVector<f64>, u: &DVector<f64>, share: f64) -> bool {
+        let enough = |i: usize| (share * self.noise[i]).max(self.rounding[i]).max(STEP_RELATIVE * (u[i].abs() + STEP_RELATIVE));
+        (0..delta.len()).all(|i| delta[i].abs() <= enough(i))
+    }
+}
+
+/// One stage at work.
+struct Walk<'a, P: Problem> {
+    problem: &'a mut P,
+    rules: &'a Rules,
+    report: StageReport,
+    /// The last accepted step, scaled: D δ.
+    last: Option<DVector<f64>>,
+    /// A step has turned back near the minimum.
+    turned: bool,
+}
+
+/// Runs a stage; `point` ends at the last accepted point (see [`Ending`]).
+pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut Vec<f64>) -> StageReport {
+    let mut walk = Walk { problem, rules, report: StageReport::default(), last: None, turned: false };
+    walk.report.ending = walk.walk(point);
+    walk.report
+}
+
+impl<P: Problem> Walk<'_, P> {
+    fn walk(&mut self, point: &mut Vec<f64>) -> Ending {
+        let mut pass = match self.enter(point) {
+            Ok(pass) => pass,
+            Err(ending) => return ending,
+        };
+        let mut region = Region::new(&pass.quadratic.hessian, &self.free(point));
+        loop {
+            region.rescale(&pass.quadratic.hessian);
+            let Some(spectrum) = Spectrum::new(&pass.quadratic, &region.scale(), eigen_resolution(self.rules.precision)) else {
+                return Ending::NonFinite;
+            };
+            if pass.quadratic.curvature == Curvature::Full && spectrum.is_indefinite() {
+                self.report.indefinite_steps += 1;
+            }
+            let next = match self.descend(point, &pass, &spectrum, &mut region) {
+                Ok(next) => next,
+                Err(ending) => return ending,
+            };
+            pass = match self.enter(&next) {
+                Ok(pass) => pass,
+                Err(ending) => return ending, // `point` is the last one with a usable pass
+            };
+            *point = next;
+        }
+    }
+
+    /// A gradient pass at `entry`, when it is one to go on with.
+    fn enter(&mut self, entry: &[f64]) -> Result<Pass, Ending> {
+        let pass = self.problem.gradient(entry).ok_or(Ending::NonFinite)?;
+        if self.report.passes == 0 {
+            self.report.pixels_first = pass.pixels;
+            self.report.pixels_least = pass.pixels;
+        }
+        self.report.passes += 1;
+        self.report.pixels_last = pass.pixels;
+        self.report.pixels_least = self.report.pixels_least.min(pass.pixels);
+        if pass.pixels < self.rules.pixels_needed(self.report.pixels_first) {
+            return Err(Ending::DomainVanished);
+        }
+        if pass.quadratic.is_finite() { Ok(pass) } else { Err(Ending::NonFinite) }
+    }
+
+    /// Tries ever shorter steps from `point` until one is accepted; returns where it leads.
+    fn descend(&mut self, point: &mut [f64], pass: &Pass, spectrum: &Spectrum, region: &mut Region) -> Result<Vec<f64>, Ending> {
+        let here = self.free(point);
+        let scale = region.scale();
+        let deviations = self.rules.deviations(spectrum, pass);
+        let slack = self.rules.slack(pass.quadratic.objective, pass.pixels);
+        let length = scale.component_mul(&here).norm();
+        let unlimited = spectrum.step(f64::INFINITY);
+        let nearly_there = unlimited.interior
+            && (unlimited.reduction <= slack
+                || unlimited.reduction <= LITTLE * pass.quadratic.objective
+                    && deviations.cover(&unlimited.delta, &here, INSIGNIFICANT));
+        let mut rejected = 0;
+        if let (true, Some(last)) = (nearly_there, &self.last) {
+            if unlimited.delta.component_mul(&scale).dot(last) < 0.0 {
+                region.limit(0.5 * last.norm());
+                self.turned = true;
+            }
+        }
+        loop {
+            let step = spectrum.step(region.radius());
+            let final_step = step.interior || nearly_there && (self.turned || rejected >= REJECTED);
+            if final_step && deviations.cover(&step.delta, &here, self.rules.tolerance) {
+                let end = self.moved(point, &step);
+                if self.problem.allowed(&end) {
+                    point.copy_from_slice(&end);
+                }
+                return Err(Ending::SmallStep);
+            }
+            if self.report.iterations == self.rules.iterations {
+                return Err(Ending::IterationLimit);
+            }
+            let Some((step, trial)) = self.within_bounds(point, step) else { return Err(Ending::NoDescent) };
+            if step.length <= COLLAPSED * length {
+                return Err(Ending::NoDescent);
+            }
+            self.report.iterations += 1;
+            let value = self.problem.value(&trial, point).unwrap_or(f64::NAN);
+            if region.judge(&step, pass.quadratic.objective - value, slack) {
+                self.last = Some(step.delta.component_mul(&scale));
+                return Ok(trial);
+            }
+            rejected += 1;
+            if !region.radius().is_normal() {
+                return Err(Ending::NoDescent);
+            }
+        }
+    }
+
+    /// Halves the step until bounds (exclusive) and constraints hold.
+    fn within_bounds(&self, point: &[f64], step: Step) -> Option<(Step, Vec<f64>)> {
+        let mut share = 1.0;
+        for _ in 0..HALVINGS {
+            let shorter = if share < 1.0 { step.shortened(share) } else { step.clone() };
+            let trial = self.moved(point, &shorter);
+            if self.problem.allowed(&trial) {
+                return Some((shorter, trial));
+            }
+            share *= 0.5;
+        }
+        None
+    }
+
+    fn free(&self, point: &[f64]) -> DVector<f64> {
+        DVector::from_iterator(self.rules.free.len(), self.rules.free.iter().map(|&i| point[i]))
+    }
+
+    fn moved(&self, point: &[f64], step: &Step) -> Vec<f64> {
+        let mut moved = point.to_vec();
+        for (&i, delta) in self.rules.free.iter().zip(step.delta.iter()) {
+            moved[i] += delta;
+        }
+        moved
+    }
+}
+
+#[cfg(test)]
+#[path = "stage_tests.rs"]
+mod tests;

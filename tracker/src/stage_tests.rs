@@ -1,0 +1,214 @@
+#![allow(clippy::unwrap_used)]
+use super::*;
+use nalgebra::DMatrix;
+
+/// Residuals with derivatives of a closed form, as a problem: `f(point, pixel)` gives (residual, its gradient, its Hessian
+/// by rows), or `None` where the pixel is not in the domain.
+struct Closed<'a> {
+    pixels: usize,
+    parameters: usize,
+    full: bool,
+    f: &'a dyn Fn(&[f64], usize) -> (f64, Vec<f64>, Vec<f64>),
+    inside: &'a dyn Fn(&[f64], usize) -> bool,
+    allowed: &'a dyn Fn(&[f64]) -> bool,
+}
+
+fn everywhere(_: &[f64], _: usize) -> bool {
+    true
+}
+
+fn anything(_: &[f64]) -> bool {
+    true
+}
+
+impl Problem for Closed<'_> {
+    fn gradient(&mut self, entry: &[f64]) -> Option<Pass> {
+        let n = self.parameters;
+        let (mut objective, mut gradient, mut hessian, mut pixels) = (0.0, DVector::zeros(n), DMatrix::zeros(n, n), 0);
+        for i in (0..self.pixels).filter(|&i| (self.inside)(entry, i)) {
+            let (r, d, dd) = (self.f)(entry, i);
+            objective += r * r;
+            pixels += 1;
+            for a in 0..n {
+                gradient[a] += 2.0 * r * d[a];
+                for b in 0..n {
+                    hessian[(a, b)] += 2.0 * d[a] * d[b] + if self.full { 2.0 * r * dd[a * n + b] } else { 0.0 };
+                }
+            }
+        }
+        let curvature = if self.full { Curvature::Full } else { Curvature::GaussNewton };
+        Some(Pass { quadratic: Quadratic { objective, gradient, hessian, curvature }, pixels })
+    }
+
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64> {
+        let square = |i: usize| (self.f)(point, i).0.powi(2);
+        Some((0..self.pixels).filter(|&i| (self.inside)(entry, i)).map(square).sum())
+    }
+
+    fn allowed(&self, point: &[f64]) -> bool {
+        (self.allowed)(point)
+    }
+}
+
+fn rules(parameters: usize, window_pixels: u64) -> Rules {
+    Rules {
+        free: (0..parameters).collect(),
+        iterations: 200,
+        tolerance: 1e-3,
+        noise: false,
+        precision: Precision::F64,
+        rounding: 0.0,
+        window_pixels,
+    }
+}
+
+/// Rosenbrock's valley as two residuals: 10 (y − x²), 1 − x.
+fn rosenbrock(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
+    match i {
+        0 => (10.0 * (u[1] - u[0] * u[0]), vec![-20.0 * u[0], 10.0], vec![-20.0, 0.0, 0.0, 0.0]),
+        _ => (1.0 - u[0], vec![-1.0, 0.0], vec![0.0; 4]),
+    }
+}
+
+#[test]
+fn rosenbrock_by_either_hessian() {
+    for full in [false, true] {
+        for start in [[-1.2, 1.0], [10.0, -10.0], [0.0, 0.0]] {
+            let mut problem = Closed { pixels: 2, parameters: 2, full, f: &rosenbrock, inside: &everywhere, allowed: &anything };
+            let mut point = start.to_vec();
+            let report = run(&mut problem, &rules(2, 2), &mut point);
+            assert_eq!(report.ending, Ending::SmallStep, "full {full} {start:?}");
+            assert!((point[0] - 1.0).abs() < 1e-9 && (point[1] - 1.0).abs() < 1e-9, "full {full} {start:?}: {point:?}");
+        }
+    }
+}
+
+/// NIST's Misra1a: y = b1 (1 − exp(−b2 x)), its 14 observations.
+const MISRA1A: [(f64, f64); 14] = [
+    (77.6, 10.07), (114.9, 14.73), (141.1, 17.94), (190.8, 23.93), (239.9, 29.61), (289.0, 35.18), (332.8, 40.02),
+    (378.4, 44.82), (434.8, 50.76), (477.3, 55.05), (536.8, 61.01), (593.1, 66.40), (689.1, 75.47), (760.0, 81.78),
+];
+
+fn misra1a(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
+    let (x, y) = MISRA1A[i];
+    let e = (-u[1] * x).exp();
+    (y - u[0] * (1.0 - e), vec![-(1.0 - e), -u[0] * x * e], vec![0.0, -x * e, -x * e, u[0] * x * x * e])
+}
+
+#[test]
+fn misra1a_from_both_starts() {
+    for full in [false, true] {
+        for start in [[500.0, 0.0001], [250.0, 0.0005]] {
+            let mut problem = Closed { pixels: 14, parameters: 2, full, f: &misra1a, inside: &everywhere, allowed: &anything };
+            let mut point = start.to_vec();
+            let report = run(&mut problem, &Rules { tolerance: 1e-7, ..rules(2, 14) }, &mut point);
+            assert_eq!(report.ending, Ending::SmallStep);
+            assert!((point[0] / 2.389_421_291_8e2 - 1.0).abs() < 1e-8, "full {full} {point:?}");
+            assert!((point[1] / 5.501_564_318_1e-4 - 1.0).abs() < 1e-8, "full {full} {point:?}");
+        }
+    }
+}
+
+/// A dip of depth and width given, at an unknown place: beyond its inflection the full Hessian is negative.
+fn dip(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
+    let gauss = |x: f64| (-0.5 * x * x).exp();
+    let d = (i as f64 - u[0]) / 4.0;
+    let (observed, value) = (gauss((i as f64 - 30.0) / 4.0), gauss(d));
+    (observed - value, vec![-value * d / 4.0], vec![-value * (d * d - 1.0) / 16.0])
+}
+
+#[test]
+fn an_indefinite_hessian_is_counted_and_left_behind() {
+    let mut problem = Closed { pixels: 60, parameters: 1, full: true, f: &dip, inside: &everywhere, allowed: &anything };
+    let mut point = vec![38.0];
+    let report = run(&mut problem, &rules(1, 60), &mut point);
+    assert!(report.indefinite_steps >= 1, "{report:?}");
+    assert_eq!(report.ending, Ending::SmallStep);
+    assert!((point[0] - 30.0).abs() < 1e-8, "{point:?}");
+}
+
+#[test]
+fn a_bound_is_never_crossed() {
+    // The minimum at −3 is outside; the point creeps towards the bound and stays inside.
+    let f = |u: &[f64], i: usize| (u[0] + 3.0 + i as f64 * 1e-3, vec![1.0], vec![0.0]);
+    let mut problem = Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &|u| u[0] > 0.0 };
+    let mut point = vec![5.0];
+    let report = run(&mut problem, &rules(1, 9), &mut point);
+    assert!(point[0] > 0.0 && point[0] < 1e-6, "{point:?} {report:?}");
+    assert_ne!(report.ending, Ending::SmallStep);
+}
+
+#[test]
+fn a_domain_that_vanishes_ends_the_stage_on_the_last_good_point() {
+    // The domain is the pixels below the parameter, and the fit pulls the parameter down to −5.
+    let f = |u: &[f64], _: usize| (u[0] + 5.0, vec![1.0], vec![0.0]);
+    let mut problem =
+        Closed { pixels: 1000, parameters: 1, full: false, f: &f, inside: &|u, i| (i as f64) < u[0], allowed: &anything };
+    let mut point = vec![900.0];
+    let report = run(&mut problem, &rules(1, 1000), &mut point);
+    assert_eq!(report.ending, Ending::DomainVanished);
+    assert!(report.domain_shrank() && report.pixels_first == 900 && report.pixels_least < 18, "{report:?}");
+    assert!(point[0] >= 18.0, "{point:?}");
+}
+
+#[test]
+fn small_data_sets_are_not_vanished_domains() {
+    let f = |u: &[f64], i: usize| (u[0] - i as f64, vec![1.0], vec![0.0]);
+    let mut problem = Closed { pixels: 5, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+    let mut point = vec![9.0];
+    assert_eq!(run(&mut problem, &rules(1, 5), &mut point).ending, Ending::SmallStep);
+    assert!((point[0] - 2.0).abs() < 1e-12);
+}
+
+#[test]
+fn what_is_not_finite_is_stepped_back_from() {
+    // F is NaN above 2; the first full step from 0.1 would land far beyond.
+    let f = |u: &[f64], i: usize| {
+        let r = (2.0 - u[0]).sqrt() - 1.0 - 1e-3 * (i as f64 - 4.0);
+        (r, vec![-0.5 / (2.0 - u[0]).sqrt()], vec![0.0])
+    };
+    let mut problem = Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+    let mut point = vec![-30.0];
+    assert_eq!(run(&mut problem, &rules(1, 9), &mut point).ending, Ending::SmallStep);
+    assert!((point[0] - 1.0).abs() < 1e-3, "{point:?}");
+    let mut point = vec![3.0];
+    assert_eq!(run(&mut problem, &rules(1, 9), &mut point).ending, Ending::NonFinite);
+    assert_eq!(point, [3.0]);
+}
+
+#[test]
+fn a_parameter_without_effect_stays_where_it_is() {
+    let f = |u: &[f64], i: usize| (u[0] * u[0] - 4.0 - 1e-2 * i as f64, vec![2.0 * u[0], 0.0], vec![2.0, 0.0, 0.0, 0.0]);
+    let mut problem = Closed { pixels: 20, parameters: 2, full: false, f: &f, inside: &everywhere, allowed: &anything };
+    let mut point = vec![1.0, 7.0];
+    assert_eq!(run(&mut problem, &rules(2, 20), &mut point).ending, Ending::SmallStep);
+    assert_eq!(point[1], 7.0);
+}
+
+#[test]
+fn iterations_are_bounded_and_the_best_point_is_left() {
+    let mut problem = Closed { pixels: 2, parameters: 2, full: false, f: &rosenbrock, inside: &everywhere, allowed: &anything };
+    let mut point = vec![-1.2, 1.0];
+    let before = problem.value(&point, &point).unwrap();
+    let report = run(&mut problem, &Rules { iterations: 3, ..rules(2, 2) }, &mut point);
+    assert_eq!((report.iterations, report.ending), (3, Ending::IterationLimit));
+    assert!(problem.value(&point, &point).unwrap() < before);
+}
+
+#[test]
+fn a_kink_at_the_minimum_does_not_go_on_for_ever() {
+    // A tent |i − u| seen by pixels: the derivative of pixel 20's residual jumps where the minimum is.
+    let f = |u: &[f64], i: usize| {
+        let side = if (i as f64) < u[0] { 1.0 } else { -1.0 };
+        let noise = 0.3 * (7.7 * i as f64).sin();
+        ((i as f64 - 20.0).abs() + noise - (i as f64 - u[0]).abs(), vec![-side], vec![0.0])
+    };
+    for start in [19.3, 20.4, 23.0, 11.0] {
+        let mut problem = Closed { pixels: 41, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+        let mut point = vec![start];
+        let rules = Rules { iterations: 50, ..rules(1, 41) };
+        let report = run(&mut problem, &rules, &mut point);
+        assert_eq!(report.ending, Ending::SmallStep, "{start}: {point:?} {report:?}");
+        assert!((point[0] - 20.0).abs() < 0.1, "{start}: {point:?} {report:?}");
+    }
+}

@@ -1,0 +1,126 @@
+#![allow(clippy::unwrap_used)]
+use super::*;
+use crate::picture::{Picture, Profile, Spot};
+use isophote_jit::Window;
+
+fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {
+    let frame = picture.frame();
+    find(&Grey::read(&[frame.plane_view(0)], Window::whole(picture.width, picture.height), &[picture.saturation]), wanted)
+}
+
+/// Half axes and angle of a sighting's outline.
+fn axes(extent: [f64; 3]) -> (f64, f64) {
+    let [a, b, c] = extent;
+    let (mean, root) = (0.5 * (a + c), (0.25 * (a - c).powi(2) + b * b).sqrt());
+    (1.0 / (mean - root).sqrt(), 1.0 / (mean + root).sqrt())
+}
+
+#[test]
+fn spots_of_every_size_in_a_noisy_full_frame() {
+    // Half axes, amplitude, noise, how far off the centre may be.
+    for (half, amplitude, noise, off) in [
+        ([5.0, 3.5], 150.0, 0.0, 0.3),
+        ([5.0, 5.0], 150.0, 3.0, 0.7),
+        ([20.0, 14.0], 30.0, 3.0, 1.5),
+        ([60.0, 42.0], 150.0, 0.0, 0.1),
+        ([60.0, 42.0], 60.0, 5.0, 1.0),
+        ([200.0, 140.0], 150.0, 5.0, 1.0),
+        ([20.0, 20.0], -15.0, 1.0, 1.0),
+        ([200.0, 200.0], 400.0, 2.0, 1.0), // saturated
+        ([20.0, 14.0], 900.0, 2.0, 0.3),   // heavily
+    ] {
+        for seed in 0..4 {
+            let spot = Spot { half, angle: 0.7, ..Spot::at(330.3, 238.6, 1.0, amplitude) };
+            let picture = Picture { noise, seed, ..Picture::new(640, 480, vec![spot]) };
+            let found = look(&picture, &Wanted::default());
+            let case = format!("{half:?} {amplitude} {noise} seed {seed}: {found:?}");
+            assert_eq!(found.len(), 1, "{case}");
+            let found = &found[0];
+            assert!((found.centre[0] - 330.3).hypot(found.centre[1] - 238.6) < off, "{case}");
+            let (long, short) = axes(found.extent);
+            assert!(long > 0.6 * half[0] && long < 1.7 * half[0] + 1.0, "{long} {case}");
+            assert!(short > 0.6 * half[1] && short < 1.7 * half[1] + 1.0, "{short} {case}");
+            let visible = amplitude.min(235.0);
+            assert!((found.amplitude / visible - 1.0).abs() < 0.35, "{case}");
+            assert!((found.background - 20.0).abs() < 1.0 + noise, "{case}");
+        }
+    }
+}
+
+#[test]
+fn a_tilted_outline_comes_out_tilted() {
+    let spot = Spot { half: [40.0, 15.0], angle: 0.5, ..Spot::at(100.0, 90.0, 1.0, 150.0) };
+    let found = &look(&Picture::new(200, 180, vec![spot]), &Wanted::default())[0];
+    for (is, should) in found.extent.iter().zip(spot.extent()) {
+        assert!((is / should - 1.0).abs() < 0.4, "{is} {should}");
+    }
+}
+
+#[test]
+fn a_dark_disc_on_bright_ground() {
+    let disc = Spot { profile: Profile::Disc, ..Spot::at(400.0, 200.0, 30.0, -120.0) };
+    let picture = Picture { ground: 200.0, noise: 4.0, slope: [0.02, -0.03], ..Picture::new(640, 480, vec![disc]) };
+    let found = &look(&picture, &Wanted::default())[0];
+    assert!((found.centre[0] - 400.0).hypot(found.centre[1] - 200.0) < 0.3, "{found:?}");
+    assert!((found.amplitude + 120.0).abs() < 15.0 && (found.background - 202.0).abs() < 3.0, "{found:?}");
+    assert!(look(&picture, &Wanted { sign: Some(Sign::Bright), ..Wanted::default() }).is_empty());
+}
+
+#[test]
+fn the_most_massive_of_several_unless_a_place_is_given() {
+    let spots = vec![Spot::at(100.0, 100.0, 12.0, 120.0), Spot::at(450.0, 300.0, 40.0, 110.0), Spot::at(300.0, 60.0, 6.0, 235.0), Spot::at(550.0, 100.0, 25.0, 60.0)];
+    let picture = Picture { noise: 3.0, ..Picture::new(640, 480, spots.clone()) };
+    let all = look(&picture, &Wanted { targets_max: 9, ..Wanted::default() });
+    assert_eq!(all.len(), 4, "{all:?}");
+    assert!((all[0].centre[0] - 450.0).abs() < 1.0, "{all:?}");
+    for (spot, off) in spots.iter().zip([[8.0, -3.0], [40.0, 20.0], [0.0, 15.0], [-30.0, 20.0]]) {
+        let near = Some([spot.centre[0] + off[0], spot.centre[1] + off[1]]);
+        let found = look(&picture, &Wanted { near, ..Wanted::default() });
+        assert_eq!(found.len(), 1);
+        assert!((found[0].centre[0] - spot.centre[0]).abs() < 1.0, "{spot:?} {found:?}");
+        assert!((found[0].size[0] / spot.half[0] - 1.0).abs() < 0.5, "{spot:?} {found:?}");
+    }
+}
+
+#[test]
+fn on_a_slanting_ground() {
+    let picture = Picture { slope: [0.8, 0.5], noise: 2.0, ..Picture::new(96, 96, vec![Spot::at(40.0, 50.0, 20.0, 120.0)]) };
+    let found = &look(&picture, &Wanted::default())[0];
+    assert!((found.centre[0] - 40.0).hypot(found.centre[1] - 50.0) < 1.0, "{found:?}");
+    assert!((found.background - (20.0 + 32.0 + 25.0)).abs() < 4.0, "{found:?}");
+}
+
+#[test]
+fn nothing_is_found_in_noise_and_in_hot_pixels() {
+    for seed in 0..10 {
+        assert!(look(&Picture { noise: 5.0, seed, ..Picture::new(640, 480, vec![]) }, &Wanted::default()).is_empty(), "{seed}");
+    }
+    let hot = vec![Spot { profile: Profile::Disc, ..Spot::at(20.0, 20.0, 0.9, 200.0) }];
+    assert!(look(&Picture { noise: 1.0, ..Picture::new(64, 64, hot) }, &Wanted::default()).is_empty());
+    assert!(look(&Picture::new(64, 64, vec![]), &Wanted::default()).is_empty());
+    assert!(look(&Picture::new(1, 1, vec![]), &Wanted::default()).is_empty());
+}
+
+#[test]
+fn one_dimension() {
+    for noise in [0.0, 3.0] {
+        let picture = Picture { noise, ..Picture::new(400, 1, vec![Spot::at(170.4, 0.0, 30.0, 120.0)]) };
+        let found = &look(&picture, &Wanted::default())[0];
+        assert!((found.centre[0] - 170.4).abs() < 1.0 && found.centre[1] == 0.0, "{found:?}");
+        assert!((found.size[0] / 30.0 - 1.0).abs() < 0.3 && (found.extent[0] * 900.0 - 1.0).abs() < 0.6, "{found:?}");
+        assert!((found.amplitude - 120.0).abs() < 15.0, "{found:?}");
+    }
+}
+
+#[test]
+fn saturated_pixels_are_counted_and_do_not_change_the_extent() {
+    let sizes: Vec<f64> = [200.0, 400.0, 800.0]
+        .iter()
+        .map(|&amplitude| {
+            let found = look(&Picture::new(200, 200, vec![Spot::at(100.0, 100.0, 40.0, amplitude)]), &Wanted::default()).remove(0);
+            assert_eq!(found.saturated > 10, amplitude > 235.0, "{found:?}");
+            found.size[0]
+        })
+        .collect();
+    assert!(sizes.iter().all(|size| (size / 40.0 - 1.0).abs() < 0.35), "{sizes:?}");
+}

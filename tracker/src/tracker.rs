@@ -1,0 +1,291 @@
+//! `Tracker`: follows a target from frame to frame.
+//!
+//! What comes in: frames, in order. What goes out: one [`Estimate`] each, always. It never knows where frames come from nor
+//! what time it is.
+//!
+//! A frame is fitted from the last estimate when there is one (warm), and from starting values of its own when there is
+//! none or when the warm fit is not believed (cold). A target that a cold fit does not find either is lost, and every later
+//! frame is searched again.
+
+use std::sync::Arc;
+
+use isophote_jit::Window;
+
+use crate::cold::Cold;
+use crate::compiled::{CompileFailure, Compiled, Control};
+use crate::estimate::{Ending, Estimate, Rejection, TrackState};
+use crate::fit::{Fit, View, fit};
+use crate::frame::Frame;
+use crate::options::{TrackError, TrackerOptions};
+
+/// A brightness of less than this many standard deviations is nothing.
+const SIGNIFICANT: f64 = 5.0;
+/// A reduced χ² this many times the last one asks for a second opinion.
+const MISFIT: f64 = 9.0;
+/// Variance of rounding to whole pixel values.
+const QUANTISATION: f64 = 1.0 / 12.0;
+
+/// Follows one target, or the several of one model.
+pub struct Tracker {
+    compiled: Arc<Compiled>,
+    options: TrackerOptions,
+    constants: Vec<f64>,
+    memory: Memory,
+}
+
+/// What is remembered from frame to frame.
+#[derive(Clone, Debug, Default)]
+struct Memory {
+    /// Where the next fit starts: all parameters, those of a swapped model that have a value, or nothing.
+    warm: Option<Vec<Option<f64>>>,
+    /// The last good parameters.
+    last: Vec<f64>,
+    /// χ²/ν of the last good fit.
+    reduced: Option<f64>,
+    /// The last good fit met saturated pixels.
+    clipped: bool,
+    /// The target was found once.
+    found: bool,
+}
+
+/// What a swap does to the parameters of the new model.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Carried {
+    /// Names of those that keep their values.
+    pub carried: Vec<String>,
+    /// Names of those that start anew.
+    pub reset: Vec<String>,
+}
+
+/// One try on a frame.
+struct Attempt {
+    fit: Option<Fit>,
+    ending: Ending,
+    rejection: Option<Rejection>,
+}
+
+impl Attempt {
+    fn none(ending: Ending) -> Attempt {
+        Attempt { fit: None, ending, rejection: Some(Rejection::Ending) }
+    }
+
+    fn is_good(&self) -> bool {
+        self.rejection.is_none()
+    }
+
+    fn reduced(&self) -> Option<f64> {
+        self.fit.as_ref()?.worth.as_ref()?.reduced
+    }
+}
+
+impl Tracker {
+    /// A tracker that searches.
+    ///
+    /// # Errors
+    /// When a start or constant is given that the model does not have, or one that cannot be.
+    pub fn new(compiled: Arc<Compiled>, options: TrackerOptions) -> Result<Tracker, TrackError> {
+        options.check(compiled.model())?;
+        if options.precision != compiled.precision() {
+            return Err(TrackError::Precision { wanted: options.precision, compiled: compiled.precision() });
+        }
+        let constants = options.constants_of(compiled.model());
+        Ok(Tracker { compiled, options, constants, memory: Memory::default() })
+    }
+
+    /// The model's kernels.
+    pub fn compiled(&self) -> &Arc<Compiled> {
+        &self.compiled
+    }
+
+    /// Takes another model from the next frame on. Parameters of the same name keep their values if they lie inside the new
+    /// bounds, and the track goes on from them; the others start anew. Starts and constants that the new model does not
+    /// have are left alone: they belonged to the old one.
+    pub fn swap(&mut self, compiled: Arc<Compiled>, options: TrackerOptions) -> Carried {
+        let (old, new) = (self.compiled.model().clone(), compiled.model().clone());
+        let warm = self.memory.warm.as_ref();
+        let value = |name: &str| warm.and_then(|warm| warm[old.parameter(name)?.index()]);
+        let mut carried = Carried::default();
+        let mut values = Vec::new();
+        for parameter in new.parameters() {
+            let inside = |v: &f64| parameter.min.is_none_or(|min| *v > min) && parameter.max.is_none_or(|max| *v < max);
+            let value = value(&parameter.name).filter(inside);
+            let names = if value.is_some() { &mut carried.carried } else { &mut carried.reset };
+            names.push(parameter.name.clone());
+            values.push(value);
+        }
+        let warm = values.iter().any(Option::is_some).then_some(values);
+        self.constants = options.constants_of(&new);
+        self.memory = Memory { warm, clipped: self.memory.clipped, found: self.memory.found, ..Memory::default() };
+        self.compiled = compiled;
+        self.options = options;
+        carried
+    }
+
+    /// Fits one frame.
+    pub fn track(&mut self, frame: &Frame) -> Estimate {
+        let grey; // colour frames for a one-channel model
+        let frame = match self.compiled.model().channels().len() == 1 && frame.planes().len() == 3 {
+            true => {
+                grey = frame.luma();
+                &grey
+            }
+            false => frame,
+        };
+        let attempt = match self.view(frame) {
+            Some(view) => self.attempt(&view).unwrap_or(Attempt::none(Ending::NoKernel)),
+            None => Attempt::none(Ending::WrongFrame),
+        };
+        self.remember(&attempt);
+        self.publish(frame, attempt)
+    }
+
+    /// The part of a frame to look at; `None` when the frame does not suit the model.
+    fn view<'a>(&self, frame: &'a Frame) -> Option<View<'a>> {
+        let model = self.compiled.model();
+        let dimensions = model.coordinates().len();
+        let suits = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
+        if !suits || frame.planes().len() != model.channels().len() {
+            return None;
+        }
+        let whole = Window::whole(frame.width(), frame.rows());
+        let window = self.options.window.unwrap_or(whole).clipped(frame.width(), frame.rows())?;
+        let planes = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
+        Some(View::new(planes, window, self.options.camera.saturation, self.compiled.precision()))
+    }
+
+    /// Warm, then cold when the warm fit is not believed.
+    fn attempt(&self, view: &View) -> Result<Attempt, CompileFailure> {
+        let Some(warm) = &self.memory.warm else { return self.cold(view, &self.options.start_of(self.compiled.model())) };
+        let warm = self.warm(view, warm)?;
+        if !warm.is_good() {
+            let cold = self.cold(view, &self.options.start_of(self.compiled.model()))?;
+            return Ok(if cold.fit.is_some() || warm.fit.is_none() { cold } else { warm });
+        }
+        if self.is_jump(&warm, view) {
+            let cold = self.cold(view, &self.options.start_of(self.compiled.model()))?;
+            if cold.is_good() && cold.reduced() < warm.reduced() {
+                return Ok(cold);
+            }
+        }
+        Ok(warm)
+    }
+
+    fn warm(&self, view: &View, warm: &[Option<f64>]) -> Result<Attempt, CompileFailure> {
+        let full: Option<Vec<f64>> = warm.iter().copied().collect();
+        let Some(start) = full else { return self.cold(view, warm) };
+        let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
+        Ok(self.judged(fit(&self.compiled, view, &self.constants, &start, control)?, view))
+    }
+
+    /// From starting values: `given` numbers first, then the model's own, then what the window shows. The believable fit
+    /// with the smallest χ²/ν, if any is.
+    fn cold(&self, view: &View, given: &[Option<f64>]) -> Result<Attempt, CompileFailure> {
+        let Some(cold) = Cold::look(self.compiled.model(), view, given) else { return Ok(Attempt::none(Ending::NoTarget)) };
+        let mut best: Option<Attempt> = None;
+        for start in &cold.starts {
+            let attempt = self.judged(fit(&self.compiled, view, &self.constants, start, cold.control)?, view);
+            let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
+            if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
+                best = Some(attempt);
+            }
+        }
+        Ok(best.unwrap_or(Attempt::none(Ending::NoTarget)))
+    }
+
+    /// A χ²/ν far above the last one.
+    fn is_jump(&self, attempt: &Attempt, view: &View) -> bool {
+        let floor = if self.compiled.model().has_noise() { 1.0 } else { QUANTISATION.max(view.rounding.powi(2)) };
+        let last = self.memory.reduced.map(|reduced| MISFIT * reduced.max(floor));
+        last.is_some_and(|limit| attempt.reduced().is_some_and(|reduced| reduced > limit))
+    }
+
+    /// A fit, and why it is not believed.
+    fn judged(&self, fit: Fit, view: &View) -> Attempt {
+        let rejection = self.rejection(&fit, view);
+        Attempt { ending: fit.ending, fit: Some(fit), rejection }
+    }
+
+    fn rejection(&self, fit: &Fit, view: &View) -> Option<Rejection> {
+        let model = self.compiled.model();
+        if !fit.ending.is_fit() {
+            return Some(Rejection::Ending);
+        }
+        if !model.constraints_hold(&fit.parameters, &self.constants) {
+            return Some(Rejection::OutsideBounds);
+        }
+        let (first, size) = ([view.window.x, view.window.y], [view.window.width, view.window.height]);
+        for roles in model.roles() {
+            for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
+                let place = fit.parameters[parameter.index()] - first as f64;
+                if !(place >= -0.5 && place <= size as f64 - 0.5) {
+                    return Some(Rejection::OutsideWindow);
+                }
+            }
+            let brightness = roles.brightness.and_then(|parameter| {
+                let index = self.compiled.last_parameters().iter().position(|&p| p == parameter)?;
+                let worth = fit.worth.as_ref()?;
+                let variance = worth.covariance.as_ref().map_or(worth.variance_alone[index], |c| c[(index, index)]);
+                Some(fit.parameters[parameter.index()].abs() / variance.sqrt())
+            });
+            if brightness.is_some_and(|significance| significance < SIGNIFICANT) {
+                return Some(Rejection::Faint);
+            }
+        }
+        None
+    }
+
+    fn remember(&mut self, attempt: &Attempt) {
+        let memory = &mut self.memory;
+        match &attempt.fit {
+            Some(fit) if attempt.is_good() => {
+                memory.warm = Some(fit.parameters.iter().copied().map(Some).collect());
+                memory.last = fit.parameters.clone();
+                memory.reduced = attempt.reduced();
+                memory.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
+                memory.found = true;
+            }
+            _ => {
+                memory.warm = None;
+                memory.reduced = None;
+            }
+        }
+    }
+
+    fn publish(&self, frame: &Frame, attempt: Attempt) -> Estimate {
+        let model = self.compiled.model();
+        let good = attempt.is_good();
+        let state = match (good, self.memory.found) {
+            (true, _) => TrackState::Tracking,
+            (false, true) => TrackState::Lost,
+            (false, false) => TrackState::Searching,
+        };
+        let (stages, worth) = attempt.fit.map_or((Vec::new(), None), |fit| (fit.stages, fit.worth));
+        let told = worth.as_ref().filter(|_| good);
+        let covariance = told.and_then(|worth| worth.covariance.as_ref());
+        Estimate {
+            target: match model.roles() {
+                [roles] => roles.name.clone().unwrap_or_else(|| "0".to_string()),
+                _ => "0".to_string(),
+            },
+            sequence: frame.sequence,
+            capture_ns: frame.capture_ns,
+            state,
+            parameters: self.memory.last.clone(),
+            order: self.compiled.last_parameters().to_vec(),
+            covariance: covariance.map(|c| c.row_iter().map(|row| row.iter().copied().collect()).collect()),
+            objective: told.map(|worth| worth.objective),
+            reduced_chi_square: told.and_then(|worth| worth.reduced),
+            pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
+            saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
+            iterations: stages.iter().map(|stage| stage.iterations).collect(),
+            converged: good && attempt.ending == Ending::SmallStep,
+            ending: attempt.ending,
+            rejection: attempt.rejection,
+            stages,
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "tracker_tests.rs"]
+mod tests;

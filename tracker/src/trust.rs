@@ -1,0 +1,308 @@
+//! The trust region: how far a quadratic model of F may be believed.
+//!
+//! What comes in: F, gradient g and Hessian H of one pass. What goes out: steps δ and the verdict on each. It never knows
+//! where F came from, nor what bounds a parameter has.
+//!
+//! The step minimises `m(δ) = gᵀδ + ½ δᵀHδ` subject to `‖D δ‖ ≤ Δ`, exactly, by the eigenvalues of the scaled Hessian
+//! `D⁻¹HD⁻¹`; an indefinite H is no special case of it. `D` is the running maximum of `√|H_ii|` (Jacobi scaling, as in
+//! MINPACK), the first radius is `1·‖D u‖`: with 10 or 100 instead the NIST problems are not all solved (notes,
+//! "Numerical solvers").
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+/// Which second derivatives H holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Curvature {
+    /// 2 JᵀWJ: positive semidefinite up to rounding, and the gradient lies in its range.
+    GaussNewton,
+    /// All of them; may be indefinite.
+    Full,
+}
+
+/// `F(u + δ) ≈ F + gᵀδ + ½ δᵀHδ` near one point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quadratic {
+    /// F at the point.
+    pub objective: f64,
+    /// g = dF/du.
+    pub gradient: DVector<f64>,
+    /// H, symmetric.
+    pub hessian: DMatrix<f64>,
+    /// What H is.
+    pub curvature: Curvature,
+}
+
+impl Quadratic {
+    /// True when no NaN and no infinity is in it.
+    pub fn is_finite(&self) -> bool {
+        self.objective.is_finite()
+            && self.gradient.iter().all(|x| x.is_finite())
+            && self.hessian.iter().all(|x| x.is_finite())
+    }
+}
+
+/// A ratio of actual to predicted reduction below which a step is refused.
+const ACCEPT: f64 = 1e-4;
+/// First radius over `‖D u‖`.
+const FIRST_RADIUS: f64 = 1.0;
+/// Rounds of the secular equation; each at least halves the bracket.
+const SECULAR_ROUNDS: usize = 100;
+/// Sweeps of the eigenvalue iteration, per parameter.
+const EIGEN_SWEEPS: usize = 200;
+/// A scaled eigenvalue below −(this) of the largest magnitude makes H indefinite; above it is rounding of the sums.
+const INDEFINITE: f64 = 1e-6;
+
+/// H in scaled coordinates `z = D δ`, by its eigenvalues: `D⁻¹HD⁻¹ = Q Λ Qᵀ`.
+pub(crate) struct Spectrum {
+    /// Λ.
+    values: DVector<f64>,
+    /// Q, one column an eigenvalue.
+    vectors: DMatrix<f64>,
+    /// Qᵀ D⁻¹ g.
+    gradient: DVector<f64>,
+    /// The diagonal of D.
+    scale: DVector<f64>,
+    /// Eigenvalues of less magnitude count as zero …
+    zero: f64,
+    /// … and, where they do, entries of `gradient` up to this.
+    negligible: f64,
+}
+
+/// One minimiser of the quadratic model inside the trust region.
+#[derive(Clone, Debug)]
+pub(crate) struct Step {
+    /// δ.
+    pub delta: DVector<f64>,
+    /// `‖D δ‖`.
+    pub length: f64,
+    /// `−m(δ)` ≥ 0: by how much the model says that F falls.
+    pub reduction: f64,
+    /// `gᵀδ` ≤ 0.
+    pub slope: f64,
+    /// True when the radius did not matter: δ = −H⁻¹g.
+    pub interior: bool,
+}
+
+impl Step {
+    /// The same step, `t` times as long (0 < t ≤ 1). With `m(tδ) = t gᵀδ + t² (m(δ) − gᵀδ)`.
+    pub fn shortened(&self, t: f64) -> Step {
+        let curvature = -self.reduction - self.slope;
+        Step {
+            delta: &self.delta * t,
+            length: self.length * t,
+            slope: self.slope * t,
+            reduction: -(t * self.slope + t * t * curvature),
+            interior: false,
+        }
+    }
+}
+
+impl Spectrum {
+    /// `None` when the eigenvalues do not converge (H is not finite).
+    pub fn new(quadratic: &Quadratic, scale: &DVector<f64>, resolution: f64) -> Option<Spectrum> {
+        let n = scale.len();
+        let scaled = DMatrix::from_fn(n, n, |i, j| quadratic.hessian[(i, j)] / (scale[i] * scale[j]));
+        if !scaled.iter().all(|x| x.is_finite()) {
+            return None;
+        }
+        let eigen = SymmetricEigen::try_new(scaled, f64::EPSILON, EIGEN_SWEEPS * n.max(1))?;
+        let gradient = eigen.eigenvectors.tr_mul(&quadratic.gradient.component_div(scale));
+        let largest = eigen.eigenvalues.amax();
+        let zero = largest * resolution * n as f64;
+        let negligible = match quadratic.curvature {
+            // g = 2 Jᵀr, H = 2 JᵀJ: along a unit eigenvector q, |gᵀq| ≤ 2 ‖Jq‖ ‖r‖ = √(2 Λ F). What is larger is rounding.
+            Curvature::GaussNewton => f64::INFINITY,
+            Curvature::Full => gradient.amax() * f64::EPSILON,
+        };
+        let values = match quadratic.curvature {
+            Curvature::GaussNewton => eigen.eigenvalues.map(|value| value.max(0.0)), // below zero by rounding only
+            Curvature::Full => eigen.eigenvalues,
+        };
+        Some(Spectrum {
+            values,
+            vectors: eigen.eigenvectors,
+            gradient,
+            scale: scale.clone(),
+            zero,
+            negligible,
+        })
+    }
+
+    /// True when F bends downwards in some direction.
+    pub fn is_indefinite(&self) -> bool {
+        self.values.min() < -INDEFINITE * self.values.amax()
+    }
+
+    /// The diagonal of H⁻¹; infinite for a parameter that a vanishing eigenvalue leaves undetermined, `None` when H is
+    /// indefinite.
+    pub fn inverse_diagonal(&self) -> Option<DVector<f64>> {
+        if self.is_indefinite() {
+            return None;
+        }
+        let entry = |i: usize| {
+            let term = |k: usize| {
+                let share = self.vectors[(i, k)] * self.vectors[(i, k)];
+                match self.values[k] > self.zero {
+                    true => share / self.values[k],
+                    false if share > f64::EPSILON.sqrt() => f64::INFINITY,
+                    false => 0.0,
+                }
+            };
+            (0..self.values.len()).map(term).sum::<f64>() / (self.scale[i] * self.scale[i])
+        };
+        Some(DVector::from_fn(self.values.len(), |i, _| entry(i)))
+    }
+
+    /// H⁻¹; `None` when an eigenvalue vanishes or is negative.
+    pub fn inverse(&self) -> Option<DMatrix<f64>> {
+        if self.values.min() <= self.zero {
+            return None;
+        }
+        let weighted = DMatrix::from_fn(self.values.len(), self.values.len(), |i, k| self.vectors[(i, k)] / self.values[k]);
+        let scaled = weighted * self.vectors.transpose();
+        Some(DMatrix::from_fn(scaled.nrows(), scaled.ncols(), |i, j| {
+            0.5 * (scaled[(i, j)] + scaled[(j, i)]) / (self.scale[i] * self.scale[j])
+        }))
+    }
+
+    /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ vanishes, 0 if the gradient vanishes too, else infinite.
+    fn shifted(&self, lambda: f64) -> DVector<f64> {
+        DVector::from_fn(self.values.len(), |k, _| {
+            let curvature = self.values[k] + lambda;
+            let gradient = self.gradient[k];
+            match curvature.abs() > self.zero {
+                true => -gradient / curvature,
+                false if gradient.abs() <= self.negligible => 0.0,
+                false => -gradient.signum() * f64::INFINITY,
+            }
+        })
+    }
+
+    /// λ with ‖z(λ)‖ = Δ, when there is one above `lowest`: 1/‖z‖ is nearly linear in λ, so Newton's method on
+    /// `1/‖z(λ)‖ − 1/Δ = 0`, kept inside a bracket.
+    fn multiplier(&self, lowest: f64, radius: f64) -> f64 {
+        let smallest = self.values.min();
+        // ‖z(λ)‖ ≤ ‖D⁻¹g‖ / (λ_min + λ) ≤ Δ at the upper end.
+        let mut high = (self.gradient.norm() / radius - smallest).max(lowest);
+        let mut low = lowest;
+        let mut lambda = 0.5 * (low + high);
+        for _ in 0..SECULAR_ROUNDS {
+            let z = self.shifted(lambda);
+            let norm = z.norm();
+            if (norm - radius).abs() <= 1e-6 * radius || high <= low {
+                break;
+            }
+            if norm > radius { low = lambda } else { high = lambda }
+            // d(1/‖z‖)/dλ = Σ z_k²/(Λ_k + λ) / ‖z‖³
+            let slope = (0..z.len()).map(|k| z[k] * z[k] / (self.values[k] + lambda)).sum::<f64>() / norm.powi(3);
+            let newton = lambda + (1.0 / radius - 1.0 / norm) / slope;
+            lambda = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        }
+        lambda
+    }
+
+    /// The minimiser of m within `radius`.
+    pub fn step(&self, radius: f64) -> Step {
+        let smallest = self.values.min();
+        let full = self.shifted(0.0);
+        // λ = 0 is the answer when H is positive (semi)definite and ‖z(0)‖ ≤ Δ.
+        if smallest >= -self.zero && full.norm() <= radius {
+            return self.finish(full, true);
+        }
+        // Otherwise λ ≥ max(0, −λ_min), and ‖z(λ)‖ = Δ …
+        let lowest = (-smallest).max(0.0);
+        let edge = self.shifted(lowest);
+        if edge.norm() > radius {
+            return self.finish(self.shifted(self.multiplier(lowest, radius)), false);
+        }
+        // … unless ‖z(−λ_min)‖ < Δ (the hard case): g has no part along the lowest eigenvector, and any multiple τ of it may
+        // be added; τ² = Δ² − ‖z‖².
+        let mut z = edge;
+        let lowest_vector = self.values.imin();
+        let along = (radius * radius - z.norm_squared()).max(0.0).sqrt();
+        z[lowest_vector] += if self.gradient[lowest_vector] > 0.0 { -along } else { along };
+        self.finish(z, false)
+    }
+
+    fn finish(&self, z: DVector<f64>, interior: bool) -> Step {
+        let slope = self.gradient.dot(&z);
+        let bend: f64 = (0..z.len()).map(|k| self.values[k] * z[k] * z[k]).sum();
+        let delta = (&self.vectors * &z).component_div(&self.scale);
+        Step { delta, length: z.norm(), reduction: (-slope - 0.5 * bend).max(0.0), slope: slope.min(0.0), interior }
+    }
+}
+
+/// The region's memory from step to step.
+#[derive(Clone, Debug)]
+pub(crate) struct Region {
+    /// Running maximum of √|H_ii|; 0 as long as a parameter has shown no effect.
+    largest: DVector<f64>,
+    /// Δ.
+    radius: f64,
+    /// No step has been tried.
+    fresh: bool,
+}
+
+impl Region {
+    /// Around the point `u` (free parameters only).
+    pub fn new(hessian: &DMatrix<f64>, u: &DVector<f64>) -> Region {
+        let mut region = Region { largest: DVector::zeros(u.len()), radius: 0.0, fresh: true };
+        region.rescale(hessian);
+        let scale = region.scale();
+        let length = scale.component_mul(u).norm();
+        region.radius = FIRST_RADIUS * if length > 0.0 { length } else { scale.norm() };
+        region
+    }
+
+    /// Takes a new Hessian into D.
+    pub fn rescale(&mut self, hessian: &DMatrix<f64>) {
+        for (i, largest) in self.largest.iter_mut().enumerate() {
+            *largest = largest.max(hessian[(i, i)].abs().sqrt());
+        }
+    }
+
+    /// The diagonal of D; 1 for a parameter without effect.
+    pub fn scale(&self) -> DVector<f64> {
+        self.largest.map(|d| if d > 0.0 { d } else { 1.0 })
+    }
+
+    /// Δ.
+    pub fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    /// Makes the region no larger than `radius`.
+    pub fn limit(&mut self, radius: f64) {
+        self.radius = self.radius.min(radius);
+    }
+
+    /// The verdict on a step after which F was `actual` lower (NaN or −∞: it could not be computed), where `slack` is what
+    /// rounding may hide. True: accept.
+    ///
+    /// `ρ = (actual + slack) / (predicted + slack)`; accept when ρ ≥ 1e-4. Δ shrinks when ρ ≤ ¼, grows to 2‖Dδ‖ when ρ ≥ ¾ or
+    /// the step was interior (MINPACK's rules).
+    pub fn judge(&mut self, step: &Step, actual: f64, slack: f64) -> bool {
+        if self.fresh {
+            self.radius = self.radius.min(step.length);
+            self.fresh = false;
+        }
+        if !actual.is_finite() {
+            self.radius = 0.1 * self.radius.min(step.length);
+            return false;
+        }
+        let ratio = (actual + slack) / (step.reduction + slack);
+        if ratio <= 0.25 || ratio.is_nan() {
+            // The minimum of the parabola through F(u), its slope gᵀδ and F(u + δ) lies at t = −gᵀδ / (2 (F(u+δ) − F(u) − gᵀδ)).
+            let downhill = -step.slope;
+            let shrink = if actual >= 0.0 { 0.5 } else { (0.5 * downhill / (downhill - actual)).clamp(0.1, 0.5) };
+            self.radius = shrink * self.radius.min(10.0 * step.length);
+        } else if ratio >= 0.75 || step.interior {
+            self.radius = 2.0 * step.length;
+        }
+        ratio >= ACCEPT
+    }
+}
+
+#[cfg(test)]
+#[path = "trust_tests.rs"]
+mod tests;
