@@ -72,7 +72,9 @@ fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
     let pixels = u64::from(width) * u64::from(height);
     if pixels > LIMITS.frame_pixels {
         let limit = LIMITS.frame_pixels;
-        return Err(DecodeError::TooLarge(format!("{width}×{height} px is more than the {limit} px that a frame may have")));
+        return Err(DecodeError::TooLarge(format!(
+            "{width}×{height} px is more than the {limit} px that a frame may have"
+        )));
     }
     Ok(())
 }

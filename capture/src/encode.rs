@@ -38,7 +38,11 @@ fn encode(width: usize, height: usize, colour: ExtendedColorType, pixels: &[u8])
         let kind = image::error::ParameterErrorKind::DimensionMismatch;
         return Err(image::ImageError::Parameter(image::error::ParameterError::from_kind(kind)).into());
     }
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(pixels, width as u32, height as u32, colour)?;
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive).write_image(
+        pixels,
+        width as u32,
+        height as u32,
+        colour,
+    )?;
     Ok(bytes)
 }

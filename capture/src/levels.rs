@@ -43,7 +43,8 @@ impl Levels {
         let mut cumulative = vec![0.0; number];
         let mut k = *counts.start();
         while k <= *counts.end() {
-            let probability = if mean > 0.0 { libm::exp(poisson_logarithm(mean, k)) } else { f64::from(u8::from(k == 0.0)) };
+            let probability =
+                if mean > 0.0 { libm::exp(poisson_logarithm(mean, k)) } else { f64::from(u8::from(k == 0.0)) };
             for (i, sum) in cumulative.iter_mut().enumerate() {
                 *sum += probability * below((first + i as f64 + 0.5) * gain, k);
             }
@@ -83,9 +84,13 @@ mod tests {
     /// noise). The rounding term is exact to 1e-6 where the distribution is much wider than a DN.
     #[test]
     fn tables_have_the_moments_of_the_sensor() {
-        for (gain, read_noise_e, mean, tolerance) in
-            [(19.6, 15.0, 20.0, 1e-6), (19.6, 15.0, 150.0, 1e-9), (1.0, 0.0, 100.0, 1e-9), (1.0, 0.0, 3.0, 1e-9), (1.0, 4.0, 60.0, 1e-9)]
-        {
+        for (gain, read_noise_e, mean, tolerance) in [
+            (19.6, 15.0, 20.0, 1e-6),
+            (19.6, 15.0, 150.0, 1e-9),
+            (1.0, 0.0, 100.0, 1e-9),
+            (1.0, 0.0, 3.0, 1e-9),
+            (1.0, 4.0, 60.0, 1e-9),
+        ] {
             let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e };
             let levels = Levels::new(mean, &sensor).unwrap();
             let (mut before, mut average, mut square) = (0.0, 0.0, 0.0);
@@ -99,7 +104,11 @@ mod tests {
             let rounding = if gain == 1.0 && read_noise_e == 0.0 { 0.0 } else { 1.0 / 12.0 };
             let expected = mean / gain + (read_noise_e / gain).powi(2) + rounding;
             assert!((average - mean).abs() < tolerance, "{average} for {mean}");
-            assert!((square - average * average - expected).abs() < 100.0 * tolerance, "{} for {expected}", square - average * average);
+            assert!(
+                (square - average * average - expected).abs() < 100.0 * tolerance,
+                "{} for {expected}",
+                square - average * average
+            );
         }
     }
 

@@ -270,7 +270,9 @@ mod tests {
     #[test]
     fn noise_has_the_stated_mean_and_variance() {
         const N: usize = 1_000_000;
-        for (gain, read_noise_e, mean) in [(19.6, 15.0, 20.0), (19.6, 15.0, 150.0), (1.0, 2.0, 100.0), (0.2, 0.0, 120.0)] {
+        for (gain, read_noise_e, mean) in
+            [(19.6, 15.0, 20.0), (19.6, 15.0, 150.0), (1.0, 2.0, 100.0), (0.2, 0.0, 120.0)]
+        {
             let sensor = Sensor { saturation: 65_535.0, electrons_per_dn: gain, read_noise_e };
             let mut pixels = vec![0; N];
             let mut read_out = ReadOut::new(sensor);
@@ -287,7 +289,10 @@ mod tests {
             }
             let n = N as f64;
             assert!((average - f64::from(mean)).abs() < 5.0 * (expected / n).sqrt(), "mean {average} for {mean}");
-            assert!((variance - expected).abs() < 5.0 * expected * (2.0 / n).sqrt(), "variance {variance} for {expected}");
+            assert!(
+                (variance - expected).abs() < 5.0 * expected * (2.0 / n).sqrt(),
+                "variance {variance} for {expected}"
+            );
         }
     }
 

@@ -41,7 +41,18 @@ mod tests {
     #[test]
     fn numbers_inside_names_compare_as_numbers() {
         // `a2` and `a02` are the same number; the text decides: '0' < '2'.
-        let sorted = ["", "a", "a1.png", "a02.png", "a2.png", "a10.png", "a10b1.png", "a10b12.png", "a99999999999999999999.png", "b1.png"];
+        let sorted = [
+            "",
+            "a",
+            "a1.png",
+            "a02.png",
+            "a2.png",
+            "a10.png",
+            "a10b1.png",
+            "a10b12.png",
+            "a99999999999999999999.png",
+            "b1.png",
+        ];
         let mut shuffled: Vec<&str> = sorted.iter().rev().copied().collect();
         shuffled.sort_by(|a, b| natural(a, b));
         assert_eq!(shuffled, sorted);

@@ -141,7 +141,8 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
         return Ok(frame.luma());
     }
     let names = channels.join(", ");
-    let image = if planes == 1 { "a gray image has one channel" } else { "a colour image has three channels (r, g, b)" };
+    let image =
+        if planes == 1 { "a gray image has one channel" } else { "a colour image has three channels (r, g, b)" };
     let reason = format!("{image}, but the model reads {}: {names}", channels.len());
     Err(SourceError::Channels { path: path.into(), reason })
 }

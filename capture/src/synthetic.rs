@@ -256,7 +256,8 @@ fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
         true => Ok(()),
         false => Err(SyntheticError::Range { name, value, range: range.into() }),
     };
-    let (saturation, range) = (spec.saturation, format!("at least 1 and at most {largest}, the largest of {} bits", spec.bits));
+    let (saturation, range) =
+        (spec.saturation, format!("at least 1 and at most {largest}, the largest of {} bits", spec.bits));
     in_range("saturation", saturation, (1.0..=largest).contains(&saturation), &range)?;
     in_range("rate_hz", spec.rate_hz, spec.rate_hz > 0.0, "positive")?;
     in_range("full_well_e", spec.full_well_e, spec.full_well_e >= 0.0, "0 (no noise) or positive")?;
@@ -266,9 +267,10 @@ fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
 /// Parameters and constants of the first frame, motion apart.
 fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), SyntheticError> {
     let model = &spec.model;
-    let dark = model.parameters().iter().any(|p| {
-        matches!(p.start, Start::Estimator(Estimator::Amplitude)) && p.max.is_some_and(|max| max <= 0.0)
-    });
+    let dark = model
+        .parameters()
+        .iter()
+        .any(|p| matches!(p.start, Start::Estimator(Estimator::Amplitude)) && p.max.is_some_and(|max| max <= 0.0));
     let start = |start: &Start| match start {
         Start::Number(number) => *number,
         Start::Estimator(estimator) => typical(*estimator, spec, dark),

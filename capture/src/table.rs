@@ -26,7 +26,9 @@ impl Table {
             let line = error.position().map_or(1, |p| line_of(text, p));
             let reason = match error.kind() {
                 csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                    format!("{len} fields where the header names {expected_len} channels; give each line {expected_len} numbers")
+                    format!(
+                        "{len} fields where the header names {expected_len} channels; give each line {expected_len} numbers"
+                    )
                 }
                 csv::ErrorKind::Utf8 { .. } => "not UTF-8 text; save the file as UTF-8".to_string(),
                 _ => error.to_string(),
@@ -60,7 +62,9 @@ impl Table {
         for channel in channels {
             let Some(index) = self.names.iter().position(|name| name == channel) else {
                 let names = self.names.join(", ");
-                return Err(fault(format!("no column is named `{channel}`, which the model reads; the header names {names}")));
+                return Err(fault(format!(
+                    "no column is named `{channel}`, which the model reads; the header names {names}"
+                )));
             };
             let column = &self.columns[index];
             let bytes = column.iter().flat_map(|number| number.to_le_bytes()).collect();
@@ -90,7 +94,10 @@ fn check_names(names: &[String]) -> Result<(), String> {
             return Err(format!("column {} has no name; the first line must name the channels, e.g. `x,y`", i + 1));
         }
         if name.parse::<f64>().is_ok() {
-            return Err(format!("`{}` is a number; the first line must name the channels, e.g. `x,y`", shortened(name)));
+            return Err(format!(
+                "`{}` is a number; the first line must name the channels, e.g. `x,y`",
+                shortened(name)
+            ));
         }
         if names[..i].contains(name) {
             return Err(format!("two columns are named `{}`", shortened(name)));
@@ -111,7 +118,9 @@ mod tests {
 
     #[test]
     fn columns_are_read_in_any_spelling_of_numbers() {
-        let table = Table::parse(Path::new("t.csv"), b"\xef\xbb\xbf# measured\n x ,\"y\"\n1, -2.5e3\r\n\n 2,+.5\n3,\"nan\"").unwrap();
+        let table =
+            Table::parse(Path::new("t.csv"), b"\xef\xbb\xbf# measured\n x ,\"y\"\n1, -2.5e3\r\n\n 2,+.5\n3,\"nan\"")
+                .unwrap();
         assert_eq!(table.names, ["x", "y"]);
         assert_eq!(table.columns[0], [1.0, 2.0, 3.0]);
         assert_eq!(table.columns[1][..2], [-2500.0, 0.5]);
@@ -127,7 +136,10 @@ mod tests {
             (b"x,,y\n1,2,3\n", "t.csv:1: column 2 has no name; the first line must name the channels, e.g. `x,y`"),
             (b"x,y\n", "t.csv:1: there is a header but no line of numbers below it"),
             (b"x,y\n1,2\n3\n", "t.csv:3: 1 fields where the header names 2 channels; give each line 2 numbers"),
-            (b"x,y\n1,2\n# so\n3,4,5\n", "t.csv:4: 3 fields where the header names 2 channels; give each line 2 numbers"),
+            (
+                b"x,y\n1,2\n# so\n3,4,5\n",
+                "t.csv:4: 3 fields where the header names 2 channels; give each line 2 numbers",
+            ),
             (b"x,y\n1,two\n", "t.csv:2: `two` in column `y` is not a number"),
             (b"x,y\n1,\xff\n", "t.csv:2: not UTF-8 text; save the file as UTF-8"),
         ];

@@ -107,7 +107,10 @@ fn colour_fits_a_model_of_one_channel_by_its_luma_and_one_of_three_as_it_is() {
     let three = Recording::open(&path).unwrap().for_channels(&names).next().unwrap().unwrap().frame;
     assert_eq!(three.plane_view(2).pixel(3, 2), 30.0);
     let two = Recording::open(&path).unwrap().for_channels(&names[..2]).next().unwrap_err();
-    assert!(two.to_string().ends_with("a colour image has three channels (r, g, b), but the model reads 2: r, g"), "{two}");
+    assert!(
+        two.to_string().ends_with("a colour image has three channels (r, g, b), but the model reads 2: r, g"),
+        "{two}"
+    );
     gray(&path, 1);
     let gray = Recording::open(&path).unwrap().for_channels(&names).next().unwrap_err();
     assert!(gray.to_string().ends_with("a gray image has one channel, but the model reads 3: r, g, b"), "{gray}");

@@ -40,12 +40,12 @@ fn small(model: Arc<Model>) -> SyntheticSpec {
 #[test]
 fn a_pixel_is_the_mean_of_its_samples() {
     let disc = "if((x-bx)^2/100 + (y-by)^2/36 <= 1, 500*height, 20*height)";
-    let plane = "height*(100 + 3*x - 2*y + 0.3*x*y)";
-    let edge = "if(x + 0.4*y <= bx, 0, 600*height)";
+    let plane = "height*(100 + 3*x - 2*y + 0.3*x*y) + bx + by - 27.9";
+    let edge = "if(x + 0.3731*y <= bx, 0, 600*height + 0.001*by)";
     let value: [fn(f64, f64) -> f64; 3] = [
         |x, y| if (x - 16.2).powi(2) / 100.0 + (y - 11.7).powi(2) / 36.0 <= 1.0 { 50_000.0 } else { 2000.0 },
         |x, y| 100.0 * (100.0 + 3.0 * x - 2.0 * y + 0.3 * x * y),
-        |x, y| if x + 0.4 * y <= 16.2 { 0.0 } else { 60_000.0 },
+        |x, y| if x + 0.3731 * y <= 16.2 { 0.0 } else { 60_000.0117 },
     ];
     for (formula, value) in [disc, plane, edge].into_iter().zip(value) {
         for samples in [1, 2, 5] {
@@ -55,9 +55,15 @@ fn a_pixel_is_the_mean_of_its_samples() {
             let at = |i: u32| (f64::from(i) + 0.5) / n - 0.5;
             for (i, found) in found.iter().enumerate() {
                 let (x, y) = ((i % 33) as f64, (i / 33) as f64);
-                let sum: f64 = (0..samples).flat_map(|j| (0..samples).map(move |i| (i, j))).map(|(i, j)| value(x + at(i), y + at(j))).sum();
+                let sum: f64 = (0..samples)
+                    .flat_map(|j| (0..samples).map(move |i| (i, j)))
+                    .map(|(i, j)| value(x + at(i), y + at(j)))
+                    .sum();
                 let expected = sum / (n * n);
-                assert!((found - expected).abs() <= 0.55, "{formula}, {samples} samples, ({x}, {y}): {found}, not {expected}");
+                assert!(
+                    (found - expected).abs() <= 0.55,
+                    "{formula}, {samples} samples, ({x}, {y}): {found}, not {expected}"
+                );
             }
         }
     }
@@ -81,7 +87,8 @@ fn a_seed_is_a_promise() {
     let spec = SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, seed: 7, ..small(shipped("spot")) };
     let found = pixels(&mut Synthetic::new(spec).unwrap());
     let digest = found.iter().fold(0u64, |digest, pixel| digest.wrapping_mul(0x100_0000_01b3) ^ (*pixel as u64));
-    let expected = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/seed-7.txt")).unwrap_or_default();
+    let expected =
+        std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/seed-7.txt")).unwrap_or_default();
     if std::env::var_os("UPDATE_EXPECT").is_some() {
         std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/seed-7.txt"), format!("{digest:016x}\n")).unwrap();
     } else {
@@ -123,7 +130,9 @@ fn what_is_not_set_is_ordinary() {
     let truth = |name: &str| Synthetic::new(SyntheticSpec::new(shipped(name))).unwrap().truth(0).unwrap();
     let spot = truth("spot");
     assert_eq!((spot["bx"], spot["by"]), (319.5, 239.5));
-    assert!((spot["a1"] - 1.0 / 3600.0).abs() < 1e-18 && spot["a2"] == 0.0 && (spot["a3"] - 1.0 / 1764.0).abs() < 1e-18);
+    assert!(
+        (spot["a1"] - 1.0 / 3600.0).abs() < 1e-18 && spot["a2"] == 0.0 && (spot["a3"] - 1.0 / 1764.0).abs() < 1e-18
+    );
     assert_eq!((spot["k1"], spot["v0"], spot["v1"]), (-0.5, 20.0, 150.0));
     let dark = truth("dark-disc");
     assert_eq!((dark["v0"], dark["v1"]), (200.0, -150.0));
@@ -144,7 +153,8 @@ fn pixels_clip_at_the_saturation_limit() {
 /// Mean and variance of an even field through the whole camera; σ² = m/g + (r/g)² + 1/12, five standard errors.
 #[test]
 fn noise_is_that_of_the_camera_model() {
-    let spec = SyntheticSpec { width: 640, height: 480, full_well_e: 5000.0, read_noise_e: 15.0, ..small(model("height + 0*x*bx*by")) };
+    let even = small(model("height + bx + by - 27.9"));
+    let spec = SyntheticSpec { width: 640, height: 480, full_well_e: 5000.0, read_noise_e: 15.0, ..even };
     let found = pixels(&mut Synthetic::new(spec).unwrap());
     let n = found.len() as f64;
     let gain = 5000.0 / 255.0;
@@ -174,7 +184,10 @@ fn faults_say_what_would_be_right() {
     let cases: [(fn(&mut SyntheticSpec), &str); 11] = [
         (|s| s.set = set(&[("bz", 1.0)]), "the model `spot` has no parameter or constant named `bz`; is `bx` meant?"),
         (|s| s.set = set(&[("bx", f64::NAN)]), "a value of `set` is NaN; it must be a finite number"),
-        (|s| s.motion = BTreeMap::from([("qqq".into(), "t".into())]), "the model `spot` has no parameter named `qqq`; its parameters are bx, by, a1"),
+        (
+            |s| s.motion = BTreeMap::from([("qqq".into(), "t".into())]),
+            "the model `spot` has no parameter named `qqq`; its parameters are bx, by, a1",
+        ),
         (|s| s.motion = BTreeMap::from([("bx".into(), "320 + u".into())]), "the motion of `bx` is no formula of t: "),
         (|s| s.width = 0, "width is 0; it must be 1 to 32768"),
         (|s| (s.width, s.height) = (32_768, 32_768), "width × height is 1073741824; it must be 1 to 67108864"),

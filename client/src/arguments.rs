@@ -54,7 +54,9 @@ impl Formulas {
     }
 }
 
-fn merged<'a, T: Clone + 'a>(maps: impl Iterator<Item = &'a BTreeMap<String, T>>) -> Result<BTreeMap<String, T>, String> {
+fn merged<'a, T: Clone + 'a>(
+    maps: impl Iterator<Item = &'a BTreeMap<String, T>>,
+) -> Result<BTreeMap<String, T>, String> {
     let mut all = BTreeMap::new();
     for (name, value) in maps.flatten() {
         if all.insert(name.clone(), value.clone()).is_some() {
@@ -98,7 +100,8 @@ impl FromStr for WindowArgument {
     type Err = String;
     fn from_str(text: &str) -> Result<WindowArgument, String> {
         let wrong = || format!("`{text}` is not x,y,w,h: four whole numbers of pixels");
-        let numbers: Vec<usize> = text.split(',').map(|n| n.trim().parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
+        let numbers: Vec<usize> =
+            text.split(',').map(|n| n.trim().parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
         let [x, y, width, height] = numbers[..] else { return Err(wrong()) };
         if width == 0 || height == 0 {
             return Err(format!("`{text}` has no pixels: width and height must be positive"));

@@ -72,7 +72,8 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
         line.file = captured.file.clone();
         line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
         line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
-        let text = if args.json { serde_json::to_string(&line).map_err(other)? } else { columns(&model, &line, &estimate) };
+        let text =
+            if args.json { serde_json::to_string(&line).map_err(other)? } else { columns(&model, &line, &estimate) };
         writeln!(out, "{text}").map_err(Failure::output)?;
         if let Some(overlays) = &mut overlays {
             overlays.write(&model, &captured, &estimate, window)?;
@@ -158,14 +159,13 @@ fn columns(model: &Model, line: &wire::Estimate, estimate: &Estimate) -> String 
 /// A number to two digits of its standard deviation; to six digits where that is not known.
 pub(crate) fn with_deviation(value: f64, deviation: Option<f64>) -> String {
     let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
-    // Digits after the point such that two of the deviation's digits are shown.
-    let digits = 1 - deviation.log10().floor() as i32;
-    if (-3..=5).contains(&digits) && value.abs() < 1e9 {
-        let digits = digits.max(0) as usize;
+    let exponent = deviation.log10().floor() as i32;
+    if (-4..=4).contains(&exponent) && value.abs() < 1e9 {
+        let digits = (1 - exponent).max(0) as usize;
         return format!("{value:.digits$} ± {deviation:.digits$}");
     }
-    let significant = (value.abs() / deviation).log10().ceil().clamp(0.0, 12.0) as usize + 1;
-    format!("{value:.significant$e} ± {deviation:.1e}")
+    let digits = (value.abs().log10().floor() as i32 - exponent + 1).clamp(1, 12) as usize;
+    format!("{value:.digits$e} ± {deviation:.1e}")
 }
 
 fn shortest(value: f64) -> String {
@@ -195,7 +195,11 @@ impl Overlays {
 
     /// Draws one frame; the target is drawn only where the tracker has it.
     fn write(
-        &mut self, model: &Model, captured: &Captured, estimate: &Estimate, window: Option<Window>,
+        &mut self,
+        model: &Model,
+        captured: &Captured,
+        estimate: &Estimate,
+        window: Option<Window>,
     ) -> Result<(), Failure> {
         let frame = &captured.frame;
         if frame.size().len() != 2 {
@@ -208,7 +212,8 @@ impl Overlays {
         let picture = overlay::draw(&plane, part, overlay::white(&plane), contours.as_deref());
         let name = self.name(captured);
         let path = self.folder.join(name);
-        let failed = |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
+        let failed =
+            |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
         let png = encode_png_rgb(picture.width, picture.height, &picture.rgb).map_err(|error| failed(&error))?;
         std::fs::write(&path, png).map_err(|error| failed(&error))
     }

@@ -59,7 +59,7 @@ impl Service {
 
     /// `PUT` of a JSON document.
     pub fn put<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Failure> {
-        let body = serde_json::to_string(document).map_err(|error| Failure::Other(error.to_string()))?;
+        let body = serde_json::to_string_pretty(document).map_err(|error| Failure::Other(error.to_string()))?;
         read(&self.put_text(path, "application/json", &body, None)?)
     }
 
@@ -96,7 +96,8 @@ impl Service {
         let uri: Uri = self.url.parse().map_err(|error| wrong(&error))?;
         let host = uri.host().unwrap_or_default();
         let port = uri.port_u16().unwrap_or(80);
-        let stream = TcpStream::connect((host.trim_matches(['[', ']']), port)).map_err(|error| self.unreachable(&error))?;
+        let stream =
+            TcpStream::connect((host.trim_matches(['[', ']']), port)).map_err(|error| self.unreachable(&error))?;
         stream.set_nodelay(true).map_err(|error| self.unreachable(&error))?;
         let url = format!("ws{}{path}", self.url.trim_start_matches("http"));
         let mut request = url.into_client_request().map_err(|error| wrong(&error))?;
@@ -179,13 +180,15 @@ impl From<Refusal> for Failure {
 
 /// An answer's JSON.
 pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, Failure> {
-    serde_json::from_str(text).map_err(|error| Failure::Other(format!("an answer that this program does not know: {error}")))
+    serde_json::from_str(text)
+        .map_err(|error| Failure::Other(format!("an answer that this program does not know: {error}")))
 }
 
 /// A name as part of a path. Wrong names are the service's to refuse; here they must only stay in their place.
 pub fn segment(name: &str) -> String {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
-    let encoded = name.bytes().map(|byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") });
+    let encoded =
+        name.bytes().map(|byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") });
     encoded.collect()
 }
 

@@ -104,7 +104,8 @@ fn figures(stage: &StageReport) -> String {
 
 /// Reads and checks a document: `.json` is JSON, everything else TOML.
 pub fn read(path: &Path) -> Result<Arc<Model>, Failure> {
-    let unreadable = |reason: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be read: {reason}", path.display()));
+    let unreadable =
+        |reason: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be read: {reason}", path.display()));
     let bytes = std::fs::metadata(path).map_err(|error| unreadable(&error))?.len();
     if bytes > LIMITS.document_bytes as u64 {
         return Err(Failure::Model(format!(
@@ -114,8 +115,9 @@ pub fn read(path: &Path) -> Result<Arc<Model>, Failure> {
         )));
     }
     let text = std::fs::read(path).map_err(|error| unreadable(&error))?;
-    let text = String::from_utf8(text)
-        .map_err(|_| Failure::Model(format!("error: {}: not UTF-8 text; save the document as UTF-8", path.display())))?;
+    let text = String::from_utf8(text).map_err(|_| {
+        Failure::Model(format!("error: {}: not UTF-8 text; save the document as UTF-8", path.display()))
+    })?;
     let is_json = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let checked = if is_json { Model::from_json(&text) } else { Model::from_toml(&text) };
     checked.map(Arc::new).map_err(|diagnostics| Failure::model(&path.display().to_string(), &diagnostics))

@@ -74,7 +74,13 @@ pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
     let row = |model: &ModelItem| {
         let digest = model.digest.chars().take("sha256:".len() + 12).collect();
-        vec![model.name.clone(), model.version.to_string(), digest, model.parameters.join(","), model.description.clone()]
+        vec![
+            model.name.clone(),
+            model.version.to_string(),
+            digest,
+            model.parameters.join(","),
+            model.description.clone(),
+        ]
     };
     let rows: Vec<Vec<String>> = models.items.iter().map(row).collect();
     output::table(out, &["NAME", "VERSION", "DIGEST", "PARAMETERS", "DESCRIPTION"], &rows)

@@ -9,9 +9,10 @@ use isophote_tracker::Contour;
 const CONTOUR: [f64; 3] = [255.0, 150.0, 0.0];
 const CENTRE: [f64; 3] = [0.0, 220.0, 255.0];
 const LOST: [f64; 3] = [255.0, 0.0, 60.0];
-/// Line width and length of a cross' arms, in pixels of the picture.
+/// Line width and length of a cross' arms, in pixels of the picture; in a small contour the arms are shorter.
 const LINE_PX: f64 = 1.6;
 const ARM_PX: f64 = 7.0;
+const ARM_LEAST_PX: f64 = 2.5;
 /// Pictures are magnified (nearest neighbour) up to about this side…
 const SIDE_PX: usize = 640;
 /// …but not more than this.
@@ -69,7 +70,10 @@ fn distance(contour: &Contour, x: f64, y: f64) -> f64 {
 /// How much of a picture pixel the centre's cross covers, 0…1.
 fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64) -> f64 {
     let (dx, dy) = ((x - contour.centre[0]).abs() * scale, (y - contour.centre[1]).abs() * scale);
-    let arm = |along: f64, across: f64| coverage(across) * (ARM_PX + 0.5 - along).clamp(0.0, 1.0);
+    // The larger eigenvalue of A is at most its trace: a length that is surely inside of the contour.
+    let inside = contour.shape.map_or(f64::INFINITY, |[[a1, _], [_, a3]]| scale / (a1 + a3).sqrt());
+    let length = (0.5 * inside).min(ARM_PX).max(ARM_LEAST_PX);
+    let arm = |along: f64, across: f64| coverage(across) * (length + 0.5 - along).clamp(0.0, 1.0);
     let cover = arm(dx, dy).max(arm(dy, dx));
     if cover.is_nan() { 0.0 } else { cover }
 }
@@ -150,11 +154,11 @@ mod tests {
         let pixels = vec![100u8; 40 * 30];
         let plane = PlaneView::new(PixelFormat::U8, &pixels, 40, 30, 40, 1).unwrap();
         let part = part_to_draw(None, 40, 30);
-        let contour = contour([10.0, 20.0], None);
+        let contour = contour([10.0625, 20.0625], None);
         let picture = draw(&plane, part, 255.0, Some(&[contour]));
         assert_eq!((picture.width, picture.height), (320, 240));
         let at = |picture: &Picture, x: usize, y: usize| picture.rgb[3 * (y * picture.width + x)..][..3].to_vec();
-        assert_eq!(at(&picture, 83, 163), CENTRE.map(|c| c as u8));
+        assert_eq!(at(&picture, 84, 164), CENTRE.map(|c| c as u8));
         assert_eq!(at(&picture, 200, 100), [100, 100, 100]);
         let lost = draw(&plane, part, 255.0, None);
         assert_eq!(at(&lost, 0, 0), LOST.map(|c| c as u8));

@@ -49,7 +49,8 @@ fn of_kind<const N: usize>(kind: &str, own: [(&str, Value); N], mut keys: Map<St
 
 /// The service may have another working directory.
 fn absolute(path: &str) -> Result<Value, Failure> {
-    let absolute = std::path::absolute(path).map_err(|error| Failure::Usage(format!("`{path}` is no path: {error}")))?;
+    let absolute =
+        std::path::absolute(path).map_err(|error| Failure::Usage(format!("`{path}` is no path: {error}")))?;
     let text = absolute.to_str().ok_or_else(|| Failure::Usage(format!("`{path}` is not UTF-8")))?;
     Ok(json!(text))
 }

@@ -43,8 +43,16 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
     let spot = model("spot.toml");
     let (frames, overlays) = (folder.path().join("frames"), folder.path().join("overlays"));
     output(&[
-        "render", text(&spot), "--out", text(&frames), "--frames", "4", "--set", "by=231.4,v1=180,k1=-0.5",
-        "--motion", "bx=340 + max(0, 30*sin(2*pi*5*t))",
+        "render",
+        text(&spot),
+        "--out",
+        text(&frames),
+        "--frames",
+        "4",
+        "--set",
+        "by=231.4,v1=180,k1=-0.5",
+        "--motion",
+        "bx=340 + max(0, 30*sin(2*pi*5*t))",
     ]);
     let truth = lines(&std::fs::read_to_string(frames.join("truth.jsonl")).unwrap());
     assert_eq!(truth.len(), 4);
@@ -92,7 +100,8 @@ fn a_lost_target_is_a_line_like_any_other() {
     let folder = tempfile::tempdir().unwrap();
     let spot = model("spot.toml");
     let render = |out: &Path, set: &str| {
-        output(&["render", text(&spot), "--out", text(out), "--set", set, "--size", "320x240"]);
+        let noise = ["--full-well-e", "5000", "--read-noise-e", "15"];
+        output(&[&["render", text(&spot), "--out", text(out), "--set", set, "--size", "320x240"], &noise[..]].concat());
     };
     let frames = folder.path().join("frames");
     render(&frames, "v1=150");
@@ -111,7 +120,8 @@ fn a_csv_file_is_a_curve_fit() {
     let toml = "name = \"decay\"\ncoordinates = [\"i\"]\nchannels = [\"t\", \"y\"]\n[parameters]\na = { start = 1.0 }\nb = { start = 1.0 }\n\
                 [model]\nobserved = \"y\"\nintensity = \"a*exp(-b*t)\"\n";
     std::fs::write(&document, toml).unwrap();
-    let rows: String = (0..20).map(|i| f64::from(i) * 0.25).map(|t| format!("{t},{}\n", 3.0 * (-0.7 * t).exp())).collect();
+    let rows: String =
+        (0..20).map(|i| f64::from(i) * 0.25).map(|t| format!("{t},{}\n", 3.0 * (-0.7 * t).exp())).collect();
     std::fs::write(&data, format!("t,y\n{rows}")).unwrap();
     let fit = &lines(&output(&["fit", text(&document), "--frames", text(&data), "--json"]))[0];
     assert!((fit["parameters"]["a"].as_f64().unwrap() - 3.0).abs() < 1e-9, "{fit}");
@@ -167,7 +177,8 @@ fn check_and_explain_give_the_same_figures() {
     assert_eq!(report["model"], "thesis-spot");
     assert!(report["digest"].as_str().unwrap().starts_with("sha256:"));
     let stage = &report["stages"][0];
-    let explained = output(&["model", "explain", text(&thesis), "--parameters", "bx,by", "--show", "program", "--json"]);
+    let explained =
+        output(&["model", "explain", text(&thesis), "--parameters", "bx,by", "--show", "program", "--json"]);
     let explained = &lines(&explained)[0];
     for key in ["parameters", "method", "flops_per_pixel", "accumulators", "flops_per_row", "flops_per_pass"] {
         assert_eq!(explained[key], stage[key], "{key}");

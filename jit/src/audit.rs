@@ -45,11 +45,39 @@ fn allowed(opcode: Opcode) -> bool {
     let memory = matches!(opcode, Load | Store | Uload8 | Uload16 | Uload16x4 | StackAddr);
     let integer = matches!(
         opcode,
-        Iconst | Iadd | Isub | Imul | Ishl | Icmp | Smin | Band | Bor | Bxor | Bnot | Uextend | Ireduce | Popcnt | Bmask
+        Iconst
+            | Iadd
+            | Isub
+            | Imul
+            | Ishl
+            | Icmp
+            | Smin
+            | Band
+            | Bor
+            | Bxor
+            | Bnot
+            | Uextend
+            | Ireduce
+            | Popcnt
+            | Bmask
     );
     let float = matches!(
         opcode,
-        F64const | Fadd | Fsub | Fmul | Fdiv | Fma | Fneg | Fabs | Sqrt | Fcmp | Select | Fpromote | Fdemote | FcvtFromSint | FcvtToSintSat
+        F64const
+            | Fadd
+            | Fsub
+            | Fmul
+            | Fdiv
+            | Fma
+            | Fneg
+            | Fabs
+            | Sqrt
+            | Fcmp
+            | Select
+            | Fpromote
+            | Fdemote
+            | FcvtFromSint
+            | FcvtToSintSat
     );
     let vector = matches!(
         opcode,

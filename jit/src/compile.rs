@@ -1,13 +1,14 @@
 //! From the compiler's own form to bytes of machine code, audited on both sides.
 
-use cranelift_codegen::Context;
 use cranelift_codegen::control::ControlPlane;
 use cranelift_codegen::ir::Function;
+use cranelift_codegen::{Context, verify_function};
 use isophote_symbolic::Program;
 
 use crate::audit;
+use crate::error::CompileError;
 use crate::host::{self, Allocator};
-use crate::kernel::{CompileError, KernelOptions, check};
+use crate::kernel::{KernelOptions, check};
 use crate::lower::lower;
 
 /// Machine code that needs nothing filled in.
@@ -45,6 +46,7 @@ pub(crate) fn native(program: &Program, options: &KernelOptions) -> Result<Nativ
 fn audited(program: &Program, options: &KernelOptions) -> Result<(Function, Allocator), CompileError> {
     let isa = host::isa(Allocator::Backtracking)?;
     let function = lower(program, options, &*isa);
+    verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
     audit::function(&function).map_err(CompileError::Audit)?;
     let allocator = Allocator::for_size(function.dfg.num_insts());
     Ok((function, allocator))

@@ -5,9 +5,9 @@ use std::sync::{Arc, OnceLock};
 use cranelift_codegen::isa::{OwnedTargetIsa, TargetIsa};
 use cranelift_codegen::settings::{self, Configurable};
 
-use crate::kernel::CompileError;
+use crate::error::CompileError;
 
-/// Which register allocator: the good one takes time quadratic in the values held at once, so that programs beyond
+/// Which register allocator: the better one takes time that grows faster than the program, so that functions beyond
 /// [`INSTRUCTIONS_FOR_BACKTRACKING`] get the linear one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Allocator {
@@ -17,8 +17,8 @@ pub(crate) enum Allocator {
     SinglePass,
 }
 
-/// Compiler instructions up to which the backtracking allocator is affordable.
-const INSTRUCTIONS_FOR_BACKTRACKING: usize = 4000;
+/// Compiler instructions up to which the backtracking allocator is affordable: some 50 ms, a model of about 25 parameters.
+const INSTRUCTIONS_FOR_BACKTRACKING: usize = 8000;
 
 impl Allocator {
     /// The allocator for a function of that many compiler instructions.
@@ -44,10 +44,11 @@ fn build(allocator: Allocator) -> Result<OwnedTargetIsa, String> {
         Allocator::SinglePass => "single_pass",
     };
     // The program is already free of common subexpressions and in the order that we want: `speed` finds nothing to
-    // remove and undoes the order. A large frame touches its pages one by one, so that it cannot step over a guard page.
+    // remove and undoes the order. The flag would run the verifier after each of several passes that have nothing to do
+    // here; `compile` runs it once, always. A large frame touches its pages one by one, so that it cannot step over a guard page.
     let flags = [
         ("opt_level", "none"),
-        ("enable_verifier", "true"),
+        ("enable_verifier", "false"),
         ("regalloc_algorithm", algorithm),
         ("is_pic", "false"),
         ("use_colocated_libcalls", "false"),

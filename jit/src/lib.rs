@@ -9,6 +9,33 @@
 //! Native code imports no names, has no instruction that traps and is freed when its kernel is dropped. Every address
 //! that it touches is inside a slice whose bounds a type has proven before; `unsafe` stands in `runner.rs` alone.
 //!
+//! ```
+//! use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+//! use isophote_symbolic::{Bindings, Lowering, Model, Precision, ValueKind};
+//!
+//! let text = r#"
+//! name = "flat"
+//! coordinates = ["x", "y"]
+//! channels = ["phi"]
+//! [parameters]
+//! v0 = { start = 0.0 }
+//! [model]
+//! intensity = "v0"
+//! "#;
+//! let model = Model::from_toml(text).map_err(|faults| format!("{faults:?}"))?;
+//! let lowering = Lowering { fma: has_fma(), drop_saturated: false };
+//! let objective = model.value_objective(ValueKind::Entry).map_err(|faults| format!("{faults:?}"))?;
+//! let program = objective.program(lowering).map_err(|faults| format!("{faults:?}"))?;
+//! let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+//! let kernel = Kernel::compile(&program, &options)?;
+//!
+//! let pixels = [3, 4, 5, 6, 7, 8];
+//! let plane = PlaneView::new(PixelFormat::U8, &pixels, 3, 2, 3, 1)?;
+//! let bindings = Bindings { parameters: &[5.0], entry: &[5.0], ..Bindings::default() };
+//! let sums = kernel.sums(&bindings, &[plane], Window::whole(3, 2))?;
+//! assert_eq!(sums.outputs, [4.0 + 1.0 + 0.0 + 1.0 + 4.0 + 9.0]); // Σ (φ − v0)²
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //! It must never know: models, parameters' meaning, solvers, files, threads, clocks.
 
 #![deny(unsafe_code)]
@@ -17,6 +44,7 @@ mod abi;
 mod audit;
 mod check;
 mod compile;
+mod error;
 mod host;
 mod kernel;
 mod lower;
@@ -25,6 +53,7 @@ mod plane;
 mod runner;
 
 pub use compile::{Explained, explain};
+pub use error::{CompileError, RunError};
 pub use host::has_fma;
-pub use kernel::{CompileError, Kernel, KernelOptions, RunError, Sums};
+pub use kernel::{Kernel, KernelOptions, Sums};
 pub use plane::{PixelFormat, PlaneError, PlaneView, Window};

@@ -96,9 +96,7 @@ impl<'a> PlaneView<'a> {
         let pixels = (width - 1).checked_mul(pixel_stride);
         let end = rows.zip(pixels).and_then(|(r, p)| r.checked_add(p)?.checked_add(format.bytes_per_pixel()));
         match end {
-            Some(end) if end <= bytes.len() => {
-                Ok(PlaneView { format, bytes, width, height, row_stride, pixel_stride })
-            }
+            Some(end) if end <= bytes.len() => Ok(PlaneView { format, bytes, width, height, row_stride, pixel_stride }),
             _ => Err(PlaneError::TooShort { width, height, given: bytes.len() }),
         }
     }
@@ -137,9 +135,9 @@ impl<'a> PlaneView<'a> {
             PixelFormat::U8 => f64::from(bytes[0]),
             PixelFormat::U16 => f64::from(u16::from_ne_bytes([bytes[0], bytes[1]])),
             PixelFormat::F32 => f64::from(f32::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
-            PixelFormat::F64 => f64::from_ne_bytes([
-                bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7],
-            ]),
+            PixelFormat::F64 => {
+                f64::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7]])
+            }
         }
     }
 
@@ -203,5 +201,12 @@ impl Window {
     /// How many pixels it has.
     pub fn pixels(self) -> usize {
         self.width * self.height
+    }
+}
+
+impl From<Window> for isophote_symbolic::interpreter::Window {
+    fn from(window: Window) -> Self {
+        let Window { x, y, width, height } = window;
+        Self { x, y, width, height }
     }
 }

@@ -6,7 +6,7 @@ use std::ptr;
 
 use cranelift_codegen::ir::{AbiParam, types};
 use cranelift_jit::{JITBuilder, JITModule};
-use cranelift_module::{Linkage, Module, default_libcall_names};
+use cranelift_module::{Module, default_libcall_names};
 
 use crate::abi::{Args, FUNCTIONS, PlaneArgs};
 use crate::compile::Native;
@@ -140,7 +140,6 @@ fn define(module: &mut JITModule, native: &Native) -> Result<Entry, String> {
     let mut signature = module.make_signature();
     signature.params.push(AbiParam::new(types::I64));
     let id = module.declare_anonymous_function(&signature).map_err(|e| e.to_string())?;
-    debug_assert_eq!(Linkage::Local, module.declarations().get_function_decl(id).linkage);
     module.define_function_bytes(id, native.alignment, &native.bytes, &[]).map_err(|e| e.to_string())?;
     module.finalize_definitions().map_err(|e| e.to_string())?;
     let address = module.get_finalized_function(id);

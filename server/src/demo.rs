@@ -9,7 +9,8 @@ use crate::wire::{SessionDocument, SourceDocument};
 const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "height": 480, "rate_hz": 30,
     "motion": {"bx": "320 + 110*sin(2*pi*0.20*t)", "by": "240 + 70*cos(2*pi*0.13*t)"},
     "samples": 2, "full_well_e": 5000, "read_noise_e": 15, "seed": 1}"#;
-const SESSION: &str = r#"{"source": "demo", "model": "spot", "camera": {"electrons_per_dn": 19.6, "read_noise_e": 15}}"#;
+const SESSION: &str =
+    r#"{"source": "demo", "model": "spot", "camera": {"electrons_per_dn": 19.6, "read_noise_e": 15}}"#;
 
 /// Starts both. Only from the compile thread.
 pub fn start(service: &Service) -> Result<(), Problem> {

@@ -154,8 +154,18 @@ mod tests {
         let cases = [
             ("{\n \"source\": \"s\",\n \"model\": 3}", "model", 3, 2),
             ("{\"source\": \"s\", \"model\": \"m\",\n  \"windw\": 1}", "windw", 2, 3),
-            ("{\"source\": \"s\", \"model\": \"m\", \"options\": {\"exposure\":\n {\"gaol\": 1}}}", "options.exposure.gaol", 2, 3),
-            ("{\"source\": {\"kind\": \"pushed\",\n \"width\": 1, \"height\": 1, \"depth\": 1}, \"model\": \"m\"}", "source.depth", 2, 27),
+            (
+                "{\"source\": \"s\", \"model\": \"m\", \"options\": {\"exposure\":\n {\"gaol\": 1}}}",
+                "options.exposure.gaol",
+                2,
+                3,
+            ),
+            (
+                "{\"source\": {\"kind\": \"pushed\",\n \"width\": 1, \"height\": 1, \"depth\": 1}, \"model\": \"m\"}",
+                "source.depth",
+                2,
+                27,
+            ),
             ("{\"source\": \"s\"}", "", 1, 1),
             ("{\"source\": \"s\",\n \"model\" \"m\"}", "", 2, 10),
         ];

@@ -46,7 +46,10 @@ pub fn split(names: &str) -> Vec<&str> {
 /// The figures for one subset of the parameters (absent: those of the last stage), and a text: see [`SHOWN`]. `method` is
 /// a name as in a document; absent, `newton`.
 pub fn explain(
-    model: &Arc<Model>, subset: Option<&[&str]>, method: Option<&str>, show: &str,
+    model: &Arc<Model>,
+    subset: Option<&[&str]>,
+    method: Option<&str>,
+    show: &str,
 ) -> Result<Explanation, ExplainError> {
     if NOT_YET.contains(&show) {
         return Err(ExplainError::NotInThisBuild(show.to_string()));
@@ -98,7 +101,11 @@ pub fn report(compiled: &Compiled) -> Result<ModelReport, CompileFailure> {
 fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterId>, ExplainError> {
     let unknown = |name: &str| {
         let all: Vec<&str> = model.parameters().iter().map(|p| p.name.as_str()).collect();
-        ExplainError::Question(format!("the model `{}` has no parameter `{name}`; it has {}", model.name(), all.join(", ")))
+        ExplainError::Question(format!(
+            "the model `{}` has no parameter `{name}`; it has {}",
+            model.name(),
+            all.join(", ")
+        ))
     };
     let mut subset = Vec::new();
     for name in names {

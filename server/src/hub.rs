@@ -155,7 +155,9 @@ impl Subscription {
             {
                 let queue = lock(&self.subscriber.queue);
                 match &queue.end {
-                    Some(end) if queue.waiting.is_empty() || *end == End::ServiceStops => return Next::End(end.clone()),
+                    Some(end) if queue.waiting.is_empty() || *end == End::ServiceStops => {
+                        return Next::End(end.clone());
+                    }
                     _ => {}
                 }
             }
@@ -179,5 +181,82 @@ impl Subscription {
 impl Drop for Subscription {
     fn drop(&mut self) {
         lock(&self.hub.state).subscribers.retain(|one| !Arc::ptr_eq(one, &self.subscriber));
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    fn estimate(frame: u64) -> Arc<Estimate> {
+        let document = serde_json::json!({
+            "target": "0", "frame": frame, "model": "m@sha256:0", "state": "tracking", "parameters": {}, "order": [],
+            "pixels": 0, "saturated": 0.0, "iterations": [], "converged": true, "ending": "small-step",
+        });
+        Arc::new(serde_json::from_value(document).unwrap())
+    }
+
+    /// Frame and `dropped` of everything that waits.
+    fn drain(subscription: &mut Subscription) -> Vec<(u64, u64)> {
+        let mut taken = Vec::new();
+        while let Some(Next::Estimate(estimate)) = subscription.take() {
+            taken.push((estimate.frame, estimate.dropped));
+        }
+        taken
+    }
+
+    #[test]
+    fn dropped_is_exact_whoever_dropped() {
+        let hub = Arc::new(Hub::default());
+        let mut latest = hub.subscribe(Mode::Latest).unwrap();
+        let mut all = hub.subscribe(Mode::All).unwrap();
+        for frame in [5, 6, 9] {
+            hub.publish(estimate(frame)); // 7 and 8 the session did not fit
+        }
+        assert_eq!(drain(&mut latest), [(9, 0)]);
+        assert_eq!(drain(&mut all), [(5, 0), (6, 0), (9, 2)]);
+        for frame in [10, 11, 12] {
+            hub.publish(estimate(frame));
+        }
+        assert_eq!(drain(&mut latest), [(12, 2)]);
+        assert_eq!(drain(&mut all), [(10, 0), (11, 0), (12, 0)]);
+        assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()), [(12, 0)], "begins with the last one");
+        assert_eq!(drain(&mut hub.subscribe(Mode::All).unwrap()), []);
+    }
+
+    #[test]
+    fn the_queue_is_bounded_and_says_what_it_lost() {
+        let hub = Arc::new(Hub::default());
+        let mut all = hub.subscribe(Mode::All).unwrap();
+        hub.publish(estimate(0));
+        assert_eq!(drain(&mut all), [(0, 0)]);
+        let last = LIMITS.queue as u64 + 3;
+        (1..=last).for_each(|frame| hub.publish(estimate(frame)));
+        let taken = drain(&mut all);
+        assert_eq!(taken.len(), LIMITS.queue);
+        assert_eq!((taken[0], taken[1]), ((4, 3), (5, 0)));
+        assert_eq!(taken.last(), Some(&(last, 0)));
+    }
+
+    #[test]
+    fn what_waits_comes_before_the_end() {
+        let hub = Arc::new(Hub::default());
+        let mut all = hub.subscribe(Mode::All).unwrap();
+        hub.publish(estimate(0));
+        hub.end(End::SessionStopped);
+        assert_eq!(drain(&mut all), [(0, 0)]);
+        assert_eq!(all.take(), Some(Next::End(End::SessionStopped)));
+        let mut late = hub.subscribe(Mode::All).unwrap();
+        assert_eq!(late.take(), Some(Next::End(End::SessionStopped)));
+    }
+
+    #[test]
+    fn leaving_makes_room() {
+        let hub = Arc::new(Hub::default());
+        let mut held: Vec<Subscription> = (0..LIMITS.subscribers).map(|_| hub.subscribe(Mode::All).unwrap()).collect();
+        assert!(hub.subscribe(Mode::All).is_err());
+        held.pop();
+        assert!(hub.subscribe(Mode::All).is_ok());
     }
 }

@@ -119,9 +119,8 @@ impl Expected {
             Expected::Something => present.is_some(),
             Expected::Nothing => present.is_none(),
             Expected::Tags(tags) => present.is_some_and(|entry| {
-                tags.iter().any(|tag| {
-                    *tag == entry.tag() || *tag == entry.version.to_string() || tag == entry.model.digest()
-                })
+                tags.iter()
+                    .any(|tag| *tag == entry.tag() || *tag == entry.version.to_string() || tag == entry.model.digest())
             }),
         };
         if is_right {

@@ -120,7 +120,11 @@ impl Service {
 
     /// `PUT /v1/models/{name}`. Only from the compile thread.
     pub fn put_model(
-        &self, name: &Name, expected: &Expected, media: Media, text: &str,
+        &self,
+        name: &Name,
+        expected: &Expected,
+        media: Media,
+        text: &str,
     ) -> Result<(Put, Arc<Entry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
         self.registry.check(name, expected)?;
@@ -145,7 +149,9 @@ impl Service {
         let before = self.source(name.as_str()).ok();
         match &before {
             Some(source) if source.sessions() > 0 => return Err(source_in_use(name, source)),
-            None if self.sources().len() >= LIMITS.sources => return Err(Problem::over_limit("sources", LIMITS.sources)),
+            None if self.sources().len() >= LIMITS.sources => {
+                return Err(Problem::over_limit("sources", LIMITS.sources));
+            }
             _ => {}
         }
         let opened = source::open(&document, "", |model| Ok(self.registry.get(model)?.model.clone()), None)?;

@@ -110,6 +110,43 @@ fn too_long(text: &str) -> Option<Diagnostic> {
     })
 }
 
+/// Syntax errors told of one document.
+const SYNTAX_FAULTS: usize = 5;
+
+/// The key that a place in broken TOML belongs to, as far as its lines tell: the last table header, and what stands before
+/// the `=` of the place's own line.
+fn key_at(text: &str, at: usize) -> String {
+    let mut end = at.min(text.len());
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    let line_start = text[..end].rfind('\n').map_or(0, |i| i + 1);
+    let line = text[line_start..].lines().next().unwrap_or_default();
+    let name = |text: &str| text.trim().trim_matches(['"', '\'']).chars().take(LIMITS.name_bytes).collect::<String>();
+    let header = |line: &str| {
+        let inner = line.trim().strip_prefix('[')?.trim_start_matches('[').split(']').next()?;
+        (!inner.contains(['=', '"', ','])).then(|| name(inner))
+    };
+    let table = text[..line_start].lines().rev().find_map(header);
+    let own = header(line).or_else(|| line.split_once('=').map(|(key, _)| name(key))).unwrap_or_else(|| name(line));
+    match table.filter(|_| header(line).is_none()) {
+        Some(table) if !own.is_empty() => format!("{table}.{own}"),
+        Some(table) => table,
+        None => own,
+    }
+}
+
+/// The key that a place in broken JSON belongs to: the last `"key":` before it.
+fn json_key_at(text: &str, at: usize) -> String {
+    let mut end = at.min(text.len());
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    let colon = text[..end].rfind("\":");
+    let key = colon.and_then(|colon| text[..colon].rfind('"').map(|open| &text[open + 1..colon]));
+    key.unwrap_or_default().chars().take(LIMITS.name_bytes).collect()
+}
+
 /// Reads TOML; every syntax error that the reader could recover from is told.
 pub(crate) fn read_toml(text: &str) -> Result<Entry, Vec<Diagnostic>> {
     if let Some(diagnostic) = too_long(text) {
@@ -121,10 +158,11 @@ pub(crate) fn read_toml(text: &str) -> Result<Entry, Vec<Diagnostic>> {
             let at = e.span().map_or(Span::default(), span);
             let message = e.message().lines().collect::<Vec<_>>().join("; ");
             let code = if message.contains("duplicate") { "duplicate" } else { "syntax" };
-            Diagnostic::error(text, code, "", at, message)
+            Diagnostic::error(text, code, &key_at(text, at.start as usize), at, message)
                 .help("the document is TOML: `key = value`, formulas in quotes")
         };
-        return Err(errors.iter().map(tell).collect());
+        // One slip makes many: the first few name it.
+        return Err(errors.iter().take(SYNTAX_FAULTS).map(tell).collect());
     }
     let whole = span(table.span());
     Ok(Entry { item: Item::Table(toml_table(table.get_ref(), text)), span: whole })
@@ -176,7 +214,7 @@ pub(crate) fn read_json(text: &str) -> Result<Entry, Vec<Diagnostic>> {
     };
     let tell = |range: Range<usize>, message: String| {
         vec![
-            Diagnostic::error(text, "syntax", "", span(range), message)
+            Diagnostic::error(text, "syntax", &json_key_at(text, range.start), span(range), message)
                 .help("the document is JSON: an object of keys and values"),
         ]
     };

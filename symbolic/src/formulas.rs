@@ -157,6 +157,15 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         }
     }
 
+    /// From here on formulas may say `intensity`, unless the document uses the name for something else.
+    pub fn name_intensity(&mut self, intensity: Option<NodeId>) {
+        let binding = intensity.map_or(Binding::Poisoned, |node| {
+            self.graph.set_opaque(node);
+            Binding::Value(Matrix::scalar(node))
+        });
+        self.names.entry("intensity".into()).or_insert(binding);
+    }
+
     /// A formula whose value is a number.
     pub fn number(&mut self, key: &str, entry: &Entry) -> Option<NodeId> {
         self.formula(key, entry, |e, expr| e.scalar(expr))

@@ -15,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 mod absorb;
+mod calls;
 mod cuts;
 mod diagnostic;
 mod document;

@@ -55,8 +55,12 @@ pub(crate) fn read(text: &str, root: Entry) -> Result<Model, Diagnostics> {
     let mut graph = Graph::default();
     let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants);
     let mut reader = FormulaReader::new(graph, bindings, &mut faults);
-    reader.definitions(definitions);
+    if !coordinates.is_empty() && !channels.is_empty() {
+        reader.definitions(definitions);
+    }
     let formulas = match get(&top, "model") {
+        // Without coordinates and channels every formula would be at fault once more.
+        Some(_) if coordinates.is_empty() || channels.is_empty() => None,
         None => {
             faults.tell(
                 "missing-key",

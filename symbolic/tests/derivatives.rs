@@ -125,7 +125,7 @@ e = "exp(-((x-bx)^2 + (y-by)^2)/w^2)"
 [model]
 observed = "0.5*p + 0.5*q"
 intensity = "v0 + v1*e"
-noise = "4 + gain*max(intensity_again, 0)"
+noise = "4 + gain*max(intensity, 0)"
 "#,
 ];
 
@@ -134,7 +134,7 @@ fn models() -> Vec<Model> {
     let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     paths.sort();
     let shipped = paths.iter().map(|p| std::fs::read_to_string(p).unwrap());
-    let extra = EXTRA.iter().map(|t| t.replace("intensity_again", "v0 + v1*e"));
+    let extra = EXTRA.iter().map(|t| t.to_string());
     let read = |text: String| {
         Model::from_toml(&text)
             .unwrap_or_else(|d| panic!("{}", d.iter().map(|d| d.render("model")).collect::<String>()))

@@ -49,7 +49,8 @@ fn bombs_end_in_a_limit() {
 
 #[test]
 fn recursion_of_functions_is_bounded() {
-    let text = document(1, &[], "p0").replace("[definitions]", "[definitions]\n\"f(t)\" = \"g(t) + 1\"\n\"g(t)\" = \"f(t)*2\"");
+    let text = document(1, &[], "p0")
+        .replace("[definitions]", "[definitions]\n\"f(t)\" = \"g(t) + 1\"\n\"g(t)\" = \"f(t)*2\"");
     let faults = stopped(&text);
     assert!(faults.iter().any(|d| d.code == "cycle"), "{faults:?}");
     assert!(LIMITS.depth == 64);

@@ -78,7 +78,8 @@ bx = { start = "centroid.x" }
 intensity = "exp(-(x - bX)^2) + y*q"
 "#;
     let faults = Model::from_toml(text).unwrap_err();
-    let found: Vec<_> = faults.iter().map(|d| (d.key.as_str(), d.line, d.column, d.help.clone().unwrap_or_default())).collect();
+    let found: Vec<_> =
+        faults.iter().map(|d| (d.key.as_str(), d.line, d.column, d.help.clone().unwrap_or_default())).collect();
     assert_eq!(found, [("model.intensity", 8, 24, "did you mean `bx`?".to_string())]);
     assert_eq!(&text[faults[0].span.start as usize..faults[0].span.end as usize], "bX");
 }
@@ -105,7 +106,11 @@ impl Pixels for Flat {
 /// The branch not taken is singular, to second order; nothing of it may reach the sums.
 #[test]
 fn no_nan_from_the_branch_not_taken() {
-    let formulas = ["if(x - b > 0, sqrt(x - b), 0)", "if(x < b, 0, (x - b)^1.5*log(x - b + 0.001))", "if(abs(x - b) > 2, 1/(x - b), x - b)"];
+    let formulas = [
+        "if(x - b > 0, sqrt(x - b), 0)",
+        "if(x < b, 0, (x - b)^1.5*log(x - b + 0.001))",
+        "if(abs(x - b) > 2, 1/(x - b), x - b)",
+    ];
     for formula in formulas {
         let text = format!(
             "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"phi\"]\n[parameters]\nb = {{ start = 5.25 }}\nc = {{ start = 1.0 }}\n[model]\nintensity = \"c*({formula})\"\n"

@@ -81,11 +81,13 @@ impl Background {
 /// Pixels of the window's border: a ring, or both ends of a single row.
 fn border(grey: &Grey) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
     let ends = if grey.height == 1 { ENDS_PX.min(grey.width / 8).max(2) } else { RING_PX };
-    grey.pixels().filter(move |&(x, y, value)| {
-        let (x, y) = (x as usize, y as usize);
-        let edge_x = x < ends || x + ends >= grey.width;
-        value.is_finite() && (edge_x || (grey.height > 1 && (y < RING_PX || y + RING_PX >= grey.height)))
-    })
+    let row = move |y: usize| {
+        let whole = grey.height > 1 && (y < RING_PX || y + RING_PX >= grey.height) || grey.width <= 2 * ends;
+        let left = if whole { grey.width } else { ends };
+        (0..left).chain(grey.width.saturating_sub(ends).max(left)..grey.width).map(move |x| (x, y))
+    };
+    let pixels = (0..grey.height).flat_map(row).map(|(x, y)| (x as f64, y as f64, grey.values[y * grey.width + x]));
+    pixels.filter(|pixel| pixel.2.is_finite())
 }
 
 /// The median; 0 of nothing.

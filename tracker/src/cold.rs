@@ -11,6 +11,8 @@ use crate::start::{Sight, Sign, Wanted, find};
 pub(crate) struct Cold {
     /// Full parameter vectors.
     pub starts: Vec<Vec<f64>>,
+    /// To be tried when none of the others leads to a believable fit: a tighter outline.
+    pub tighter: Option<Vec<f64>>,
     /// Whether the window holds saturated pixels.
     pub control: Control,
 }
@@ -19,6 +21,10 @@ pub(crate) struct Cold {
 const CLIPPED_PIXELS: usize = 10;
 /// … and this many times as much is tried as well.
 const BRIGHTER: f64 = 2.5;
+/// A is this many times the estimated one for the tighter start. Where the domain ends at the outline and nothing is said of
+/// what lies beyond, a fit that begins with too large an outline takes the surroundings for its rim and grows without end;
+/// one that begins inside the target does not.
+const TIGHTER: f64 = 2.5;
 
 impl Cold {
     /// `given` numbers first, then the model's own numbers, then what its estimators see. `None` when an estimator is
@@ -45,23 +51,31 @@ impl Cold {
         } else {
             Vec::new()
         };
-        let start = |brighter: f64| -> Vec<f64> {
+        let start = |brighter: f64, tighter: f64| -> Vec<f64> {
             let parameters = model.parameters().iter().enumerate();
-            let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
-                (Some(number), _) | (None, Start::Number(number)) => number,
-                (None, Start::Estimator(estimator)) => {
-                    let value = target_of(model, &targets, index).value(estimator, origin);
-                    if estimator == Estimator::Amplitude { brighter * value } else { value }
-                }
-            };
+            let value =
+                |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
+                    (Some(number), _) | (None, Start::Number(number)) => number,
+                    (None, Start::Estimator(estimator)) => {
+                        let value = target_of(model, &targets, index).value(estimator, origin);
+                        match estimator {
+                            Estimator::Amplitude => brighter * value,
+                            Estimator::ExtentXX | Estimator::ExtentXY | Estimator::ExtentYY => tighter * value,
+                            Estimator::SizeX | Estimator::SizeY => value / tighter.sqrt(),
+                            _ => value,
+                        }
+                    }
+                };
             parameters.map(value).collect()
         };
-        let mut starts = vec![start(1.0)];
+        let mut starts = vec![start(1.0, 1.0)];
         let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
         if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
-            starts.push(start(BRIGHTER));
+            starts.push(start(BRIGHTER, 1.0));
         }
-        Some(Cold { starts, control })
+        let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::ExtentXX | Estimator::SizeX));
+        let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
+        Some(Cold { starts, tighter, control })
     }
 }
 

@@ -121,7 +121,11 @@ impl Compiled {
         self.push(job, |lowering| objective.program(lowering))
     }
 
-    fn push(&mut self, job: Job, program: impl Fn(Lowering) -> Result<Program, Diagnostics>) -> Result<(), CompileFailure> {
+    fn push(
+        &mut self,
+        job: Job,
+        program: impl Fn(Lowering) -> Result<Program, Diagnostics>,
+    ) -> Result<(), CompileFailure> {
         let lowered = |control| program(lowering(control)).map_err(CompileFailure::Model);
         self.pairs.push(Pair { job, plain: lowered(Control::Plain)?, dropping: lowered(Control::Dropping)? });
         Ok(())
@@ -194,7 +198,8 @@ impl Compiled {
             Control::Plain => &self.pairs[index].plain,
             Control::Dropping => &self.pairs[index].dropping,
         };
-        let options = KernelOptions { precision: self.precision, formats: layout.formats.clone(), packed: layout.packed };
+        let options =
+            KernelOptions { precision: self.precision, formats: layout.formats.clone(), packed: layout.packed };
         let kernel = Kernel::compile(program, &options).map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
         let kernel = Arc::new(kernel);
         let mut ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);

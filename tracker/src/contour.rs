@@ -56,7 +56,8 @@ mod tests {
 
     #[test]
     fn places_on_the_outline_fulfil_its_equation() {
-        let contour = Contour { target: "0".into(), centre: [3.0, -2.0], shape: Some([[0.02, -0.011], [-0.011, 0.05]]) };
+        let contour =
+            Contour { target: "0".into(), centre: [3.0, -2.0], shape: Some([[0.02, -0.011], [-0.011, 0.05]]) };
         let outline = contour.outline(17);
         assert_eq!(outline.len(), 17);
         for [x, y] in outline {

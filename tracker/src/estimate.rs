@@ -98,6 +98,8 @@ pub enum Rejection {
     Ending,
     /// The centre left the window.
     OutsideWindow,
+    /// A semi-axis of the outline is longer than the window, or A is not positive definite: nothing of the kind was seen.
+    Oversized,
     /// The brightness is less than five standard deviations from nothing.
     Faint,
     /// A bound or constraint does not hold.

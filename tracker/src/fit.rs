@@ -33,7 +33,8 @@ impl<'a> View<'a> {
             PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
         };
         let saturation: Vec<f64> = planes.iter().map(|plane| saturation.unwrap_or(limit(plane.format()))).collect();
-        let largest = planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
+        let largest =
+            planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
         let lane = match precision {
             Precision::F32 => f64::from(f32::EPSILON),
             Precision::F64 => f64::EPSILON,
@@ -81,7 +82,13 @@ pub(crate) struct Worth {
 }
 
 /// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them.
-pub(crate) fn fit(compiled: &Compiled, view: &View, constants: &[f64], start: &[f64], control: Control) -> Result<Fit, CompileFailure> {
+pub(crate) fn fit(
+    compiled: &Compiled,
+    view: &View,
+    constants: &[f64],
+    start: &[f64],
+    control: Control,
+) -> Result<Fit, CompileFailure> {
     let fit = fit_controlled(compiled, view, constants, start, control)?;
     let clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
     if control == Control::Dropping || !clipped {
@@ -90,16 +97,24 @@ pub(crate) fn fit(compiled: &Compiled, view: &View, constants: &[f64], start: &[
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
 }
 
-fn fit_controlled(compiled: &Compiled, view: &View, constants: &[f64], start: &[f64], control: Control) -> Result<Fit, CompileFailure> {
+fn fit_controlled(
+    compiled: &Compiled,
+    view: &View,
+    constants: &[f64],
+    start: &[f64],
+    control: Control,
+) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
-    let value = compiled.kernel(Job::Value, control, &view.layout)?;
     for (index, stage) in model.stages().iter().enumerate() {
         let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
+        // Newton differentiates the variance as well, so its F has ln σ² and variances of its own; the others hold it.
+        let whole = model.has_noise() && curvature(stage.method) == Curvature::Full;
+        let value = compiled.kernel(if whole { Job::Report } else { Job::Value }, control, &view.layout)?;
         let free = indices(&stage.parameters);
         let count = free.len();
         let mut problem =
-            Kernels { compiled, view, constants, gradient, value: value.clone(), count, curvature: curvature(stage.method) };
+            Kernels { compiled, view, constants, gradient, value, count, curvature: curvature(stage.method) };
         let rules = Rules {
             free,
             iterations: stage.iterations,
@@ -117,6 +132,7 @@ fn fit_controlled(compiled: &Compiled, view: &View, constants: &[f64], start: &[
         }
     }
     let gradient = compiled.kernel(Job::Covariance, Control::Dropping, &view.layout)?;
+    let value = compiled.kernel(Job::Value, Control::Dropping, &view.layout)?;
     let count = compiled.last_parameters().len();
     let mut problem = Kernels { compiled, view, constants, gradient, value, count, curvature: Curvature::GaussNewton };
     match problem.worth(&fit.parameters)? {
@@ -173,7 +189,8 @@ impl Kernels<'_> {
         }
         let reduced = sums.pixels.checked_sub(self.count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
         let variance = if noise { Some(1.0) } else { reduced };
-        let covariance = variance.and_then(|variance| Some(inverse_fisher(&quadratic, self.compiled.precision())? * variance));
+        let covariance =
+            variance.and_then(|variance| Some(inverse_fisher(&quadratic, self.compiled.precision())? * variance));
         let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
         let met = sums.pixels + sums.saturated;
         let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
@@ -209,8 +226,8 @@ fn quadratic(outputs: &[f64], n: usize, curvature: Curvature) -> Option<Quadrati
 }
 
 impl Problem for Kernels<'_> {
-    fn gradient(&mut self, entry: &[f64]) -> Option<Pass> {
-        let sums = self.run(&self.gradient, entry, entry)?;
+    fn gradient(&mut self, point: &[f64], entry: &[f64]) -> Option<Pass> {
+        let sums = self.run(&self.gradient, point, entry)?;
         Some(Pass { quadratic: quadratic(&sums.outputs, self.count, self.curvature)?, pixels: sums.pixels })
     }
 

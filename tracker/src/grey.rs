@@ -36,7 +36,13 @@ impl Grey {
             }
         }
         let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
-        Grey { values, width: window.width, height: window.height, saturation: limit, step: if whole { 1.0 } else { 0.0 } }
+        Grey {
+            values,
+            width: window.width,
+            height: window.height,
+            saturation: limit,
+            step: if whole { 1.0 } else { 0.0 },
+        }
     }
 
     /// All pixels as (x, y, value), in window coordinates.
@@ -53,19 +59,52 @@ impl Grey {
     pub fn smoothed(&self) -> Vec<f64> {
         let mut along = self.values.clone();
         for (row, from) in along.chunks_exact_mut(self.width).zip(self.values.chunks_exact(self.width)) {
-            for (x, mean) in row.iter_mut().enumerate() {
-                let near = &from[x.saturating_sub(1)..(x + 2).min(self.width)];
-                *mean = near.iter().sum::<f64>() / near.len() as f64;
+            for (mean, three) in row.iter_mut().skip(1).zip(from.windows(3)) {
+                *mean = (three[0] + three[1] + three[2]) * (1.0 / 3.0);
+            }
+            if let [first, second, ..] = *from {
+                row[0] = 0.5 * (first + second);
+            }
+            if let [.., second, last] = *from {
+                row[self.width - 1] = 0.5 * (second + last);
             }
         }
-        let mut smooth = along.clone();
+        let mut smooth = vec![0.0; along.len()];
         for (y, row) in smooth.chunks_exact_mut(self.width).enumerate() {
             let rows = y.saturating_sub(1)..(y + 2).min(self.height);
             let share = 1.0 / rows.len() as f64;
-            for (x, mean) in row.iter_mut().enumerate() {
-                *mean = share * rows.clone().map(|near| along[near * self.width + x]).sum::<f64>();
+            for near in along[rows.start * self.width..rows.end * self.width].chunks_exact(self.width) {
+                for (mean, value) in row.iter_mut().zip(near) {
+                    *mean += share * value;
+                }
             }
         }
         smooth
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn smoothing_is_the_mean_of_what_is_there() {
+        let grey = |width, height| Grey {
+            values: (0..width * height).map(|i| ((i * i) % 17) as f64).collect(),
+            width,
+            height,
+            saturation: 255.0,
+            step: 1.0,
+        };
+        for (width, height) in [(1, 1), (2, 1), (5, 1), (1, 4), (2, 2), (5, 4)] {
+            let grey = grey(width, height);
+            let near = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
+            for (i, mean) in grey.smoothed().into_iter().enumerate() {
+                let places = near(i / width, height).flat_map(|y| near(i % width, width).map(move |x| y * width + x));
+                let values: Vec<f64> = places.map(|place| grey.values[place]).collect();
+                let should = values.iter().sum::<f64>() / values.len() as f64;
+                assert!((mean - should).abs() < 1e-12, "{width} x {height}, {i}: {mean} {should}");
+            }
+        }
     }
 }

@@ -83,7 +83,17 @@ pub(crate) struct Picture {
 
 impl Picture {
     pub fn new(width: usize, height: usize, spots: Vec<Spot>) -> Picture {
-        Picture { width, height, ground: 20.0, slope: [0.0; 2], spots, noise: 0.0, seed: 1, samples: 1, saturation: 255.0 }
+        Picture {
+            width,
+            height,
+            ground: 20.0,
+            slope: [0.0; 2],
+            spots,
+            noise: 0.0,
+            seed: 1,
+            samples: 1,
+            saturation: 255.0,
+        }
     }
 
     pub fn pixels(&self) -> Vec<f64> {

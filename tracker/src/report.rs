@@ -58,8 +58,11 @@ impl Compiled {
             let objective = model.objective(&stage.parameters, stage.method).map_err(CompileFailure::Model)?;
             let program = objective.program(lowering(Control::Plain)).map_err(CompileFailure::Model)?;
             let channels = model.channels().len();
-            let options =
-                KernelOptions { precision: self.precision(), formats: vec![PixelFormat::U8; channels], packed: channels == 1 };
+            let options = KernelOptions {
+                precision: self.precision(),
+                formats: vec![PixelFormat::U8; channels],
+                packed: channels == 1,
+            };
             Kernel::compile(&program, &options).map_err(|error| CompileFailure::Kernel(error.into()))?;
             let end_ns = clock_ns();
             let cost = objective.cost(lowering(Control::Plain)).map_err(CompileFailure::Model)?;

@@ -6,7 +6,8 @@
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Estimator, Lowering, Model, Parameter, Precision, Program, Start, ValueKind};
 
-use crate::compiled::CompileFailure;
+use crate::compiled::{CompileFailure, curvature};
+use crate::trust::Curvature;
 
 /// The picture's size, px; one row for one dimension.
 const SIZE: [usize; 2] = [40, 30];
@@ -20,8 +21,10 @@ pub(crate) fn self_check(model: &Model) -> Result<Option<f64>, CompileFailure> {
     let channels = model.channels().len();
     let pictures: Vec<Vec<u8>> = (0..channels).map(|channel| picture(channel, height)).collect();
     let size = PixelFormat::F64.bytes_per_pixel();
-    let planes: Result<Vec<PlaneView>, _> =
-        pictures.iter().map(|bytes| PlaneView::new(PixelFormat::F64, bytes, SIZE[0], height, SIZE[0] * size, size)).collect();
+    let planes: Result<Vec<PlaneView>, _> = pictures
+        .iter()
+        .map(|bytes| PlaneView::new(PixelFormat::F64, bytes, SIZE[0], height, SIZE[0] * size, size))
+        .collect();
     let Ok(planes) = planes else { return Ok(None) };
     let parameters: Vec<f64> = model.parameters().iter().map(|parameter| made_up(parameter, height)).collect();
     let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
@@ -30,11 +33,16 @@ pub(crate) fn self_check(model: &Model) -> Result<Option<f64>, CompileFailure> {
         let bindings = Bindings { parameters, entry, constants: &constants, saturation: &saturation, shift: &[] };
         kernel.sums(&bindings, &planes, Window::whole(SIZE[0], height)).ok().map(|sums| sums.outputs)
     };
-    let value = model.value_objective(ValueKind::Entry).and_then(|objective| objective.program(Lowering::default()));
-    let value = compile(&value.map_err(CompileFailure::Model)?, channels)?;
-    let at = |parameters: &[f64], entry: &[f64]| run(&value, parameters, entry)?.first().copied();
+    let value_of = |kind: ValueKind| {
+        let program = model.value_objective(kind).and_then(|objective| objective.program(Lowering::default()));
+        compile(&program.map_err(CompileFailure::Model)?, channels)
+    };
     let mut worst: f64 = 0.0;
     for stage in model.stages() {
+        // Newton differentiates the noise as well.
+        let whole = model.has_noise() && curvature(stage.method) == Curvature::Full;
+        let value = value_of(if whole { ValueKind::Full } else { ValueKind::Entry })?;
+        let at = |parameters: &[f64], entry: &[f64]| run(&value, parameters, entry)?.first().copied();
         let objective = model.objective(&stage.parameters, stage.method).map_err(CompileFailure::Model)?;
         let program = objective.program(Lowering::default()).map_err(CompileFailure::Model)?;
         let Some(outputs) = run(&compile(&program, channels)?, &parameters, &parameters) else { return Ok(None) };

@@ -5,11 +5,12 @@
 //!
 //! A pass *enters* at a point, and that point fixes its pixel set and its noise weights. F(u) and F(u + δ) are compared on
 //! the set of u; only after a step is accepted a new pass enters at u + δ, on its own set. So a domain that moves with the
-//! parameters cannot lower F by losing pixels.
+//! parameters cannot lower F by losing pixels; and a step after which the new set is explained much worse, pixel by pixel,
+//! is taken back, so that it cannot grow without end either.
 //!
 //! Near the minimum, one pixel at the rim of a domain or of a kink in the formula may come and go with every step, which
-//! then go to and fro for ever, some hundredths of a standard deviation long. So a step that insignificant which turns back
-//! may be half as long as the one before at most: the last steps are a bisection.
+//! then go to and fro for ever, some hundredths of a standard deviation long. So when a step that insignificant turns back,
+//! the pixel set is kept from there on, and each turn halves what a step may be: the last steps are a bisection.
 
 use isophote_symbolic::Precision;
 use nalgebra::DVector;
@@ -28,8 +29,8 @@ pub(crate) struct Pass {
 
 /// A function to minimise. Points are full parameter vectors; free ones are the stage's.
 pub(crate) trait Problem {
-    /// F, g and H at `entry`, on its own pixel set. `None`: no kernel could run.
-    fn gradient(&mut self, entry: &[f64]) -> Option<Pass>;
+    /// F, g and H at `point`, on the pixel set and with the weights of `entry`. `None`: no kernel could run.
+    fn gradient(&mut self, point: &[f64], entry: &[f64]) -> Option<Pass>;
     /// F at `point`, on the pixel set and with the weights of `entry`.
     fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64>;
     /// True when bounds and constraints hold.
@@ -61,14 +62,18 @@ const DOMAIN_SHARE: f64 = 0.02;
 const DOMAIN_PIXELS: u64 = 8;
 /// |δ| ≤ this · (|u| + this) ends a stage whatever σ says.
 const STEP_RELATIVE: f64 = 1e-10;
-/// Where the unlimited step moves no parameter by more than this many standard deviations, F has little more to give.
+/// Where the unlimited step is shorter than this many standard deviations, `δᵀC⁻¹δ ≤ 1²`, F has little more to give.
 const INSIGNIFICANT: f64 = 1.0;
-/// … and this share of F.
-const LITTLE: f64 = 1e-3;
 /// Refusals from one point after which a short step is short because there is no descent.
 const REJECTED: u32 = 3;
 /// ‖Dδ‖ below this share of ‖D u‖ is no step any more.
 const COLLAPSED: f64 = 1e-15;
+/// F per pixel on a step's own pixel set may be this many times the least so far …
+const WORSE: f64 = 1.5;
+/// … and what rounding to whole pixel values adds.
+const WHOLE_VALUES: f64 = 1.0 / 12.0;
+/// Radius over the length of a step that strayed.
+const STRAYED: f64 = 0.25;
 /// Halvings of a step that breaks a bound or a constraint.
 const HALVINGS: usize = 40;
 
@@ -81,15 +86,15 @@ pub(crate) fn eigen_resolution(precision: Precision) -> f64 {
 }
 
 impl Rules {
-    /// By how much rounding may shift F between two passes. With ρ the largest rounding of a residual, about ρ/8 the usual
-    /// one, `|Σ (r + ρ)² − Σ r²| ≈ 2 (ρ/8) √F` for random signs, and n (ρ/8)² where r vanishes; twice that; and the rounding
+    /// By how much rounding may shift F between two passes. With ρ the largest rounding of a residual, about ρ/4 the usual
+    /// one, `|Σ (r + ρ)² − Σ r²| ≈ 2 (ρ/4) √F` for random signs, and n (ρ/4)² where r vanishes; twice that; and the rounding
     /// of the sums themselves.
     fn slack(&self, objective: f64, pixels: u64) -> f64 {
         let relative = match self.precision {
             Precision::F32 => 5e-8,
             Precision::F64 => 4.0 * f64::EPSILON,
         };
-        let rho = self.rounding / 8.0;
+        let rho = self.rounding / 4.0;
         relative * objective + 4.0 * rho * objective.sqrt() + 2.0 * pixels as f64 * rho * rho
     }
 
@@ -109,7 +114,9 @@ impl Rules {
     /// does to a residual. 0 where H is indefinite.
     fn deviations(&self, spectrum: &Spectrum, pass: &Pass) -> Deviations {
         let zero = DVector::zeros(self.free.len());
-        let Some(inverse) = spectrum.inverse_diagonal() else { return Deviations { noise: zero.clone(), rounding: zero } };
+        let Some(inverse) = spectrum.inverse_diagonal() else {
+            return Deviations { noise: zero.clone(), rounding: zero };
+        };
         let times = |unit: f64| inverse.map(|entry| if unit > 0.0 { unit * (2.0 * entry).sqrt() } else { 0.0 });
         match self.noise {
             true => Deviations { noise: times(1.0), rounding: zero },
@@ -132,7 +139,8 @@ struct Deviations {
 impl Deviations {
     /// Every |δ| ≤ share · σ, or ≤ what rounding amounts to, or ≤ 1e-10 (|u| + 1e-10).
     fn cover(&self, delta: &DVector<f64>, u: &DVector<f64>, share: f64) -> bool {
-        let enough = |i: usize| (share * self.noise[i]).max(self.rounding[i]).max(STEP_RELATIVE * (u[i].abs() + STEP_RELATIVE));
+        let enough =
+            |i: usize| (share * self.noise[i]).max(self.rounding[i]).max(STEP_RELATIVE * (u[i].abs() + STEP_RELATIVE));
         (0..delta.len()).all(|i| delta[i].abs() <= enough(i))
     }
 }
@@ -142,15 +150,26 @@ struct Walk<'a, P: Problem> {
     problem: &'a mut P,
     rules: &'a Rules,
     report: StageReport,
+    /// The least F per pixel of a pass so far.
+    least_mean: f64,
     /// The last accepted step, scaled: D δ.
     last: Option<DVector<f64>>,
-    /// A step has turned back near the minimum.
-    turned: bool,
+    /// Since steps have turned back near the minimum.
+    turned: Option<Turned>,
+}
+
+/// The end game.
+struct Turned {
+    /// Fixes the pixel set from here on.
+    entry: Vec<f64>,
+    /// The longest step, ‖Dδ‖.
+    length: f64,
 }
 
 /// Runs a stage; `point` ends at the last accepted point (see [`Ending`]).
 pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut Vec<f64>) -> StageReport {
-    let mut walk = Walk { problem, rules, report: StageReport::default(), last: None, turned: false };
+    let mut walk =
+        Walk { problem, rules, report: StageReport::default(), least_mean: f64::INFINITY, last: None, turned: None };
     walk.report.ending = walk.walk(point);
     walk.report
 }
@@ -164,7 +183,9 @@ impl<P: Problem> Walk<'_, P> {
         let mut region = Region::new(&pass.quadratic.hessian, &self.free(point));
         loop {
             region.rescale(&pass.quadratic.hessian);
-            let Some(spectrum) = Spectrum::new(&pass.quadratic, &region.scale(), eigen_resolution(self.rules.precision)) else {
+            let Some(spectrum) =
+                Spectrum::new(&pass.quadratic, &region.scale(), eigen_resolution(self.rules.precision))
+            else {
                 return Ending::NonFinite;
             };
             if pass.quadratic.curvature == Curvature::Full && spectrum.is_indefinite() {
@@ -174,17 +195,33 @@ impl<P: Problem> Walk<'_, P> {
                 Ok(next) => next,
                 Err(ending) => return ending,
             };
-            pass = match self.enter(&next) {
+            let entered = match self.enter(&next) {
                 Ok(pass) => pass,
                 Err(ending) => return ending, // `point` is the last one with a usable pass
             };
+            if self.strays(&pass, &entered) {
+                region.limit(STRAYED * self.last.as_ref().map_or(0.0, |step| step.norm()));
+                self.last = None;
+                continue;
+            }
+            pass = entered;
             *point = next;
         }
     }
 
-    /// A gradient pass at `entry`, when it is one to go on with.
-    fn enter(&mut self, entry: &[f64]) -> Result<Pass, Ending> {
-        let pass = self.problem.gradient(entry).ok_or(Ending::NonFinite)?;
+    /// F fell on the old pixel set, but the new point's own set is explained much worse, pixel by pixel: the step led the
+    /// domain to where the model does not hold.
+    fn strays(&mut self, old: &Pass, new: &Pass) -> bool {
+        let mean = |pass: &Pass| pass.quadratic.objective / pass.pixels.max(1) as f64;
+        self.least_mean = self.least_mean.min(mean(old));
+        let rounding = if self.rules.noise { 0.0 } else { WHOLE_VALUES + self.rules.rounding.powi(2) };
+        new.pixels != old.pixels && mean(new) > WORSE * self.least_mean + rounding
+    }
+
+    /// A gradient pass at `point`, when it is one to go on with.
+    fn enter(&mut self, point: &[f64]) -> Result<Pass, Ending> {
+        let entry = self.turned.as_ref().map_or(point, |turned| &turned.entry);
+        let pass = self.problem.gradient(point, entry).ok_or(Ending::NonFinite)?;
         if self.report.passes == 0 {
             self.report.pixels_first = pass.pixels;
             self.report.pixels_least = pass.pixels;
@@ -199,27 +236,36 @@ impl<P: Problem> Walk<'_, P> {
     }
 
     /// Tries ever shorter steps from `point` until one is accepted; returns where it leads.
-    fn descend(&mut self, point: &mut [f64], pass: &Pass, spectrum: &Spectrum, region: &mut Region) -> Result<Vec<f64>, Ending> {
+    fn descend(
+        &mut self,
+        point: &mut [f64],
+        pass: &Pass,
+        spectrum: &Spectrum,
+        region: &mut Region,
+    ) -> Result<Vec<f64>, Ending> {
         let here = self.free(point);
         let scale = region.scale();
         let deviations = self.rules.deviations(spectrum, pass);
         let slack = self.rules.slack(pass.quadratic.objective, pass.pixels);
         let length = scale.component_mul(&here).norm();
         let unlimited = spectrum.step(f64::INFINITY);
-        let nearly_there = unlimited.interior
-            && (unlimited.reduction <= slack
-                || unlimited.reduction <= LITTLE * pass.quadratic.objective
-                    && deviations.cover(&unlimited.delta, &here, INSIGNIFICANT));
+        // C = 2 s² H⁻¹ with s² the variance of a residual, so δᵀC⁻¹δ = ½ δᵀHδ / s² = reduction / s².
+        let variance = if self.rules.noise { 1.0 } else { self.rules.reduced(pass).unwrap_or(0.0) };
+        let little = slack.max(INSIGNIFICANT * INSIGNIFICANT * variance);
+        let nearly_there = unlimited.interior && unlimited.reduction <= little;
         let mut rejected = 0;
-        if let (true, Some(last)) = (nearly_there, &self.last) {
-            if unlimited.delta.component_mul(&scale).dot(last) < 0.0 {
-                region.limit(0.5 * last.norm());
-                self.turned = true;
-            }
+        let turns = |last: &&DVector<f64>| nearly_there && unlimited.delta.component_mul(&scale).dot(last) < 0.0;
+        if let Some(last) = self.last.as_ref().filter(turns) {
+            let entry = self.turned.take().map_or_else(|| point.to_vec(), |turned| turned.entry);
+            self.turned = Some(Turned { entry, length: 0.5 * last.norm() });
+        }
+        match &self.turned {
+            Some(turned) if nearly_there => region.limit(turned.length),
+            _ => self.turned = None,
         }
         loop {
             let step = spectrum.step(region.radius());
-            let final_step = step.interior || nearly_there && (self.turned || rejected >= REJECTED);
+            let final_step = step.interior || nearly_there && (self.turned.is_some() || rejected >= REJECTED);
             if final_step && deviations.cover(&step.delta, &here, self.rules.tolerance) {
                 let end = self.moved(point, &step);
                 if self.problem.allowed(&end) {
@@ -235,7 +281,8 @@ impl<P: Problem> Walk<'_, P> {
                 return Err(Ending::NoDescent);
             }
             self.report.iterations += 1;
-            let value = self.problem.value(&trial, point).unwrap_or(f64::NAN);
+            let entry = self.turned.as_ref().map_or(&*point, |turned| &turned.entry);
+            let value = self.problem.value(&trial, entry).unwrap_or(f64::NAN);
             if region.judge(&step, pass.quadratic.objective - value, slack) {
                 self.last = Some(step.delta.component_mul(&scale));
                 return Ok(trial);

@@ -2,13 +2,15 @@
 use super::*;
 use nalgebra::DMatrix;
 
-/// Residuals with derivatives of a closed form, as a problem: `f(point, pixel)` gives (residual, its gradient, its Hessian
-/// by rows), or `None` where the pixel is not in the domain.
+/// `f(point, pixel)`: the residual, its gradient, its Hessian by rows.
+type Residual<'a> = &'a dyn Fn(&[f64], usize) -> (f64, Vec<f64>, Vec<f64>);
+
+/// Residuals of a closed form, as a problem.
 struct Closed<'a> {
     pixels: usize,
     parameters: usize,
     full: bool,
-    f: &'a dyn Fn(&[f64], usize) -> (f64, Vec<f64>, Vec<f64>),
+    f: Residual<'a>,
     inside: &'a dyn Fn(&[f64], usize) -> bool,
     allowed: &'a dyn Fn(&[f64]) -> bool,
 }
@@ -22,11 +24,11 @@ fn anything(_: &[f64]) -> bool {
 }
 
 impl Problem for Closed<'_> {
-    fn gradient(&mut self, entry: &[f64]) -> Option<Pass> {
+    fn gradient(&mut self, point: &[f64], entry: &[f64]) -> Option<Pass> {
         let n = self.parameters;
         let (mut objective, mut gradient, mut hessian, mut pixels) = (0.0, DVector::zeros(n), DMatrix::zeros(n, n), 0);
         for i in (0..self.pixels).filter(|&i| (self.inside)(entry, i)) {
-            let (r, d, dd) = (self.f)(entry, i);
+            let (r, d, dd) = (self.f)(point, i);
             objective += r * r;
             pixels += 1;
             for a in 0..n {
@@ -74,7 +76,8 @@ fn rosenbrock(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
 fn rosenbrock_by_either_hessian() {
     for full in [false, true] {
         for start in [[-1.2, 1.0], [10.0, -10.0], [0.0, 0.0]] {
-            let mut problem = Closed { pixels: 2, parameters: 2, full, f: &rosenbrock, inside: &everywhere, allowed: &anything };
+            let mut problem =
+                Closed { pixels: 2, parameters: 2, full, f: &rosenbrock, inside: &everywhere, allowed: &anything };
             let mut point = start.to_vec();
             let report = run(&mut problem, &rules(2, 2), &mut point);
             assert_eq!(report.ending, Ending::SmallStep, "full {full} {start:?}");
@@ -85,8 +88,20 @@ fn rosenbrock_by_either_hessian() {
 
 /// NIST's Misra1a: y = b1 (1 − exp(−b2 x)), its 14 observations.
 const MISRA1A: [(f64, f64); 14] = [
-    (77.6, 10.07), (114.9, 14.73), (141.1, 17.94), (190.8, 23.93), (239.9, 29.61), (289.0, 35.18), (332.8, 40.02),
-    (378.4, 44.82), (434.8, 50.76), (477.3, 55.05), (536.8, 61.01), (593.1, 66.40), (689.1, 75.47), (760.0, 81.78),
+    (77.6, 10.07),
+    (114.9, 14.73),
+    (141.1, 17.94),
+    (190.8, 23.93),
+    (239.9, 29.61),
+    (289.0, 35.18),
+    (332.8, 40.02),
+    (378.4, 44.82),
+    (434.8, 50.76),
+    (477.3, 55.05),
+    (536.8, 61.01),
+    (593.1, 66.40),
+    (689.1, 75.47),
+    (760.0, 81.78),
 ];
 
 fn misra1a(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
@@ -99,7 +114,8 @@ fn misra1a(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
 fn misra1a_from_both_starts() {
     for full in [false, true] {
         for start in [[500.0, 0.0001], [250.0, 0.0005]] {
-            let mut problem = Closed { pixels: 14, parameters: 2, full, f: &misra1a, inside: &everywhere, allowed: &anything };
+            let mut problem =
+                Closed { pixels: 14, parameters: 2, full, f: &misra1a, inside: &everywhere, allowed: &anything };
             let mut point = start.to_vec();
             let report = run(&mut problem, &Rules { tolerance: 1e-7, ..rules(2, 14) }, &mut point);
             assert_eq!(report.ending, Ending::SmallStep);
@@ -119,7 +135,8 @@ fn dip(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
 
 #[test]
 fn an_indefinite_hessian_is_counted_and_left_behind() {
-    let mut problem = Closed { pixels: 60, parameters: 1, full: true, f: &dip, inside: &everywhere, allowed: &anything };
+    let mut problem =
+        Closed { pixels: 60, parameters: 1, full: true, f: &dip, inside: &everywhere, allowed: &anything };
     let mut point = vec![38.0];
     let report = run(&mut problem, &rules(1, 60), &mut point);
     assert!(report.indefinite_steps >= 1, "{report:?}");
@@ -131,7 +148,8 @@ fn an_indefinite_hessian_is_counted_and_left_behind() {
 fn a_bound_is_never_crossed() {
     // The minimum at −3 is outside; the point creeps towards the bound and stays inside.
     let f = |u: &[f64], i: usize| (u[0] + 3.0 + i as f64 * 1e-3, vec![1.0], vec![0.0]);
-    let mut problem = Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &|u| u[0] > 0.0 };
+    let mut problem =
+        Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &|u| u[0] > 0.0 };
     let mut point = vec![5.0];
     let report = run(&mut problem, &rules(1, 9), &mut point);
     assert!(point[0] > 0.0 && point[0] < 1e-6, "{point:?} {report:?}");
@@ -142,8 +160,14 @@ fn a_bound_is_never_crossed() {
 fn a_domain_that_vanishes_ends_the_stage_on_the_last_good_point() {
     // The domain is the pixels below the parameter, and the fit pulls the parameter down to −5.
     let f = |u: &[f64], _: usize| (u[0] + 5.0, vec![1.0], vec![0.0]);
-    let mut problem =
-        Closed { pixels: 1000, parameters: 1, full: false, f: &f, inside: &|u, i| (i as f64) < u[0], allowed: &anything };
+    let mut problem = Closed {
+        pixels: 1000,
+        parameters: 1,
+        full: false,
+        f: &f,
+        inside: &|u, i| (i as f64) < u[0],
+        allowed: &anything,
+    };
     let mut point = vec![900.0];
     let report = run(&mut problem, &rules(1, 1000), &mut point);
     assert_eq!(report.ending, Ending::DomainVanished);
@@ -178,7 +202,8 @@ fn what_is_not_finite_is_stepped_back_from() {
 
 #[test]
 fn a_parameter_without_effect_stays_where_it_is() {
-    let f = |u: &[f64], i: usize| (u[0] * u[0] - 4.0 - 1e-2 * i as f64, vec![2.0 * u[0], 0.0], vec![2.0, 0.0, 0.0, 0.0]);
+    let f =
+        |u: &[f64], i: usize| (u[0] * u[0] - 4.0 - 1e-2 * i as f64, vec![2.0 * u[0], 0.0], vec![2.0, 0.0, 0.0, 0.0]);
     let mut problem = Closed { pixels: 20, parameters: 2, full: false, f: &f, inside: &everywhere, allowed: &anything };
     let mut point = vec![1.0, 7.0];
     assert_eq!(run(&mut problem, &rules(2, 20), &mut point).ending, Ending::SmallStep);
@@ -187,7 +212,8 @@ fn a_parameter_without_effect_stays_where_it_is() {
 
 #[test]
 fn iterations_are_bounded_and_the_best_point_is_left() {
-    let mut problem = Closed { pixels: 2, parameters: 2, full: false, f: &rosenbrock, inside: &everywhere, allowed: &anything };
+    let mut problem =
+        Closed { pixels: 2, parameters: 2, full: false, f: &rosenbrock, inside: &everywhere, allowed: &anything };
     let mut point = vec![-1.2, 1.0];
     let before = problem.value(&point, &point).unwrap();
     let report = run(&mut problem, &Rules { iterations: 3, ..rules(2, 2) }, &mut point);
@@ -204,7 +230,8 @@ fn a_kink_at_the_minimum_does_not_go_on_for_ever() {
         ((i as f64 - 20.0).abs() + noise - (i as f64 - u[0]).abs(), vec![-side], vec![0.0])
     };
     for start in [19.3, 20.4, 23.0, 11.0] {
-        let mut problem = Closed { pixels: 41, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+        let mut problem =
+            Closed { pixels: 41, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
         let mut point = vec![start];
         let rules = Rules { iterations: 50, ..rules(1, 41) };
         let report = run(&mut problem, &rules, &mut point);

@@ -100,15 +100,19 @@ pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Vec<Sight> {
     };
     let found: Vec<Vec<Sight>> = signs.into_iter().map(|sign| find_signed(grey, &background, sign, wanted)).collect();
     // The sign whose first target differs more, pixel by pixel and in all.
-    let weight = |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * s.size[1].max(1.0));
+    let weight =
+        |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * s.size[1].max(1.0));
     found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default()
 }
 
 fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted) -> Vec<Sight> {
     let factor = if sign == Sign::Bright { 1.0 } else { -1.0 };
     let difference = |values: &[f64]| -> Vec<f64> {
-        let at = |i: usize| background.at((i % grey.width) as f64, (i / grey.width) as f64);
-        values.iter().enumerate().map(|(i, value)| factor * (value - at(i))).collect()
+        let rows = values.chunks_exact(grey.width).enumerate();
+        let row = |(y, row): (usize, &[f64])| -> Vec<f64> {
+            row.iter().enumerate().map(|(x, value)| factor * (value - background.at(x as f64, y as f64))).collect()
+        };
+        rows.flat_map(row).collect()
     };
     let smooth = difference(&grey.smoothed());
     let peak = smooth.iter().copied().fold(0.0, f64::max);
@@ -141,7 +145,8 @@ fn put_nearest_first(components: &mut [Component], width: usize, near: [f64; 2])
         component.pixels.iter().map(square).fold(f64::INFINITY, f64::min)
     };
     // Stable: among targets that hold the place the most massive stays first.
-    components.sort_by_cached_key(|component| if component.mass < least { u64::MAX } else { distance(component).to_bits() });
+    components
+        .sort_by_cached_key(|component| if component.mass < least { u64::MAX } else { distance(component).to_bits() });
 }
 
 /// Moments of a region: the centre with the difference as weight, the extent with every pixel alike.

@@ -5,7 +5,10 @@ use isophote_jit::Window;
 
 fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {
     let frame = picture.frame();
-    find(&Grey::read(&[frame.plane_view(0)], Window::whole(picture.width, picture.height), &[picture.saturation]), wanted)
+    find(
+        &Grey::read(&[frame.plane_view(0)], Window::whole(picture.width, picture.height), &[picture.saturation]),
+        wanted,
+    )
 }
 
 /// Half axes and angle of a sighting's outline.
@@ -68,7 +71,12 @@ fn a_dark_disc_on_bright_ground() {
 
 #[test]
 fn the_most_massive_of_several_unless_a_place_is_given() {
-    let spots = vec![Spot::at(100.0, 100.0, 12.0, 120.0), Spot::at(450.0, 300.0, 40.0, 110.0), Spot::at(300.0, 60.0, 6.0, 235.0), Spot::at(550.0, 100.0, 25.0, 60.0)];
+    let spots = vec![
+        Spot::at(100.0, 100.0, 12.0, 120.0),
+        Spot::at(450.0, 300.0, 40.0, 110.0),
+        Spot::at(300.0, 60.0, 6.0, 235.0),
+        Spot::at(550.0, 100.0, 25.0, 60.0),
+    ];
     let picture = Picture { noise: 3.0, ..Picture::new(640, 480, spots.clone()) };
     let all = look(&picture, &Wanted { targets_max: 9, ..Wanted::default() });
     assert_eq!(all.len(), 4, "{all:?}");
@@ -84,7 +92,8 @@ fn the_most_massive_of_several_unless_a_place_is_given() {
 
 #[test]
 fn on_a_slanting_ground() {
-    let picture = Picture { slope: [0.8, 0.5], noise: 2.0, ..Picture::new(96, 96, vec![Spot::at(40.0, 50.0, 20.0, 120.0)]) };
+    let picture =
+        Picture { slope: [0.8, 0.5], noise: 2.0, ..Picture::new(96, 96, vec![Spot::at(40.0, 50.0, 20.0, 120.0)]) };
     let found = &look(&picture, &Wanted::default())[0];
     assert!((found.centre[0] - 40.0).hypot(found.centre[1] - 50.0) < 1.0, "{found:?}");
     assert!((found.background - (20.0 + 32.0 + 25.0)).abs() < 4.0, "{found:?}");
@@ -93,7 +102,10 @@ fn on_a_slanting_ground() {
 #[test]
 fn nothing_is_found_in_noise_and_in_hot_pixels() {
     for seed in 0..10 {
-        assert!(look(&Picture { noise: 5.0, seed, ..Picture::new(640, 480, vec![]) }, &Wanted::default()).is_empty(), "{seed}");
+        assert!(
+            look(&Picture { noise: 5.0, seed, ..Picture::new(640, 480, vec![]) }, &Wanted::default()).is_empty(),
+            "{seed}"
+        );
     }
     let hot = vec![Spot { profile: Profile::Disc, ..Spot::at(20.0, 20.0, 0.9, 200.0) }];
     assert!(look(&Picture { noise: 1.0, ..Picture::new(64, 64, hot) }, &Wanted::default()).is_empty());
@@ -117,7 +129,9 @@ fn saturated_pixels_are_counted_and_do_not_change_the_extent() {
     let sizes: Vec<f64> = [200.0, 400.0, 800.0]
         .iter()
         .map(|&amplitude| {
-            let found = look(&Picture::new(200, 200, vec![Spot::at(100.0, 100.0, 40.0, amplitude)]), &Wanted::default()).remove(0);
+            let found =
+                look(&Picture::new(200, 200, vec![Spot::at(100.0, 100.0, 40.0, amplitude)]), &Wanted::default())
+                    .remove(0);
             assert_eq!(found.saturated > 10, amplitude > 235.0, "{found:?}");
             found.size[0]
         })

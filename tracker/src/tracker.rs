@@ -155,7 +155,9 @@ impl Tracker {
 
     /// Warm, then cold when the warm fit is not believed.
     fn attempt(&self, view: &View) -> Result<Attempt, CompileFailure> {
-        let Some(warm) = &self.memory.warm else { return self.cold(view, &self.options.start_of(self.compiled.model())) };
+        let Some(warm) = &self.memory.warm else {
+            return self.cold(view, &self.options.start_of(self.compiled.model()));
+        };
         let warm = self.warm(view, warm)?;
         if !warm.is_good() {
             let cold = self.cold(view, &self.options.start_of(self.compiled.model()))?;
@@ -180,9 +182,15 @@ impl Tracker {
     /// From starting values: `given` numbers first, then the model's own, then what the window shows. The believable fit
     /// with the smallest χ²/ν, if any is.
     fn cold(&self, view: &View, given: &[Option<f64>]) -> Result<Attempt, CompileFailure> {
-        let Some(cold) = Cold::look(self.compiled.model(), view, given) else { return Ok(Attempt::none(Ending::NoTarget)) };
+        let Some(cold) = Cold::look(self.compiled.model(), view, given) else {
+            return Ok(Attempt::none(Ending::NoTarget));
+        };
         let mut best: Option<Attempt> = None;
-        for start in &cold.starts {
+        for start in cold.starts.iter().chain(&cold.tighter) {
+            let last_resort = Some(start) == cold.tighter.as_ref();
+            if last_resort && best.as_ref().is_some_and(Attempt::is_good) {
+                break;
+            }
             let attempt = self.judged(fit(&self.compiled, view, &self.constants, start, cold.control)?, view);
             let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
             if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
@@ -219,6 +227,15 @@ impl Tracker {
                 let place = fit.parameters[parameter.index()] - first as f64;
                 if !(place >= -0.5 && place <= size as f64 - 0.5) {
                     return Some(Rejection::OutsideWindow);
+                }
+            }
+            if let [a1, a2, a3] = roles.shape[..] {
+                let [a1, a2, a3] = [a1, a2, a3].map(|p| fit.parameters[p.index()]);
+                // The lesser eigenvalue of A belongs to the longer semi-axis, 1/√λ.
+                let (mean, half) = (0.5 * (a1 + a3), 0.5 * (a1 - a3));
+                let lesser = mean - half.hypot(a2);
+                if lesser * (size[0].max(size[1]) as f64).powi(2) < 1.0 {
+                    return Some(Rejection::Oversized);
                 }
             }
             let brightness = roles.brightness.and_then(|parameter| {

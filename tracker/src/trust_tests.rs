@@ -21,12 +21,12 @@ type Case = (&'static [f64], &'static [f64], f64, bool);
 const CASES: &[Case] = &[
     (&[1.0, -2.0], &[2.0, 0.5, 0.5, 3.0], 10.0, true),
     (&[1.0, -2.0], &[2.0, 0.5, 0.5, 3.0], 0.1, false),
-    (&[1.0, 1.0], &[1.0, 0.0, 0.0, -2.0], 1.5, false),   // indefinite
-    (&[1.0, 0.0], &[4.0, 0.0, 0.0, -1.0], 2.0, false),   // indefinite, hard case: no gradient along the lowest vector
-    (&[0.0, 0.0], &[1.0, 0.0, 0.0, -1.0], 1.0, false),   // a saddle
-    (&[1.0, 1.0], &[1.0, 1.0, 1.0, 1.0], 5.0, true),     // singular, gradient in range
-    (&[1.0, -1.0], &[1.0, 1.0, 1.0, 1.0], 5.0, false),   // singular, gradient out of range: downhill without end
-    (&[3.0, 1e-3], &[1e6, 0.0, 0.0, 1e-4], 1e9, true),   // ten decades of scale
+    (&[1.0, 1.0], &[1.0, 0.0, 0.0, -2.0], 1.5, false), // indefinite
+    (&[1.0, 0.0], &[4.0, 0.0, 0.0, -1.0], 2.0, false), // indefinite, hard case: no gradient along the lowest vector
+    (&[0.0, 0.0], &[1.0, 0.0, 0.0, -1.0], 1.0, false), // a saddle
+    (&[1.0, 1.0], &[1.0, 1.0, 1.0, 1.0], 5.0, true),   // singular, gradient in range
+    (&[1.0, -1.0], &[1.0, 1.0, 1.0, 1.0], 5.0, false), // singular, gradient out of range: downhill without end
+    (&[3.0, 1e-3], &[1e6, 0.0, 0.0, 1e-4], 1e9, true), // ten decades of scale
     (&[1.0], &[-3.0], 0.5, false),
 ];
 
@@ -41,13 +41,21 @@ fn steps_minimise_the_model_within_the_radius() {
         assert_eq!(step.interior, interior, "case {number}");
         assert!(step.length <= radius * 1.00001, "case {number}: {} > {radius}", step.length);
         let value = model(&quadratic, &step.delta);
-        assert!((value + step.reduction).abs() <= 1e-9 * (1.0 + step.reduction), "case {number}: says {}, is {value}", step.reduction);
+        assert!(
+            (value + step.reduction).abs() <= 1e-9 * (1.0 + step.reduction),
+            "case {number}: says {}, is {value}",
+            step.reduction
+        );
         assert!((quadratic.gradient.dot(&step.delta) - step.slope).abs() <= 1e-9 * (1.0 + step.slope.abs()));
         // No point of a fine net on the region is better.
         for k in 0..2000 {
             let angle = k as f64 * 0.7390;
             let r = radius * ((k % 50) as f64 / 49.0);
-            let z = if n == 1 { DVector::from_element(1, r * angle.cos().signum()) } else { DVector::from_row_slice(&[r * angle.cos(), r * angle.sin()]) };
+            let z = if n == 1 {
+                DVector::from_element(1, r * angle.cos().signum())
+            } else {
+                DVector::from_row_slice(&[r * angle.cos(), r * angle.sin()])
+            };
             let other = model(&quadratic, &z.component_div(&scale));
             assert!(value <= other + 1e-5 * (1.0 + value.abs()), "case {number}: {value} > {other}");
         }
@@ -65,7 +73,9 @@ fn a_shortened_step_predicts_its_own_reduction() {
 #[test]
 fn indefinite_is_told_from_rounding() {
     let told = |lowest: f64| {
-        Spectrum::new(&quadratic(&[0.0, 0.0], &[1.0, 0.0, 0.0, lowest]), &DVector::from_element(2, 1.0), 1e-7).unwrap().is_indefinite()
+        Spectrum::new(&quadratic(&[0.0, 0.0], &[1.0, 0.0, 0.0, lowest]), &DVector::from_element(2, 1.0), 1e-7)
+            .unwrap()
+            .is_indefinite()
     };
     assert!(told(-1e-3) && !told(-1e-9) && !told(1e-3));
 }
@@ -73,7 +83,8 @@ fn indefinite_is_told_from_rounding() {
 #[test]
 fn undetermined_parameters_have_infinite_variance() {
     let scale = DVector::from_element(3, 1.0);
-    let spectrum = Spectrum::new(&quadratic(&[0.0; 3], &[1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 4.0]), &scale, 1e-15).unwrap();
+    let spectrum =
+        Spectrum::new(&quadratic(&[0.0; 3], &[1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 4.0]), &scale, 1e-15).unwrap();
     let diagonal = spectrum.inverse_diagonal().unwrap();
     assert!(diagonal[0].is_infinite() && diagonal[1].is_infinite());
     assert!((diagonal[2] - 0.25).abs() < 1e-12);
@@ -91,7 +102,15 @@ fn the_radius_follows_the_ratio() {
     let quadratic = quadratic(&[1.0, 0.0], &[1.0, 0.0, 0.0, 1.0]);
     let spectrum = Spectrum::new(&quadratic, &DVector::from_element(2, 1.0), 1e-15).unwrap();
     // (actual reduction of F, accepted, radius after), from radius 0.5; the model predicts 0.375.
-    for (actual, accepted, radius) in [(0.375, true, 1.0), (0.2, true, 0.5), (0.05, true, 0.25), (-0.5, false, 0.125), (f64::NAN, false, 0.05), (f64::NEG_INFINITY, false, 0.05)] {
+    for (actual, accepted, radius) in [
+        (0.375, true, 1.0),
+        (0.2, true, 0.5),
+        (0.05, true, 0.5),
+        (0.03, true, 0.25),
+        (-0.5, false, 0.25),
+        (f64::NAN, false, 0.05),
+        (f64::NEG_INFINITY, false, 0.05),
+    ] {
         let mut region = Region { largest: DVector::from_element(2, 1.0), radius: 0.5, fresh: false };
         let step = spectrum.step(0.5);
         assert_eq!(region.judge(&step, actual, 0.0), accepted, "{actual}");

@@ -1,7 +1,8 @@
 //! `Emitter`: the function under construction, the record, and access to both.
 
 use cranelift_codegen::ir::{
-    self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, StackSlot, StackSlotData, StackSlotKind, types,
+    self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, StackSlot, StackSlotData, StackSlotKind,
+    types,
 };
 use cranelift_codegen::isa::{TargetFrontendConfig, TargetIsa};
 use cranelift_frontend::FunctionBuilder;
@@ -49,7 +50,8 @@ pub(super) struct Emitter<'a, 'p> {
     /// The row of the output plane.
     pub target: Option<ir::Value>,
     record: StackSlot,
-    args: Option<ir::Value>,
+    /// The addresses of the record and of the argument block.
+    bases: Option<[ir::Value; 2]>,
     pub frontend: TargetFrontendConfig,
     signatures: [Option<SigRef>; 4],
 }
@@ -60,7 +62,12 @@ const RECORD: MemFlagsData = MemFlagsData::trusted();
 pub(super) const PIXELS: MemFlagsData = MemFlagsData::new().with_notrap();
 
 impl<'a, 'p> Emitter<'a, 'p> {
-    pub fn new(mut b: FunctionBuilder<'a>, plan: &'p Plan<'p>, options: &'p KernelOptions, isa: &dyn TargetIsa) -> Self {
+    pub fn new(
+        mut b: FunctionBuilder<'a>,
+        plan: &'p Plan<'p>,
+        options: &'p KernelOptions,
+        isa: &dyn TargetIsa,
+    ) -> Self {
         let slot = StackSlotData::new(StackSlotKind::ExplicitSlot, plan.record_bytes, 4);
         let record = b.create_sized_stack_slot(slot);
         let (number, truth) = match options.precision {
@@ -82,7 +89,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
             rows: vec![None; plan.program.channels()],
             target: None,
             record,
-            args: None,
+            bases: None,
             frontend: isa.frontend_config(),
             signatures: [None; 4],
         }
@@ -93,7 +100,8 @@ impl<'a, 'p> Emitter<'a, 'p> {
         let entry = self.b.create_block();
         self.b.append_block_params_for_function_params(entry);
         self.b.switch_to_block(entry);
-        self.args = Some(self.b.block_params(entry)[0]);
+        let record = self.b.ins().stack_addr(types::I64, self.record, 0);
+        self.bases = Some([record, self.b.block_params(entry)[0]]);
     }
 
     pub fn lanes(&self) -> usize {
@@ -113,37 +121,38 @@ impl<'a, 'p> Emitter<'a, 'p> {
         types.map(|t| self.b.append_block_param(block, t))
     }
 
-    fn args(&self) -> ir::Value {
-        match self.args {
-            Some(args) => args,
+    fn bases(&self) -> [ir::Value; 2] {
+        match self.bases {
+            Some(bases) => bases,
             None => unreachable!("the entry block is opened first"),
         }
     }
 
     /// A field of the argument block.
     pub fn arg(&mut self, kind: ir::Type, offset: i32) -> ir::Value {
-        let args = self.args();
+        let [_, args] = self.bases();
         self.b.ins().load(kind, RECORD, args, offset)
     }
 
     pub fn set_arg(&mut self, value: ir::Value, offset: i32) {
-        let args = self.args();
+        let [_, args] = self.bases();
         self.b.ins().store(RECORD, value, args, offset);
     }
 
     pub fn address(&mut self, slot: Slot) -> ir::Value {
-        self.b.ins().stack_addr(types::I64, self.record, slot.0)
+        let [record, _] = self.bases();
+        self.b.ins().iadd_imm_s(record, i64::from(slot.0))
     }
 
     /// Reads the record. Emitted right before its reader the load becomes that instruction's memory operand.
     pub fn load(&mut self, kind: ir::Type, slot: Slot) -> ir::Value {
-        let address = self.address(slot);
-        self.b.ins().load(kind, RECORD, address, 0)
+        let [record, _] = self.bases();
+        self.b.ins().load(kind, RECORD, record, slot.0)
     }
 
     pub fn store(&mut self, value: ir::Value, slot: Slot) {
-        let address = self.address(slot);
-        self.b.ins().store(RECORD, value, address, 0);
+        let [record, _] = self.bases();
+        self.b.ins().store(RECORD, value, record, slot.0);
     }
 
     /// Goes on in a new block if `condition` holds, else jumps to `otherwise`.
@@ -155,6 +164,9 @@ impl<'a, 'p> Emitter<'a, 'p> {
 
     /// A pass, row, row-end or pass-end value as f64 (or a truth value), read by `level`.
     pub fn scalar(&mut self, value: Value, level: Level) -> ir::Value {
+        if let Op::Const(number) = self.plan.program.instruction(value).op {
+            return self.b.ins().f64const(number);
+        }
         if self.plan.program.instruction(value).level == level
             && let Some(result) = self.results[value.index()]
         {

@@ -1,113 +1,15 @@
 //! The pixel level: one group of lanes.
 
 use cranelift_codegen::ir::condcodes::IntCC;
-use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
+use cranelift_codegen::ir::{self, InstBuilder, types};
 use isophote_symbolic::{Level, Op, PixelSet, Precision, Sink, Value};
 
 use super::Row;
-use super::emit::{Emitter, Form, arg};
+use super::emit::{Emitter, Form};
 use super::load::Reach;
+use super::running::{Running, vector};
 use super::scalar::condition;
 use crate::abi::Functions;
-
-/// What one group hands to the next: all of it in registers.
-#[derive(Clone)]
-pub(super) struct Loop {
-    /// The running part of each `Op::Offset`, in the order of the plan.
-    offsets: Vec<ir::Value>,
-    /// Accumulators that are held in registers, by number.
-    sums: Vec<Option<ir::Value>>,
-    /// Pixels used and pixels left out as saturated, where they have to be counted.
-    used: Option<ir::Value>,
-    saturated: Option<ir::Value>,
-}
-
-impl Loop {
-    /// Before the first group of a row. Leaves the fraction of each offset in `held`.
-    pub fn start(emit: &mut Emitter<'_, '_>, row: Row) -> Loop {
-        let plan = emit.plan;
-        let x = emit.arg(types::I64, arg::X);
-        let first = emit.b.ins().iadd(x, row.start);
-        let first = emit.b.ins().fcvt_from_sint(types::F64, first);
-        let mut offsets = Vec::new();
-        for value in &plan.pixels {
-            let Op::Offset(c) = plan.program.instruction(*value).op else { continue };
-            let (running, fraction) = offset(emit, c, first);
-            emit.held[value.index()] = Some(fraction);
-            offsets.push(running);
-        }
-        let zero = vector(emit, |_| 0.0);
-        let mut sums = Vec::new();
-        for home in &plan.accumulators {
-            sums.push(home.register.then_some(zero));
-            if !home.register {
-                emit.store(zero, home.slot);
-            }
-        }
-        let mut counter = |wanted: bool| wanted.then(|| emit.integer(0));
-        let used = counter(plan.is_masked());
-        let saturated = counter(plan.program.pixel_set().saturated.is_some());
-        Loop { offsets, sums, used, saturated }
-    }
-
-    fn each(&self) -> impl Iterator<Item = ir::Value> {
-        let sums = self.sums.iter().copied().flatten();
-        self.offsets.iter().copied().chain(sums).chain(self.used).chain(self.saturated)
-    }
-
-    /// As arguments of a jump.
-    pub fn values(&self) -> Vec<BlockArg> {
-        self.each().map(BlockArg::from).collect()
-    }
-
-    /// As parameters of a block.
-    pub fn parameters(&self, emit: &mut Emitter<'_, '_>, block: Block) -> Loop {
-        let mut state = self.clone();
-        let fields = state.offsets.iter_mut().chain(state.sums.iter_mut().flatten());
-        for field in fields.chain(&mut state.used).chain(&mut state.saturated) {
-            let kind = emit.b.func.dfg.value_type(*field);
-            *field = emit.b.append_block_param(block, kind);
-        }
-        state
-    }
-
-    /// Pixels used in the row, which has `count`, and those left out as saturated.
-    pub fn counts(&self, count: ir::Value) -> (ir::Value, Option<ir::Value>) {
-        (self.used.unwrap_or(count), self.saturated)
-    }
-
-    /// The accumulators that are held in registers.
-    pub fn sums(&self) -> Vec<Option<ir::Value>> {
-        self.sums.clone()
-    }
-}
-
-/// `Op::Offset` before the first group: the running vector and the fraction.
-fn offset(emit: &mut Emitter<'_, '_>, c: Value, first: ir::Value) -> (ir::Value, ir::Value) {
-    let c = emit.scalar(c, Level::Row);
-    let magic = emit.b.ins().f64const(1.5 * (1_u64 << 52) as f64);
-    let negative = emit.b.ins().fneg(c);
-    let n = emit.b.ins().fadd(negative, magic);
-    let n = emit.b.ins().fsub(n, magic);
-    let distance = emit.b.ins().fsub(first, n);
-    let distance = emit.rounded(distance);
-    let distance = emit.b.ins().splat(emit.number, distance);
-    let steps = vector(emit, |lane| lane as f64);
-    let fraction = emit.b.ins().fadd(c, n);
-    let fraction = emit.rounded(fraction);
-    let fraction = emit.b.ins().splat(emit.number, fraction);
-    (emit.b.ins().fadd(distance, steps), fraction)
-}
-
-/// A constant vector.
-fn vector(emit: &mut Emitter<'_, '_>, lane: impl Fn(usize) -> f64) -> ir::Value {
-    let bytes: Vec<u8> = match emit.options.precision {
-        Precision::F32 => (0..4).flat_map(|i| (lane(i) as f32).to_le_bytes()).collect(),
-        Precision::F64 => (0..2).flat_map(|i| lane(i).to_le_bytes()).collect(),
-    };
-    let constant = emit.b.func.dfg.constants.insert(bytes.into());
-    emit.b.ins().vconst(emit.number, constant)
-}
 
 /// One group while it is emitted.
 pub(super) struct Group<'e, 'a, 'p> {
@@ -148,7 +50,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     /// Emits the group: pixel set, then every value, which is summed as soon as it is there.
-    pub fn run(mut self, mut state: Loop) -> Loop {
+    pub fn run(mut self, mut state: Running) -> Running {
         let plan = self.emit.plan;
         let PixelSet { mask, saturated, .. } = *plan.program.pixel_set();
         let roots: Vec<Value> = mask.into_iter().chain(saturated).collect();
@@ -195,7 +97,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     fn operand_held(&self, value: Value) -> ir::Value {
         match self.emit.held[value.index()] {
             Some(held) => held,
-            None => unreachable!("Loop::start leaves every fraction"),
+            None => unreachable!("Running::start leaves every fraction"),
         }
     }
 
@@ -212,7 +114,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 let kind = if emit.plan.program.is_truth(value) { emit.truth } else { emit.number };
                 emit.load(kind, home.slot)
             }
-            (None, None) => unreachable!("the plan refuses instructions before their operands"),
+            (None, None) => unreachable!("the check refuses instructions before their operands"),
         }
     }
 
@@ -244,7 +146,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
             }
             Op::Call1(f, _) => self.call(Functions::lanes1(self.emit.options.precision, f), Form::Lanes1, &operands),
             Op::Call2(f, ..) => self.call(Functions::lanes2(self.emit.options.precision, f), Form::Lanes2, &operands),
-            _ => unreachable!("the plan refuses scalar instructions at the pixel level"),
+            _ => unreachable!("the check refuses scalar instructions at the pixel level"),
         }
     }
 
@@ -259,7 +161,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     /// The lanes that take part, as a vector like the numbers, and both counts; `None`: all lanes take part.
-    fn decide(&mut self, state: &mut Loop) -> Option<ir::Value> {
+    fn decide(&mut self, state: &mut Running) -> Option<ir::Value> {
         let PixelSet { mask, saturated, .. } = *self.emit.plan.program.pixel_set();
         let mut used = self.live;
         if let Some(mask) = mask {
@@ -290,7 +192,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     /// Sums, or writes, what `value` is wanted for; `None` stands for every value of the pass or the row.
-    fn sink(&mut self, value: Option<Value>, used: Option<ir::Value>, state: &mut Loop) {
+    fn sink(&mut self, value: Option<Value>, used: Option<ir::Value>, state: &mut Running) {
         let program = self.emit.plan.program;
         let meant = |v: &Value| match value {
             Some(value) => *v == value,
@@ -310,7 +212,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
     }
 
-    fn accumulate(&mut self, i: usize, value: Value, used: Option<ir::Value>, state: &mut Loop) {
+    fn accumulate(&mut self, i: usize, value: Value, used: Option<ir::Value>, state: &mut Running) {
         let mut term = self.operand(value);
         if let Some(used) = used {
             term = self.emit.b.ins().band(term, used);

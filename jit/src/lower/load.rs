@@ -105,18 +105,18 @@ impl Emitter<'_, '_> {
                 let bytes = self.cast(types::I8X16, bytes);
                 let words = self.b.ins().uwiden_low(bytes);
                 let integers = self.b.ins().uwiden_low(words);
-                self.from_integers(integers)
+                self.converted(integers)
             }
             (PixelFormat::U16, true) => {
                 let integers = self.b.ins().uload16x4(PIXELS, at, 0);
-                self.from_integers(integers)
+                self.converted(integers)
             }
             (PixelFormat::U16, false) => {
                 let words = self.b.ins().load(types::I32, PIXELS, at, 0);
                 let words = self.b.ins().scalar_to_vector(types::I32X4, words);
                 let words = self.cast(types::I16X8, words);
                 let integers = self.b.ins().uwiden_low(words);
-                self.from_integers(integers)
+                self.converted(integers)
             }
         }
     }
@@ -135,7 +135,7 @@ impl Emitter<'_, '_> {
                     let pixel = load(self, *at);
                     integers = self.b.ins().insertlane(integers, pixel, lane as u8);
                 }
-                self.from_integers(integers)
+                self.converted(integers)
             }
             PixelFormat::F32 | PixelFormat::F64 => {
                 let load = |emit: &mut Self, at: ir::Value| match (format, emit.options.precision) {
@@ -161,7 +161,7 @@ impl Emitter<'_, '_> {
     }
 
     /// 4 × i32 in the lane type; of two lanes the low ones.
-    fn from_integers(&mut self, integers: ir::Value) -> ir::Value {
+    fn converted(&mut self, integers: ir::Value) -> ir::Value {
         match self.options.precision {
             Precision::F32 => self.b.ins().fcvt_from_sint(types::F32X4, integers),
             Precision::F64 => {

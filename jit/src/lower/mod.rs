@@ -12,22 +12,24 @@
 mod emit;
 mod group;
 mod load;
+mod running;
 mod scalar;
 
 use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
 use cranelift_codegen::ir::{self, Block, BlockArg, Function, InstBuilder, Signature, UserFuncName, types};
 use cranelift_codegen::isa::TargetIsa;
 use cranelift_frontend::{FunctionBuilder, FunctionBuilderContext};
-use isophote_symbolic::{Level, Program, Sink};
+use isophote_symbolic::{Level, Program};
 
 use self::emit::{Emitter, arg};
-use self::group::{Group, Loop};
+use self::group::Group;
+use self::running::Running;
 use crate::kernel::KernelOptions;
 use crate::plan::Plan;
 
 /// The loop nest of `program`, for `isa`'s calling convention.
 pub(crate) fn lower(program: &Program, options: &KernelOptions, isa: &dyn TargetIsa) -> Function {
-    let plan = Plan::new(program, options.precision);
+    let plan = Plan::new(program);
     let mut signature = Signature::new(isa.default_call_conv());
     signature.params.push(ir::AbiParam::new(types::I64));
     let mut function = Function::with_name_signature(UserFuncName::default(), signature);
@@ -56,12 +58,11 @@ impl Nest<'_, '_> {
         let blocks: [Block; 3] = std::array::from_fn(|_| self.emit.b.create_block());
         let [head, row, pass_end] = blocks;
         self.emit.enter();
-        self.emit.level(Level::Pass);
-        self.emit.splat(Level::Pass);
-        for slot in self.emit.plan.totals.clone() {
-            let zero = self.emit.b.ins().f64const(0.0);
-            self.emit.store(zero, slot);
+        let zero = self.emit.b.ins().f64const(0.0);
+        for slot in &self.emit.plan.totals {
+            self.emit.store(zero, *slot);
         }
+        self.emit.level(Level::Pass);
         let zero = self.emit.integer(0);
         self.emit.b.ins().jump(head, &[zero.into(), zero.into(), zero.into()]);
 
@@ -83,9 +84,6 @@ impl Nest<'_, '_> {
         self.emit.b.switch_to_block(pass_end);
         self.emit.count = Some(pixels);
         self.emit.level(Level::PassEnd);
-        if let Sink::Sums { outputs, .. } = self.emit.plan.program.sink() {
-            self.emit.outputs(outputs);
-        }
         self.emit.set_arg(pixels, arg::PIXELS);
         self.emit.set_arg(saturated, arg::SATURATED);
         self.emit.b.ins().return_(&[]);
@@ -109,9 +107,9 @@ impl Nest<'_, '_> {
         let rest = self.emit.b.ins().iadd(start, full);
         let row = Row { start, end, rest };
 
-        self.emit.splat(Level::Row);
+        self.emit.hold();
         self.emit.open_row(y);
-        let before = Loop::start(&mut self.emit, row);
+        let before = Running::start(&mut self.emit, row);
         let (body, after, tail, row_end) = (
             self.emit.b.create_block(),
             self.emit.b.create_block(),
@@ -144,9 +142,8 @@ impl Nest<'_, '_> {
         self.emit.b.switch_to_block(row_end);
         let (used, dropped) = done.counts(count);
         self.emit.count = Some(used);
-        self.emit.sums = done.sums();
+        self.emit.sums = done.sums.clone();
         self.emit.level(Level::RowEnd);
-        self.emit.totals();
         let pixels = self.emit.b.ins().iadd(pixels, used);
         let saturated = match dropped {
             Some(dropped) => self.emit.b.ins().iadd(saturated, dropped),

@@ -4,7 +4,7 @@ use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, types};
 use isophote_symbolic::{Comparison, Level, Op, Precision, Sink, Value};
 
-use super::emit::{Emitter, Form, arg};
+use super::emit::{Emitter, Form, PIXELS, arg};
 use crate::abi::Functions;
 use crate::plan::Home;
 
@@ -18,14 +18,59 @@ pub(super) fn condition(comparison: Comparison) -> FloatCC {
     }
 }
 
-impl Emitter<'_, '_> {
-    /// Emits every instruction of a level other than the pixel's; what other levels read goes to the record.
+impl<'p> Emitter<'_, 'p> {
+    /// Emits every instruction of a level other than the pixel's. Each result goes to all who want it (the record, the
+    /// lanes, a total, an output) as soon as it is there, so that few values are alive at once.
     pub fn level(&mut self, level: Level) {
+        let base = match level {
+            Level::Pass => Some(self.arg(types::I64, arg::INPUTS)),
+            Level::PassEnd => Some(self.arg(types::I64, arg::OUTPUTS)),
+            _ => None,
+        };
+        let mut wanted: Vec<Vec<usize>> = vec![Vec::new(); self.results.len()];
+        let ends = self.ends(level);
+        ends.iter().enumerate().for_each(|(i, value)| wanted[value.index()].push(i));
         for (value, op) in self.instructions(level) {
-            let result = self.scalar_op(op, level);
+            let result = match (op, base) {
+                (Op::Input(input), Some(inputs)) => self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32),
+                _ => self.scalar_op(op, level),
+            };
             self.results[value.index()] = Some(result);
             if let Some(slot) = self.plan.scalars[value.index()] {
                 self.store(result, slot);
+            }
+            self.splat(value, result, level);
+            for i in std::mem::take(&mut wanted[value.index()]) {
+                self.end(i, result, base);
+            }
+        }
+        for (i, value) in ends.iter().enumerate().filter(|(_, value)| !wanted[value.index()].is_empty()) {
+            let result = self.scalar(*value, level);
+            self.end(i, result, base);
+        }
+    }
+
+    /// Totals at the end of a row, outputs at the end of a pass.
+    fn ends(&self, level: Level) -> &'p [Value] {
+        let program = self.plan.program;
+        match (program.sink(), level) {
+            (Sink::Sums { totals, .. }, Level::RowEnd) => totals,
+            (Sink::Sums { outputs, .. }, Level::PassEnd) => outputs,
+            _ => &[],
+        }
+    }
+
+    /// Adds to total `i`, or writes output `i`.
+    fn end(&mut self, i: usize, result: ir::Value, outputs: Option<ir::Value>) {
+        match outputs {
+            Some(outputs) => {
+                self.b.ins().store(PIXELS, result, outputs, 8 * i as i32);
+            }
+            None => {
+                let slot = self.plan.totals[i];
+                let total = self.load(types::F64, slot);
+                let total = self.b.ins().fadd(result, total);
+                self.store(total, slot);
             }
         }
     }
@@ -35,10 +80,6 @@ impl Emitter<'_, '_> {
         let at = |i: usize| operands[i];
         match op {
             Op::Const(x) => self.b.ins().f64const(x),
-            Op::Input(input) => {
-                let inputs = self.arg(types::I64, arg::INPUTS);
-                self.b.ins().load(types::F64, super::emit::PIXELS, inputs, 8 * input.0 as i32)
-            }
             Op::Neg(_) => self.b.ins().fneg(at(0)),
             Op::Abs(_) => self.b.ins().fabs(at(0)),
             Op::Sqrt(_) => self.b.ins().sqrt(at(0)),
@@ -64,7 +105,7 @@ impl Emitter<'_, '_> {
                 let count = self.known(self.count);
                 self.b.ins().fcvt_from_sint(types::F64, count)
             }
-            Op::Offset(_) | Op::Channel(_) => unreachable!("the plan refuses pixel instructions at other levels"),
+            Op::Input(_) | Op::Offset(_) | Op::Channel(_) => unreachable!("the check refuses them at this level"),
         }
     }
 
@@ -76,7 +117,7 @@ impl Emitter<'_, '_> {
     fn known(&self, value: Option<ir::Value>) -> ir::Value {
         match value {
             Some(value) => value,
-            None => unreachable!("the plan refuses instructions before their operands"),
+            None => unreachable!("the check refuses instructions before their operands"),
         }
     }
 
@@ -103,50 +144,33 @@ impl Emitter<'_, '_> {
         lanes[0]
     }
 
-    /// Adds the row's contributions to the totals.
-    pub fn totals(&mut self) {
-        let program = self.plan.program;
-        let Sink::Sums { totals, .. } = program.sink() else { return };
-        for (value, slot) in totals.iter().zip(self.plan.totals.clone()) {
-            let value = self.scalar(*value, Level::RowEnd);
-            let total = self.load(types::F64, slot);
-            let total = self.b.ins().fadd(value, total);
-            self.store(total, slot);
+    /// If pixels read the value: rounds it to the lane type, once, and spreads it over the lanes.
+    fn splat(&mut self, value: Value, scalar: ir::Value, level: Level) {
+        let Some(Home { slot, register }) = self.plan.splats[value.index()] else { return };
+        let vector = self.spread(value, scalar);
+        if level == Level::Row && register {
+            self.held[value.index()] = Some(vector);
+        } else {
+            self.store(vector, slot);
         }
     }
 
-    /// Writes the outputs.
-    pub fn outputs(&mut self, outputs: &[Value]) {
-        for (i, value) in outputs.iter().enumerate() {
-            let value = self.scalar(*value, Level::PassEnd);
-            let address = self.arg(types::I64, arg::OUTPUTS);
-            self.b.ins().store(super::emit::PIXELS, value, address, 8 * i as i32);
-        }
-    }
-
-    /// Rounds the values of `level` that pixels read to the lane type, once, and spreads them over the lanes. At row level
-    /// those of the pass that a register holds are fetched as well.
-    pub fn splat(&mut self, level: Level) {
-        for (i, home) in self.plan.splats.clone().into_iter().enumerate() {
-            let Some(Home { slot, register }) = home else { continue };
+    /// Fetches the vectors of the pass that stay in registers during the row.
+    pub fn hold(&mut self) {
+        let plan = self.plan;
+        for (i, home) in plan.splats.iter().enumerate() {
             let value = Value(i as u32);
-            let own = self.plan.program.instruction(value).level;
-            if own == level {
-                let vector = self.spread(value, level);
-                if level == Level::Row && register {
-                    self.held[i] = Some(vector);
-                } else {
-                    self.store(vector, slot);
+            match home {
+                Some(home) if home.register && plan.program.instruction(value).level == Level::Pass => {
+                    let kind = if plan.program.is_truth(value) { self.truth } else { self.number };
+                    self.held[i] = Some(self.load(kind, home.slot));
                 }
-            } else if level == Level::Row && register {
-                let kind = if self.plan.program.is_truth(value) { self.truth } else { self.number };
-                self.held[i] = Some(self.load(kind, slot));
+                _ => {}
             }
         }
     }
 
-    fn spread(&mut self, value: Value, level: Level) -> ir::Value {
-        let scalar = self.scalar(value, level);
+    fn spread(&mut self, value: Value, scalar: ir::Value) -> ir::Value {
         if self.plan.program.is_truth(value) {
             let mask = self.b.ins().bmask(self.truth.lane_type(), scalar);
             return self.b.ins().splat(self.truth, mask);

@@ -78,7 +78,9 @@ pub struct ExplainQuery {
 
 /// `GET /v1/models/{name}/explain?parameters=bx,by&show=program`
 pub async fn explain(
-    State(app): State<App>, name: RawName, query: Result<Query<ExplainQuery>, QueryRejection>,
+    State(app): State<App>,
+    name: RawName,
+    query: Result<Query<ExplainQuery>, QueryRejection>,
 ) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
@@ -106,7 +108,9 @@ fn expected(headers: &HeaderMap) -> Result<Expected, Problem> {
     match (value(header::IF_MATCH), value(header::IF_NONE_MATCH)) {
         (None, None) => Ok(Expected::Anything),
         (Some(any), None) if any == "*" => Ok(Expected::Something),
-        (Some(tags), None) => Ok(Expected::Tags(tags.split(',').map(|tag| tag.trim().trim_matches('"').into()).collect())),
+        (Some(tags), None) => {
+            Ok(Expected::Tags(tags.split(',').map(|tag| tag.trim().trim_matches('"').into()).collect()))
+        }
         (None, Some(any)) if any == "*" => Ok(Expected::Nothing),
         _ => Err(Problem::bad_request("give either If-Match, or If-None-Match: *")),
     }

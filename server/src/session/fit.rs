@@ -28,7 +28,7 @@ pub struct Fitter {
 impl Fitter {
     /// Until the inbox is closed.
     pub fn run(mut self) {
-        let guard = EndGuard(self.shared.clone());
+        let _guard = EndGuard(self.shared.clone());
         loop {
             match self.shared.inbox.next() {
                 Event::Swap(swap) => self.swap(*swap),
@@ -37,7 +37,6 @@ impl Fitter {
                 Event::Closed => break,
             }
         }
-        std::mem::forget(guard); // no panic
     }
 
     fn swap(&mut self, swap: Swap) {
@@ -64,7 +63,8 @@ impl Fitter {
         estimate.file = captured.file.clone();
         estimate.capture_ns = frame.capture_ns;
         estimate.publish_ns = Some(end_ns);
-        estimate.truth = captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
+        estimate.truth =
+            captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
         let wait_ns = frame.capture_ns.map(|capture_ns| start_ns.saturating_sub(capture_ns));
         let fit = end_ns.saturating_sub(start_ns) / 1000;
         estimate.timing_us = Some(Timing { wait: wait_ns.map(|ns| ns / 1000), fit });
@@ -100,6 +100,9 @@ struct EndGuard(Arc<Shared>);
 
 impl Drop for EndGuard {
     fn drop(&mut self) {
+        if !std::thread::panicking() {
+            return;
+        }
         let reason = "bug: the fit thread panicked".to_string();
         self.0.status().end(SessionState::Failed, reason.clone());
         self.0.inbox.close();

@@ -177,7 +177,8 @@ impl Session {
 
 /// What this build cannot honour is said, never ignored.
 fn check_document(document: &SessionDocument) -> Result<(), Problem> {
-    let absent = |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
+    let absent =
+        |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
     if !document.target.is_empty() {
         return absent("target", "fits no pose, so a session's target must be {}");
     }
@@ -193,7 +194,9 @@ fn check_document(document: &SessionDocument) -> Result<(), Problem> {
     }
     let finite = |key: &str, numbers: &std::collections::BTreeMap<String, f64>| {
         let wrong = numbers.iter().find(|(_, value)| !value.is_finite());
-        wrong.map_or(Ok(()), |(name, _)| Err(Problem::wrong_key("out-of-range", &format!("{key}.{name}"), "not a finite number")))
+        wrong.map_or(Ok(()), |(name, _)| {
+            Err(Problem::wrong_key("out-of-range", &format!("{key}.{name}"), "not a finite number"))
+        })
     };
     finite("constants", &document.constants)?;
     finite("start", &document.start)
@@ -203,10 +206,16 @@ fn check_document(document: &SessionDocument) -> Result<(), Problem> {
 fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), String> {
     let (coordinates, channels) = (model.coordinates().len(), model.channels().len());
     if let Some(dimensions) = shape.dimensions.filter(|dimensions| *dimensions != coordinates) {
-        return Err(format!("the model `{}` has {coordinates} coordinates, the source's frames have {dimensions}", model.name()));
+        return Err(format!(
+            "the model `{}` has {coordinates} coordinates, the source's frames have {dimensions}",
+            model.name()
+        ));
     }
     if let Some(planes) = shape.planes.filter(|planes| *planes != channels && !(*planes == 3 && channels == 1)) {
-        return Err(format!("the model `{}` has {channels} channels, the source's frames have {planes} planes", model.name()));
+        return Err(format!(
+            "the model `{}` has {channels} channels, the source's frames have {planes} planes",
+            model.name()
+        ));
     }
     Ok(())
 }

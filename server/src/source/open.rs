@@ -123,7 +123,8 @@ fn check_rate(rate_hz: f64, pace: Pace, prefix: &str) -> Result<(), Problem> {
     if is_right && rate_hz <= LIMITS.rate_hz {
         return Ok(());
     }
-    let message = format!("rate_hz is {rate_hz}; it must be above 0 and at most {} (0 with pace fit: no limit)", LIMITS.rate_hz);
+    let message =
+        format!("rate_hz is {rate_hz}; it must be above 0 and at most {} (0 with pace fit: no limit)", LIMITS.rate_hz);
     Err(Problem::wrong_key("out-of-range", &format!("{prefix}rate_hz"), message))
 }
 

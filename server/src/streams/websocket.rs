@@ -105,7 +105,13 @@ async fn close(socket: &mut WebSocket, end: &End) {
 
 /// Sends the close frame and waits a moment for the client's, so that what was sent before is not lost.
 async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
-    let reason: String = reason.chars().scan(0, |bytes, c| { *bytes += c.len_utf8(); (*bytes <= 120).then_some(c) }).collect();
+    let reason: String = reason
+        .chars()
+        .scan(0, |bytes, c| {
+            *bytes += c.len_utf8();
+            (*bytes <= 120).then_some(c)
+        })
+        .collect();
     if send(socket, Message::Close(Some(CloseFrame { code, reason: reason.into() })), LIMITS.send_time).await {
         let answered = async { while let Some(Ok(_)) = socket.recv().await {} };
         drop(tokio::time::timeout(LIMITS.drain_time / 2, answered).await); // late or not, the socket is closed now

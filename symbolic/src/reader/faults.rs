@@ -25,7 +25,8 @@ impl<'a> Faults<'a> {
     }
     /// A formula's fault, at its place in the document; poisoned ones are already told.
     pub fn tell_fault(&mut self, fault: Fault, key: &str, text: &Text) {
-        if fault.code == crate::elaborate::POISONED {
+        let told = |d: &Diagnostic| d.code == "limit" && d.message == fault.message;
+        if fault.code == crate::elaborate::POISONED || self.list.iter().any(told) {
             return;
         }
         let mut diagnostic =

@@ -45,6 +45,7 @@ pub(crate) fn read_model(
         None => Some(reader.graph.channel(ChannelId(0))),
     };
     let domain = get(model, "domain").map(|e| reader.truth("model.domain", e));
+    reader.name_intensity(intensity);
     let noise = get(model, "noise").map(|e| reader.number("model.noise", e));
     let mut constraints = Vec::new();
     if let Some(entry) = get(model, "constraint") {

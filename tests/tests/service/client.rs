@@ -111,7 +111,9 @@ impl Running {
         stream.set_read_timeout(Some(DEADLINE)).unwrap();
         match tungstenite::client(request, stream) {
             Ok((socket, _)) => Ok(Socket(socket)),
-            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => Err(answer.status().as_u16()),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
+                Err(answer.status().as_u16())
+            }
             Err(error) => panic!("{error}"),
         }
     }

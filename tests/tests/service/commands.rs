@@ -95,3 +95,23 @@ fn it_ends_when_it_is_asked_to() {
     assert_eq!(kill.status, Some(0));
     assert_eq!(demo.service.child().wait().unwrap().code(), Some(0));
 }
+
+#[test]
+fn sessions_leave_no_threads_behind() {
+    let folder = Folder::new("threads");
+    let mut demo = Demo::start(&folder.0);
+    let tasks = format!("/proc/{}/task", demo.service.child().id());
+    let threads = || std::fs::read_dir(&tasks).unwrap().count();
+    let source = "synthetic:spot?width=64&height=48&samples=1&pace=fit";
+    let round = || {
+        for name in ["a", "b", "a"] {
+            demo.ok(&["session", "start", name, "--model", "spot", "--source", source]);
+        }
+        demo.ok(&["session", "stop", "a"]);
+        demo.ok(&["session", "stop", "b"]);
+    };
+    round();
+    let before = threads();
+    (0..5).for_each(|_| round());
+    assert!(threads() <= before, "{before} threads became {}", threads());
+}

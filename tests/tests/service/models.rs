@@ -14,7 +14,8 @@ fn document(start: f64) -> Value {
 fn the_shipped_models_are_there() {
     let service = Running::start();
     let items = service.get("/v1/models").expect(200);
-    let names: Vec<&str> = items["items"].as_array().unwrap().iter().map(|item| item["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> =
+        items["items"].as_array().unwrap().iter().map(|item| item["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["dark-disc", "gaussian", "profile-1d", "rational-spot", "spot", "thesis-spot"]);
     let spot = service.get("/v1/models/spot").expect(200);
     assert_eq!(spot["name"], "spot");
@@ -76,8 +77,12 @@ fn what_is_refused() {
     let text = document(1.0).to_string();
     service.put_text("/v1/models/level", "text/plain", &text).expect(415);
     service.request("PUT", "/v1/models/level", &[], text.as_bytes()).expect(415);
-    let long = format!("{text}{}", " ".repeat(300_000));
-    service.put_text("/v1/models/level", "application/json", &long).expect(413);
+    let padded = |bytes: usize| format!("{text}{}", " ".repeat(bytes - text.len()));
+    for (bytes, status) in
+        [(64 * 1024, 201), (64 * 1024 + 1, 422), (128 * 1024, 422), (128 * 1024 + 1, 413), (1 << 22, 413)]
+    {
+        service.put_text("/v1/models/long", "application/json", &padded(bytes)).expect(status);
+    }
     for name in ["Level", "-a", "a_b", &"a".repeat(65), "%FF"] {
         let status = service.put(&format!("/v1/models/{name}"), &document(1.0)).status;
         assert!([404, 422].contains(&status), "{name}: {status}");

@@ -31,6 +31,29 @@ fn life_cycle() {
     assert_eq!(service.get("/v1/sessions").expect(200), json!({"items": []}));
 }
 
+/// The document that the contract prints, to the letter.
+const CONTRACT: &str = r#"
+{"source": {"kind": "synthetic", "model": "spot", "set": {"bx": 320, "by": 240}, "motion": {"bx": "320 + 80*sin(2*pi*0.2*t)"}, "width": 640, "height": 480,
+            "rate_hz": 60, "pace": "realtime", "bits": 8, "samples": 8, "full_well_e": 5000, "read_noise_e": 15, "saturation": 255, "seed": 1},
+ "model": "spot", "constants": {}, "start": {}, "window": null, "camera": {}, "target": {},
+ "options": {"precision": "f32", "exposure": {"goal": "centre", "control": false}}}"#;
+
+#[test]
+fn the_contracts_own_document() {
+    let service = Running::start();
+    service.put_text("/v1/sessions/demo", "application/json", CONTRACT).expect(201);
+    let view = service.wait_for("demo", |view| view["last"]["state"] == "tracking");
+    let document: serde_json::Value = serde_json::from_str(CONTRACT).unwrap();
+    for key in ["model", "constants", "start", "window", "target", "options"] {
+        assert_eq!(view[key], document[key], "{key}");
+    }
+    for key in ["kind", "motion", "width", "pace", "seed"] {
+        assert_eq!(view["source"][key], document["source"][key], "{key}");
+    }
+    let error = view["last"]["parameters"]["bx"].as_f64().unwrap() - view["last"]["truth"]["bx"].as_f64().unwrap();
+    assert!(error.abs() < 0.05, "{view}");
+}
+
 #[test]
 fn a_shared_source() {
     let service = Running::start();
@@ -81,7 +104,7 @@ fn wrong_documents_name_the_key() {
         (with("camera", json!({"saturatoin": 255})), "camera.saturatoin"),
         (with("source", json!({"kind": "camera", "device": "/dev/video0"})), "source.kind"),
         (with("source", json!({"kind": "recording", "path": "/no/such/folder"})), "source.path"),
-        (with("source", json!({"kind": "radio"})), "source"),
+        (with("source", json!({"kind": "radio"})), "source.kind"),
         (with("model", json!("profile-1d")), "model"),
         (source("rate_hz", json!(0)), ""),
         (source("rate_hz", json!(-1)), "source.rate_hz"),
@@ -184,7 +207,8 @@ fn pushed_frames_are_answered_with_their_estimates() {
 fn a_recording_is_fitted_to_its_end() {
     let folder = Folder::new("recording");
     for frame in 0..5 {
-        let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0 + f64::from(frame), 22.0)));
+        let png =
+            isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0 + f64::from(frame), 22.0)));
         std::fs::write(folder.0.join(format!("{frame}.png")), png.unwrap()).unwrap();
     }
     let service = Running::start();

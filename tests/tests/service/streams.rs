@@ -68,14 +68,21 @@ fn in_mode_all_credit_delays_and_loses_nothing() {
 fn lines_and_events() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
-    for (accept, media) in [("application/x-ndjson", "application/x-ndjson"), ("*/*", "application/x-ndjson"), ("text/event-stream", "text/event-stream")] {
+    for (accept, media) in [
+        ("application/x-ndjson", "application/x-ndjson"),
+        ("*/*", "application/x-ndjson"),
+        ("text/event-stream", "text/event-stream"),
+    ] {
         let url = format!("{}/v1/sessions/one/estimates?mode=all", service.url);
         let mut answer = ureq::get(&url).header("accept", accept).call().unwrap();
         assert_eq!(answer.headers()["content-type"], media);
         let lines = BufReader::new(answer.body_mut().as_reader()).lines().map(Result::unwrap);
         let lines = lines.map(|line| line.trim_start_matches("data: ").to_string());
-        let estimates: Vec<Value> =
-            lines.filter(|line| line.starts_with('{')).take(20).map(|line| serde_json::from_str(&line).unwrap()).collect();
+        let estimates: Vec<Value> = lines
+            .filter(|line| line.starts_with('{'))
+            .take(20)
+            .map(|line| serde_json::from_str(&line).unwrap())
+            .collect();
         assert_eq!(estimates.len(), 20);
         estimates.windows(2).for_each(|pair| check_dropped(&pair[0], &pair[1]));
     }

@@ -65,7 +65,13 @@ fn a_thousand_swaps_lose_no_frame_and_mix_no_model() {
         } else {
             assert!(names(&estimate["parameters"]).iter().all(|name| known.contains(name)), "frame {frame}");
         }
-        assert!(estimate["order"].as_array().unwrap().iter().all(|name| known.contains(&name.as_str().unwrap().to_string())));
+        assert!(
+            estimate["order"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .all(|name| known.contains(&name.as_str().unwrap().to_string()))
+        );
         *used.entry(name).or_default() += 1;
     }
     assert!(used.values().all(|frames| *frames > SWAPS / 20), "{used:?}");
@@ -110,7 +116,9 @@ fn swaps_in_flight_are_ordered() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
     let put = |model: &str| {
-        service.put("/v1/sessions/one/model", &json!({"model": model})).expect(200)["active_since_frame"].as_u64().unwrap()
+        service.put("/v1/sessions/one/model", &json!({"model": model})).expect(200)["active_since_frame"]
+            .as_u64()
+            .unwrap()
     };
     // each of four clients swaps to its own model; afterwards the session has the one that was active since the last frame
     let mut answers: Vec<(u64, &str)> = std::thread::scope(|scope| {

@@ -99,7 +99,7 @@ fn unexplained(path: &str, text: &str) -> Vec<String> {
         let versioned = inside
             && line.contains("= ")
             && line.contains('"')
-            && !line.contains(".workspace")
+            && !line.contains("workspace = true")
             && !line.contains("path =");
         if versioned && !line.starts_with('#') && !line.contains('#') && !above.starts_with('#') {
             found.push(format!("{path}: `{line}` does not say why"));

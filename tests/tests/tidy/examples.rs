@@ -147,6 +147,7 @@ impl Sandbox {
         let tail = |text: &str| {
             text.lines().rev().take(8).collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("\n    ")
         };
+        eprintln!("ran, status {:?}: {shell}", finished.status);
         match finished.status {
             Some(status) if status == exit => Ok(()),
             status => Err(format!(
@@ -244,7 +245,9 @@ fn commands_are_read_as_a_reader_would() {
 
 #[test]
 fn planted_faults_are_caught() {
-    let bad = "```toml model\nname = \"m\"\n```\n```sh\nmake me a sandwich\n```\n";
+    let bad = "```toml model\nname = \"m\"\n```\n```sh\nmake me a sandwich\nisophote model check none.toml\n\
+               isophote model check models/spot.toml # exits 3\nisophote model check models/spot.toml\n```\n";
     let found = faults(&File { path: "planted.md".into(), text: bad.into() });
-    assert_eq!(found.len(), 2, "{found:?}");
+    let lines: Vec<&str> = found.iter().filter_map(|fault| fault.split(':').nth(1)).collect();
+    assert_eq!(lines, ["2", "5", "6", "7"], "{found:?}");
 }

@@ -1,0 +1,101 @@
+//! What runs along a row in registers: the offsets' vectors, some of the sums, the counts.
+
+use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
+use isophote_symbolic::{Level, Op, Precision, Value};
+
+use super::Row;
+use super::emit::{Emitter, arg};
+
+/// What one group hands to the next.
+#[derive(Clone)]
+pub(super) struct Running {
+    /// The running part of each `Op::Offset`, in the order of the plan.
+    pub offsets: Vec<ir::Value>,
+    /// Accumulators that are held in registers, by number.
+    pub sums: Vec<Option<ir::Value>>,
+    /// Pixels used and pixels left out as saturated, where they have to be counted.
+    pub used: Option<ir::Value>,
+    pub saturated: Option<ir::Value>,
+}
+
+impl Running {
+    /// Before the first group of a row. Leaves the fraction of each offset in `held`.
+    pub fn start(emit: &mut Emitter<'_, '_>, row: Row) -> Running {
+        let plan = emit.plan;
+        let x = emit.arg(types::I64, arg::X);
+        let first = emit.b.ins().iadd(x, row.start);
+        let first = emit.b.ins().fcvt_from_sint(types::F64, first);
+        let mut offsets = Vec::new();
+        for value in &plan.pixels {
+            let Op::Offset(c) = plan.program.instruction(*value).op else { continue };
+            let (running, fraction) = offset(emit, c, first);
+            emit.held[value.index()] = Some(fraction);
+            offsets.push(running);
+        }
+        let zero = vector(emit, |_| 0.0);
+        let mut sums = Vec::new();
+        for home in &plan.accumulators {
+            sums.push(home.register.then_some(zero));
+            if !home.register {
+                emit.store(zero, home.slot);
+            }
+        }
+        let mut counter = |wanted: bool| wanted.then(|| emit.integer(0));
+        let used = counter(plan.is_masked());
+        let saturated = counter(plan.program.pixel_set().saturated.is_some());
+        Running { offsets, sums, used, saturated }
+    }
+
+    fn each(&self) -> impl Iterator<Item = ir::Value> {
+        let sums = self.sums.iter().copied().flatten();
+        self.offsets.iter().copied().chain(sums).chain(self.used).chain(self.saturated)
+    }
+
+    /// As arguments of a jump.
+    pub fn values(&self) -> Vec<BlockArg> {
+        self.each().map(BlockArg::from).collect()
+    }
+
+    /// As parameters of a block.
+    pub fn parameters(&self, emit: &mut Emitter<'_, '_>, block: Block) -> Running {
+        let mut state = self.clone();
+        let fields = state.offsets.iter_mut().chain(state.sums.iter_mut().flatten());
+        for field in fields.chain(&mut state.used).chain(&mut state.saturated) {
+            let kind = emit.b.func.dfg.value_type(*field);
+            *field = emit.b.append_block_param(block, kind);
+        }
+        state
+    }
+
+    /// Pixels used in the row, which has `count`, and those left out as saturated.
+    pub fn counts(&self, count: ir::Value) -> (ir::Value, Option<ir::Value>) {
+        (self.used.unwrap_or(count), self.saturated)
+    }
+}
+
+/// `Op::Offset` before the first group: the running vector and the fraction.
+fn offset(emit: &mut Emitter<'_, '_>, c: Value, first: ir::Value) -> (ir::Value, ir::Value) {
+    let c = emit.scalar(c, Level::Row);
+    let magic = emit.b.ins().f64const(1.5 * (1_u64 << 52) as f64);
+    let negative = emit.b.ins().fneg(c);
+    let n = emit.b.ins().fadd(negative, magic);
+    let n = emit.b.ins().fsub(n, magic);
+    let distance = emit.b.ins().fsub(first, n);
+    let distance = emit.rounded(distance);
+    let distance = emit.b.ins().splat(emit.number, distance);
+    let steps = vector(emit, |lane| lane as f64);
+    let fraction = emit.b.ins().fadd(c, n);
+    let fraction = emit.rounded(fraction);
+    let fraction = emit.b.ins().splat(emit.number, fraction);
+    (emit.b.ins().fadd(distance, steps), fraction)
+}
+
+/// A constant vector.
+pub(super) fn vector(emit: &mut Emitter<'_, '_>, lane: impl Fn(usize) -> f64) -> ir::Value {
+    let bytes: Vec<u8> = match emit.options.precision {
+        Precision::F32 => (0..4).flat_map(|i| (lane(i) as f32).to_le_bytes()).collect(),
+        Precision::F64 => (0..2).flat_map(|i| lane(i).to_le_bytes()).collect(),
+    };
+    let constant = emit.b.func.dfg.constants.insert(bytes.into());
+    emit.b.ins().vconst(emit.number, constant)
+}

@@ -1,0 +1,146 @@
+//! What may be read: windows and planes that do not fit are refused, and what fits is never left, which pages that fault
+//! on both sides of the pixels prove.
+#![allow(clippy::unwrap_used)]
+#![allow(unsafe_code)] // guard pages: a slice over memory that this test has mapped
+
+mod common;
+
+use common::{Random, lowerings, parameters, programs, shipped};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneError, PlaneView, RunError, Window};
+use isophote_symbolic::{Bindings, Lowering, Precision, Program};
+
+fn program() -> Program {
+    programs(&shipped("spot"), Lowering { fma: false, drop_saturated: false }).swap_remove(0).1
+}
+
+fn kernel(format: PixelFormat, packed: bool) -> Kernel {
+    Kernel::compile(&program(), &KernelOptions { precision: Precision::F32, formats: vec![format], packed }).unwrap()
+}
+
+#[test]
+fn planes_that_do_not_fit_their_bytes_are_refused() {
+    let bytes = [0_u8; 100];
+    let plane = |w, h, row, pixel| PlaneView::new(PixelFormat::U16, &bytes, w, h, row, pixel);
+    assert!(plane(5, 10, 10, 2).is_ok());
+    assert_eq!(plane(5, 10, 11, 2).unwrap_err(), PlaneError::TooShort { width: 5, height: 10, given: 100 });
+    assert!(plane(5, 10, 10, 3).is_err(), "the last pixel of the last row sticks out");
+    assert!(plane(6, 8, 12, 2).is_ok() && plane(6, 9, 12, 2).is_err());
+    assert_eq!(plane(0, 10, 10, 2).unwrap_err(), PlaneError::Empty { width: 0, height: 10 });
+    assert!(plane(1, 1, usize::MAX, usize::MAX).is_ok(), "strides that are never used");
+    assert!(plane(2, 1, 1, usize::MAX).is_err() && plane(1, 2, usize::MAX, 1).is_err());
+    assert!(plane(3, 3, usize::MAX / 2, usize::MAX / 2).is_err());
+    assert!(matches!(plane(1 << 40, 1, 0, 0), Err(PlaneError::TooLarge { .. })));
+}
+
+#[test]
+fn windows_outside_the_plane_are_refused() {
+    let bytes = [0_u8; 20 * 10];
+    let view = PlaneView::new(PixelFormat::U8, &bytes, 20, 10, 20, 1).unwrap();
+    let kernel = kernel(PixelFormat::U8, true);
+    let values = [1.0; 9];
+    let bindings = Bindings { parameters: &values, entry: &values, ..Bindings::default() };
+    let run = |x, y, width, height| kernel.sums(&bindings, &[view], Window { x, y, width, height });
+    assert!(run(0, 0, 20, 10).is_ok() && run(19, 9, 1, 1).is_ok() && run(3, 4, 17, 6).is_ok());
+    let outside = [
+        (0, 0, 21, 10),
+        (0, 0, 20, 11),
+        (1, 0, 20, 10),
+        (0, 1, 20, 10),
+        (20, 0, 1, 1),
+        (0, 10, 1, 1),
+        (0, 0, 0, 10),
+        (0, 0, 20, 0),
+        (usize::MAX, 0, 2, 1),
+        (0, usize::MAX, 1, 2),
+        (1, 1, usize::MAX, 1),
+    ];
+    for (x, y, width, height) in outside {
+        let refused = run(x, y, width, height);
+        assert!(matches!(refused, Err(RunError::Window { .. })), "{x} {y} {width} {height}: {refused:?}");
+    }
+    assert_eq!(
+        Window { x: 15, y: 8, width: 10, height: 10 }.clipped(20, 10),
+        Some(Window { x: 15, y: 8, width: 5, height: 2 })
+    );
+    assert_eq!(Window { x: 20, y: 0, width: 10, height: 10 }.clipped(20, 10), None);
+}
+
+#[test]
+fn planes_of_another_kind_are_refused() {
+    let bytes = [0_u8; 800];
+    let window = Window::whole(5, 5);
+    let bindings = Bindings::default();
+    let view = |format, pixel| PlaneView::new(format, &bytes, 5, 5, 100, pixel).unwrap();
+    let kernel = kernel(PixelFormat::U8, true);
+    assert!(matches!(kernel.sums(&bindings, &[], window), Err(RunError::Planes { channels: 1, planes: 0 })));
+    let given = kernel.sums(&bindings, &[view(PixelFormat::F32, 4)], window);
+    assert!(matches!(given, Err(RunError::Format { channel: 0, .. })));
+    let given = kernel.sums(&bindings, &[view(PixelFormat::U8, 3)], window);
+    assert!(matches!(given, Err(RunError::Packing { channel: 0, stride: 3 })));
+    assert!(kernel.render(&bindings, window, &mut [0.0; 25]).is_err(), "it sums");
+}
+
+/// Bytes with an unreadable page before the first and after the last.
+struct Guarded {
+    pages: region::Allocation,
+    inner: usize,
+}
+
+impl Guarded {
+    fn new(bytes: usize) -> Guarded {
+        let page = region::page::size();
+        let inner = region::page::ceil(bytes as *const u8) as usize;
+        let pages = region::alloc(inner + 2 * page, region::Protection::READ_WRITE).unwrap();
+        let start = pages.as_ptr::<u8>();
+        for guard in [start, start.wrapping_add(page + inner)] {
+            // SAFETY: both pages belong to `pages`.
+            unsafe { region::protect(guard, page, region::Protection::NONE).unwrap() };
+        }
+        Guarded { pages, inner }
+    }
+
+    /// `bytes` bytes that start right after the first guard page, or end right before the second.
+    fn slice(&self, bytes: usize, at_end: bool) -> &[u8] {
+        let first = if at_end { self.inner - bytes } else { 0 };
+        // SAFETY: `first + bytes <= inner`, and the inner pages are readable for as long as `self` lives.
+        unsafe { std::slice::from_raw_parts(self.pages.as_ptr::<u8>().add(region::page::size() + first), bytes) }
+    }
+}
+
+#[test]
+fn no_byte_beyond_the_plane_is_touched() {
+    let mut random = Random(7);
+    let model = shipped("spot");
+    for precision in [Precision::F32, Precision::F64] {
+        for format in PixelFormat::ALL {
+            for packed in [true, false] {
+                let size = format.bytes_per_pixel();
+                let pixel = if packed { size } else { size + 1 + random.below(3) };
+                for lowering in lowerings().into_iter().take(2) {
+                    for (_, program) in programs(&model, lowering).into_iter().take(3) {
+                        let options = KernelOptions { precision, formats: vec![format], packed };
+                        let kernel = Kernel::compile(&program, &options).unwrap();
+                        for width in 1..=9 {
+                            let height = 1 + random.below(5);
+                            let row = width * pixel + random.below(4);
+                            let bytes = (height - 1) * row + (width - 1) * pixel + size;
+                            let guarded = Guarded::new(bytes);
+                            for at_end in [false, true] {
+                                let slice = guarded.slice(bytes, at_end);
+                                let view = PlaneView::new(format, slice, width, height, row, pixel).unwrap();
+                                let values = parameters(&model, [width, height], &mut random);
+                                let bindings = Bindings {
+                                    parameters: &values,
+                                    entry: &values,
+                                    saturation: &[9.0],
+                                    ..Bindings::default()
+                                };
+                                kernel.sums(&bindings, &[view], Window::whole(width, height)).unwrap();
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! What the tests share: a generator of random numbers with a seed to print, images in memory, and the comparison of a
+//! kernel with the interpreter.
+#![allow(dead_code, clippy::unwrap_used)] // each test file uses its part
+
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+use isophote_symbolic::interpreter::{self, Outcome, Pixels};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
+
+/// SplitMix64.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+    /// 0 ≤ x < 1
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+    pub fn between(&mut self, lo: f64, hi: f64) -> f64 {
+        lo + (hi - lo) * self.unit()
+    }
+    pub fn pick<'a, T>(&mut self, all: &'a [T]) -> &'a T {
+        &all[self.below(all.len())]
+    }
+}
+
+/// Bytes of one or more planes of one size.
+pub struct Image {
+    pub format: PixelFormat,
+    pub width: usize,
+    pub height: usize,
+    pub row_stride: usize,
+    pub pixel_stride: usize,
+    pub channels: Vec<Vec<u8>>,
+}
+
+impl Image {
+    /// Pixels by `value(channel, x, y)`; `gap` bytes between pixels and `margin` bytes after a row hold rubbish, and so do
+    /// the bytes before the first pixel, so that nothing is aligned.
+    pub fn new(
+        format: PixelFormat,
+        [width, height]: [usize; 2],
+        channels: usize,
+        [gap, margin]: [usize; 2],
+        mut value: impl FnMut(usize, usize, usize) -> f64,
+    ) -> Image {
+        let pixel_stride = format.bytes_per_pixel() + gap;
+        let row_stride = width * pixel_stride + margin;
+        let plane = |channel: usize| {
+            let mut bytes = vec![0xEE_u8; 1 + height * row_stride];
+            for y in 0..height {
+                for x in 0..width {
+                    let at = 1 + y * row_stride + x * pixel_stride;
+                    let value = value(channel, x, y);
+                    match format {
+                        PixelFormat::U8 => bytes[at] = value as u8,
+                        PixelFormat::U16 => bytes[at..at + 2].copy_from_slice(&(value as u16).to_ne_bytes()),
+                        PixelFormat::F32 => bytes[at..at + 4].copy_from_slice(&(value as f32).to_ne_bytes()),
+                        PixelFormat::F64 => bytes[at..at + 8].copy_from_slice(&value.to_ne_bytes()),
+                    }
+                }
+            }
+            // The last row ends with its last pixel: a read beyond it leaves the slice.
+            bytes.truncate(1 + (height - 1) * row_stride + (width - 1) * pixel_stride + format.bytes_per_pixel());
+            bytes
+        };
+        let channels = (0..channels).map(plane).collect();
+        Image { format, width, height, row_stride, pixel_stride, channels }
+    }
+
+    pub fn views(&self) -> Vec<PlaneView<'_>> {
+        let view =
+            |bytes| PlaneView::new(self.format, bytes, self.width, self.height, self.row_stride, self.pixel_stride);
+        self.channels.iter().map(|bytes| view(&bytes[1..]).unwrap()).collect()
+    }
+}
+
+/// The interpreter's access to the same pixels.
+pub struct Planes<'a>(pub Vec<PlaneView<'a>>);
+
+impl Pixels for Planes<'_> {
+    fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
+        self.0[channel].pixel(x, y)
+    }
+}
+
+/// NaN of any payload is one value; all else bit for bit.
+pub fn same(a: f64, b: f64) -> bool {
+    a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan())
+}
+
+/// Runs the kernel and the interpreter; panics where they differ. Hands back what both said.
+pub fn agree(
+    program: &Program,
+    precision: Precision,
+    bindings: &Bindings<'_>,
+    image: &Image,
+    window: Window,
+    context: &str,
+) -> Outcome {
+    let packed = image.pixel_stride == image.format.bytes_per_pixel();
+    let options = KernelOptions { precision, formats: vec![image.format; program.channels()], packed };
+    let kernel = Kernel::compile(program, &options).unwrap_or_else(|e| panic!("{context}: {e}"));
+    agree_with(&kernel, bindings, image, window, context)
+}
+
+/// The same with a kernel at hand.
+pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, window: Window, context: &str) -> Outcome {
+    let (program, precision) = (kernel.program(), kernel.options().precision);
+    let native = kernel.sums(bindings, &image.views(), window).unwrap_or_else(|e| panic!("{context}: {e}"));
+    let planes = Planes(image.views());
+    let expected = interpreter::run(program, precision, bindings, &planes, window.into(), None);
+    let context = || {
+        format!(
+            "{context}, {precision:?}, {:?}, strides {} {}, {window:?}",
+            image.format, image.row_stride, image.pixel_stride
+        )
+    };
+    assert_eq!(native.pixels, expected.pixels, "pixels: {}", context());
+    assert_eq!(native.saturated, expected.saturated, "saturated: {}", context());
+    assert_eq!(native.outputs.len(), expected.outputs.len(), "outputs: {}", context());
+    for (i, (a, b)) in native.outputs.iter().zip(&expected.outputs).enumerate() {
+        let name = program.names().outputs.get(i).map_or("?", String::as_str);
+        assert!(same(*a, *b), "{name}: native {a:?}, interpreter {b:?}: {}", context());
+    }
+    expected
+}
+
+/// Every way of lowering that this machine has.
+pub fn lowerings() -> Vec<Lowering> {
+    let all = [(false, false), (false, true), (true, false), (true, true)];
+    all.into_iter()
+        .filter(|(fma, _)| !fma || has_fma())
+        .map(|(fma, drop_saturated)| Lowering { fma, drop_saturated })
+        .collect()
+}
+
+/// A shipped document.
+pub fn shipped(name: &str) -> Model {
+    let path = format!("{}/../models/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    document(&std::fs::read_to_string(path).unwrap())
+}
+
+pub fn document(text: &str) -> Model {
+    Model::from_toml(text).unwrap_or_else(|diagnostics| panic!("{diagnostics:#?}\n{text}"))
+}
+
+/// The value programs, and Newton and Gauss–Newton of all parameters and of the first two.
+pub fn programs(model: &Model, lowering: Lowering) -> Vec<(String, Program)> {
+    let all: Vec<ParameterId> = (0..model.parameters().len()).map(|i| ParameterId(i as u32)).collect();
+    let mut programs = Vec::new();
+    for kind in [ValueKind::Entry, ValueKind::Full] {
+        programs.push((format!("{kind:?}"), model.value_objective(kind).unwrap()));
+    }
+    for subset in [&all[..], &all[..all.len().min(2)]] {
+        for method in [Method::Newton, Method::GaussNewton] {
+            programs.push((format!("{method:?} of {}", subset.len()), model.objective(subset, method).unwrap()));
+        }
+    }
+    let program = |(name, objective): (String, isophote_symbolic::Objective)| {
+        (format!("{} {name} {lowering:?}", model.name()), objective.program(lowering).unwrap())
+    };
+    programs.into_iter().map(program).collect()
+}
+
+/// A start for a model of an image of that size: by name, else near 1.
+pub fn parameters(model: &Model, [width, height]: [usize; 2], random: &mut Random) -> Vec<f64> {
+    let (w, h) = (width as f64, height as f64);
+    let mut value = |name: &str| match name {
+        "bx" | "b" => random.between(0.3, 0.7) * w,
+        "by" => random.between(0.3, 0.7) * h,
+        "a1" => random.between(2.0, 20.0) / (w * w),
+        "a2" => random.between(-0.5, 0.5) / (w * h),
+        "a3" => random.between(2.0, 20.0) / (h * h),
+        "w" => random.between(0.1, 0.3) * w,
+        "k1" => -0.5,
+        "k2" => -0.3,
+        "v0" => random.between(5.0, 30.0),
+        "v1" => random.between(50.0, 200.0),
+        _ => random.between(0.2, 2.0),
+    };
+    model.parameters().iter().map(|p| value(&p.name)).collect()
+}

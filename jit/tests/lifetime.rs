@@ -1,0 +1,71 @@
+//! Code memory: given back on drop, never writable and executable at once, and shared by threads. Alone in its file: it
+//! counts the process' maps.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Random, parameters, programs, shipped};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, explain};
+use isophote_symbolic::{Bindings, Lowering, Precision};
+
+/// Anonymous maps that are executable, and all that are writable as well.
+fn executable_maps() -> (usize, usize) {
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+    let permissions = maps.lines().filter_map(|line| {
+        let mut words = line.split_whitespace();
+        let (permissions, file) = (words.nth(1)?, words.nth(3));
+        Some((permissions.to_owned(), file.is_none()))
+    });
+    let all: Vec<(String, bool)> = permissions.collect();
+    let executable = all.iter().filter(|(p, anonymous)| p.contains('x') && *anonymous).count();
+    (executable, all.iter().filter(|(p, _)| p.contains('w') && p.contains('x')).count())
+}
+
+#[test]
+fn a_kernel_may_move_between_threads() {
+    fn movable<T: Send + Sync + 'static>() {}
+    movable::<Kernel>();
+}
+
+#[test]
+fn code_lives_as_long_as_its_kernel() {
+    let model = shipped("spot");
+    let program = programs(&model, Lowering { fma: false, drop_saturated: false }).swap_remove(2).1;
+    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let compile = || Kernel::compile(&program, &options).unwrap();
+    drop(compile());
+    let (before, _) = executable_maps();
+
+    // Neighbouring maps of equal kind are merged, so the count tells little while kernels live, and all when they died.
+    let kernels: Vec<Kernel> = (0..64).map(|_| compile()).collect();
+    let (alive, writable) = executable_maps();
+    assert!(alive > before, "code is in maps of its own");
+    assert_eq!(writable, 0, "memory that is writable and executable");
+    assert!(kernels.iter().all(|k| k.code_bytes() > 100 && k.program() == &program));
+
+    let bytes: Vec<u8> = (0..40 * 30).map(|i| (i * 31 % 251) as u8).collect();
+    let view = PlaneView::new(PixelFormat::U8, &bytes, 40, 30, 40, 1).unwrap();
+    let values = parameters(&model, [40, 30], &mut Random(8));
+    let bindings = Bindings { parameters: &values, entry: &values, ..Bindings::default() };
+    let expected = kernels[0].sums(&bindings, &[view], Window::whole(40, 30)).unwrap();
+    std::thread::scope(|scope| {
+        for kernel in [&kernels[1], &kernels[1], &kernels[2]] {
+            scope.spawn(|| {
+                for _ in 0..200 {
+                    assert_eq!(kernel.sums(&bindings, &[view], Window::whole(40, 30)).unwrap(), expected);
+                }
+            });
+        }
+    });
+
+    drop(kernels);
+    for _ in 0..500 {
+        compile();
+    }
+    assert_eq!(executable_maps(), (before, 0), "code that outlives its kernel");
+
+    let explained = explain(&program, &options).unwrap();
+    assert!(explained.clif.contains("fadd") && explained.clif.contains("f32x4"), "{}", explained.clif);
+    assert!(explained.disassembly.lines().count() > 100, "{}", explained.disassembly);
+}

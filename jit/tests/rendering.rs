@@ -1,0 +1,75 @@
+//! The synthetic camera's kernel: planes are added to, by the interpreter's meaning, bit for bit.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Random, document, lowerings, parameters, shipped};
+use isophote_jit::{Kernel, KernelOptions, RunError, Window};
+use isophote_symbolic::{Bindings, Precision, interpreter};
+
+struct NoPixels;
+impl interpreter::Pixels for NoPixels {
+    fn at(&self, _: usize, _: usize, _: usize) -> f64 {
+        f64::NAN
+    }
+}
+
+const STEPS: &str = r#"
+name = "steps"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[parameters]
+bx = { start = 10.0 }
+v1 = { start = 10.0 }
+[model]
+intensity = "if(x + y < bx, v1, exp(-x) / (y - 3))"
+"#;
+
+#[test]
+fn planes_agree() {
+    let seed = 1;
+    let mut random = Random(seed);
+    for model in [shipped("thesis-spot"), shipped("spot"), shipped("gaussian"), shipped("profile-1d"), document(STEPS)]
+    {
+        let tall = if model.coordinates().len() == 1 { 1 } else { 9 };
+        for lowering in lowerings() {
+            let program = model.rendering(lowering).unwrap();
+            for precision in [Precision::F32, Precision::F64] {
+                let options = KernelOptions { precision, formats: vec![], packed: true };
+                let kernel = Kernel::compile(&program, &options).unwrap();
+                for width in 1..=13 {
+                    let window = Window { x: random.below(40), y: random.below(tall), width, height: tall };
+                    let values = parameters(&model, [40, 9], &mut random);
+                    let shift = [random.between(-0.5, 0.5), random.between(-0.5, 0.5)];
+                    let bindings =
+                        Bindings { parameters: &values, entry: &values, shift: &shift, ..Bindings::default() };
+                    // Not zero before: planes are added to, sub-pixel by sub-pixel.
+                    let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
+                    let mut expected = native.clone();
+                    kernel.render(&bindings, window, &mut native).unwrap();
+                    interpreter::run(&program, precision, &bindings, &NoPixels, window.into(), Some(&mut expected));
+                    let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
+                    assert!(
+                        native.iter().zip(&expected).all(same),
+                        "{} {precision:?} {window:?} seed {seed}\n{native:?}\n{expected:?}",
+                        model.name()
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_plane_of_another_size_is_refused() {
+    let model = shipped("spot");
+    let program = model.rendering(lowerings()[0]).unwrap();
+    let options = KernelOptions { precision: Precision::F32, formats: vec![], packed: true };
+    let kernel = Kernel::compile(&program, &options).unwrap();
+    let bindings = Bindings::default();
+    let window = Window::whole(4, 3);
+    assert_eq!(kernel.render(&bindings, window, &mut [0.0; 11]), Err(RunError::Target { expected: 12, given: 11 }));
+    let empty = Window::whole(4, 0);
+    assert!(matches!(kernel.render(&bindings, empty, &mut []), Err(RunError::Window { .. })));
+    assert!(matches!(kernel.sums(&bindings, &[], window), Err(RunError::Sink { renders: true })));
+}
