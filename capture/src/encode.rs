@@ -22,15 +22,21 @@ pub fn encode_png(width: usize, height: usize, format: PixelFormat, pixels: &[u8
         PixelFormat::U16 => ExtendedColorType::L16,
         other => return Err(EncodeError::Format(other)),
     };
-    encode(width, height, colour, pixels)
+    encode(width, height, colour, CompressionType::Fast, pixels)
 }
 
-/// Encodes `width` × `height` tightly packed r, g, b bytes (overlays).
+/// Encodes `width` × `height` tightly packed r, g, b bytes (overlays): slower and smaller.
 pub fn encode_png_rgb(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
-    encode(width, height, ExtendedColorType::Rgb8, pixels)
+    encode(width, height, ExtendedColorType::Rgb8, CompressionType::Default, pixels)
 }
 
-fn encode(width: usize, height: usize, colour: ExtendedColorType, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
+fn encode(
+    width: usize,
+    height: usize,
+    colour: ExtendedColorType,
+    compression: CompressionType,
+    pixels: &[u8],
+) -> Result<Vec<u8>, EncodeError> {
     let mut bytes = Vec::new();
     // The encoder panics on a wrong length: make that an error of the same kind as its own.
     let expected = (width * height) as u64 * u64::from(colour.bits_per_pixel()) / 8;
@@ -38,7 +44,7 @@ fn encode(width: usize, height: usize, colour: ExtendedColorType, pixels: &[u8])
         let kind = image::error::ParameterErrorKind::DimensionMismatch;
         return Err(image::ImageError::Parameter(image::error::ParameterError::from_kind(kind)).into());
     }
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive).write_image(
+    PngEncoder::new_with_quality(&mut bytes, compression, FilterType::Adaptive).write_image(
         pixels,
         width as u32,
         height as u32,

@@ -45,7 +45,7 @@ fn a_pixel_is_the_mean_of_its_samples() {
     let value: [fn(f64, f64) -> f64; 3] = [
         |x, y| if (x - 16.2).powi(2) / 100.0 + (y - 11.7).powi(2) / 36.0 <= 1.0 { 50_000.0 } else { 2000.0 },
         |x, y| 100.0 * (100.0 + 3.0 * x - 2.0 * y + 0.3 * x * y),
-        |x, y| if x + 0.3731 * y <= 16.2 { 0.0 } else { 60_000.0117 },
+        |x, y| if x + 0.3731 * y <= 16.2 { 0.0 } else { 60_000.011_7 },
     ];
     for (formula, value) in [disc, plane, edge].into_iter().zip(value) {
         for samples in [1, 2, 5] {
@@ -176,12 +176,13 @@ fn more_than_8_bits_are_u16() {
 
 #[test]
 fn faults_say_what_would_be_right() {
-    let fault = |change: fn(&mut SyntheticSpec)| {
+    type Change = fn(&mut SyntheticSpec);
+    let fault = |change: Change| {
         let mut spec = SyntheticSpec::new(shipped("spot"));
         change(&mut spec);
         Synthetic::new(spec).err().unwrap().to_string()
     };
-    let cases: [(fn(&mut SyntheticSpec), &str); 11] = [
+    let cases: [(Change, &str); 11] = [
         (|s| s.set = set(&[("bz", 1.0)]), "the model `spot` has no parameter or constant named `bz`; is `bx` meant?"),
         (|s| s.set = set(&[("bx", f64::NAN)]), "a value of `set` is NaN; it must be a finite number"),
         (

@@ -14,7 +14,7 @@ const LINE_PX: f64 = 1.6;
 const ARM_PX: f64 = 7.0;
 const ARM_LEAST_PX: f64 = 2.5;
 /// Pictures are magnified (nearest neighbour) up to about this side…
-const SIDE_PX: usize = 640;
+const SIDE_PX: usize = 960;
 /// …but not more than this.
 const MAGNIFICATION_MAX: usize = 8;
 
@@ -72,7 +72,7 @@ fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64) -> f64 {
     let (dx, dy) = ((x - contour.centre[0]).abs() * scale, (y - contour.centre[1]).abs() * scale);
     // The larger eigenvalue of A is at most its trace: a length that is surely inside of the contour.
     let inside = contour.shape.map_or(f64::INFINITY, |[[a1, _], [_, a3]]| scale / (a1 + a3).sqrt());
-    let length = (0.5 * inside).min(ARM_PX).max(ARM_LEAST_PX);
+    let length = (0.5 * inside).clamp(ARM_LEAST_PX, ARM_PX);
     let arm = |along: f64, across: f64| coverage(across) * (length + 0.5 - along).clamp(0.0, 1.0);
     let cover = arm(dx, dy).max(arm(dy, dx));
     if cover.is_nan() { 0.0 } else { cover }

@@ -22,6 +22,9 @@ use crate::options::{TrackError, TrackerOptions};
 const SIGNIFICANT: f64 = 5.0;
 /// A reduced χ² this many times the last one asks for a second opinion.
 const MISFIT: f64 = 9.0;
+/// A brightness that changed by more than this factor from one frame to the next asks for one, too: a fit that lost its
+/// target settles on whatever faint thing is near.
+const FADED: f64 = 4.0;
 /// Variance of rounding to whole pixel values.
 const QUANTISATION: f64 = 1.0 / 12.0;
 
@@ -163,9 +166,11 @@ impl Tracker {
             let cold = self.cold(view, &self.options.start_of(self.compiled.model()))?;
             return Ok(if cold.fit.is_some() || warm.fit.is_none() { cold } else { warm });
         }
-        if self.is_jump(&warm, view) {
+        let fades = self.brightness_change(&warm) > FADED;
+        if fades || self.is_jump(&warm, view) {
             let cold = self.cold(view, &self.options.start_of(self.compiled.model()))?;
-            if cold.is_good() && cold.reduced() < warm.reduced() {
+            let truer = fades && self.brightness_change(&cold) < self.brightness_change(&warm);
+            if cold.is_good() && (truer || cold.reduced() < warm.reduced()) {
                 return Ok(cold);
             }
         }
@@ -198,6 +203,17 @@ impl Tracker {
             }
         }
         Ok(best.unwrap_or(Attempt::none(Ending::NoTarget)))
+    }
+
+    /// By which factor a brightness changed since the last good fit, up or down, the largest of all targets; 1 where unknown.
+    fn brightness_change(&self, attempt: &Attempt) -> f64 {
+        let Some(fit) = &attempt.fit else { return 1.0 };
+        let ratio = |roles: &isophote_symbolic::Roles| {
+            let index = roles.brightness?.index();
+            let (old, new) = (self.memory.last.get(index)?.abs(), fit.parameters[index].abs());
+            Some((new / old).max(old / new))
+        };
+        self.compiled.model().roles().iter().filter_map(ratio).fold(1.0, f64::max)
     }
 
     /// A χ²/ν far above the last one.

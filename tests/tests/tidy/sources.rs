@@ -9,7 +9,8 @@ const LINES_MAX: usize = 500;
 const LONG_FILES: [(&str, &str); 0] = [];
 
 /// The files that may hold `unsafe`, and what for.
-const UNSAFE_FILES: [(&str, &str); 1] = [("jit/src/runner.rs", "calls compiled code")];
+const UNSAFE_FILES: [(&str, &str); 2] =
+    [("jit/src/runner.rs", "calls compiled code"), ("jit/tests/bounds.rs", "pixels between protected pages")];
 
 /// Words that must not stand in the code of some folders, tests left out, and why.
 struct Rule {
@@ -168,7 +169,8 @@ fn is_word(code: &str, word: &str) -> bool {
 
 fn faults(file: &File) -> Vec<String> {
     let whole = code_only(&file.text);
-    let code = spelled_out(without_tests(&whole));
+    // Unit tests that stand in a file of their own are called `…_tests.rs`.
+    let code = if file.path.ends_with("_tests.rs") { String::new() } else { spelled_out(without_tests(&whole)) };
     let mut found = Vec::new();
     for rule in RULES.iter().filter(|rule| rule.folders.iter().any(|folder| file.path.starts_with(folder))) {
         let words = rule.words.iter().filter(|word| code.contains(**word));
