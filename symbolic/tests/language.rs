@@ -131,7 +131,7 @@ fn offsets_are_taken_in_f64() {
     let text = "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"phi\"]\n[parameters]\nb = { start = 1.0 }\n[model]\nintensity = \"x - b\"\n";
     let model = Model::from_toml(text).unwrap();
     let program = model.rendering(Lowering::default()).unwrap();
-    let p = [3000.123_456_789];
+    let p = [3_000.123_456_789];
     let bindings = Bindings { parameters: &p, entry: &p, ..Bindings::default() };
     let mut plane = [0.0_f32; 9];
     run(&program, Precision::F32, &bindings, &Flat, Window { x: 2996, y: 0, width: 9, height: 1 }, Some(&mut plane));
