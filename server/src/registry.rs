@@ -140,7 +140,9 @@ pub struct Registry {
 }
 
 /// The shipped documents.
-const SHIPPED: [&str; 6] = [
+const SHIPPED: [&str; 8] = [
+    include_str!("../../models/bead.toml"),
+    include_str!("../../models/bright-disc.toml"),
     include_str!("../../models/dark-disc.toml"),
     include_str!("../../models/gaussian.toml"),
     include_str!("../../models/profile-1d.toml"),

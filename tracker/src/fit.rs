@@ -44,6 +44,13 @@ impl<'a> View<'a> {
     }
 }
 
+impl View<'_> {
+    /// Pixels are integers.
+    pub fn holds_whole_values(&self) -> bool {
+        self.planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16))
+    }
+}
+
 /// A magnitude that pixel values do not exceed; floats without a limit are looked at.
 fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
     if limit.is_finite() {

@@ -258,7 +258,11 @@ impl Tracker {
                 let index = self.compiled.last_parameters().iter().position(|&p| p == parameter)?;
                 let worth = fit.worth.as_ref()?;
                 let variance = worth.covariance.as_ref().map_or(worth.variance_alone[index], |c| c[(index, index)]);
-                Some(fit.parameters[parameter.index()].abs() / variance.sqrt())
+                // Whole pixel values are rounded: a blank frame is not known better than that.
+                let floor = if view.holds_whole_values() && !model.has_noise() { QUANTISATION } else { 0.0 };
+                let reduced = worth.reduced.unwrap_or(0.0);
+                let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
+                Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
             });
             if brightness.is_some_and(|significance| significance < SIGNIFICANT) {
                 return Some(Rejection::Faint);

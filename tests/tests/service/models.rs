@@ -16,7 +16,9 @@ fn the_shipped_models_are_there() {
     let items = service.get("/v1/models").expect(200);
     let names: Vec<&str> =
         items["items"].as_array().unwrap().iter().map(|item| item["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["dark-disc", "gaussian", "profile-1d", "rational-spot", "spot", "thesis-spot"]);
+    let shipped =
+        ["bead", "bright-disc", "dark-disc", "gaussian", "profile-1d", "rational-spot", "spot", "thesis-spot"];
+    assert_eq!(names, shipped);
     let spot = service.get("/v1/models/spot").expect(200);
     assert_eq!(spot["name"], "spot");
     assert_eq!(spot["version"], 1);
