@@ -219,6 +219,15 @@ pub(crate) fn lowering(control: Control) -> Lowering {
     Lowering { fma: has_fma(), drop_saturated: control == Control::Dropping }
 }
 
+/// Which F a stage's steps are compared by. Newton differentiates the variance as well, so its F has ln σ² and variances of
+/// its own; the others hold them at the entry parameters.
+pub(crate) fn value_kind(model: &Model, method: Method) -> ValueKind {
+    match curvature(method) {
+        Curvature::Full if model.has_noise() => ValueKind::Full,
+        _ => ValueKind::Entry,
+    }
+}
+
 /// Which Hessian a method asks for.
 pub(crate) fn curvature(method: Method) -> Curvature {
     match method {

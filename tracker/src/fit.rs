@@ -5,10 +5,10 @@
 use std::sync::Arc;
 
 use isophote_jit::{Kernel, PixelFormat, PlaneView, Sums, Window};
-use isophote_symbolic::{Bindings, ParameterId, Precision};
+use isophote_symbolic::{Bindings, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
-use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature};
+use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
@@ -115,9 +115,11 @@ fn fit_controlled(
     let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
     for (index, stage) in model.stages().iter().enumerate() {
         let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
-        // Newton differentiates the variance as well, so its F has ln σ² and variances of its own; the others hold it.
-        let whole = model.has_noise() && curvature(stage.method) == Curvature::Full;
-        let value = compiled.kernel(if whole { Job::Report } else { Job::Value }, control, &view.layout)?;
+        let value = match value_kind(model, stage.method) {
+            ValueKind::Full => Job::Report,
+            ValueKind::Entry => Job::Value,
+        };
+        let value = compiled.kernel(value, control, &view.layout)?;
         let free = indices(&stage.parameters);
         let count = free.len();
         let mut problem =

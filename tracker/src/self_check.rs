@@ -6,8 +6,7 @@
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Estimator, Lowering, Model, Parameter, Precision, Program, Start, ValueKind};
 
-use crate::compiled::{CompileFailure, curvature};
-use crate::trust::Curvature;
+use crate::compiled::{CompileFailure, value_kind};
 
 /// The picture's size, px; one row for one dimension.
 const SIZE: [usize; 2] = [40, 30];
@@ -39,9 +38,7 @@ pub(crate) fn self_check(model: &Model) -> Result<Option<f64>, CompileFailure> {
     };
     let mut worst: f64 = 0.0;
     for stage in model.stages() {
-        // Newton differentiates the noise as well.
-        let whole = model.has_noise() && curvature(stage.method) == Curvature::Full;
-        let value = value_of(if whole { ValueKind::Full } else { ValueKind::Entry })?;
+        let value = value_of(value_kind(model, stage.method))?;
         let at = |parameters: &[f64], entry: &[f64]| run(&value, parameters, entry)?.first().copied();
         let objective = model.objective(&stage.parameters, stage.method).map_err(CompileFailure::Model)?;
         let program = objective.program(Lowering::default()).map_err(CompileFailure::Model)?;

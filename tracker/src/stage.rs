@@ -68,10 +68,10 @@ const INSIGNIFICANT: f64 = 1.0;
 const REJECTED: u32 = 3;
 /// ‖Dδ‖ below this share of ‖D u‖ is no step any more.
 const COLLAPSED: f64 = 1e-15;
-/// F per pixel on a step's own pixel set may be this many times the least so far …
+/// F per pixel on a step's own pixel set may be this many times the least so far, and a little more (see [`Walk::strays`]).
 const WORSE: f64 = 1.5;
-/// … and what rounding to whole pixel values adds.
-const WHOLE_VALUES: f64 = 1.0 / 12.0;
+/// Variance of rounding to whole pixel values.
+pub(crate) const QUANTISATION: f64 = 1.0 / 12.0;
 /// Radius over the length of a step that strayed.
 const STRAYED: f64 = 0.25;
 /// Halvings of a step that breaks a bound or a constraint.
@@ -94,6 +94,8 @@ impl Rules {
             Precision::F32 => 5e-8,
             Precision::F64 => 4.0 * f64::EPSILON,
         };
+        // With ln σ² in it, F may be negative.
+        let objective = objective.abs();
         let rho = self.rounding / 4.0;
         relative * objective + 4.0 * rho * objective.sqrt() + 2.0 * pixels as f64 * rho * rho
     }
@@ -214,8 +216,14 @@ impl<P: Problem> Walk<'_, P> {
     fn strays(&mut self, old: &Pass, new: &Pass) -> bool {
         let mean = |pass: &Pass| pass.quadratic.objective / pass.pixels.max(1) as f64;
         self.least_mean = self.least_mean.min(mean(old));
-        let rounding = if self.rules.noise { 0.0 } else { WHOLE_VALUES + self.rules.rounding.powi(2) };
-        new.pixels != old.pixels && mean(new) > WORSE * self.least_mean + rounding
+        // With ln σ² in it, F per pixel is a log-likelihood: it may be negative, and one unit of it is what 1 is for r²/σ².
+        let slack = match (self.rules.noise, old.quadratic.curvature) {
+            (true, Curvature::Full) => 1.0,
+            (true, Curvature::GaussNewton) => 0.0,
+            (false, _) => QUANTISATION + self.rules.rounding.powi(2),
+        };
+        let much_worse = self.least_mean + (WORSE - 1.0) * self.least_mean.abs() + slack;
+        new.pixels != old.pixels && mean(new) > much_worse
     }
 
     /// A gradient pass at `point`, when it is one to go on with.

@@ -17,6 +17,7 @@ use crate::estimate::{Ending, Estimate, Rejection, TrackState};
 use crate::fit::{Fit, View, fit};
 use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
+use crate::stage::QUANTISATION;
 
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;
@@ -25,8 +26,6 @@ const MISFIT: f64 = 9.0;
 /// A brightness that changed by more than this factor from one frame to the next asks for one, too: a fit that lost its
 /// target settles on whatever faint thing is near.
 const FADED: f64 = 4.0;
-/// Variance of rounding to whole pixel values.
-const QUANTISATION: f64 = 1.0 / 12.0;
 
 /// Follows one target, or the several of one model.
 pub struct Tracker {

@@ -422,3 +422,18 @@ fn a_curve_fit_through_columns() {
         assert!((deviation / 2.707_007_521_5 - 1.0).abs() < 1e-6, "{deviation}");
     }
 }
+
+/// With ln σ² below zero, F per pixel is negative; a step that lowers it must not be taken for one that strayed.
+#[test]
+fn newton_with_a_small_variance_converges() {
+    let document = SPOT
+        .replace("[model]", "[model]\nnoise = \"0.1 + 1e-4*max(intensity, 0)\"")
+        .replace("method     = \"levenberg-marquardt\"", "method     = \"newton\"");
+    assert!(document.contains("newton") && document.contains("noise"));
+    let truth = spot(70.3, 60.2, [20.0, 14.0], 0.2, 150.0);
+    let frame = Picture { noise: 0.1, ..Picture::new(160, 120, vec![truth]) }.frame();
+    let estimate = tracker(&document, &[("bx", 76.0), ("by", 55.0)]).track(&frame);
+    assert_eq!((estimate.state, estimate.ending), (TrackState::Tracking, Ending::SmallStep), "{estimate:?}");
+    assert!(estimate.objective.unwrap() < 0.0, "{estimate:?}");
+    assert!((estimate.parameters[0] - 70.3).abs() < 0.02 && (estimate.parameters[1] - 60.2).abs() < 0.02);
+}
