@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::diagnostic::{Diagnostics, quoted};
 use crate::document::{Entry, Item, Key, Text, to_json};
 use crate::elaborate::{Binding, Elaborator, Matrix};
-use crate::graph::{Graph, Node, NodeId, operands};
+use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
 use crate::parser::{Expr, Fault, Kind, parse};
 use crate::program::{ConstantId, Input, Level};
@@ -294,13 +294,4 @@ impl Formula {
         };
         self.graph.evaluate(self.node, &leaf)
     }
-}
-
-/// Total uses of each node below `roots` by other nodes.
-pub(crate) fn use_counts(graph: &Graph, roots: &[NodeId]) -> BTreeMap<NodeId, u32> {
-    let mut counts = BTreeMap::new();
-    for id in graph.reachable(roots) {
-        operands(graph.node(id)).into_iter().for_each(|n| *counts.entry(n).or_default() += 1);
-    }
-    counts
 }

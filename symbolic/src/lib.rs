@@ -17,6 +17,7 @@
 mod absorb;
 mod calls;
 mod cuts;
+mod derivation;
 mod diagnostic;
 mod document;
 mod domain;
@@ -37,6 +38,7 @@ mod print;
 mod program;
 mod reader;
 mod schedule;
+mod search;
 mod steps;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Severity, Span};
