@@ -21,6 +21,8 @@ mod derivation;
 mod diagnostic;
 mod document;
 mod domain;
+#[allow(dead_code, reason = "the self-check's referee")]
+mod double_double;
 mod elaborate;
 mod formulas;
 mod function;
