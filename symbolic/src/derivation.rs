@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::absorb::{absorb, absorb_numbers};
-use crate::graph::{Graph, NodeId};
+use crate::graph::{Graph, Node, NodeId};
 use crate::jet::{Jet, jet, pair, totals};
 use crate::model::Lowering;
 use crate::monomial::{Polynomial, Splitter};
@@ -114,6 +114,11 @@ impl Derivation {
         Some(Derivation { graph, forms, value, entries, factors: FxHashMap::default() })
     }
 
+    /// True when a form is a sum, so that it can be taken apart.
+    pub fn has_terms(&self, form: usize) -> bool {
+        matches!(self.graph.node(self.forms[form].1), Node::Sum(_, terms) if terms.len() > 1)
+    }
+
     /// The forms as polynomials in atoms, which are pixel values computed as they stand; each distinct factor becomes one
     /// as well.
     fn parts(&mut self, layout: &Layout) -> Vec<Polynomial> {
@@ -156,6 +161,23 @@ impl Derivation {
             .collect();
         let cost = schedule::pixel_cost(graph, &nodes, lowering);
         (!graph.overflowed()).then_some(cost)
+    }
+
+    /// One sum for every output, nothing taken apart; the first is F.
+    pub fn unfactored(&mut self) -> Option<Sums> {
+        let graph = &mut self.graph;
+        let whole = |graph: &mut Graph, name: &str, node: NodeId| Output {
+            name: name.into(),
+            terms: Splitter::new(&BTreeSet::new()).whole(graph, node).into_terms(graph),
+        };
+        let mut outputs = vec![whole(graph, "F", self.value)];
+        for Entry { name, uses } in &self.entries {
+            let terms: Vec<_> =
+                uses.iter().map(|(form, factor)| (graph.mul(self.forms[*form].1, *factor), 1.0)).collect();
+            let node = graph.sum(0.0, terms);
+            outputs.push(whole(graph, name, node));
+        }
+        (!graph.overflowed()).then_some(Sums { outputs })
     }
 
     /// The sums of a layout; the first output is F.

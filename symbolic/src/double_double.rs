@@ -43,7 +43,6 @@ impl DoubleDouble {
     pub(crate) const ZERO: Self = Self { hi: 0.0, lo: 0.0 };
     pub(crate) const ONE: Self = Self { hi: 1.0, lo: 0.0 };
     pub(crate) const PI: Self = Self { hi: 2.0 * HALF_PI[0], lo: 2.0 * HALF_PI[1] };
-    pub(crate) const NAN: Self = Self { hi: f64::NAN, lo: 0.0 };
 
     /// hi + lo for |hi| ≥ |lo|. What is not finite, or zero with its sign, has no low part.
     fn quick(hi: f64, lo: f64) -> Self {

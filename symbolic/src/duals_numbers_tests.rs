@@ -1,10 +1,10 @@
-//! Hyper-dual numbers over any arithmetic, and an arithmetic that keeps the sum of the absolute terms beside its value.
+//! Hyper-dual numbers over any arithmetic.
 
-use std::ops::{Add, Div, Mul, Neg, Sub};
-
+use crate::calculus::{Two, derivatives, derivatives2};
 use crate::double_double::DoubleDouble;
 use crate::evaluate::Number;
 use crate::function::{Function1, Function2};
+use crate::weighed::Weighed;
 
 /// What the reference asks of an arithmetic beyond a program's: may rounding decide which of the two is larger?
 pub trait Scalar: Number {
@@ -14,156 +14,10 @@ pub trait Scalar: Number {
 }
 impl Scalar for DoubleDouble {}
 
-/// A value, and the sum of the absolute values of the terms that it was made of, each scaled by how it acts on the result.
-#[derive(Clone, Copy, Debug)]
-pub struct Weighed {
-    pub value: f64,
-    pub terms: f64,
-}
-
 impl Scalar for Weighed {
     fn is_near(self, other: Self) -> bool {
         let far = (self.value - other.value).abs() > 1e-9 * (self.terms + other.terms);
         !far
-    }
-}
-
-impl PartialEq for Weighed {
-    fn eq(&self, b: &Self) -> bool {
-        self.value == b.value
-    }
-}
-impl PartialOrd for Weighed {
-    fn partial_cmp(&self, b: &Self) -> Option<std::cmp::Ordering> {
-        self.value.partial_cmp(&b.value)
-    }
-}
-impl From<f64> for Weighed {
-    fn from(x: f64) -> Self {
-        Weighed { value: x, terms: x.abs() }
-    }
-}
-impl Neg for Weighed {
-    type Output = Self;
-    fn neg(self) -> Self {
-        Weighed { value: -self.value, ..self }
-    }
-}
-impl Add for Weighed {
-    type Output = Self;
-    fn add(self, b: Self) -> Self {
-        Weighed { value: self.value + b.value, terms: self.terms + b.terms }
-    }
-}
-impl Sub for Weighed {
-    type Output = Self;
-    fn sub(self, b: Self) -> Self {
-        self + -b
-    }
-}
-impl Mul for Weighed {
-    type Output = Self;
-    fn mul(self, b: Self) -> Self {
-        Weighed { value: self.value * b.value, terms: self.terms * b.terms }
-    }
-}
-impl Div for Weighed {
-    type Output = Self;
-    fn div(self, b: Self) -> Self {
-        let inverse = Weighed { value: 1.0 / b.value, terms: b.terms / b.value.abs() / b.value.abs() };
-        Weighed { value: self.value / b.value, ..self * inverse }
-    }
-}
-
-impl Number for Weighed {
-    fn to_f64(self) -> f64 {
-        self.value
-    }
-    fn abs(self) -> Self {
-        Weighed { value: self.value.abs(), ..self }
-    }
-    fn sqrt(self) -> Self {
-        let root = self.value.sqrt();
-        Weighed { value: root, terms: self.terms / root }
-    }
-    fn call1(self, function: Function1) -> Self {
-        let (value, slope, _) = derivatives(function, self.value);
-        Weighed { value, terms: slope.abs() * self.terms + value.abs() }
-    }
-    fn call2(self, function: Function2, other: Self) -> Self {
-        let two = derivatives2(function, self.value, other.value);
-        let terms = two.a.abs() * self.terms + two.b.abs() * other.terms + two.value.abs();
-        Weighed { value: two.value, terms }
-    }
-}
-
-/// f, f′, f″.
-pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
-    let (one, two) = (N::from(1.0), N::from(2.0));
-    let f = x.call1(function);
-    match function {
-        Function1::Exp => (f, f, f),
-        Function1::Log => (f, one / x, -(one / (x * x))),
-        Function1::Sin => (f, x.call1(Function1::Cos), -f),
-        Function1::Cos => (f, -x.call1(Function1::Sin), -f),
-        Function1::Tan => (f, one + f * f, two * f * (one + f * f)),
-        Function1::Asin | Function1::Acos => {
-            let square = one - x * x;
-            let slope = one / square.sqrt();
-            let slope = if function == Function1::Asin { slope } else { -slope };
-            (f, slope, x * slope / square)
-        }
-        Function1::Atan => {
-            let slope = one / (one + x * x);
-            (f, slope, -(two * x * slope * slope))
-        }
-        Function1::Sinh => (f, x.call1(Function1::Cosh), f),
-        Function1::Cosh => (f, x.call1(Function1::Sinh), f),
-        Function1::Tanh => {
-            let slope = one - f * f;
-            (f, slope, -(two * f * slope))
-        }
-        Function1::Erf => {
-            let pi = (-one).call1(Function1::Acos);
-            let slope = two / pi.sqrt() * (-(x * x)).call1(Function1::Exp);
-            (f, slope, -(two * x * slope))
-        }
-    }
-}
-
-/// A function of two arguments, and its five derivatives.
-pub struct Two<N> {
-    pub value: N,
-    pub a: N,
-    pub b: N,
-    pub aa: N,
-    pub ab: N,
-    pub bb: N,
-}
-
-pub fn derivatives2<N: Number>(function: Function2, x: N, y: N) -> Two<N> {
-    let (one, two) = (N::from(1.0), N::from(2.0));
-    let value = x.call2(function, y);
-    match function {
-        // angle(x, y) = atan2(first, second)
-        Function2::Atan2 => {
-            let square = x * x + y * y;
-            let mixed = (x * x - y * y) / (square * square);
-            let bend = two * x * y / (square * square);
-            Two { value, a: y / square, b: -(x / square), aa: -bend, ab: mixed, bb: bend }
-        }
-        Function2::Pow => {
-            let log = x.call1(Function1::Log);
-            let by = value / x;
-            Two {
-                value,
-                a: y * by,
-                b: value * log,
-                aa: y * (y - one) * by / x,
-                ab: by * (one + y * log),
-                bb: value * log * log,
-            }
-        }
     }
 }
 

@@ -10,7 +10,7 @@ mod numbers;
 #[path = "duals_random_tests.rs"]
 mod random;
 
-use numbers::{Hyper, PARAMETERS, Scalar, Weighed, pair};
+use numbers::{Hyper, PARAMETERS, Scalar, pair};
 use random::{Condition, Place, Random, Scope, Tree};
 
 use crate::double_double::DoubleDouble;
@@ -18,14 +18,15 @@ use crate::evaluate::evaluate;
 use crate::function::Function1;
 use crate::interpreter::{Pixels, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, ParameterId, Precision, Program, Sink, Value};
+use crate::weighed::Weighed;
 use crate::{Lowering, Method, Model};
 
 const MODELS: u64 = 10_000;
 const POINTS: usize = 16;
-/// Their pixel sets are wrong: a domain of several quadratic pieces is taken for one (`domain::bounds`).
-const KNOWN: [u64; 1] = [2498];
 /// Error over the sum of the absolute terms.
 const TOLERANCE: f64 = 1e-12;
+/// Terms below this have lost digits to the smallest numbers of f64.
+const SMALLEST: f64 = 1e-290;
 
 /// A random model and what was asked of it.
 struct Case {
@@ -258,7 +259,7 @@ fn compare(case: &Case, program: &Program, at: &Point, tally: &mut Tally, strict
     let found = run(program, Precision::F64, &bindings, &Noise, at.window, None).outputs;
     assert_eq!(found.len(), expected.len());
     let error = |found: f64, expected: f64, terms: f64| {
-        if found == expected { 0.0 } else { (found - expected).abs() / terms }
+        if found == expected { 0.0 } else { (found - expected).abs() / terms.max(SMALLEST) }
     };
     let error_of = |i: usize| error(found[i], expected[i].value, expected[i].terms);
     let worst = (0..found.len()).map(error_of).fold(0.0, |a: f64, b| if a >= b { a } else { b });
@@ -271,7 +272,7 @@ fn compare(case: &Case, program: &Program, at: &Point, tally: &mut Tally, strict
     let exact: Vec<DoubleDouble> = evaluate(program, &bindings, &Noise, at.window);
     let Some(reference) = case.reference::<DoubleDouble>(at) else { return Ok(()) };
     for (i, ((exact, reference), weighed)) in exact.iter().zip(&reference).zip(&expected).enumerate() {
-        let referee = (*exact - *reference).abs().to_f64() / weighed.terms;
+        let referee = (*exact - *reference).abs().to_f64() / weighed.terms.max(SMALLEST);
         let is_right = *exact == *reference || referee <= TOLERANCE;
         if !is_right {
             return Err(format!(
@@ -328,7 +329,7 @@ fn check_seeds(first: u64) {
         if tally.models == MODELS / 2 {
             break;
         }
-        faults.extend(check(seed, &mut tally, |_, _| ()).err().filter(|_| !KNOWN.contains(&seed)));
+        faults.extend(check(seed, &mut tally, |_, _| ()).err());
     }
     assert!(faults.is_empty(), "{} faults; {tally:?}\n{}", faults.len(), faults[..faults.len().min(8)].join("\n\n"));
     let compared = tally.points - tally.skipped - tally.undecided;

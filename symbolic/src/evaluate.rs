@@ -1,15 +1,14 @@
 //! A program's value in any arithmetic: exact meaning, no lanes.
 //!
-//! What comes in: a [`Program`], bindings, pixels. What goes out: its outputs as the real-number formulas that its
-//! instructions are, worked out in a [`Number`]: f64 or double-double. [`crate::interpreter`] says what a program's rounding
+//! What comes in: a [`Program`], and numbers for what it reads. What goes out: its outputs as the real-number formulas that its
+//! instructions are, worked out in a [`Number`]: f64, double-double, residues. [`crate::interpreter`] says what a program's rounding
 //! is; this says what it rounds. It must never know: where a program came from.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::double_double::DoubleDouble;
 use crate::function::{Function1, Function2};
-use crate::interpreter::{Pixels, Window};
-use crate::program::{Bindings, Comparison, Level, Op, Program, Sink, Value};
+use crate::program::{Comparison, Level, Op, Program, Sink, Value};
 
 /// An arithmetic.
 pub(crate) trait Number:
@@ -32,6 +31,10 @@ pub(crate) trait Number:
     fn call1(self, function: Function1) -> Self;
     /// An elementary function of two arguments.
     fn call2(self, function: Function2, other: Self) -> Self;
+    /// 2 / √π.
+    fn two_over_root_pi() -> Self {
+        Self::from(std::f64::consts::FRAC_2_SQRT_PI)
+    }
 }
 
 impl Number for f64 {
@@ -68,6 +71,9 @@ impl Number for DoubleDouble {
     fn call2(self, function: Function2, other: Self) -> Self {
         self.call2(function, other)
     }
+    fn two_over_root_pi() -> Self {
+        Self::from(2.0) / Self::from(-1.0).call1(Function1::Acos).sqrt()
+    }
 }
 
 /// True when the comparison holds.
@@ -80,44 +86,86 @@ pub(crate) fn holds<N: Number>(comparison: Comparison, a: N, b: N) -> bool {
     }
 }
 
+/// Where a program is evaluated: numbers for its inputs, coordinates and pixels.
+pub(crate) struct Sample<'a, N> {
+    /// In the order of [`Program::inputs`].
+    pub inputs: Vec<N>,
+    /// Values of the inner coordinate.
+    pub columns: Vec<N>,
+    /// Values of the outer coordinates, one list a row.
+    pub rows: Vec<Vec<N>>,
+    /// The pixel of a channel, at an index into the columns and one into the rows.
+    pub pixel: &'a dyn Fn(usize, usize, usize) -> N,
+    /// Every pixel takes part, whatever the program's pixel set says.
+    pub every_pixel: bool,
+}
+
 /// The outputs of a sums program over the pixels of a window; empty for a plane program.
+#[cfg(test)]
 pub(crate) fn evaluate<N: Number>(
     program: &Program,
-    bindings: &Bindings<'_>,
-    pixels: &dyn Pixels,
-    window: Window,
+    bindings: &crate::program::Bindings<'_>,
+    pixels: &dyn crate::interpreter::Pixels,
+    window: crate::interpreter::Window,
 ) -> Vec<N> {
-    let Sink::Sums { accumulators, totals, outputs } = &program.sink else { return Vec::new() };
+    let sample = Sample {
+        inputs: program.gather(bindings).into_iter().map(N::from).collect(),
+        columns: (window.x..window.x + window.width).map(|x| N::from(x as f64)).collect(),
+        rows: (window.y..window.y + window.height).map(|y| vec![N::from(y as f64)]).collect(),
+        pixel: &|channel, column, row| pixels.at(channel, window.x + column, window.y + row).into(),
+        every_pixel: false,
+    };
+    evaluate_at(program, &sample).outputs
+}
+
+/// What a sums program makes of a sample.
+pub(crate) struct Evaluated<N> {
+    /// Empty for a plane program.
+    pub outputs: Vec<N>,
+    /// The pixels that took part, row by row.
+    pub taken: Vec<bool>,
+}
+
+/// Evaluates a program.
+pub(crate) fn evaluate_at<N: Number>(program: &Program, sample: &Sample<'_, N>) -> Evaluated<N> {
+    let mut evaluated = Evaluated { outputs: Vec::new(), taken: Vec::new() };
+    let Sink::Sums { accumulators, totals, outputs } = &program.sink else { return evaluated };
     let zero = N::from(0.0);
     let mut cells = vec![Cell::Number(zero); program.instructions.len()];
-    let inputs = program.gather(bindings);
     let mut pass_totals = vec![zero; totals.len()];
     let mut pass_count = 0.0;
     let input = |op| match op {
-        Op::Input(input) => Some(inputs[input.index()].into()),
+        Op::Input(input) => Some(sample.inputs[input.index()]),
         _ => None,
     };
     execute(program, Level::Pass, &mut cells, input);
-    for y in window.y..window.y + window.height {
-        execute(program, Level::Row, &mut cells, |op| matches!(op, Op::Outer(_)).then(|| N::from(y as f64)));
+    for (row, outer) in sample.rows.iter().enumerate() {
+        let coordinate = |op| match op {
+            Op::Outer(c) => Some(outer[c.index() - 1]),
+            _ => None,
+        };
+        execute(program, Level::Row, &mut cells, coordinate);
         let mut sums = vec![zero; accumulators.len()];
         let mut count = 0.0;
-        for x in window.x..window.x + window.width {
-            let column = N::from(x as f64);
-            if let Some((lo, hi)) = program.pixel_set.bounds
-                && !(cells[lo.index()].number() <= column && column <= cells[hi.index()].number())
+        for (column, x) in sample.columns.iter().enumerate() {
+            if let (Some((lo, hi)), false) = (program.pixel_set.bounds, sample.every_pixel)
+                && !(cells[lo.index()].number() <= *x && *x <= cells[hi.index()].number())
             {
+                evaluated.taken.push(false);
                 continue;
             }
-            for (i, _) in at_level(program, Level::Pixel) {
-                cells[i] = match program.instructions[i].op {
-                    Op::Offset(c) => Cell::Number(column + cells[c.index()].number()),
-                    Op::Channel(c) => Cell::Number(pixels.at(c.index(), x, y).into()),
+            for (i, op) in at_level(program, Level::Pixel) {
+                cells[i] = match op {
+                    Op::Offset(c) => Cell::Number(*x + cells[c.index()].number()),
+                    Op::Channel(c) => Cell::Number((sample.pixel)(c.index(), column, row)),
                     op => apply(op, &cells),
                 };
             }
             let truth = |value: Option<Value>| value.map(|v| cells[v.index()].truth());
-            if truth(program.pixel_set.mask) == Some(false) || truth(program.pixel_set.saturated) == Some(true) {
+            let outside = truth(program.pixel_set.mask) == Some(false);
+            let left_out = outside || truth(program.pixel_set.saturated) == Some(true);
+            evaluated.taken.push(sample.every_pixel || !left_out);
+            if !sample.every_pixel && left_out {
                 continue;
             }
             count += 1.0;
@@ -143,7 +191,8 @@ pub(crate) fn evaluate<N: Number>(
         Op::PassCount => Some(pass_count.into()),
         _ => None,
     });
-    outputs.iter().map(|value| cells[value.index()].number()).collect()
+    evaluated.outputs = outputs.iter().map(|value| cells[value.index()].number()).collect();
+    evaluated
 }
 
 /// A number or a truth value.

@@ -9,13 +9,14 @@
 use std::collections::BTreeSet;
 
 use crate::absorb::gather;
-use crate::derivation::Target;
+use crate::derivation::{Cuts, Derivation, Target};
 use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
 use crate::monomial::Splitter;
 use crate::program::{Cost, Input, ParameterId, Program};
+use crate::proof::{Claim, Form, Proof, is_small_f32};
 use crate::schedule::{self, Output, Sums};
 use crate::search;
 
@@ -38,6 +39,7 @@ pub struct Objective {
     subset: Vec<ParameterId>,
     names: crate::program::Names,
     domain: Option<NodeId>,
+    proof: Option<Proof>,
     origin: Origin,
     pub(crate) forms: Vec<(String, NodeId)>,
 }
@@ -107,6 +109,7 @@ impl Objective {
             subset: Vec::new(),
             names,
             domain,
+            proof: None,
             origin: Origin::of(model),
             forms: Vec::new(),
         })
@@ -122,27 +125,62 @@ impl Objective {
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         let target = Target { parameters: &parameters, names: &names, residual, variance, newton };
-        let Some((mut derivation, sums)) = search::fewest_flops(&graph, &target) else {
+        let domain = entry_domain(&mut graph, model);
+        let claim = Claim { model, graph: &graph, residual, variance, domain, parameters: &parameters, newton };
+        let mut refused = None;
+        let mut candidate = |form: Form| -> Option<Objective> {
+            let (derivation, sums) = match form {
+                Form::Unfactored => {
+                    let mut derivation = Derivation::new(graph.clone(), &target, &Cuts::default())?;
+                    derivation.unfactored().map(|sums| (derivation, sums))?
+                }
+                _ => search::fewest_flops(&graph, &target, form == Form::Factored)?,
+            };
+            let mut objective = Objective {
+                names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
+                sums,
+                values: 1,
+                subset: subset.to_vec(),
+                domain,
+                origin: Origin::of(model),
+                forms: derivation.forms,
+                graph: derivation.graph,
+                proof: None,
+            };
+            let program = objective.program(Lowering { fma: true, drop_saturated: false });
+            let errors = claim.check(&program.map_err(|fault| refused = Some(fault)).ok()?)?;
+            objective.proof =
+                Some(Proof { form, exact: errors.exact, error: errors.error, f32_error: errors.f32_error });
+            Some(objective)
+        };
+        safest(&mut candidate).ok_or_else(|| {
             let message = format!(
                 "the derivatives for {} parameters grow past {} distinct operations or {} instructions",
                 subset.len(),
                 LIMITS.nodes,
                 LIMITS.instructions
             );
-            return Err(Origin::of(model).fault(message));
-        };
-        let domain = entry_domain(&mut derivation.graph, model);
-        Ok(Objective {
-            names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
-            sums,
-            values: 1,
-            subset: subset.to_vec(),
-            domain,
-            origin: Origin::of(model),
-            forms: derivation.forms,
-            graph: derivation.graph,
+            refused.unwrap_or_else(|| Origin::of(model).fault(message))
         })
     }
+
+    /// What the check of the program found; `None` for a value objective.
+    pub fn proof(&self) -> Option<&Proof> {
+        self.proof.as_ref()
+    }
+}
+
+/// The most factored form whose error in f32 is small, or at most four times that of the unfactored form.
+fn safest(candidate: &mut dyn FnMut(Form) -> Option<Objective>) -> Option<Objective> {
+    let error = |objective: &Objective| objective.proof.and_then(|proof| proof.f32_error);
+    let factored = candidate(Form::Factored);
+    if factored.as_ref().is_some_and(|objective| is_small_f32(error(objective))) {
+        return factored;
+    }
+    let Some(unfactored) = candidate(Form::Unfactored) else { return factored.or_else(|| candidate(Form::Plain)) };
+    let bound = 4.0 * error(&unfactored).unwrap_or(f64::INFINITY);
+    let fits = |objective: &Objective| error(objective).is_none_or(|error| error <= bound);
+    factored.filter(fits).or_else(|| candidate(Form::Plain).filter(fits)).or(Some(unfactored))
 }
 
 /// Where the model's intensity stands, for faults that concern the model as a whole.

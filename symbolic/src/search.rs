@@ -36,8 +36,8 @@ struct Search<'a> {
     operations: usize,
 }
 
-/// The cheapest way that is found; nothing when no way stays within the limits.
-pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>) -> Option<(Derivation, Sums)> {
+/// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
+pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
     let candidates = cut_candidates(graph, target.residual, target.parameters);
     let mut search = Search { graph, target, best: None, derivations: 0, nodes: 0, layouts: 0, operations: 0 };
     // Seeds: all candidates, and each of them alone.
@@ -61,8 +61,10 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>) -> Option<(Deriva
     }
     search.layouts();
     let plain = search.best.take()?;
-    search.attempt(Cuts { nodes: plain.cuts.nodes.clone(), unify: true });
-    search.layouts();
+    if unify {
+        search.attempt(Cuts { nodes: plain.cuts.nodes.clone(), unify });
+        search.layouts();
+    }
     let mut best = match search.best {
         Some(unified) if unified.weight < plain.weight => unified,
         _ => plain,
@@ -99,6 +101,9 @@ impl Search<'_> {
         let plain = Layout { expand: false, ..best.layout.clone() };
         self.try_layout(&mut best, plain);
         for form in 0..best.derivation.forms.len() {
+            if !best.derivation.has_terms(form) {
+                continue;
+            }
             let mut layout = best.layout.clone();
             layout.split.insert(form);
             self.try_layout(&mut best, layout);
