@@ -21,8 +21,6 @@ pub(crate) trait Number:
     + Mul<Output = Self>
     + Div<Output = Self>
 {
-    /// The nearest f64.
-    fn to_f64(self) -> f64;
     /// |x|.
     fn abs(self) -> Self;
     /// √x.
@@ -38,9 +36,6 @@ pub(crate) trait Number:
 }
 
 impl Number for f64 {
-    fn to_f64(self) -> f64 {
-        self
-    }
     fn abs(self) -> f64 {
         f64::abs(self)
     }
@@ -56,9 +51,6 @@ impl Number for f64 {
 }
 
 impl Number for DoubleDouble {
-    fn to_f64(self) -> f64 {
-        self.to_f64()
-    }
     fn abs(self) -> Self {
         self.abs()
     }

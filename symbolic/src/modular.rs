@@ -125,9 +125,6 @@ impl Div for Modular {
 }
 
 impl Number for Modular {
-    fn to_f64(self) -> f64 {
-        self.0 as f64
-    }
     fn abs(self) -> Modular {
         if self < Modular(0) { -self } else { self }
     }

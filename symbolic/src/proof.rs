@@ -7,6 +7,8 @@
 //! 3. in f32 by the interpreter, against f64: the gradient's error, scaled by √H_ii, over its largest entry;
 //! 4. the row bounds and mask of the pixel set, against the domain itself.
 
+use serde::{Deserialize, Serialize};
+
 use crate::calculus::derivatives;
 use crate::double_double::DoubleDouble;
 use crate::evaluate::{Number, Sample, evaluate_at};
@@ -20,7 +22,7 @@ use crate::program::{Bindings, Input, Precision, Program};
 use crate::weighed::Weighed;
 
 /// How a program's sums are written down.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Serialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Form {
     /// As few sums as the search found.
@@ -32,7 +34,7 @@ pub enum Form {
 }
 
 /// What the check found; part of a model's report.
-#[derive(Clone, Copy, PartialEq, Debug)]
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize)]
 pub struct Proof {
     /// Which form passed.
     pub form: Form,
