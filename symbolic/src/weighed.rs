@@ -61,9 +61,6 @@ impl Div for Weighed {
 }
 
 impl Number for Weighed {
-    fn to_f64(self) -> f64 {
-        self.value
-    }
     fn abs(self) -> Self {
         Weighed { value: self.value.abs(), ..self }
     }
