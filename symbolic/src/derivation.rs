@@ -87,19 +87,34 @@ impl Derivation {
             forms.len() - 1
         };
         let first: Vec<_> = form.first.iter().map(|(l, n)| (*l, place(*n, "L"))).collect();
-        let quadratic: Vec<_> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q"))).collect();
+        let quadratic: FxHashMap<_, _> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q"))).collect();
         let mut entries = Vec::new();
         for (u, name) in target.parameters.iter().zip(target.names) {
             let uses = first.iter().filter_map(|(l, form)| Some((*form, *totals[l].first.get(u)?))).collect();
             entries.push(Entry { name: format!("dF/d{name}"), uses });
         }
+        // For every parameter the variables that depend on it, with l_u.
+        let mut variables: Vec<(NodeId, &Jet)> = totals.iter().map(|(l, jet)| (*l, jet)).collect();
+        variables.sort_unstable_by_key(|(l, _)| *l);
+        let slopes = |u: &NodeId| -> Vec<(NodeId, NodeId)> {
+            variables.iter().filter_map(|(l, jet)| Some((*l, *jet.first.get(u)?))).collect()
+        };
+        let slopes: Vec<_> = target.parameters.iter().map(slopes).collect();
         for (i, u) in target.parameters.iter().enumerate() {
             for (j, v) in target.parameters.iter().enumerate().skip(i) {
+                let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
+                for (l, l_u) in &slopes[i] {
+                    for (m, m_v) in &slopes[j] {
+                        if let Some(form) = quadratic.get(&pair(*l, *m)) {
+                            products.entry(*form).or_default().push((graph.mul(*l_u, *m_v), 1.0));
+                        }
+                    }
+                }
                 let mut uses = Vec::new();
-                for ((l, m), form) in &quadratic {
-                    let factor = cross(&mut graph, &totals[l], &totals[m], *u, *v, l == m);
+                for (form, products) in products {
+                    let factor = graph.sum(0.0, products);
                     if graph.value_of(factor) != Some(0.0) {
-                        uses.push((*form, factor));
+                        uses.push((form, factor));
                     }
                 }
                 for (l, form) in first.iter().filter(|_| target.newton) {
@@ -248,19 +263,4 @@ fn top_form(
         form.second.insert(key, graph.sum(0.0, terms));
     }
     (!graph.overflowed()).then_some((value, form))
-}
-
-/// l_u m_v + m_u l_v, or l_u l_v when l is m.
-fn cross(graph: &mut Graph, l: &Jet, m: &Jet, u: NodeId, v: NodeId, same: bool) -> NodeId {
-    let mut terms = Vec::new();
-    let mut add = |graph: &mut Graph, a: Option<&NodeId>, b: Option<&NodeId>| {
-        if let (Some(a), Some(b)) = (a, b) {
-            terms.push((graph.mul(*a, *b), 1.0));
-        }
-    };
-    add(graph, l.first.get(&u), m.first.get(&v));
-    if !same {
-        add(graph, m.first.get(&u), l.first.get(&v));
-    }
-    graph.sum(0.0, terms)
 }

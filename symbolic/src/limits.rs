@@ -35,7 +35,7 @@ pub struct Limits {
     pub steps: usize,
     /// Nodes of the expression graph, counted while it grows.
     pub nodes: usize,
-    /// Instructions of one program.
+    /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
 }
 

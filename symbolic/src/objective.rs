@@ -15,7 +15,7 @@ use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
 use crate::monomial::Splitter;
-use crate::program::{Cost, Input, ParameterId, Program};
+use crate::program::{Cost, Input, Level, ParameterId, Program};
 use crate::proof::{Claim, Form, Proof, is_small_f32};
 use crate::schedule::{self, Output, Sums};
 use crate::search;
@@ -202,9 +202,11 @@ impl Origin {
     }
 
     fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
-        let count = program.instructions().len();
-        if graph.overflowed() || count > LIMITS.instructions {
-            let most = LIMITS.instructions;
+        let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
+            pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
+            _ => (program.instructions().len(), LIMITS.nodes),
+        };
+        if graph.overflowed() || count > most {
             return Err(self.fault(format!("the loop takes {count} instructions; at most {most} are compiled")));
         }
         Ok(program)

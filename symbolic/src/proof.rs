@@ -51,10 +51,14 @@ pub struct Proof {
 const TOLERANCE: f64 = 1e-12;
 /// The same in double-double: numbers that were folded in f64 are all that may differ.
 const REFEREE: f64 = 1e-13;
+/// Terms below this have lost digits to the smallest numbers of f64.
+const SMALLEST: f64 = 1e-290;
 /// Error in f32 that no form is turned down for.
 const F32_TOLERANCE: f64 = 1e-5;
 /// Points tried before a model is said to be finite nowhere.
 const POINTS: u64 = 6;
+/// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
+const UNSEEN: f64 = 1e-12;
 /// How near a rim, px, a pixel may belong or not.
 const RIM: f64 = 1e-6;
 /// Columns and rows of the picture for f32.
@@ -146,7 +150,8 @@ impl Claim<'_> {
     /// Nothing when the program does not compute what it claims to.
     pub fn check(&self, program: &Program) -> Option<Errors> {
         let exact = self.agrees_exactly(program, &mut Random(0));
-        let points: Vec<Point<f64>> = (0..POINTS).map(|seed| self.plausible(NEAR, &mut Random(seed))).collect();
+        let points: Vec<Point<f64>> =
+            (0..POINTS).map(|seed| self.plausible(self.centre(NEAR), &mut Random(seed))).collect();
         let (error, right) = self.sampled(program, &points);
         if !right || (!exact && error.is_none()) || !points[..2].iter().all(|point| self.has_its_pixels(program, point))
         {
@@ -237,7 +242,7 @@ impl Claim<'_> {
                 continue;
             }
             let ratio = |(found, direct): (f64, &Weighed)| {
-                let error = (found - direct.value).abs() / direct.terms.max(f64::MIN_POSITIVE);
+                let error = (found - direct.value).abs() / direct.terms.max(SMALLEST);
                 if error.is_nan() { f64::INFINITY } else { error }
             };
             let error = found.iter().copied().zip(&direct).map(ratio).fold(0.0, f64::max);
@@ -247,7 +252,7 @@ impl Claim<'_> {
             let point = point.map(DoubleDouble::from);
             let (found, exact) = (self.outputs(program, &point), self.direct(&point));
             let right = found.iter().zip(&exact).zip(&direct).all(|((found, exact), direct)| {
-                (*found - *exact).to_f64().abs() <= REFEREE * direct.terms.max(f64::MIN_POSITIVE)
+                (*found - *exact).to_f64().abs() <= REFEREE * direct.terms.max(SMALLEST)
             });
             return (Some(error), right);
         }
@@ -272,7 +277,7 @@ impl Claim<'_> {
                     node => inputs(node),
                 })
             };
-            let mut columns = columns_around(NEAR[0]);
+            let mut columns = columns_around(self.centre(NEAR)[0]);
             for i in 1..columns.len() {
                 let (mut left, mut right) = (columns[i - 1], columns[i]);
                 let at_left = inside(left);
@@ -293,6 +298,16 @@ impl Claim<'_> {
             };
             let taken = evaluate_at(program, &sample).taken;
             columns.into_iter().zip(taken).all(|(x, taken)| inside(x) == taken || inside(x - RIM) != inside(x + RIM))
+        })
+    }
+
+    /// Where the first target is: numbers of the document count, everything else is put where the caller wants it.
+    fn centre(&self, otherwise: [f64; 2]) -> [f64; 2] {
+        let role = |i: usize| self.model.roles.first()?.centre.get(i).copied();
+        std::array::from_fn(|i| match role(i).map(|p| self.model.parameters[p.index()].start) {
+            Some(Start::Number(number)) => number,
+            Some(Start::Estimator(_)) => otherwise[i],
+            None => 0.5 * PICTURE.0 as f64,
         })
     }
 
@@ -319,7 +334,7 @@ impl Claim<'_> {
         let n = self.parameters.len();
         (0..POINTS).find_map(|seed| {
             let mut random = Random(seed);
-            let point = self.plausible(FAR, &mut random);
+            let point = self.plausible(self.centre(FAR), &mut random);
             let picture = self.picture(&point, &mut random);
             let constants = &point.constants;
             let saturation = vec![f64::INFINITY; self.model.channels.len()];
@@ -337,8 +352,9 @@ impl Claim<'_> {
             let (mut error, mut largest) = (0.0_f64, 0.0_f64);
             for i in 0..n {
                 let scale = double[diagonal].abs().sqrt();
+                let seen = double[diagonal].abs() * self.value(i, &point).powi(2).max(1.0);
                 diagonal += n - i;
-                if scale > 0.0 {
+                if seen > UNSEEN * double[0].abs() {
                     error = error.max((single[1 + i] - double[1 + i]).abs() / scale);
                     largest = largest.max(double[1 + i].abs() / scale);
                 }
@@ -348,10 +364,20 @@ impl Claim<'_> {
         })
     }
 
+    /// The value of the i-th free parameter.
+    fn value(&self, i: usize, point: &Point<f64>) -> f64 {
+        match self.graph.node(self.parameters[i]) {
+            Node::Input(input) => point.input(*input),
+            _ => f64::NAN,
+        }
+    }
+
     /// What the model shows with its parameters a little off, and some noise.
     fn picture(&self, point: &Point<f64>, random: &mut Random) -> Picture {
         let (width, height) = PICTURE;
-        let (x, y) = (columns_around(FAR[0])[0] as usize, (FAR[1] - 0.5 * height as f64).round() as usize);
+        let centre = self.centre(FAR);
+        let x = columns_around(centre[0])[0].max(0.0) as usize;
+        let y = (centre[1] - 0.5 * height as f64).round().max(0.0) as usize;
         let height = if self.model.coordinates.len() == 1 { 1 } else { height };
         let window = Window { x, y: if height == 1 { 0 } else { y }, width, height };
         let away = |i: usize, value: f64| match self.model.parameters[i].start {

@@ -14,10 +14,10 @@ use crate::schedule::Sums;
 
 /// Derivations tried at most, and graph nodes that all of them together may make.
 const DERIVATIONS: usize = 32;
-const NODES: usize = 65_536;
+const NODES: usize = 24_576;
 /// Layouts tried at most, and pixel operations that all of them together may have.
 const LAYOUTS: usize = 96;
-const OPERATIONS: usize = 32_768;
+const OPERATIONS: usize = 8192;
 
 struct Found {
     cuts: Cuts,
