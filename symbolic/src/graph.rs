@@ -170,6 +170,15 @@ impl Graph {
         }
     }
 
+    /// Terms of a sum, factors of a product.
+    pub fn operand_count(&self, id: NodeId) -> usize {
+        match self.node(id) {
+            Node::Sum(_, terms) => terms.len(),
+            Node::Product(factors) => factors.len(),
+            _ => 0,
+        }
+    }
+
     pub fn add2(&mut self, a: NodeId, b: NodeId) -> NodeId {
         self.sum(0.0, [(a, 1.0), (b, 1.0)])
     }

@@ -80,7 +80,10 @@ intensity = "exp(-(x - bX)^2) + y*q"
     let faults = Model::from_toml(text).unwrap_err();
     let found: Vec<_> =
         faults.iter().map(|d| (d.key.as_str(), d.line, d.column, d.help.clone().unwrap_or_default())).collect();
-    assert_eq!(found, [("model.intensity", 8, 24, "did you mean `bx`?".to_string())]);
+    let declare = "declare it under [parameters], [constants] or [definitions]";
+    let expected =
+        [("model.intensity", 8, 24, "did you mean `bx`?".into()), ("model.intensity", 8, 35, declare.to_string())];
+    assert_eq!(found, expected);
     assert_eq!(&text[faults[0].span.start as usize..faults[0].span.end as usize], "bX");
 }
 
