@@ -20,14 +20,7 @@ const SCALAR: Poison = Poison::Numbers(Shape::SCALAR);
 
 impl Elaborator<'_> {
     /// Tells a wrong number of arguments; they are checked all the same.
-    fn count(
-        &mut self,
-        name: &str,
-        arguments: &[Expr],
-        wanted: usize,
-        usage: &str,
-        at: &Expr,
-    ) -> Result<(), Poison> {
+    fn count(&mut self, name: &str, arguments: &[Expr], wanted: usize, usage: &str, at: &Expr) -> Result<(), Poison> {
         if arguments.len() == wanted {
             return Ok(());
         }
@@ -190,7 +183,8 @@ impl Elaborator<'_> {
             locals.push(Local { name: name.clone(), value, levels: self.cache.resume(outer) });
         }
         // The body itself is checked where it stands.
-        let values = locals.iter().map(|l| l.value.clone()).collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Unknown)?;
+        let values =
+            locals.iter().map(|l| l.value.clone()).collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Unknown)?;
         let key = (name.to_string(), values);
         if let Some(known) = self.workings.results.get(&key) {
             return Ok(known.clone());

@@ -102,7 +102,14 @@ impl Diagnostic {
         text += &format!("{:gutter$}--> {name}:{}:{}{key}\n", "", self.line, self.column);
         let (shown, before, carets) = self.excerpt();
         if !shown.is_empty() {
-            text += &format!("{:gutter$} |\n{} | {shown}\n{:gutter$} | {:before$}{}\n", "", self.line, "", "", "^".repeat(carets));
+            text += &format!(
+                "{:gutter$} |\n{} | {shown}\n{:gutter$} | {:before$}{}\n",
+                "",
+                self.line,
+                "",
+                "",
+                "^".repeat(carets)
+            );
         }
         if let Some(help) = &self.help {
             text += &format!("{:gutter$} = help: {help}\n", "");
@@ -133,7 +140,7 @@ impl Diagnostic {
 }
 
 /// What is shown of a character: a tab takes one column, and nothing may move the cursor or turn the line round.
-fn visible(c: char) -> char {
+pub(crate) fn visible(c: char) -> char {
     match c {
         '\t' => ' ',
         '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' => '�',
@@ -164,7 +171,7 @@ fn floor_boundary(text: &str, mut index: usize) -> usize {
 
 /// At most 40 characters of user text for a message.
 pub(crate) fn quoted(text: &str) -> String {
-    let clean: String = text.chars().take(40).map(|c| if c.is_control() { '�' } else { c }).collect();
+    let clean: String = text.chars().take(40).map(visible).collect();
     if text.chars().count() > 40 { format!("`{clean}…`") } else { format!("`{clean}`") }
 }
 

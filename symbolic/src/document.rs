@@ -216,7 +216,7 @@ fn syntax_fault(text: &str, error: &toml::de::Error, at: Span) -> Diagnostic {
 }
 
 fn is_too_deep(error: &toml::de::Error) -> bool {
-    error.message().contains("recursion limit")
+    error.message().contains("recurs")
 }
 
 /// Where a line that starts a new key or table cannot be read: the bracket that the line above it does not close, and that
@@ -327,9 +327,7 @@ fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str, told: &mut Diagn
             Err(_) => Item::Float(number.value.parse().unwrap_or(f64::NAN)),
         },
         Value::BooleanLit(value) => Item::Bool(value.value),
-        Value::Array(array) => {
-            Item::List(array.elements.iter().map(|v| json_entry(v, text, told)).collect())
-        }
+        Value::Array(array) => Item::List(array.elements.iter().map(|v| json_entry(v, text, told)).collect()),
         Value::Object(object) => {
             let mut entries: Vec<(Key, Entry)> = Vec::new();
             let mut seen = BTreeSet::new();

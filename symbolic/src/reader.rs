@@ -56,7 +56,12 @@ pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Resul
     let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
     let mut reader = FormulaReader::new(graph, bindings, &mut faults);
     // Without one of these every formula would be at fault once more.
-    if coordinates.is_empty() || channels.is_empty() || parameters.is_empty() || names.lacking || reader.faults.is_partial() {
+    if coordinates.is_empty()
+        || channels.is_empty()
+        || parameters.is_empty()
+        || names.lacking
+        || reader.faults.is_partial()
+    {
         reader.lacks_names();
     }
     reader.definitions(definitions);
@@ -217,7 +222,8 @@ fn read_parameters(
         let path = format!("parameters.{}", key.name);
         names.declare(faults, &path, &key.name, key.span);
         // One that is at fault is still a parameter to those who name it.
-        let parameter = |start, min, max, unit| Parameter { name: key.name.clone(), start, min, max, unit, span: key.span };
+        let parameter =
+            |start, min, max, unit| Parameter { name: key.name.clone(), start, min, max, unit, span: key.span };
         let unread = parameter(Start::Number(f64::NAN), None, None, None);
         let Some(fields) = faults.table(&path, entry) else {
             parameters.push(unread);

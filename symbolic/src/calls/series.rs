@@ -11,6 +11,9 @@ use super::SCALAR;
 /// Sums within sums, those of called functions included.
 const SUMS_MAX: usize = 16;
 
+/// Terms of a sum that are not taken into other sums any more.
+const LONG: usize = 64;
+
 /// A range and what is done over it.
 struct Series<'e> {
     index: &'e str,
@@ -110,6 +113,10 @@ impl Elaborator<'_> {
                 Ok(self.map(inner, |graph, n| graph.scale(-1.0, n)))
             }
             (Kind::Product(factors), _) => self.total_of_product(series, factors, body),
+            (Kind::Call(..), true) => match unfolded(body) {
+                Some(Expr { kind: Kind::Product(factors), .. }) => self.total_of_product(series, &factors, body),
+                _ => self.expanded(series, body, |e| e.number_matrix(body)),
+            },
             _ => self.expanded(series, body, |e| e.number_matrix(body)),
         }
     }
@@ -197,7 +204,9 @@ impl Elaborator<'_> {
         self.graph.set_span(self.span(at));
         if series.is_sum {
             let entry = |k: usize| terms.iter().map(move |t| (t.entries[k], 1.0)).collect::<Vec<_>>();
-            let entries = (0..shape.0 * shape.1).map(|k| self.graph.sum(0.0, entry(k))).collect();
+            let entries: Vec<_> = (0..shape.0 * shape.1).map(|k| self.graph.sum(0.0, entry(k))).collect();
+            // A long one is referred to as a whole: else each use would copy its terms.
+            entries.iter().filter(|_| terms.len() > LONG).for_each(|n| self.graph.set_opaque(*n));
             return Ok(Matrix { rows: shape.0, columns: shape.1, entries });
         }
         if shape == Shape::SCALAR {
@@ -207,6 +216,26 @@ impl Elaborator<'_> {
         let first = terms.next().unwrap_or(Err(Poison::Unknown));
         terms.fold(first, |total, term| self.multiply(total, term, at, at))
     }
+}
+
+/// Σ c g(j) as c Σ g(j), where one factor alone depends on j: so the sum around it sees what it may take out.
+fn unfolded(sum: &Expr) -> Option<Expr> {
+    let Kind::Call(name, arguments) = &sum.kind else { return None };
+    let ("sum", [body, index, lo, hi]) = (name.as_str(), &arguments[..]) else { return None };
+    let Kind::Name(name) = &index.kind else { return None };
+    let body = unfolded(body).unwrap_or_else(|| body.clone());
+    let Kind::Product(mut factors) = body.kind else { return None };
+    let mut dependent = (0..factors.len()).filter(|i| mentions(&factors[*i].1, name));
+    let (Some(lone), None) = (dependent.next(), dependent.next()) else { return None };
+    let (inverse, factor) = factors[lone].clone();
+    if inverse {
+        return None;
+    }
+    // Nothing else has these bytes: the cache tells parts of a formula by them.
+    let (start, end) = (sum.start, factor.end);
+    let arguments = vec![factor, index.clone(), lo.clone(), hi.clone()];
+    factors[lone].1 = Expr { kind: Kind::Call("sum".into(), arguments), start, end };
+    Some(Expr { kind: Kind::Product(factors), start: sum.start, end: sum.end })
 }
 
 /// True when the expression reads the name.
@@ -220,5 +249,66 @@ fn mentions(expr: &Expr, name: &str) -> bool {
         Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => mentions(a, name),
         Kind::Power(a, b) | Kind::Compare(_, a, b) => mentions(a, name) || mentions(b, name),
         Kind::Index(a, list) => mentions(a, name) || any(list),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use crate::Model;
+
+    /// The model of which `a` is the intensity and `b` the noise: in one graph, so that equal formulas are equal nodes.
+    fn model(a: &str, b: &str) -> Model {
+        let text = format!(
+            "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"phi\"]\n[parameters]\n{}[definitions]\nk = \"[1, p, q, v]\"\n\
+             \"g(t)\" = \"sin(t*p) + t\"\n\"h(t)\" = \"t*sum(k[j]*x^j, j, 0, 3)\"\n[model]\nintensity = \"{a}\"\nnoise = \"{b}\"\n",
+            ["p", "q", "v", "w"].map(|n| format!("{n} = {{ start = 1.0 }}\n")).concat()
+        );
+        Model::from_toml(&text).unwrap_or_else(|d| panic!("{a}: {d:?}"))
+    }
+
+    #[test]
+    fn what_does_not_depend_on_the_index_leaves_the_sum() {
+        let table = [
+            ("sum(v*k[i]*x^i, i, 0, 3)", "v*sum(k[i]*x^i, i, 0, 3)"),
+            ("sum(k[i]*v*x^i/w, i, 0, 3)", "v/w*sum(k[i]*x^i, i, 0, 3)"),
+            ("sum(-v*k[i], i, 0, 3)", "-(v*sum(k[i], i, 0, 3))"),
+            ("sum(w + v*k[i], i, 0, 3)", "4*w + v*sum(k[i], i, 0, 3)"),
+            ("sum(v*(w + k[i]), i, 1, 3)", "v*(3*w + sum(k[i], i, 1, 3))"),
+            ("sum(v*w, i, 0, 9)", "10*v*w"),
+            ("product(v*g(i), i, 1, 3)", "v^3*product(g(i), i, 1, 3)"),
+            ("product(g(i)/v, i, 1, 3)", "product(g(i), i, 1, 3)/v^3"),
+            ("product(v, i, 0, 4)", "v^5"),
+            ("sum(sum(k[i]*sin(j*p)*v, j, 0, 3), i, 0, 3)", "v*sum(sin(j*p), j, 0, 3)*sum(k[i], i, 0, 3)"),
+            ("sum(g(v)*k[i], i, 0, 3)", "g(v)*sum(k[i], i, 0, 3)"),
+            ("(sum([[v, w], [p, q]]*[k[i], i], i, 0, 3))[0]", "([[v, w], [p, q]]*[sum(k[i], i, 0, 3), 6])[0]"),
+            ("sum([x, v]'*[k[i], i]*w, i, 0, 3)", "([x, v]'*[sum(k[i], i, 0, 3), 6])*w"),
+        ];
+        for (a, b) in table {
+            let model = model(a, b);
+            let (a_node, b_node) = (model.formulas.intensity, model.formulas.noise.unwrap());
+            assert_eq!(a_node, b_node, "{a} is not {b}");
+        }
+    }
+
+    /// A sum costs what it would cost written by hand.
+    #[test]
+    fn sums_cost_no_more_than_their_factored_form() {
+        let flops = |formula: &str| {
+            let model = model(formula, "1");
+            let objective = model.objective(&model.stages()[0].parameters, crate::Method::GaussNewton).unwrap();
+            objective.cost(Default::default()).unwrap().flops_per_pixel
+        };
+        assert_eq!(flops("sum(v*exp(-w*x)*k[i]*x^i, i, 0, 3)"), flops("v*exp(-w*x)*sum(k[i]*x^i, i, 0, 3)"));
+        assert!(flops("sum(v*exp(-w*x)*k[i]*x^i, i, 0, 3)") < 100);
+    }
+
+    /// What a thousand terms share is worked out once: else this would take millions of steps.
+    #[test]
+    fn shared_parts_are_worked_out_once() {
+        let inner = "sum(sin(j*x), j, 0, 900)";
+        model(&format!("p*sum((i + {inner})^2, i, 0, 900)"), "1");
+        model("p*sum(cos(i*p + h(x)), i, 0, 900)", "1");
+        model("p*sum(cos(i*p)*h(i), i, 0, 900)", "1");
     }
 }

@@ -1,7 +1,7 @@
 //! Going on behind what cannot be read: each slip is told once, where it stands, and what follows from it is silent.
 
 use super::{Expr, Fault, Kind, Parser, enclose, is_word};
-use crate::diagnostic::quoted;
+use crate::diagnostic::{quoted, visible};
 use crate::elaborate::is_function;
 use crate::lexer::{Lexeme, Token};
 
@@ -219,11 +219,14 @@ impl Parser {
         let implicit = "there is no implicit multiplication: write `*`";
         match token {
             Token::End => fault(format!("the formula ends where {wanted} is expected")),
-            Token::BadNumber(text) => Fault::new("bad-number", *start, *end, format!("{} is not a number", quoted(text)))
-                .help(remedy_of_number(text)),
+            Token::BadNumber(text) => {
+                Fault::new("bad-number", *start, *end, format!("{} is not a number", quoted(text)))
+                    .help(remedy_of_number(text))
+            }
             Token::Unknown(c) => {
                 let help = remedy(c.encode_utf8(&mut [0; 4]));
-                fault(format!("no formula holds the character {}", quoted(&c.to_string()))).help(
+                let shown = if visible(*c) == *c { format!("`{c}`") } else { format!("U+{:04X}", u32::from(*c)) };
+                fault(format!("no formula holds the character {shown}")).help(
                     help.unwrap_or("formulas are made of numbers, names and + - * / ^ ' ( ) [ ] , < <= > >= == !="),
                 )
             }
