@@ -4,6 +4,8 @@
 
 mod recovery;
 
+pub(crate) use recovery::STRAY_CHARACTER;
+
 use crate::lexer::{Lexeme, Token, lex};
 use crate::limits::LIMITS;
 

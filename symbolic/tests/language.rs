@@ -178,7 +178,7 @@ fn faults_read_well() {
         ("t^65", "limit", "exp(n*log(x))"),
         ("pi(2)", "syntax", "write `*`"),
         ("min(t)", "arguments", "min(a, b)"),
-        ("t and 1", "truth-value", "compare it"),
+        ("if(t and t < 1, 1, 2)", "truth-value", "compare it"),
     ];
     for (formula, code, words) in table {
         let faults = Formula::parse(formula, &["t"]).err().unwrap_or_else(|| panic!("{formula} was accepted"));

@@ -5,6 +5,9 @@ use crate::diagnostic::{quoted, visible};
 use crate::elaborate::is_function;
 use crate::lexer::{Lexeme, Token};
 
+/// What the message of a character begins with that no formula holds.
+pub(crate) const STRAY_CHARACTER: &str = "no formula holds the character";
+
 /// What other languages, and typesetters, write instead of ours.
 const FOREIGN: [(&str, &str); 19] = [
     ("**", "powers are written `^`"),
@@ -94,6 +97,7 @@ impl Parser {
 
     /// Eats what closes the bracket that opened at `open`; false, and told, when it is not there.
     pub(super) fn close(&mut self, symbol: &'static str, open: usize) -> bool {
+        let fault = self.unexpected(&format!("`{symbol}`"));
         self.open.pop();
         if self.eat(symbol) {
             return true;
@@ -105,7 +109,6 @@ impl Parser {
             self.ended |= !closes_outer;
             return false;
         }
-        let fault = self.unexpected(&format!("`{symbol}`"));
         self.tell(fault);
         self.at += 1;
         false
@@ -152,7 +155,7 @@ impl Parser {
             return;
         }
         let fault = self.unexpected("an operator");
-        self.tell(fault);
+        self.tell(fault.help("there is no implicit multiplication: write `*`"));
     }
 
     /// Something else stands where an operand must.
@@ -226,7 +229,7 @@ impl Parser {
             Token::Unknown(c) => {
                 let help = remedy(c.encode_utf8(&mut [0; 4]));
                 let shown = if visible(*c) == *c { format!("`{c}`") } else { format!("U+{:04X}", u32::from(*c)) };
-                fault(format!("no formula holds the character {shown}")).help(
+                fault(format!("{STRAY_CHARACTER} {shown}")).help(
                     help.unwrap_or("formulas are made of numbers, names and + - * / ^ ' ( ) [ ] , < <= > >= == !="),
                 )
             }

@@ -7,7 +7,7 @@ use crate::document::{Entry, Item, Key, Text};
 use crate::elaborate::is_reserved;
 use crate::limits::LIMITS;
 use crate::model::Parameter;
-use crate::parser::Fault;
+use crate::parser::{Fault, STRAY_CHARACTER};
 use crate::program::ParameterId;
 
 /// A fault that is not shown yet.
@@ -56,17 +56,17 @@ impl<'a> Faults<'a> {
         self.list.is_empty() && self.of_syntax.is_empty()
     }
 
-    /// All faults in the order of the document, each once. The same fault at several places is told at the first.
+    /// All faults in the order of the document, each once.
     pub fn finish(self) -> Diagnostics {
         let Faults { document, mut list, mut of_syntax } = self;
         // What is told of a key that stands twice follows from that.
         let stands_twice = |f: &Found| of_syntax.iter().any(|d| d.code == "duplicate" && d.key == f.key);
         list.retain(|found| !stands_twice(found));
         list.sort_by_key(|found| found.span);
+        // A name that nothing declares, or a character that no formula holds, is one fault, wherever it stands.
         let key = |f: &Found| {
-            // An unknown name is one fault, wherever it stands.
-            let place = if f.code == "unknown-name" { String::new() } else { f.key.clone() };
-            (f.code.clone(), f.message.clone(), place)
+            let is_one = f.code == "unknown-name" || f.message.starts_with(STRAY_CHARACTER);
+            (f.message.clone(), if is_one { Span::default() } else { f.span })
         };
         let mut places: HashMap<_, usize> = HashMap::new();
         list.retain(|found| {

@@ -94,8 +94,8 @@ pub fn all() -> Vec<Hostile> {
         document(2, &chain(127, "x*p0 + p1", |d| format!("sin({d}*p0 + y)")), "d126"),
         Honest,
     );
-    let deep_sin = |d: &str| (0..32).fold(d.to_string(), |inner, _| format!("sin({inner} + p0)"));
-    add("sin in sin, 32 in each of 126", document(2, &chain(126, "x*p0 + p1", deep_sin), "d125"), Honest);
+    let deep_sin = |d: &str| (0..10).fold(d.to_string(), |inner, _| format!("sin({inner} + p0)"));
+    add("sin in sin, 10 in each of 126", document(2, &chain(126, "x*p0 + p1", deep_sin), "d125"), Honest);
     add(
         "sin in sin through calls",
         document(2, &functions(16, "sin(t*p0)", |f| format!("{f}({f}(t))")), "f15(x)"),
@@ -271,9 +271,9 @@ pub fn all() -> Vec<Hostile> {
     add("1 000 × 1 000", one(&format!("([{0}] * [{0}]')[0,0]*p0", vec!["1"; 1_000].join(","))), limit);
     let thousand = "sum(p0*sin(x*i), i, 0, 999)";
     add(
-        "a long sum taken into 2 000",
+        "a long sum taken into 1 000",
         document(1, &[("g(t)".into(), format!("{thousand} + t"))], "sum(cos(g(i*x)), i, 0, 999)"),
-        limit,
+        Honest,
     );
     add("exponents of exponents", one("((((x + p0)^64)^64)^64)^64"), limit);
     add("a huge exponent", one("(x + p0)^1e300"), limit);
