@@ -176,6 +176,24 @@ impl Graph {
         }
     }
 
+    /// Terms of a sum, factors of a product.
+    pub fn operand_count(&self, id: NodeId) -> usize {
+        match self.node(id) {
+            Node::Sum(_, terms) => terms.len(),
+            Node::Product(factors) => factors.len(),
+            _ => 0,
+        }
+    }
+
+    /// The largest magnitude of a product's exponents.
+    pub fn exponent_max(&self, id: NodeId) -> u32 {
+        match self.node(id) {
+            Node::Product(factors) => factors.iter().map(|(_, e)| e.unsigned_abs()).max().unwrap_or(0),
+            Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => self.exponent_max(terms[0].0),
+            _ => 0,
+        }
+    }
+
     pub fn add2(&mut self, a: NodeId, b: NodeId) -> NodeId {
         self.sum(0.0, [(a, 1.0), (b, 1.0)])
     }
