@@ -61,6 +61,8 @@ pub(crate) struct Graph {
     index: FxHashMap<Node, NodeId>,
     span: Option<Span>,
     overflowed: bool,
+    /// Operands that constructors have looked at.
+    work: usize,
     positive: BTreeSet<ParameterId>,
 }
 
@@ -100,11 +102,23 @@ impl Graph {
         self.opaque[id.index()]
     }
 
+    /// Operands that constructors have looked at so far: what building the graph has cost.
+    pub fn work(&self) -> usize {
+        self.work
+    }
+
+    /// Counts work; beyond the limit the graph is as if it were full.
+    fn spend(&mut self, operands: usize) {
+        self.work += 1 + operands;
+        self.overflowed |= self.work > LIMITS.work;
+    }
+
     fn add(&mut self, node: Node) -> NodeId {
+        self.spend(0);
         if let Some(&id) = self.index.get(&node) {
             return id;
         }
-        if self.nodes.len() >= LIMITS.nodes {
+        if self.nodes.len() >= LIMITS.nodes || self.overflowed {
             self.overflowed = true;
             return NodeId(0);
         }
@@ -160,6 +174,7 @@ impl Graph {
                 _ => collected.push((node, coefficient)),
             }
         }
+        self.spend(collected.len());
         collected.sort_by_key(|(node, _)| *node);
         let mut merged: Vec<(NodeId, f64)> = Vec::with_capacity(collected.len());
         for (node, coefficient) in collected {
@@ -250,6 +265,7 @@ impl Graph {
         if coefficient == 0.0 {
             return self.number(0.0);
         }
+        self.spend(collected.len());
         collected.sort_by_key(|(node, _)| *node);
         let mut merged: Vec<(NodeId, i32)> = Vec::with_capacity(collected.len());
         for (node, exponent) in collected {

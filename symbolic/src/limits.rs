@@ -37,6 +37,8 @@ pub struct Limits {
     pub steps: usize,
     /// Nodes of the expression graph, counted while it grows.
     pub nodes: usize,
+    /// Operands looked at while the graph grows, by one derivation.
+    pub work: usize,
     /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
     /// Faults that are told of one document.
@@ -62,6 +64,7 @@ pub const LIMITS: Limits = Limits {
     exponent: 64,
     steps: 262_144,
     nodes: 32_768,
+    work: 1_000_000,
     instructions: 8192,
     diagnostics: 64,
 };

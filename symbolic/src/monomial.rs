@@ -172,11 +172,13 @@ impl<'a> Splitter<'a> {
         }
     }
 
-    /// A coordinate with its offset stays whole (expanding x − bx would cancel), and so does what others share.
+    /// A coordinate or a channel with its offset stays whole (expanding x − bx would cancel), and so does what others share.
     fn is_atom(&self, graph: &Graph, node: NodeId) -> bool {
         let Node::Sum(_, terms) = graph.node(node) else { return true };
         let scaled = terms.len() == 1;
-        !scaled && (graph.is_opaque(node) || terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_))))
+        !scaled
+            && (graph.is_opaque(node)
+                || terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_) | Node::Channel(_))))
     }
 
     /// A coefficient of the form: its invariant factors, and what is left as an atom of its own; when `split`, term by term.

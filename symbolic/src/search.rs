@@ -8,16 +8,15 @@ use std::collections::BTreeSet;
 use crate::cuts::cut_candidates;
 use crate::derivation::{Cuts, Derivation, Layout, Target};
 use crate::graph::Graph;
+use crate::limits::LIMITS;
 use crate::model::Lowering;
 use crate::program::Cost;
 use crate::schedule::Sums;
 
-/// Derivations tried at most, and graph nodes that all of them together may make.
+/// Derivations tried at most.
 const DERIVATIONS: usize = 32;
-const NODES: usize = 24_576;
-/// Layouts tried at most, and pixel operations that all of them together may have.
-const LAYOUTS: usize = 96;
-const OPERATIONS: usize = 8192;
+/// Work (see [`Graph::work`]) after which no other way is tried: that of all derivations, and that of one with its layouts.
+const WORK: usize = LIMITS.work / 2;
 
 struct Found {
     cuts: Cuts,
@@ -31,15 +30,13 @@ struct Search<'a> {
     target: &'a Target<'a>,
     best: Option<Found>,
     derivations: usize,
-    nodes: usize,
-    layouts: usize,
-    operations: usize,
+    work: usize,
 }
 
 /// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
 pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
     let candidates = cut_candidates(graph, target.residual, target.parameters);
-    let mut search = Search { graph, target, best: None, derivations: 0, nodes: 0, layouts: 0, operations: 0 };
+    let mut search = Search { graph, target, best: None, derivations: 0, work: 0 };
     // Seeds: all candidates, and each of them alone.
     search.attempt(Cuts { nodes: candidates.clone(), unify: false });
     for cut in candidates.iter().filter(|_| candidates.len() > 1) {
@@ -76,17 +73,17 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
 impl Search<'_> {
     /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
     fn attempt(&mut self, cuts: Cuts) {
-        if self.derivations >= DERIVATIONS || (self.nodes >= NODES && self.derivations > 1) {
+        if self.derivations >= DERIVATIONS || self.work >= WORK {
             return;
         }
         self.derivations += 1;
         let layout = Layout { expand: true, split: BTreeSet::new() };
         let Some(mut derivation) = Derivation::new(self.graph.clone(), self.target, &cuts) else {
-            self.nodes = NODES;
+            self.work = WORK;
             return;
         };
         let weight = derivation.pixel_cost(&layout, LOWERING).map(|cost| weight(&cost));
-        self.nodes += derivation.graph.len();
+        self.work += derivation.graph.work() - self.graph.work();
         if let Some(weight) = weight
             && self.best.as_ref().is_none_or(|best| weight < best.weight)
         {
@@ -97,31 +94,25 @@ impl Search<'_> {
     /// Improves the layout of the best: factors whole, forms taken apart one by one.
     fn layouts(&mut self) {
         let Some(mut best) = self.best.take() else { return };
-        (self.layouts, self.operations) = (0, 0);
         let plain = Layout { expand: false, ..best.layout.clone() };
-        self.try_layout(&mut best, plain);
+        try_layout(&mut best, plain);
         for form in 0..best.derivation.forms.len() {
-            if !best.derivation.has_terms(form) {
+            if !best.derivation.has_terms(form) || best.derivation.graph.work() >= WORK {
                 continue;
             }
             let mut layout = best.layout.clone();
             layout.split.insert(form);
-            self.try_layout(&mut best, layout);
+            try_layout(&mut best, layout);
         }
         self.best = Some(best);
     }
+}
 
-    fn try_layout(&mut self, best: &mut Found, layout: Layout) {
-        if self.layouts >= LAYOUTS || self.operations >= OPERATIONS {
-            return;
-        }
-        self.layouts += 1;
-        let Some(cost) = best.derivation.pixel_cost(&layout, LOWERING) else { return };
-        self.operations += cost.flops_per_pixel as usize;
-        let weight = weight(&cost);
-        if weight < best.weight {
-            (best.layout, best.weight) = (layout, weight);
-        }
+fn try_layout(best: &mut Found, layout: Layout) {
+    let Some(cost) = best.derivation.pixel_cost(&layout, LOWERING) else { return };
+    let weight = weight(&cost);
+    if weight < best.weight {
+        (best.layout, best.weight) = (layout, weight);
     }
 }
 
