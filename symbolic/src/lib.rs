@@ -20,6 +20,8 @@ mod cuts;
 mod diagnostic;
 mod document;
 mod domain;
+#[allow(dead_code, reason = "the self-check's referee")]
+mod double_double;
 mod elaborate;
 mod formulas;
 mod function;
