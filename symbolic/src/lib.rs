@@ -22,7 +22,11 @@ mod document;
 mod domain;
 #[allow(dead_code, reason = "the self-check's referee")]
 mod double_double;
+#[cfg(test)]
+mod duals_tests;
 mod elaborate;
+#[allow(dead_code, reason = "the self-check runs programs by it")]
+mod evaluate;
 mod formulas;
 mod function;
 mod graph;
