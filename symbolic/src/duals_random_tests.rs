@@ -31,6 +31,9 @@ impl Random {
     }
 }
 
+/// No formula's part may be larger, nor its inverse.
+const ORDINARY: f64 = 1e30;
+
 type Boxed = Box<Tree>;
 
 /// A formula.
@@ -156,7 +159,7 @@ pub struct Place<'a, N> {
     pub intensity: &'a Tree,
     pub argument: Option<Hyper<N>>,
     pub index: f64,
-    /// A comparison that rounding may decide was met.
+    /// A comparison that rounding may decide was met, or a value so large or small that its powers leave f64's range.
     pub undecided: &'a std::cell::Cell<bool>,
 }
 
@@ -197,6 +200,14 @@ impl<N: Scalar> Place<'_, N> {
 
     /// The formula's value and derivatives.
     pub fn value(&self, tree: &Tree) -> Hyper<N> {
+        let y = self.worked_out(tree);
+        let size = y.value.abs();
+        let is_small = size != N::from(0.0) && size < N::from(1.0 / ORDINARY);
+        self.undecided.set(self.undecided.get() | (size > N::from(ORDINARY)) | is_small);
+        y
+    }
+
+    fn worked_out(&self, tree: &Tree) -> Hyper<N> {
         let fixed = |x: f64| Hyper::fixed(N::from(x));
         let zero = N::from(0.0);
         let dot = |a: &[Tree], b: &[Tree]| {

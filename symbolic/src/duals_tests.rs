@@ -147,7 +147,7 @@ impl Case {
         }
     }
 
-    /// F, gradient and upper Hessian in the order of a program's outputs. `None`: rounding may decide a comparison.
+    /// F, gradient and upper Hessian in the order of a program's outputs. `None`: see [`Place::undecided`].
     fn reference<N: Scalar>(&self, at: &Point) -> Option<Vec<N>> {
         let undecided = Cell::new(false);
         let (mut here, mut entry) = (self.place::<N>(at, false, &undecided), self.place::<N>(at, true, &undecided));
@@ -235,7 +235,7 @@ struct Tally {
     points: u64,
     /// Not finite, outside of a function's domain, or without pixels.
     skipped: u64,
-    /// Rounding may decide a comparison.
+    /// Rounding may decide a comparison, or a part of the formula is out of the ordinary range.
     undecided: u64,
     /// Decided by the referee: rounding, not derivation.
     rounded: u64,

@@ -127,7 +127,7 @@ fn fit_controlled(
         let rules = Rules {
             free,
             iterations: stage.iterations,
-            tolerance: stage.tolerance,
+            tolerance: stage.tolerance * tolerance_share(compiled.precision()),
             noise: model.has_noise(),
             precision: compiled.precision(),
             rounding: view.rounding,
@@ -154,6 +154,14 @@ fn fit_controlled(
         None => fit.ending = Ending::NonFinite,
     }
     Ok(fit)
+}
+
+/// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.
+fn tolerance_share(precision: Precision) -> f64 {
+    match precision {
+        Precision::F32 => 1.0,
+        Precision::F64 => 1e-4,
+    }
 }
 
 fn indices(parameters: &[ParameterId]) -> Vec<usize> {

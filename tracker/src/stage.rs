@@ -260,6 +260,8 @@ impl<P: Problem> Walk<'_, P> {
         // C = 2 s² H⁻¹ with s² the variance of a residual, so δᵀC⁻¹δ = ½ δᵀHδ / s² = reduction / s².
         let variance = if self.rules.noise { 1.0 } else { self.rules.reduced(pass).unwrap_or(0.0) };
         let little = slack.max(INSIGNIFICANT * INSIGNIFICANT * variance);
+        // Every δ at `tolerance` deviations, were they independent.
+        let promised = here.len() as f64 * self.rules.tolerance.powi(2) * variance;
         let nearly_there = unlimited.interior && unlimited.reduction <= little;
         let mut rejected = 0;
         let turns = |last: &&DVector<f64>| nearly_there && unlimited.delta.component_mul(&scale).dot(last) < 0.0;
@@ -274,7 +276,11 @@ impl<P: Problem> Walk<'_, P> {
         loop {
             let step = spectrum.step(region.radius());
             let final_step = step.interior || nearly_there && (self.turned.is_some() || rejected >= REJECTED);
-            if final_step && deviations.cover(&step.delta, &here, self.rules.tolerance) {
+            // Where parameters go together, each may move by little of its own deviation and F still fall by much: δᵀC⁻¹δ is
+            // asked as well.
+            let is_covered = |share| deviations.cover(&step.delta, &here, share);
+            let is_slight = step.reduction <= slack.max(promised);
+            if final_step && (is_covered(self.rules.tolerance) && is_slight || is_covered(0.0)) {
                 let end = self.moved(point, &step);
                 if self.problem.allowed(&end) {
                     point.copy_from_slice(&end);

@@ -325,3 +325,7 @@ impl Tracker {
 #[cfg(test)]
 #[path = "tracker_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "circular_start_tests.rs"]
+mod circular_start_tests;

@@ -49,11 +49,15 @@ const FIRST_RADIUS: f64 = 1.0;
 const SECULAR_ROUNDS: usize = 100;
 /// Sweeps of the eigenvalue iteration, per parameter.
 const EIGEN_SWEEPS: usize = 200;
+/// Rounding of a scaled gradient's entry, over that of a scaled eigenvalue.
+const GRADIENT_ROUNDING: f64 = 1e4;
 /// A scaled eigenvalue below −(this) of the largest magnitude makes H indefinite; above it is rounding of the sums.
 const INDEFINITE: f64 = 1e-6;
 
 /// H in scaled coordinates `z = D δ`, by its eigenvalues: `D⁻¹HD⁻¹ = Q Λ Qᵀ`.
 pub(crate) struct Spectrum {
+    /// D⁻¹HD⁻¹.
+    scaled: DMatrix<f64>,
     /// Λ.
     values: DVector<f64>,
     /// Q, one column an eigenvalue.
@@ -62,10 +66,22 @@ pub(crate) struct Spectrum {
     gradient: DVector<f64>,
     /// The diagonal of D.
     scale: DVector<f64>,
-    /// Eigenvalues of less magnitude count as zero …
+    /// Eigenvalues of less magnitude cannot be told from zero.
     zero: f64,
-    /// … and, where they do, entries of `gradient` up to this.
-    negligible: f64,
+    /// Along those, entries of `gradient` this large are real, and are answered.
+    answered: Answered,
+}
+
+/// Gradients along eigenvalues that cannot be told from zero: which of them a step answers, and how.
+#[derive(Clone, Copy)]
+enum Answered {
+    /// Above the first, rounding; up to the second, what `g = 2 Jᵀr`, `H = 2 JᵀJ` allow: along a unit eigenvector q,
+    /// `|gᵀq| ≤ 2 ‖Jq‖ ‖r‖ = √(2 Λ F)`, and what is larger is rounding again. The eigenvalue is drowned in the rounding of H,
+    /// but a gradient is known √Λ times better: the step takes the largest eigenvalue that it may be. So a fit crawls along
+    /// a valley (NIST's MGH17, where two exponentials have become one) instead of ending in it.
+    Within(f64, f64),
+    /// All above this, by as much as the region allows.
+    Above(f64),
 }
 
 /// One minimiser of the quadratic model inside the trust region.
@@ -105,20 +121,23 @@ impl Spectrum {
         if !scaled.iter().all(|x| x.is_finite()) {
             return None;
         }
-        let eigen = SymmetricEigen::try_new(scaled, f64::EPSILON, EIGEN_SWEEPS * n.max(1))?;
+        let eigen = SymmetricEigen::try_new(scaled.clone(), f64::EPSILON, EIGEN_SWEEPS * n.max(1))?;
         let gradient = eigen.eigenvectors.tr_mul(&quadratic.gradient.component_div(scale));
         let largest = eigen.eigenvalues.amax();
         let zero = largest * resolution * n as f64;
-        let negligible = match quadratic.curvature {
-            // g = 2 Jᵀr, H = 2 JᵀJ: along a unit eigenvector q, |gᵀq| ≤ 2 ‖Jq‖ ‖r‖ = √(2 Λ F). What is larger is rounding.
-            Curvature::GaussNewton => f64::INFINITY,
-            Curvature::Full => gradient.amax() * f64::EPSILON,
+        let answered = match quadratic.curvature {
+            Curvature::GaussNewton => {
+                let objective = quadratic.objective.max(0.0);
+                let bound = |eigenvalue: f64| (2.0 * eigenvalue * objective).sqrt();
+                Answered::Within(GRADIENT_ROUNDING * resolution * bound(largest), bound(zero))
+            }
+            Curvature::Full => Answered::Above(gradient.amax() * f64::EPSILON),
         };
         let values = match quadratic.curvature {
             Curvature::GaussNewton => eigen.eigenvalues.map(|value| value.max(0.0)), // below zero by rounding only
             Curvature::Full => eigen.eigenvalues,
         };
-        Some(Spectrum { values, vectors: eigen.eigenvectors, gradient, scale: scale.clone(), zero, negligible })
+        Some(Spectrum { scaled, values, vectors: eigen.eigenvectors, gradient, scale: scale.clone(), zero, answered })
     }
 
     /// True when F bends downwards in some direction.
@@ -146,28 +165,32 @@ impl Spectrum {
         Some(DVector::from_fn(self.values.len(), |i, _| entry(i)))
     }
 
-    /// H⁻¹; `None` when an eigenvalue vanishes or is negative.
+    /// H⁻¹; `None` when an eigenvalue vanishes or is negative. By Cholesky: eigenvectors of close eigenvalues have lost half
+    /// their digits (NIST's Eckerle4).
     pub fn inverse(&self) -> Option<DMatrix<f64>> {
         if self.values.min() <= self.zero {
             return None;
         }
-        let weighted =
-            DMatrix::from_fn(self.values.len(), self.values.len(), |i, k| self.vectors[(i, k)] / self.values[k]);
-        let scaled = weighted * self.vectors.transpose();
-        Some(DMatrix::from_fn(scaled.nrows(), scaled.ncols(), |i, j| {
-            0.5 * (scaled[(i, j)] + scaled[(j, i)]) / (self.scale[i] * self.scale[j])
+        let inverse = self.scaled.clone().cholesky()?.inverse();
+        Some(DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| {
+            0.5 * (inverse[(i, j)] + inverse[(j, i)]) / (self.scale[i] * self.scale[j])
         }))
     }
 
-    /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ vanishes, 0 if the gradient vanishes too, else infinite.
+    /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ cannot be told from 0, see [`Answered`].
     fn shifted(&self, lambda: f64) -> DVector<f64> {
         DVector::from_fn(self.values.len(), |k, _| {
             let curvature = self.values[k] + lambda;
             let gradient = self.gradient[k];
-            match curvature.abs() > self.zero {
-                true => -gradient / curvature,
-                false if gradient.abs() <= self.negligible => 0.0,
-                false => -gradient.signum() * f64::INFINITY,
+            if curvature.abs() > self.zero {
+                return -gradient / curvature;
+            }
+            match self.answered {
+                Answered::Within(least, most) if gradient.abs() > least && gradient.abs() <= most => {
+                    -gradient / self.zero
+                }
+                Answered::Above(least) if gradient.abs() > least => -gradient.signum() * f64::INFINITY,
+                _ => 0.0,
             }
         })
     }
@@ -279,7 +302,7 @@ impl Region {
     ///
     /// `ρ = (actual + slack) / (predicted + slack)`; accept when ρ ≥ 1e-4. Δ becomes ‖Dδ‖/2 when ρ ≤ 0.1, and 2‖Dδ‖ when
     /// ρ ≥ ¾ or the step was interior. Of 300 such rules tried on the NIST problems these are the ones that need the fewest
-    /// passes (53 of 54 solved, 1,016 steps in all); MINPACK's cubic shrinking needs three times as many.
+    /// passes; MINPACK's cubic shrinking needs three times as many.
     pub fn judge(&mut self, step: &Step, actual: f64, slack: f64) -> bool {
         if self.fresh {
             self.radius = self.radius.min(step.length);

@@ -126,3 +126,16 @@ fn a_gauss_newton_step_leaves_undetermined_directions_alone() {
     let step = spectrum.step(5.0);
     assert!(step.interior && step.length < 1e-12 && !spectrum.is_indefinite());
 }
+
+#[test]
+fn a_gradient_along_a_drowned_eigenvalue_is_answered_if_it_can_be_real() {
+    // g = 2 Jᵀr and H = 2 JᵀJ allow |g| ≤ √(2 Λ F): up to 3e-8 where Λ is below 4.4e-16 and F = 1; below 3e-12 it is rounding.
+    for (gradient, is_answered) in [(1e-9, true), (1e-13, false), (1e-6, false)] {
+        let mut valley = quadratic(&[0.0, gradient], &[1.0, 0.0, 0.0, 1e-18]);
+        (valley.curvature, valley.objective) = (Curvature::GaussNewton, 1.0);
+        let spectrum = Spectrum::new(&valley, &DVector::from_element(2, 1.0), f64::EPSILON).unwrap();
+        let step = spectrum.step(f64::INFINITY);
+        let expected = if is_answered { -gradient / (2.0 * f64::EPSILON) } else { 0.0 };
+        assert!((step.delta[1] - expected).abs() <= 1e-6 * expected.abs(), "{gradient}: {step:?}");
+    }
+}
