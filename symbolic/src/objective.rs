@@ -16,7 +16,7 @@ use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
 use crate::monomial::Splitter;
 use crate::program::{Cost, Input, Level, ParameterId, Program};
-use crate::proof::{Claim, Form, Proof, is_small_f32};
+use crate::proof::{Claim, Errors, Form, Proof, is_small_f32};
 use crate::schedule::{self, Output, Sums};
 use crate::search;
 
@@ -127,40 +127,33 @@ impl Objective {
         let target = Target { parameters: &parameters, names: &names, residual, variance, newton };
         let domain = entry_domain(&mut graph, model);
         let claim = Claim { model, graph: &graph, residual, variance, domain, parameters: &parameters, newton };
-        let mut refused = None;
-        let mut candidate = |form: Form| -> Option<Objective> {
-            let (derivation, sums) = match form {
-                Form::Unfactored => {
-                    let mut derivation = Derivation::new(graph.clone(), &target, &Cuts::default())?;
-                    derivation.unfactored().map(|sums| (derivation, sums))?
-                }
-                _ => search::fewest_flops(&graph, &target, form == Form::Factored)?,
+        let origin = Origin::of(model);
+        let mut candidate = |form: Form| -> Result<Objective, Refusal> {
+            let derived = match form {
+                Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
+                    .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
+                _ => search::fewest_flops(&graph, &target, form == Form::Factored),
             };
+            let (derivation, sums) = derived.ok_or_else(|| Refusal::Limit(origin.growth(subset.len())))?;
             let mut objective = Objective {
                 names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
                 sums,
                 values: 1,
                 subset: subset.to_vec(),
                 domain,
-                origin: Origin::of(model),
+                origin: origin.clone(),
                 forms: derivation.forms,
                 graph: derivation.graph,
                 proof: None,
             };
-            let program = objective.program(Lowering { fma: true, drop_saturated: false });
-            let errors = claim.check(&program.map_err(|fault| refused = Some(fault)).ok()?)?;
-            objective.proof =
-                Some(Proof { form, exact: errors.exact, error: errors.error, f32_error: errors.f32_error });
-            Some(objective)
+            let program = objective.program(Lowering { fma: true, drop_saturated: false }).map_err(Refusal::Limit)?;
+            let Some(Errors { exact, error, f32_error }) = claim.check(&program) else { return Err(Refusal::Wrong) };
+            objective.proof = Some(Proof { form, exact, error, f32_error });
+            Ok(objective)
         };
-        safest(&mut candidate).ok_or_else(|| {
-            let message = format!(
-                "the derivatives for {} parameters grow past {} distinct operations or {} instructions",
-                subset.len(),
-                LIMITS.nodes,
-                LIMITS.instructions
-            );
-            refused.unwrap_or_else(|| Origin::of(model).fault(message))
+        safest(&mut candidate).map_err(|refusal| match refusal {
+            Refusal::Limit(faults) => faults,
+            Refusal::Wrong => origin.fault("bug", "no program that was derived for this model passes its check".into()),
         })
     }
 
@@ -170,17 +163,28 @@ impl Objective {
     }
 }
 
+/// Why a form has no program.
+enum Refusal {
+    /// It grows past a limit.
+    Limit(Diagnostics),
+    /// It does not compute the derivatives.
+    Wrong,
+}
+
 /// The most factored form whose error in f32 is small, or at most four times that of the unfactored form.
-fn safest(candidate: &mut dyn FnMut(Form) -> Option<Objective>) -> Option<Objective> {
+fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Result<Objective, Refusal> {
     let error = |objective: &Objective| objective.proof.and_then(|proof| proof.f32_error);
     let factored = candidate(Form::Factored);
-    if factored.as_ref().is_some_and(|objective| is_small_f32(error(objective))) {
-        return factored;
+    match &factored {
+        Ok(objective) if is_small_f32(error(objective)) => return factored,
+        Err(Refusal::Limit(_)) => return factored,
+        _ => {}
     }
-    let Some(unfactored) = candidate(Form::Unfactored) else { return factored.or_else(|| candidate(Form::Plain)) };
+    let Ok(unfactored) = candidate(Form::Unfactored) else { return factored.or_else(|_| candidate(Form::Plain)) };
     let bound = 4.0 * error(&unfactored).unwrap_or(f64::INFINITY);
     let fits = |objective: &Objective| error(objective).is_none_or(|error| error <= bound);
-    factored.filter(fits).or_else(|| candidate(Form::Plain).filter(fits)).or(Some(unfactored))
+    let found = factored.ok().filter(fits).or_else(|| candidate(Form::Plain).ok().filter(fits));
+    Ok(found.unwrap_or(unfactored))
 }
 
 /// Where the model's intensity stands, for faults that concern the model as a whole.
@@ -196,9 +200,17 @@ impl Origin {
         Origin { text: model.text.clone(), span }
     }
 
-    fn fault(&self, message: String) -> Diagnostics {
+    fn fault(&self, code: &'static str, message: String) -> Diagnostics {
         let help = "free fewer parameters per stage, or give shared parts a definition";
-        vec![Diagnostic::error(&self.text, "limit", "model.intensity", self.span, message).help(help)]
+        vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
+    }
+
+    fn growth(&self, parameters: usize) -> Diagnostics {
+        let most = LIMITS.nodes;
+        let message = format!(
+            "the derivatives for {parameters} parameters grow past {most} distinct operations, or take too long"
+        );
+        self.fault("limit", message)
     }
 
     fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
@@ -206,8 +218,16 @@ impl Origin {
             pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
             _ => (program.instructions().len(), LIMITS.nodes),
         };
-        if graph.overflowed() || count > most {
-            return Err(self.fault(format!("the loop takes {count} instructions; at most {most} are compiled")));
+        if graph.overflowed() {
+            return Err(self.fault(
+                "limit",
+                format!("the loop grows past {} distinct operations, or takes too long", LIMITS.nodes),
+            ));
+        }
+        if count > most {
+            return Err(
+                self.fault("limit", format!("the loop takes {count} instructions; at most {most} are compiled"))
+            );
         }
         Ok(program)
     }

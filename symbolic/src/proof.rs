@@ -153,7 +153,9 @@ impl Claim<'_> {
         let points: Vec<Point<f64>> =
             (0..POINTS).map(|seed| self.plausible(self.centre(NEAR), &mut Random(seed))).collect();
         let (error, right) = self.sampled(program, &points);
-        if !right || (!exact && error.is_none()) || !points[..2].iter().all(|point| self.has_its_pixels(program, point))
+        if !right
+            || (!exact && error.is_none())
+            || !points[..2].iter().all(|point| self.has_its_pixels(program, point, &point.rows[0]))
         {
             return None;
         }
@@ -260,7 +262,7 @@ impl Claim<'_> {
     }
 
     /// True when the pixel set is that of the domain: at whole columns, and on both sides of every rim between them.
-    fn has_its_pixels(&self, program: &Program, point: &Point<f64>) -> bool {
+    fn has_its_pixels(&self, program: &Program, point: &Point<f64>, outer: &[f64]) -> bool {
         let Some(domain) = self.domain else { return true };
         let inputs = |node: &Node| match node {
             Node::Input(input) => point.input(*input),
@@ -268,37 +270,35 @@ impl Claim<'_> {
         };
         let roots = [domain];
         let mut evaluator = Evaluator::new(self.graph, &roots, &[], Order::First, &inputs);
-        point.rows.iter().all(|outer| {
-            let mut inside = |x: f64| {
-                evaluator.holds_at(&|node| match node {
-                    Node::Coordinate(c) if c.0 == 0 => x,
-                    Node::Coordinate(c) => outer[c.index() - 1],
-                    Node::Channel(c) => point.pixel(c.index(), 0, 0),
-                    node => inputs(node),
-                })
-            };
-            let mut columns = columns_around(self.centre(NEAR)[0]);
-            for i in 1..columns.len() {
-                let (mut left, mut right) = (columns[i - 1], columns[i]);
-                let at_left = inside(left);
-                if at_left != inside(right) {
-                    for _ in 0..24 {
-                        let middle = 0.5 * (left + right);
-                        if inside(middle) == at_left { left = middle } else { right = middle }
-                    }
-                    columns.extend([left - RIM, right + RIM]);
+        let mut inside = |x: f64| {
+            evaluator.holds_at(&|node| match node {
+                Node::Coordinate(c) if c.0 == 0 => x,
+                Node::Coordinate(c) => outer[c.index() - 1],
+                Node::Channel(c) => point.pixel(c.index(), 0, 0),
+                node => inputs(node),
+            })
+        };
+        let mut columns: Vec<f64> = columns_around(self.centre(NEAR)[0]).into_iter().step_by(3).collect();
+        for i in 1..columns.len() {
+            let (mut left, mut right) = (columns[i - 1], columns[i]);
+            let at_left = inside(left);
+            if at_left != inside(right) {
+                while right - left > 0.1 * RIM {
+                    let middle = 0.5 * (left + right);
+                    if inside(middle) == at_left { left = middle } else { right = middle }
                 }
+                columns.extend([left - RIM, right + RIM]);
             }
-            let sample = Sample {
-                inputs: program.inputs().iter().map(|input| point.input(*input)).collect(),
-                columns: columns.clone(),
-                rows: vec![outer.clone()],
-                pixel: &|channel, _, _| point.pixel(channel, 0, 0),
-                every_pixel: false,
-            };
-            let taken = evaluate_at(program, &sample).taken;
-            columns.into_iter().zip(taken).all(|(x, taken)| inside(x) == taken || inside(x - RIM) != inside(x + RIM))
-        })
+        }
+        let sample = Sample {
+            inputs: program.inputs().iter().map(|input| point.input(*input)).collect(),
+            columns: columns.clone(),
+            rows: vec![outer.to_vec()],
+            pixel: &|channel, _, _| point.pixel(channel, 0, 0),
+            every_pixel: false,
+        };
+        let taken = evaluate_at(program, &sample).taken;
+        columns.into_iter().zip(taken).all(|(x, taken)| inside(x) == taken || inside(x - RIM) != inside(x + RIM))
     }
 
     /// Where the first target is: numbers of the document count, everything else is put where the caller wants it.

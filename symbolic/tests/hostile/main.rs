@@ -14,9 +14,6 @@ static MEMORY: PeakAlloc = PeakAlloc;
 /// Bytes that a document may take, its text left out.
 const BYTES_MAX: usize = 64 << 20;
 
-/// Documents whose derivatives still take more. One that no longer does has to leave this list.
-const TAKE_MORE: [&str; 1] = ["sin in sin, 10 in each of 126"];
-
 /// One test, so that nothing else runs beside it and is counted.
 #[test]
 fn hostile_documents_end_well() {
@@ -29,7 +26,7 @@ fn hostile_documents_end_well() {
         let derived = model.map_or(Ok(()), |model| ending::derive(&model));
         let bytes = MEMORY.peak_usage().saturating_sub(before);
         let name = hostile.name;
-        if (bytes > BYTES_MAX) != TAKE_MORE.contains(&name) {
+        if bytes > BYTES_MAX {
             wrong.push(format!("{name}: {} KiB", bytes >> 10));
         }
         let faults = refused.clone().or(derived.err()).unwrap_or_default();
