@@ -1,7 +1,7 @@
 //! Derivatives against finite differences of the interpreter's own F (f64), for every shipped model.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use isophote_symbolic::interpreter::{Outcome, Pixels, Window, run};
+use isophote_symbolic::interpreter::{Outcome, Pixels, Slices, Window, run};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Start, ValueKind};
 
 struct Pattern;
@@ -37,7 +37,14 @@ fn outcome(model: &Model, program: &isophote_symbolic::Program, p: &[f64], entry
     let saturation = vec![f64::INFINITY; model.channels().len()];
     let bindings = Bindings { parameters: p, entry, constants: &constants, saturation: &saturation, shift: &[] };
     let height = if model.coordinates().len() == 1 { 1 } else { 24 };
-    run(program, Precision::F64, &bindings, &Pattern, Window { x: 0, y: 0, width: 37, height }, None)
+    run(
+        program,
+        Precision::F64,
+        &bindings,
+        &Pattern,
+        Window { x: 0, y: 0, width: 37, height, slices: Slices::ONE },
+        None,
+    )
 }
 
 fn check(model: &Model, subset: &[ParameterId], method: Method) {

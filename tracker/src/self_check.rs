@@ -8,29 +8,30 @@ use isophote_symbolic::{Bindings, Estimator, Lowering, Model, Parameter, Precisi
 
 use crate::compiled::{CompileFailure, value_kind};
 
-/// The picture's size, px; one row for one dimension.
-const SIZE: [usize; 2] = [40, 30];
+/// The picture's size by the number of coordinates, px.
+const SIZES: [[usize; 4]; 4] = [[40, 1, 1, 1], [40, 30, 1, 1], [16, 12, 10, 1], [10, 9, 8, 6]];
 /// Difference steps over √(F / H_ii), the step that would change F by about itself.
 const STEP: f64 = 1e-5;
 
 /// The largest error over all parameters of all stages, relative to `√(2 F H_ii) ≥ |g_i|`; `None` when F, a derivative or
 /// a constraint fails at the made-up parameters.
 pub(crate) fn self_check(model: &Model) -> Result<Option<f64>, CompileFailure> {
-    let height = if model.coordinates().len() == 1 { 1 } else { SIZE[1] };
+    let size = SIZES[model.coordinates().len().clamp(1, 4) - 1];
     let channels = model.channels().len();
-    let pictures: Vec<Vec<u8>> = (0..channels).map(|channel| picture(channel, height)).collect();
-    let size = PixelFormat::F64.bytes_per_pixel();
-    let planes: Result<Vec<PlaneView>, _> = pictures
-        .iter()
-        .map(|bytes| PlaneView::new(PixelFormat::F64, bytes, SIZE[0], height, SIZE[0] * size, size))
-        .collect();
+    let pictures: Vec<Vec<u8>> = (0..channels).map(|channel| picture(channel, size)).collect();
+    let mut strides = [PixelFormat::F64.bytes_per_pixel(); 4];
+    for axis in 1..4 {
+        strides[axis] = size[axis - 1] * strides[axis - 1];
+    }
+    let planes: Result<Vec<PlaneView>, _> =
+        pictures.iter().map(|bytes| PlaneView::stack(PixelFormat::F64, bytes, size, strides)).collect();
     let Ok(planes) = planes else { return Ok(None) };
-    let parameters: Vec<f64> = model.parameters().iter().map(|parameter| made_up(parameter, height)).collect();
+    let parameters: Vec<f64> = model.parameters().iter().map(|parameter| made_up(parameter, size)).collect();
     let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
     let run = |kernel: &Kernel, parameters: &[f64], entry: &[f64]| {
         let saturation = vec![f64::INFINITY; channels];
         let bindings = Bindings { parameters, entry, constants: &constants, saturation: &saturation, shift: &[] };
-        kernel.sums(&bindings, &planes, Window::whole(SIZE[0], height)).ok().map(|sums| sums.outputs)
+        kernel.sums(&bindings, &planes, Window::of_size(size)).ok().map(|sums| sums.outputs)
     };
     let value_of = |kind: ValueKind| {
         let program = model.value_objective(kind).and_then(|objective| objective.program(Lowering::default()));
@@ -79,25 +80,21 @@ fn compile(program: &Program, channels: usize) -> Result<Kernel, CompileFailure>
 }
 
 /// Values between 20 and 200 without any order: a residual that vanishes nowhere.
-fn picture(channel: usize, height: usize) -> Vec<u8> {
+fn picture(channel: usize, size: [usize; 4]) -> Vec<u8> {
     let value = |i: usize| 110.0 + 90.0 * (12.9898 * (i + 7919 * channel) as f64).sin();
-    (0..SIZE[0] * height).flat_map(|i| value(i).to_le_bytes()).collect()
+    (0..size.iter().product()).flat_map(|i| value(i).to_le_bytes()).collect()
 }
 
 /// A target in the middle of the picture; numbers as the document has them.
-fn made_up(parameter: &Parameter, height: usize) -> f64 {
-    let (width, height) = (SIZE[0] as f64, height as f64);
-    let half = [0.3 * width, 0.3 * height.max(2.0)];
+fn made_up(parameter: &Parameter, size: [usize; 4]) -> f64 {
+    let half = |axis: usize| 0.3 * size[axis].max(2) as f64;
     match parameter.start {
         Start::Number(number) => number,
         Start::Estimator(estimator) => match estimator {
-            Estimator::CentroidX => 0.5 * width - 0.2,
-            Estimator::CentroidY => 0.5 * height - 0.7,
-            Estimator::ExtentXX => half[0].powi(-2),
-            Estimator::ExtentXY => 0.2 / (half[0] * half[1]),
-            Estimator::ExtentYY => half[1].powi(-2),
-            Estimator::SizeX => half[0],
-            Estimator::SizeY => half[1],
+            Estimator::Centroid(axis) => 0.5 * size[axis] as f64 - [0.2, 0.7, 0.4, 0.6][axis],
+            Estimator::Extent(row, column) if row == column => half(row).powi(-2),
+            Estimator::Extent(row, column) => 0.2 / (half(row) * half(column)),
+            Estimator::Size(axis) => half(axis),
             Estimator::Background => 20.0,
             Estimator::Amplitude if parameter.max.is_some_and(|max| max <= 0.0) => -150.0,
             Estimator::Amplitude => 150.0,

@@ -2,7 +2,7 @@
 use super::*;
 use crate::frame::Plane;
 use crate::picture::{Picture, Profile, Spot};
-use isophote_jit::PixelFormat;
+use isophote_jit::{PixelFormat, Slices};
 use isophote_symbolic::{Model, Precision};
 
 const SPOT: &str = include_str!("../../models/spot.toml");
@@ -271,12 +271,16 @@ fn a_window_keeps_the_neighbours_out() {
     let frame = Picture { noise: 1.0, ..Picture::new(160, 120, vec![left, right]) }.frame();
     let options = |window| TrackerOptions { window, ..TrackerOptions::default() };
     let compiled = compiled(SPOT, Precision::F32);
-    for (window, truth) in [(None, right), (Some(Window { x: 10, y: 30, width: 60, height: 900 }), left)] {
+    for (window, truth) in
+        [(None, right), (Some(Window { x: 10, y: 30, width: 60, height: 900, slices: Slices::ONE }), left)]
+    {
         let mut tracker = Tracker::new(compiled.clone(), options(window)).unwrap();
         let estimate = tracker.track(&frame);
         assert!(centre_error(&tracker, &estimate, &truth) < 0.1, "{window:?} {estimate:?}");
     }
-    let mut tracker = Tracker::new(compiled, options(Some(Window { x: 160, y: 0, width: 9, height: 9 }))).unwrap();
+    let mut tracker =
+        Tracker::new(compiled, options(Some(Window { x: 160, y: 0, width: 9, height: 9, slices: Slices::ONE })))
+            .unwrap();
     assert_eq!(tracker.track(&frame).ending, Ending::WrongFrame);
 }
 
