@@ -290,6 +290,16 @@ impl Model {
             && self.formulas.constraints.iter().all(|c| self.formulas.graph.evaluate(*c, &leaf) == 1.0)
     }
 
+    /// `observed` of one pixel, from the values of its channels.
+    pub fn observed(&self, channels: &[f64], constants: &[f64]) -> f64 {
+        let leaf = |node: &Node| match node {
+            Node::Channel(c) => channels[c.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.graph.evaluate(self.formulas.observed, &leaf)
+    }
+
     /// F, its gradient and its Hessian for a subset of the parameters.
     pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         Objective::derive(self, subset, method)

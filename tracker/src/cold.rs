@@ -4,7 +4,7 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
 use crate::compiled::Control;
 use crate::fit::View;
-use crate::grey::Grey;
+use crate::grey::{Grey, Mixture};
 use crate::start::{Sight, Sign, Wanted, find};
 
 /// Starting values to try, and how.
@@ -29,7 +29,7 @@ const TIGHTER: f64 = 2.5;
 impl Cold {
     /// `given` numbers first, then the model's own numbers, then what its estimators see. `None` when an estimator is
     /// needed and there is no target for it.
-    pub fn look(model: &Model, view: &View, given: &[Option<f64>]) -> Option<Cold> {
+    pub fn look(model: &Model, view: &View, constants: &[f64], given: &[Option<f64>]) -> Option<Cold> {
         let estimators: Vec<Option<Estimator>> = model
             .parameters()
             .iter()
@@ -39,7 +39,8 @@ impl Cold {
                 _ => None,
             })
             .collect();
-        let grey = Grey::read(&view.planes, view.window, &view.saturation);
+        let mixture = Mixture::observed(model, constants);
+        let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
         let origin = view.window.first().map(|at| at as f64);
         let targets = if estimators.iter().any(Option::is_some) {

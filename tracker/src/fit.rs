@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
-use crate::grey::Grey;
+use crate::grey::{Grey, Mixture};
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
@@ -57,7 +57,7 @@ fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
     if limit.is_finite() {
         return limit.abs();
     }
-    Grey::read(&[*plane], window, &[f64::INFINITY])
+    Grey::read(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1))
         .values
         .into_iter()
         .map(f64::abs)

@@ -1,8 +1,45 @@
 //! `Grey`: the pixel values of a window as plain numbers, for everything that looks at an image before a fit.
 
 use isophote_jit::{PixelFormat, PlaneView, Window};
+use isophote_symbolic::Model;
 
-/// The mean of all planes inside a window.
+/// How planes make one picture: what a document's `observed` is, when it is linear in the channels.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Mixture {
+    /// What each plane counts.
+    pub weights: Vec<f64>,
+    pub constant: f64,
+}
+
+impl Mixture {
+    /// Every plane alike.
+    pub fn mean(planes: usize) -> Mixture {
+        Mixture { weights: vec![1.0 / planes.max(1) as f64; planes], constant: 0.0 }
+    }
+
+    /// `observed` of a model; the mean where that is not linear.
+    pub fn observed(model: &Model, constants: &[f64]) -> Mixture {
+        let channels = model.channels().len();
+        let at =
+            |value: &dyn Fn(usize) -> f64| model.observed(&(0..channels).map(value).collect::<Vec<f64>>(), constants);
+        let constant = at(&|_| 0.0);
+        let weight = |channel: usize| (at(&|i| if i == channel { PROBE } else { 0.0 }) - constant) / PROBE;
+        let mixture = Mixture { weights: (0..channels).map(weight).collect(), constant };
+        let probe = |i: usize| PROBE / 3.0 + 7.0 * i as f64;
+        let (is, should) = (at(&probe), mixture.at((0..channels).map(probe)));
+        let is_linear = (is - should).abs() <= 1e-9 * (is.abs() + PROBE);
+        if is_linear { mixture } else { Mixture::mean(channels) }
+    }
+
+    fn at(&self, values: impl Iterator<Item = f64>) -> f64 {
+        self.weights.iter().zip(values).map(|(weight, value)| weight * value).sum::<f64>() + self.constant
+    }
+}
+
+/// A pixel value at which `observed` is tried.
+const PROBE: f64 = 100.0;
+
+/// All planes inside a window as one picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Grey {
     /// Row by row, slice by slice.
@@ -17,27 +54,27 @@ pub(crate) struct Grey {
 
 impl Grey {
     /// Reads a window that lies inside the planes; `saturation` is one limit a plane. A pixel that is saturated in any
-    /// plane reads as `saturation`.
-    pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64]) -> Grey {
-        let limit = saturation.iter().copied().fold(f64::INFINITY, f64::min);
+    /// plane reads as the largest value that there is.
+    pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
+        let limit = mixture.at(saturation.iter().zip(&mixture.weights).map(|(l, w)| if *w > 0.0 { *l } else { 0.0 }));
         let mut values = Vec::with_capacity(window.pixels());
         let size = window.size();
         let [x0, y0, z0, w0] = window.first();
         for row in 0..size[1..].iter().product() {
             let [y, z, w] = outer_of(row, size);
             for x in x0..x0 + window.width {
-                let (mut sum, mut clipped) = (0.0, false);
-                for (plane, limit) in planes.iter().zip(saturation) {
+                let (mut sum, mut clipped) = (mixture.constant, false);
+                for ((plane, limit), weight) in planes.iter().zip(saturation).zip(&mixture.weights) {
                     let value = plane.pixel_at([x, y0 + y, z0 + z, w0 + w]);
-                    clipped |= value >= *limit;
-                    sum += value;
+                    clipped |= value >= *limit && *weight != 0.0;
+                    sum += weight * value;
                 }
-                let mean = sum / planes.len().max(1) as f64;
-                values.push(if clipped { mean.max(limit) } else { mean });
+                values.push(if clipped { sum.max(limit) } else { sum });
             }
         }
         let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
-        Grey { values, size, saturation: limit, step: if whole { 1.0 } else { 0.0 } }
+        let largest = mixture.weights.iter().fold(0.0, |largest: f64, weight| largest.max(weight.abs()));
+        Grey { values, size, saturation: limit, step: if whole { largest } else { 0.0 } }
     }
 
     /// How many dimensions it extends in, at least one: 1 for a single row, 2 for a single slice.
@@ -122,6 +159,26 @@ fn smoothed_across(values: &[f64], stride: usize, count: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_observed_is_what_is_looked_at() {
+        let model = |observed: &str| {
+            let text = format!(
+                "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"r\", \"g\"]\n[constants]\nc = 0.25\n[parameters]\nv = {{ start = 1.0 }}\n\
+                 [model]\nobserved = \"{observed}\"\nintensity = \"v\"\n"
+            );
+            Model::from_toml(&text).unwrap_or_else(|d| panic!("{}", d[0].render("test")))
+        };
+        let close = |mixture: Mixture, weights: [f64; 2], constant: f64| {
+            let is = mixture.weights.iter().zip(weights).all(|(a, b)| (a - b).abs() < 1e-12);
+            assert!(is && (mixture.constant - constant).abs() < 1e-12, "{mixture:?}");
+        };
+        close(Mixture::observed(&model("r - c * g + 3"), &[0.5]), [1.0, -0.5], 3.0);
+        close(Mixture::observed(&model("g"), &[0.5]), [0.0, 1.0], 0.0);
+        for curved in ["sqrt(r * g)", "r^2 + g", "log(r) + g", "max(r, g)"] {
+            close(Mixture::observed(&model(curved), &[0.5]), [0.5, 0.5], 0.0);
+        }
+    }
 
     #[test]
     fn smoothing_is_the_mean_of_what_is_there() {

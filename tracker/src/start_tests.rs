@@ -1,12 +1,18 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
+use crate::grey::Mixture;
 use crate::picture::{Picture, Profile, Spot};
 use isophote_jit::Window;
 
 fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {
     let frame = picture.frame();
     find(
-        &Grey::read(&[frame.plane_view(0)], Window::whole(picture.width, picture.height), &[picture.saturation]),
+        &Grey::read(
+            &[frame.plane_view(0)],
+            Window::whole(picture.width, picture.height),
+            &[picture.saturation],
+            &Mixture::mean(1),
+        ),
         wanted,
     )
 }

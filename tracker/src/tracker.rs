@@ -188,7 +188,7 @@ impl Tracker {
     /// From starting values: `given` numbers first, then the model's own, then what the window shows. The believable fit
     /// with the smallest χ²/ν, if any is.
     fn cold(&self, view: &View, given: &[Option<f64>]) -> Result<Attempt, CompileFailure> {
-        let Some(cold) = Cold::look(self.compiled.model(), view, given) else {
+        let Some(cold) = Cold::look(self.compiled.model(), view, &self.constants, given) else {
             return Ok(Attempt::none(Ending::NoTarget));
         };
         let mut best: Option<Attempt> = None;
