@@ -48,7 +48,7 @@ pub enum SourceError {
         reason: std::io::Error,
     },
     /// A folder without frames.
-    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG or TIFF files, one such file, or one CSV file", path.display())]
+    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG or TIFF files, one such file, or one CSV file (folders in it count for documents of three and four coordinates)", path.display())]
     Empty {
         /// The folder.
         path: PathBuf,

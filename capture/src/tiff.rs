@@ -146,6 +146,5 @@ pub fn encode_tiff(width: usize, height: usize, format: PixelFormat, slices: &[u
             other => return Err(EncodeError::Format(other)),
         }
     }
-    drop(encoder);
     Ok(file.into_inner())
 }

@@ -315,7 +315,6 @@ fn odd_pictures_and_wrong_dimensions_are_named() {
     let mut encoder = tiff::encoder::TiffEncoder::new(&mut file).unwrap();
     encoder.write_image::<tiff::encoder::colortype::Gray8>(2, 2, &[0; 4]).unwrap();
     encoder.write_image::<tiff::encoder::colortype::Gray16>(2, 2, &[0; 4]).unwrap();
-    drop(encoder);
     let error = Recording::of_dimensions(path("odd.tiff"), 3).unwrap().next().unwrap_err().to_string();
     assert!(error.contains("odd.tiff#1 has 2×2 px of 16-bit gray where odd.tiff#0 has 2×2 px of 8-bit"), "{error}");
 

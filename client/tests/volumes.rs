@@ -146,12 +146,12 @@ fn what_does_not_fit_is_said_with_the_remedy() {
     let (stack, picture, overlays) = (path("stack"), path("picture"), path("overlays"));
     output(&["render", text(&blob), "--out", text(&stack), "--size", "24x24x12"]);
     output(&["render", text(&spot), "--out", text(&picture), "--size", "64x48"]);
-    let tiff = stack.join("000000.tiff");
+    let (tiff, png) = (stack.join("000000.tiff"), picture.join("000000.png"));
     let out = path("out");
     let render = |model, size| ["render", model, "--out", text(&out), "--size", size];
     let cases: &[(&[&str], i32, &[&str])] = &[
         (
-            &["fit", text(&blob), "--frames", text(&picture.join("000000.png"))],
+            &["fit", text(&blob), "--frames", text(&png)],
             1,
             &["one picture, but the document has 3 coordinates", "a TIFF of several pages, a folder of pictures"],
         ),

@@ -51,7 +51,8 @@ fn read_role(
         let key = format!("{path}.{field}");
         let before = faults.list.len();
         *slot = parameters_named(faults, &key, entry, parameters);
-        if slot.len() != wanted && faults.list.len() == before {
+        // Without coordinates every count would be at fault once more.
+        if slot.len() != wanted && wanted > 0 && faults.list.len() == before {
             let message = format!("`{key}` names {wanted} parameters here, not {}", slot.len());
             faults.tell(
                 "shape",
