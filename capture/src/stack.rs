@@ -48,7 +48,7 @@ pub(crate) enum Node {
 }
 
 impl Node {
-    /// A TIFF file by its number of pages; one that is damaged says so when it is read.
+    /// A file; a TIFF by its number of pages.
     pub fn of_file(path: PathBuf) -> Result<Node, SourceError> {
         if Kind::of(&path) != Some(Kind::Tiff) {
             return Ok(Node::File(path));
@@ -56,7 +56,9 @@ impl Node {
         match Pages::open(&path).and_then(|pages| pages.count(LIMITS.files)) {
             Ok(pages) if pages > LIMITS.files => Err(too_many(&path)),
             Ok(pages) if pages > 1 => Ok(Node::Pages(path, pages)),
-            Ok(_) | Err(PageFault::Wrong(_)) => Ok(Node::File(path)),
+            Ok(_) => Ok(Node::File(path)),
+            // Where the chain of pages breaks, nobody knows how many there were.
+            Err(PageFault::Wrong(error)) => Err(about(&path, error)),
             Err(PageFault::Unreadable(reason)) => Err(SourceError::Unreadable { path, reason }),
         }
     }

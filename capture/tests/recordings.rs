@@ -159,9 +159,9 @@ fn what_is_no_recording_is_refused_with_the_remedy() {
     let message = |path: &Path| Recording::open(path).unwrap_err().to_string();
     assert!(message(&folder.path().join("none")).ends_with("none: no such file or folder"));
     assert!(message(folder.path()).contains("holds no frames; a recording is a folder of PNG, JPEG or TIFF files"));
-    let tiff = folder.path().join("a.tiff");
-    std::fs::write(&tiff, b"II*").unwrap();
-    assert!(message(&tiff).contains("convert it to PNG"));
+    let bitmap = folder.path().join("a.bmp");
+    std::fs::write(&bitmap, b"BM").unwrap();
+    assert!(message(&bitmap).contains("convert it to PNG"));
     // A PNG whose header claims 60,000 × 60,000 pixels takes no memory.
     let mut bomb = encode_png(1, 1, PixelFormat::U8, &[0]).unwrap();
     for i in [16, 20] {
@@ -341,10 +341,47 @@ fn odd_pictures_and_wrong_dimensions_are_named() {
     }
     std::fs::write(path("broken.tiff"), b"II*\0\x08\0\0\0").unwrap();
     std::fs::write(path("text.tiff"), b"not a picture").unwrap();
-    for (name, words) in [("broken.tiff", "damaged"), ("text.tiff", "not a PNG, JPEG, TIFF")] {
-        let error = Recording::open(path(name)).unwrap().next().unwrap_err().to_string();
-        assert!(error.contains(name) && error.contains(words), "{error}");
+    let whole = std::fs::read(path("deep/t0.tiff")).unwrap();
+    std::fs::write(path("cut.tiff"), &whole[..whole.len() - 9]).unwrap();
+    for (name, words) in [("broken.tiff", "damaged"), ("cut.tiff", "damaged"), ("text.tiff", "not a PNG, JPEG, TIFF")] {
+        for dimensions in [2, 3] {
+            let error = Recording::of_dimensions(path(name), dimensions).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains(words), "{error}");
+        }
     }
+}
+
+/// Whatever is in a TIFF, it is read or refused.
+#[test]
+fn hostile_tiffs_are_refused_without_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("hostile.tiff");
+    let whole = isophote_capture::encode_tiff(4, 3, PixelFormat::U16, &[7; 24 * 3]).unwrap();
+    let mut state: u64 = 5;
+    let mut random = |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    let (mut read, mut refused) = (0, 0);
+    for _ in 0..1500 {
+        let mut bytes = whole.clone();
+        for _ in 0..1 + random(3) {
+            let at = random(bytes.len());
+            bytes[at] = [0, 1, 2, 3, 255, 128, random(256) as u8][random(7)];
+        }
+        bytes.truncate(bytes.len() - if random(4) == 0 { random(bytes.len()) } else { 0 });
+        std::fs::write(&path, &bytes).unwrap();
+        for dimensions in [2, 3] {
+            let outcome = Recording::of_dimensions(&path, dimensions).and_then(|mut recording| {
+                for _ in 0..recording.len().min(5) {
+                    recording.next()?;
+                }
+                Ok(())
+            });
+            *if outcome.is_ok() { &mut read } else { &mut refused } += 1;
+        }
+    }
+    assert!(read > 100 && refused > 500, "{read} {refused}");
 }
 
 /// Too large a volume is refused when its first picture says so, before memory is taken for it.
