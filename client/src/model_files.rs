@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use isophote_server::explain::{self, ExplainError};
 use isophote_server::wire::{ModelReport, StageReport};
-use isophote_symbolic::{Diagnostics, LIMITS, Model, Precision};
+use isophote_symbolic::{Diagnostics, Form, LIMITS, Model, Precision, Proof};
 use isophote_tracker::Compiled;
 
 use crate::failure::Failure;
@@ -91,7 +91,7 @@ fn figures(stage: &StageReport) -> String {
     let calls: Vec<String> = stage.calls.iter().map(|(name, count)| format!("{count} {name}")).collect();
     let calls = if calls.is_empty() { String::new() } else { format!(" and {}", calls.join(", ")) };
     format!(
-        "{} by {}: {} flops{calls} a pixel, {} accumulators, {} flops a row, {} a pass; compiled in {:.1} ms",
+        "{} by {}: {} flops{calls} a pixel, {} accumulators, {} flops a row, {} a pass; compiled in {:.1} ms{}",
         stage.parameters.join(", "),
         stage.method.name(),
         stage.flops_per_pixel,
@@ -99,7 +99,20 @@ fn figures(stage: &StageReport) -> String {
         stage.flops_per_row,
         stage.flops_per_pass,
         stage.compile_ms,
+        stage.proof.as_ref().map(proof).unwrap_or_default(),
     )
+}
+
+/// A second line: how sure it is that the sums are the derivatives.
+fn proof(proof: &Proof) -> String {
+    let form = match proof.form {
+        Form::Factored => String::new(),
+        form => format!("; {form:?} form, because shorter ones round worse in f32").to_lowercase(),
+    };
+    let exact =
+        if proof.exact { "equal to the derivatives modulo 2^61 - 1" } else { "equal to the derivatives by samples" };
+    let error = |name: &str, error: Option<f64>| error.map_or(String::new(), |e| format!(", {name} error {e:.1e}"));
+    format!("\n  {exact}{}{}{form}", error("f64", proof.error), error("f32 gradient", proof.f32_error))
 }
 
 /// Reads and checks a document: `.json` is JSON, everything else TOML.

@@ -71,7 +71,6 @@ pub fn explain(
     let options = KernelOptions { precision: Precision::F32, packed: formats.len() == 1, formats };
     drop(Kernel::compile(&program, &options)?); // for its time alone
     let compile_ms = elapsed_ms(start_ns);
-    let cost = objective.cost(lowering)?;
     let text = match show {
         "sums" => objective.explain(Show::Sums),
         "program" => program.to_string(),
@@ -79,16 +78,7 @@ pub fn explain(
         "asm" => isophote_jit::explain(&program, &options)?.disassembly,
         _ => objective.explain(Show::Derivative),
     };
-    let stage = StageReport {
-        parameters: subset.iter().map(|id| model.parameters()[id.index()].name.clone()).collect(),
-        method,
-        flops_per_pixel: cost.flops_per_pixel,
-        accumulators: cost.accumulators,
-        flops_per_row: cost.flops_per_row,
-        flops_per_pass: cost.flops_per_pass,
-        calls: cost.calls.iter().map(|(name, count)| (name.to_string(), *count)).collect(),
-        compile_ms,
-    };
+    let stage = StageReport::of(model, &objective, method, lowering, compile_ms)?;
     let (name, digest) = (model.name().to_string(), model.digest().to_string());
     Ok(Explanation { model: name, digest, show: show.to_string(), stage, text })
 }

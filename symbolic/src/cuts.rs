@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use crate::formulas::use_counts;
 use crate::graph::{Graph, Node, NodeId, operands};
 use crate::program::Level;
 
@@ -11,13 +10,12 @@ use crate::program::Level;
 pub(crate) fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
     let reachable = graph.reachable(&[residual]);
     let conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..)));
-    let counts = use_counts(graph, &[residual]);
+    let counts = graph.use_counts(&[residual]);
     let (mut depends, mut total) = (BTreeSet::new(), BTreeSet::new());
     let mut powered = BTreeSet::new();
     for id in &reachable {
         let node = graph.node(*id);
-        let below = operands(node);
-        if parameters.contains(id) || below.iter().any(|n| depends.contains(n)) {
+        if parameters.contains(id) || operands(node).any(|n| depends.contains(&n)) {
             depends.insert(*id);
         }
         let finite = match node {
@@ -25,12 +23,13 @@ pub(crate) fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[Node
             Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..) => false,
             _ => true,
         };
-        if finite && below.iter().all(|n| total.contains(n)) {
+        if finite && operands(node).all(|n| total.contains(&n)) {
             total.insert(*id);
         }
         match node {
             Node::Product(factors) => powered.extend(factors.iter().filter(|(_, e)| *e != 1).map(|(n, _)| *n)),
             Node::Sqrt(a) | Node::Call1(_, a) => powered.extend([*a]),
+            Node::Call2(_, a, b) => powered.extend([*a, *b]),
             _ => {}
         }
     }
@@ -45,11 +44,11 @@ pub(crate) fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[Node
             && !graph.is_truth(*id)
             && depends.contains(id)
             && graph.level(*id) == Level::Pixel
-            && (counts.get(id).copied().unwrap_or(0) > 1 || powered.contains(id))
+            && (counts[id.index()] > 1 || powered.contains(id))
             && (!conditional || total.contains(id))
     };
     let mut found: Vec<NodeId> = reachable.into_iter().filter(wanted).collect();
-    found.sort_by_key(|n| std::cmp::Reverse(counts.get(n).copied().unwrap_or(0)));
+    found.sort_by_key(|n| std::cmp::Reverse(counts[n.index()]));
     found.truncate(16);
     found.into_iter().collect()
 }

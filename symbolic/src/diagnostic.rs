@@ -100,11 +100,16 @@ impl Diagnostic {
         let gutter = self.line.to_string().len();
         let key = if self.key.is_empty() { String::new() } else { format!(" ({})", self.key) };
         text += &format!("{:gutter$}--> {name}:{}:{}{key}\n", "", self.line, self.column);
-        let (shown, column) = self.excerpt();
+        let (shown, before, carets) = self.excerpt();
         if !shown.is_empty() {
-            let length = self.span.end.saturating_sub(self.span.start).max(1) as usize;
-            let carets = "^".repeat(length.min(shown.chars().count().saturating_sub(column).max(1)));
-            text += &format!("{:gutter$} |\n{} | {shown}\n{:gutter$} | {:column$}{carets}\n", "", self.line, "", "");
+            text += &format!(
+                "{:gutter$} |\n{} | {shown}\n{:gutter$} | {:before$}{}\n",
+                "",
+                self.line,
+                "",
+                "",
+                "^".repeat(carets)
+            );
         }
         if let Some(help) = &self.help {
             text += &format!("{:gutter$} = help: {help}\n", "");
@@ -112,12 +117,47 @@ impl Diagnostic {
         text
     }
 
-    /// At most [`ECHO_CHARACTERS`] of the line around the caret, and the caret's column in it, from 0.
-    fn excerpt(&self) -> (String, usize) {
-        let characters: Vec<char> = self.source.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
-        let caret = (self.column as usize - 1).min(characters.len());
-        let first = if characters.len() <= ECHO_CHARACTERS { 0 } else { caret.saturating_sub(ECHO_CHARACTERS / 2) };
-        (characters.iter().skip(first).take(ECHO_CHARACTERS).collect(), caret - first)
+    /// At most [`ECHO_CHARACTERS`] of the line around the fault, and in columns of a terminal: what stands before the
+    /// fault, and its width, at least 1. A fault of several lines is shown as far as its first.
+    fn excerpt(&self) -> (String, usize, usize) {
+        let line: Vec<char> = self.source.chars().collect();
+        let start = (self.column as usize).saturating_sub(1).min(line.len());
+        let mut bytes = self.span.end.saturating_sub(self.span.start) as usize;
+        let is_inside = |c: &&char| {
+            let is_inside = bytes > 0;
+            bytes = bytes.saturating_sub(c.len_utf8());
+            is_inside
+        };
+        let end = start + line[start..].iter().take_while(is_inside).count();
+        let first = if line.len() <= ECHO_CHARACTERS { 0 } else { start.saturating_sub(ECHO_CHARACTERS / 2) };
+        let last = (first + ECHO_CHARACTERS).min(line.len());
+        let width = |part: &[char]| part.iter().map(|c| columns(*c)).sum::<usize>();
+        let (head, tail) = (if first > 0 { "…" } else { "" }, if last < line.len() { "…" } else { "" });
+        let shown: String = line[first..last].iter().map(|c| visible(*c)).collect();
+        let before = usize::from(first > 0) + width(&line[first..start.max(first)]);
+        (format!("{head}{shown}{tail}"), before, width(&line[start..end.min(last).max(start)]).max(1))
+    }
+}
+
+/// What is shown of a character: a tab takes one column, and nothing may move the cursor or turn the line round.
+pub(crate) fn visible(c: char) -> char {
+    match c {
+        '\t' => ' ',
+        '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' => '�',
+        c if c.is_control() => '�',
+        c => c,
+    }
+}
+
+/// Columns of a terminal that a character takes: two for the wide scripts, none for what stands on the letter before.
+fn columns(c: char) -> usize {
+    match u32::from(c) {
+        0x300..=0x36f | 0x483..=0x489 | 0x591..=0x5bd | 0x610..=0x61a | 0x64b..=0x65f | 0x1ab0..=0x1aff => 0,
+        0x1dc0..=0x1dff | 0x20d0..=0x20ff | 0xfe00..=0xfe0f | 0xfe20..=0xfe2f => 0,
+        0x1100..=0x115f | 0x2e80..=0x303e | 0x3041..=0xa4cf | 0xac00..=0xd7a3 | 0xf900..=0xfaff => 2,
+        0xfe30..=0xfe6f | 0xff00..=0xff60 | 0xffe0..=0xffe6 | 0x1f300..=0x1f64f | 0x1f900..=0x1f9ff => 2,
+        0x20000..=0x3fffd => 2,
+        _ => 1,
     }
 }
 
@@ -131,16 +171,17 @@ fn floor_boundary(text: &str, mut index: usize) -> usize {
 
 /// At most 40 characters of user text for a message.
 pub(crate) fn quoted(text: &str) -> String {
-    let clean: String = text.chars().take(40).map(|c| if c.is_control() { '�' } else { c }).collect();
+    let clean: String = text.chars().take(40).map(visible).collect();
     if text.chars().count() > 40 { format!("`{clean}…`") } else { format!("`{clean}`") }
 }
 
 /// The candidate nearest to `name` by edit distance, when it is near enough to be meant.
 pub(crate) fn nearest_name<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let limit = 1 + name.chars().count() / 4;
-    let scored =
-        candidates.into_iter().map(|c| (distance(name, c), c)).filter(|(d, c)| *d <= limit && *d < c.len().max(2));
-    scored.min().map(|(_, c)| c)
+    let length = name.chars().count();
+    let limit = 1 + length / 4;
+    // Of a name of one letter nothing would be left.
+    let is_near = |(d, c): &(usize, &str)| *d <= limit && *d < c.len().max(2) && *d < length;
+    candidates.into_iter().map(|c| (distance(name, c), c)).filter(is_near).min().map(|(_, c)| c)
 }
 
 fn distance(a: &str, b: &str) -> usize {

@@ -1,10 +1,11 @@
 //! TOML or JSON in, a tree with spans out: the same tree for both, so that a model does not know how it was written.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::rc::Rc;
 
-use crate::diagnostic::{Diagnostic, Span};
+use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::limits::LIMITS;
 
 /// A string of the document and where each of its bytes stands there.
@@ -147,25 +148,108 @@ fn json_key_at(text: &str, at: usize) -> String {
     key.unwrap_or_default().chars().take(LIMITS.name_bytes).collect()
 }
 
-/// Reads TOML; every syntax error that the reader could recover from is told.
-pub(crate) fn read_toml(text: &str) -> Result<Entry, Vec<Diagnostic>> {
+/// Reads TOML. A line that cannot be read is told and left out, so that what stands on the others is checked as well; what
+/// follows from a slip on the line before is silent.
+pub(crate) fn read_toml(text: &str) -> Result<(Entry, Diagnostics), Diagnostics> {
     if let Some(diagnostic) = too_long(text) {
         return Err(vec![diagnostic]);
     }
-    let (table, errors) = toml::de::DeTable::parse_recoverable(text);
-    if !errors.is_empty() {
-        let tell = |e: &toml::de::Error| {
-            let at = e.span().map_or(Span::default(), span);
-            let message = e.message().lines().collect::<Vec<_>>().join("; ");
-            let code = if message.contains("duplicate") { "duplicate" } else { "syntax" };
-            Diagnostic::error(text, code, &key_at(text, at.start as usize), at, message)
-                .help("the document is TOML: `key = value`, formulas in quotes")
+    let mut told = Diagnostics::new();
+    let mut readable = text.to_string();
+    let mut left_out = 0..0;
+    for _ in 0..=SYNTAX_FAULTS {
+        let (table, errors) = toml::de::DeTable::parse_recoverable(&readable);
+        let place = |e: &toml::de::Error| e.span().map_or(Span::default(), span);
+        let is_twice = |e: &&toml::de::Error| e.message().contains("duplicate");
+        let Some(first) = errors.iter().filter(|e| !is_twice(e)).min_by_key(|e| place(e)) else {
+            told.extend(errors.iter().take(SYNTAX_FAULTS).map(|e| syntax_fault(text, e, place(e))));
+            let whole = span(table.span());
+            return Ok((Entry { item: Item::Table(toml_table(table.get_ref(), &readable)), span: whole }, told));
         };
-        // One slip makes many: the first few name it.
-        return Err(errors.iter().take(SYNTAX_FAULTS).map(tell).collect());
+        if let Some((bracket, line)) = unclosed_above(&readable, place(first).start as usize) {
+            let close = if readable.as_bytes()[bracket] == b'[' { "]" } else { "}" };
+            let at = span(bracket..bracket + 1);
+            let message = "this bracket is never closed";
+            let key = key_at(text, bracket);
+            told.push(Diagnostic::error(text, "syntax", &key, at, message).help(format!("add `{close}`")));
+            if told.len() == SYNTAX_FAULTS {
+                break;
+            }
+            readable.replace_range(line.clone(), &" ".repeat(line.len()));
+            left_out = line;
+            continue;
+        }
+        let line = line_around(&readable, place(first).start as usize);
+        let source = readable[line.clone()].trim();
+        let follows = left_out.end > 0 && line.start == left_out.end + 1 && !source.contains('=');
+        if told.len() < SYNTAX_FAULTS && !follows {
+            told.push(syntax_fault(text, first, place(first)));
+        }
+        // Behind a header that cannot be read all keys would seem to stand in the wrong table.
+        let ends = told.len() == SYNTAX_FAULTS || is_too_deep(first);
+        if ends || follows || source.is_empty() || source.starts_with('[') {
+            break;
+        }
+        readable.replace_range(line.clone(), &" ".repeat(line.len()));
+        left_out = line;
     }
-    let whole = span(table.span());
-    Ok(Entry { item: Item::Table(toml_table(table.get_ref(), text)), span: whole })
+    Err(told)
+}
+
+fn syntax_fault(text: &str, error: &toml::de::Error, at: Span) -> Diagnostic {
+    let message = error.message().lines().collect::<Vec<_>>().join("; ");
+    if is_too_deep(error) {
+        let message = "keys, lists or tables are nested too deeply";
+        return Diagnostic::error(text, "limit", "", at, message).help("a model needs three levels");
+    }
+    let (code, help) = if message.contains("duplicate") {
+        ("duplicate", "remove one of them, or rename it")
+    } else {
+        ("syntax", "the document is TOML: `key = value`, formulas in quotes")
+    };
+    let help = if message.contains("unquoted key") && !text[line_around(text, at.start as usize)].is_ascii() {
+        "a name with other letters than a to z stands in quotes: `\"größe\" = …`"
+    } else {
+        help
+    };
+    Diagnostic::error(text, code, &key_at(text, at.start as usize), at, message).help(help)
+}
+
+fn is_too_deep(error: &toml::de::Error) -> bool {
+    error.message().contains("recurs")
+}
+
+/// Where a line that starts a new key or table cannot be read: the bracket that the line above it does not close, and that
+/// line.
+fn unclosed_above(text: &str, at: usize) -> Option<(usize, Range<usize>)> {
+    let line = line_around(text, at);
+    let source = &text[line.clone()];
+    if at > line.start + source.len() - source.trim_start().len() && at < line.end {
+        return None;
+    }
+    let above = text[..line.start].trim_end();
+    let above = line_around(text, above.len().checked_sub(1)?);
+    let mut open = Vec::new();
+    let mut quote = None;
+    for (i, c) in text[above.clone()].char_indices() {
+        match c {
+            _ if quote == Some(c) => quote = None,
+            _ if quote.is_some() => {}
+            '"' | '\'' => quote = Some(c),
+            '#' => break,
+            '[' | '{' => open.push(above.start + i),
+            ']' | '}' => drop(open.pop()),
+            _ => {}
+        }
+    }
+    Some((*open.last()?, above))
+}
+
+/// The bytes of the line that `at` stands on, without its end.
+fn line_around(text: &str, at: usize) -> Range<usize> {
+    let at = (0..=at.min(text.len())).rev().find(|i| text.is_char_boundary(*i)).unwrap_or(0);
+    let start = text[..at].rfind('\n').map_or(0, |i| i + 1);
+    start..text[start..].find('\n').map_or(text.len(), |i| start + i)
 }
 
 fn toml_table(table: &toml::de::DeTable<'_>, text: &str) -> Vec<(Key, Entry)> {
@@ -196,7 +280,7 @@ fn toml_entry(value: &toml::Spanned<toml::de::DeValue<'_>>, text: &str) -> Entry
 }
 
 /// Reads JSON.
-pub(crate) fn read_json(text: &str) -> Result<Entry, Vec<Diagnostic>> {
+pub(crate) fn read_json(text: &str) -> Result<(Entry, Diagnostics), Diagnostics> {
     if let Some(diagnostic) = too_long(text).or_else(|| too_deep(text)) {
         return Err(vec![diagnostic]);
     }
@@ -220,14 +304,19 @@ pub(crate) fn read_json(text: &str) -> Result<Entry, Vec<Diagnostic>> {
     };
     match jsonc_parser::parse_to_ast(text, &jsonc_parser::CollectOptions::default(), &strict) {
         Ok(parsed) => match parsed.value {
-            Some(value) => json_entry(&value, text),
+            Some(value) => {
+                let mut told = Diagnostics::new();
+                let entry = json_entry(&value, text, &mut told);
+                Ok((entry, told))
+            }
             None => Err(tell(0..0, "the document is empty".into())),
         },
         Err(e) => Err(tell(e.range().start..e.range().end, e.kind().to_string())),
     }
 }
 
-fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str) -> Result<Entry, Vec<Diagnostic>> {
+/// The first of two keys with one name counts; the second is told.
+fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str, told: &mut Diagnostics) -> Entry {
     use jsonc_parser::ast::Value;
     use jsonc_parser::common::Ranged;
     let at = value.range().start..value.range().end;
@@ -238,27 +327,30 @@ fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str) -> Result<Entry,
             Err(_) => Item::Float(number.value.parse().unwrap_or(f64::NAN)),
         },
         Value::BooleanLit(value) => Item::Bool(value.value),
-        Value::Array(array) => {
-            Item::List(array.elements.iter().map(|v| json_entry(v, text)).collect::<Result<_, _>>()?)
-        }
+        Value::Array(array) => Item::List(array.elements.iter().map(|v| json_entry(v, text, told)).collect()),
         Value::Object(object) => {
             let mut entries: Vec<(Key, Entry)> = Vec::new();
+            let mut seen = BTreeSet::new();
             for property in &object.properties {
                 let range = property.name.range();
                 let key = Key { name: property.name.as_str().to_string(), span: span(range.start..range.end) };
-                if entries.iter().any(|(k, _)| k.name == key.name) {
+                if !seen.insert(key.name.clone()) {
                     let message = format!("duplicate key {}", crate::diagnostic::quoted(&key.name));
-                    return Err(vec![
-                        Diagnostic::error(text, "duplicate", &key.name, key.span, message).help("remove one of them"),
-                    ]);
+                    let path: String = key.name.chars().take(LIMITS.name_bytes).collect();
+                    if told.len() < LIMITS.diagnostics {
+                        told.push(
+                            Diagnostic::error(text, "duplicate", &path, key.span, message).help("remove one of them"),
+                        );
+                    }
+                    continue;
                 }
-                entries.push((key, json_entry(&property.value, text)?));
+                entries.push((key, json_entry(&property.value, text, told)));
             }
             Item::Table(entries)
         }
         Value::NullKeyword(_) => Item::Other,
     };
-    Ok(Entry { item, span: span(at) })
+    Entry { item, span: span(at) }
 }
 
 /// Brackets outside strings, counted before a recursive reader meets them.

@@ -60,6 +60,14 @@ fn bounds(graph: &mut Graph, part: NodeId) -> Option<(NodeId, NodeId)> {
     // e(x) = A x² + B x + C ≤ 0, by derivatives at x = 0.
     let x = graph.coordinate(CoordinateId(0));
     let slopes = jet(graph, difference, &BTreeSet::from([x]), true);
+    let piecewise = |n: &NodeId| match graph.node(*n) {
+        Node::Select(condition, ..) => graph.level(*condition) == Level::Pixel,
+        Node::Abs(a) => graph.level(*a) == Level::Pixel,
+        _ => false,
+    };
+    if graph.reachable(&[difference]).iter().any(piecewise) {
+        return None;
+    }
     let curvature = *slopes.second.get(&(x, x))?;
     if graph.level(curvature) == Level::Pixel || !is_positive(graph, curvature) {
         return None;

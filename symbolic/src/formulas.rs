@@ -1,13 +1,14 @@
 //! The formulas of a document: definitions in any order, then the formulas of `[model]`, and stand-alone formulas.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
 
 use crate::diagnostic::{Diagnostics, quoted};
 use crate::document::{Entry, Item, Key, Text, to_json};
-use crate::elaborate::{Binding, Elaborator, Matrix};
-use crate::graph::{Graph, Node, NodeId, operands};
+use crate::elaborate::{Binding, Elaborator, Function, Matrix, Workings};
+use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
-use crate::parser::{Expr, Fault, Kind, parse};
+use crate::parser::{Expr, Kind, parse};
 use crate::program::{ConstantId, Input, Level};
 use crate::reader::Faults;
 
@@ -15,6 +16,7 @@ use crate::reader::Faults;
 pub(crate) struct Definition {
     pub name: String,
     pub arguments: Vec<String>,
+    pub is_function: bool,
     pub key: String,
     pub text: Text,
     /// False when the name itself is at fault.
@@ -26,56 +28,62 @@ pub(crate) struct FormulaReader<'f, 'd> {
     pub graph: Graph,
     names: BTreeMap<String, Binding>,
     pub faults: &'f mut Faults<'d>,
-    tokens_left: usize,
-    steps_left: usize,
+    tokens_left: Option<usize>,
+    workings: Workings,
 }
+
+/// A definition that is read, and the names that it uses.
+type Read = (Definition, Expr, BTreeSet<String>);
 
 impl<'f, 'd> FormulaReader<'f, 'd> {
     pub fn new(graph: Graph, names: BTreeMap<String, Binding>, faults: &'f mut Faults<'d>) -> FormulaReader<'f, 'd> {
-        FormulaReader { graph, names, faults, tokens_left: LIMITS.tokens, steps_left: LIMITS.steps }
+        FormulaReader { graph, names, faults, tokens_left: Some(LIMITS.tokens), workings: Workings::default() }
+    }
+
+    /// Some names could not be read: from here on one that nothing declares is silent.
+    pub fn lacks_names(&mut self) {
+        self.workings.lacks_names = true;
     }
 
     /// Works out all definitions, each after those that it uses; a cycle is told once, at the first of its names.
     pub fn definitions(&mut self, definitions: Vec<Definition>) {
-        let mut waiting: Vec<(Definition, Expr, BTreeSet<String>)> = Vec::new();
-        for definition in definitions {
-            match parse(&definition.text.value, &mut self.tokens_left) {
-                Ok(expr) => {
-                    let mut used = BTreeSet::new();
-                    names_used(&expr, &mut used);
-                    used.retain(|name| !definition.arguments.contains(name));
-                    waiting.push((definition, expr, used));
-                }
-                Err(fault) => {
-                    self.faults.tell_fault(fault, &definition.key, &definition.text);
-                    self.names.insert(definition.name, Binding::Poisoned);
-                }
-            }
+        let mut waiting: Vec<Read> = Vec::new();
+        for mut definition in definitions {
+            let parsed = parse(&definition.text.value, &mut self.tokens_left);
+            definition.declared &= parsed.faults.is_empty();
+            self.faults.tell_all(parsed.faults, &definition.key, &definition.text);
+            let mut used = BTreeSet::new();
+            names_used(&parsed.expr, &mut used);
+            used.retain(|name| !definition.arguments.contains(name));
+            waiting.push((definition, parsed.expr, used));
         }
         while !waiting.is_empty() {
             let open: BTreeSet<String> = waiting.iter().map(|(d, ..)| d.name.clone()).collect();
-            let (ready, rest): (Vec<_>, Vec<_>) = waiting.into_iter().partition(|(_, _, used)| used.is_disjoint(&open));
+            let (mut ready, mut rest): (Vec<_>, Vec<_>) =
+                waiting.into_iter().partition(|(_, _, used)| used.is_disjoint(&open));
             if ready.is_empty() {
-                self.tell_cycle(rest);
-                return;
+                (ready, rest) = self.tell_cycle(rest);
             }
             ready.into_iter().for_each(|(definition, expr, _)| self.define(definition, expr));
             waiting = rest;
         }
     }
 
-    /// Everything left waits for something left: follow the first until a name returns.
-    fn tell_cycle(&mut self, waiting: Vec<(Definition, Expr, BTreeSet<String>)>) {
+    /// Everything left waits for something left: follow the first until a name returns. What stands in the circle, then
+    /// the others.
+    fn tell_cycle(&mut self, waiting: Vec<Read>) -> (Vec<Read>, Vec<Read>) {
         let next = |i: usize| waiting.iter().position(|(d, ..)| waiting[i].2.contains(&d.name)).unwrap_or(i);
         let mut path = vec![0];
         while !path.contains(&next(path[path.len() - 1])) {
             path.push(next(path[path.len() - 1]));
         }
         let entry = next(path[path.len() - 1]);
-        let cycle = &path[path.iter().position(|i| *i == entry).unwrap_or(0)..];
+        let mut cycle = path[path.iter().position(|i| *i == entry).unwrap_or(0)..].to_vec();
+        let first = cycle.iter().enumerate().min_by_key(|(_, i)| **i).map_or(0, |(at, _)| at);
+        cycle.rotate_left(first);
         let mut chain: Vec<&str> = cycle.iter().map(|i| waiting[*i].0.name.as_str()).take(8).collect();
-        chain.push(&waiting[entry].0.name);
-        let (definition, ..) = &waiting[entry];
+        chain.push(if cycle.len() > 8 { "…" } else { chain[0] });
+        let (definition, ..) = &waiting[cycle[0]];
         let span = definition.text.span(0, definition.text.value.len());
         let message = format!("{} is defined by itself: {}", quoted(&definition.name), chain.join(" → "));
         self.faults.tell(
@@ -85,61 +93,67 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
             message,
             "definitions may stand in any order, but not in a circle",
         );
-        for (definition, ..) in waiting {
-            self.names.insert(definition.name, Binding::Poisoned);
+        let (mut inside, mut outside) = (Vec::new(), Vec::new());
+        for (i, mut read) in waiting.into_iter().enumerate() {
+            if cycle.contains(&i) {
+                read.0.declared = false;
+                self.names.entry(read.0.name.clone()).or_insert(Binding::Poisoned);
+                inside.push(read);
+            } else {
+                outside.push(read);
+            }
         }
+        (inside, outside)
     }
 
     fn define(&mut self, definition: Definition, expr: Expr) {
-        let Definition { name, arguments, key, text, declared } = definition;
-        let binding = if !declared {
-            Binding::Poisoned
-        } else if !arguments.is_empty() {
-            // A trial with plain numbers finds names that nothing defines, even where nobody calls the function.
-            let trial = self.work_out(&expr, &text, |e, expr| e.trial(&arguments, expr));
-            if let Err(fault) = trial
-                && fault.code == "unknown-name"
-            {
-                self.faults.tell_fault(fault, &key, &text);
-                Binding::Poisoned
-            } else {
-                Binding::Function(arguments, expr, text)
+        let Definition { name, arguments, is_function, key, text, declared } = definition;
+        let binding = if is_function {
+            let whole = self.work_out(&expr, &text, &key, |e, expr| {
+                e.trial(&arguments, expr);
+                Some(())
+            });
+            match whole {
+                Some(()) if declared => Binding::Function(Rc::new(Function { arguments, body: expr, text })),
+                _ => Binding::Poisoned,
             }
         } else {
-            match self.work_out(&expr, &text, |e, expr| e.expr(expr)) {
-                Ok(value) => {
+            match self.work_out(&expr, &text, &key, |e, expr| e.expr(expr).ok()) {
+                Some(value) if declared => {
                     value.entries.iter().for_each(|n| self.graph.set_opaque(*n));
                     Binding::Value(value)
                 }
-                Err(fault) => {
-                    self.faults.tell_fault(fault, &key, &text);
-                    Binding::Poisoned
-                }
+                _ => Binding::Poisoned,
             }
         };
         self.names.entry(name).or_insert(binding);
     }
 
+    /// What `f` makes of a formula; `None`, and all its faults told, when there are any.
     fn work_out<T>(
         &mut self,
         expr: &Expr,
         text: &Text,
-        f: impl Fn(&mut Elaborator<'_>, &Expr) -> Result<T, Fault>,
-    ) -> Result<T, Fault> {
-        let mut elaborator = Elaborator::new(&mut self.graph, &self.names, text.clone(), &mut self.steps_left);
-        let result = f(&mut elaborator, expr)?;
-        if self.graph.overflowed() {
-            let message = format!("the model's formulas grow past {} distinct operations", LIMITS.nodes);
-            return Err(Fault::new("limit", 0, text.value.len(), message).help("shorten the sums"));
+        key: &str,
+        f: impl FnOnce(&mut Elaborator<'_>, &Expr) -> Option<T>,
+    ) -> Option<T> {
+        let mut elaborator = Elaborator::new(&mut self.graph, &self.names, text.clone(), &mut self.workings);
+        let mut result = f(&mut elaborator, expr);
+        if elaborator.charge(0, expr).is_err() {
+            result = None;
         }
-        Ok(result)
+        let faults = std::mem::take(&mut elaborator.faults);
+        result = result.filter(|_| faults.is_empty());
+        self.faults.tell_all(faults, key, text);
+        result
     }
 
+    /// A formula of `[model]`.
     fn formula(
         &mut self,
         key: &str,
         entry: &Entry,
-        f: fn(&mut Elaborator<'_>, &Expr) -> Result<NodeId, Fault>,
+        f: fn(&mut Elaborator<'_>, &Expr) -> Option<NodeId>,
     ) -> Option<NodeId> {
         if let Item::Integer(_) | Item::Float(_) = entry.item {
             let value = to_json(entry).to_string();
@@ -148,13 +162,9 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         }
         let text = self.faults.text(key, entry)?;
         let parsed = parse(&text.value, &mut self.tokens_left);
-        match parsed.and_then(|expr| self.work_out(&expr, text, f)) {
-            Ok(node) => Some(node),
-            Err(fault) => {
-                self.faults.tell_fault(fault, key, text);
-                None
-            }
-        }
+        let is_readable = parsed.faults.is_empty();
+        self.faults.tell_all(parsed.faults, key, text);
+        self.work_out(&parsed.expr, text, key, f).filter(|_| is_readable)
     }
 
     /// From here on formulas may say `intensity`, unless the document uses the name for something else.
@@ -168,11 +178,11 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
 
     /// A formula whose value is a number.
     pub fn number(&mut self, key: &str, entry: &Entry) -> Option<NodeId> {
-        self.formula(key, entry, |e, expr| e.scalar(expr))
+        self.formula(key, entry, |e, expr| e.scalar(expr).ok())
     }
     /// A formula whose value is a condition.
     pub fn truth(&mut self, key: &str, entry: &Entry) -> Option<NodeId> {
-        self.formula(key, entry, |e, expr| e.truth(expr))
+        self.formula(key, entry, |e, expr| e.truth(expr).ok())
     }
 
     /// `observed` knows no parameters or coordinates, `domain` no channels, a constraint neither coordinates nor channels.
@@ -213,6 +223,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
             );
         }
         if let Some(node) = intensity
+            && !self.workings.lacks_names
             && !reads(self, node, |n| matches!(n, Node::Input(Input::Parameter(_))))
         {
             tell(self, "model.intensity", "`intensity` depends on no parameter", "there is nothing to fit");
@@ -236,7 +247,7 @@ fn names_used(expr: &Expr, names: &mut BTreeSet<String>) {
         Kind::Name(name) => {
             names.insert(name.clone());
         }
-        Kind::List(list) | Kind::And(list) | Kind::Or(list) => visit(list),
+        Kind::List(list) | Kind::And(list) | Kind::Or(list) | Kind::Broken(list) => visit(list),
         Kind::Sum(parts) | Kind::Product(parts) => parts.iter().for_each(|(_, e)| names_used(e, names)),
         Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => names_used(a, names),
         Kind::Power(a, b) | Kind::Compare(_, a, b) => {
@@ -274,14 +285,13 @@ impl Formula {
         }
         let mut reader = FormulaReader::new(graph, names, &mut faults);
         let text = Text::alone(text);
-        let mut tokens = LIMITS.tokens;
-        let worked = parse(&text.value, &mut tokens).and_then(|expr| reader.work_out(&expr, &text, |e, x| e.scalar(x)));
-        match worked {
-            Ok(node) => Ok(Formula { graph: reader.graph, node, variables: variables.len() }),
-            Err(fault) => {
-                faults.tell_fault(fault, "", &text);
-                Err(faults.list)
-            }
+        let parsed = parse(&text.value, &mut reader.tokens_left);
+        let is_readable = parsed.faults.is_empty();
+        reader.faults.tell_all(parsed.faults, "", &text);
+        let node = reader.work_out(&parsed.expr, &text, "", |e, x| e.scalar(x).ok());
+        match node.filter(|_| is_readable) {
+            Some(node) => Ok(Formula { graph: reader.graph, node, variables: variables.len() }),
+            None => Err(faults.finish()),
         }
     }
 
@@ -294,13 +304,4 @@ impl Formula {
         };
         self.graph.evaluate(self.node, &leaf)
     }
-}
-
-/// Total uses of each node below `roots` by other nodes.
-pub(crate) fn use_counts(graph: &Graph, roots: &[NodeId]) -> BTreeMap<NodeId, u32> {
-    let mut counts = BTreeMap::new();
-    for id in graph.reachable(roots) {
-        operands(graph.node(id)).into_iter().for_each(|n| *counts.entry(n).or_default() += 1);
-    }
-    counts
 }

@@ -3,7 +3,10 @@
 //! What comes in: operations, by constructors that keep a canonical form. What goes out: dense ids; equal expressions have
 //! equal ids; an operand's id is smaller than its user's. It never knows where a formula came from beyond a span per node.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use rustc_hash::FxHashMap;
 
 use crate::diagnostic::Span;
 use crate::function::{Function1, Function2};
@@ -34,9 +37,9 @@ pub(crate) enum Node {
     Coordinate(CoordinateId),
     Channel(ChannelId),
     /// constant + Σ coefficient · node; no coefficient is 0, at least one term.
-    Sum(Bits, Vec<(NodeId, Bits)>),
+    Sum(Bits, Arc<[(NodeId, Bits)]>),
     /// Π node^exponent; no exponent is 0; never a single factor with exponent 1.
-    Product(Vec<(NodeId, i32)>),
+    Product(Arc<[(NodeId, i32)]>),
     Sqrt(NodeId),
     Abs(NodeId),
     Call1(Function1, NodeId),
@@ -55,13 +58,16 @@ pub(crate) struct Graph {
     levels: Vec<Level>,
     spans: Vec<Option<Span>>,
     opaque: Vec<bool>,
-    index: HashMap<Node, NodeId>,
+    index: FxHashMap<Node, NodeId>,
     span: Option<Span>,
     overflowed: bool,
     positive: BTreeSet<ParameterId>,
 }
 
 impl Graph {
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
     pub fn node(&self, id: NodeId) -> &Node {
         &self.nodes[id.index()]
     }
@@ -108,7 +114,7 @@ impl Graph {
             Node::Coordinate(_) | Node::Channel(_) => Level::Pixel,
             _ => Level::Pass,
         };
-        let level = operands(&node).into_iter().map(|n| self.level(n)).max().unwrap_or(own);
+        let level = operands(&node).map(|n| self.level(n)).max().unwrap_or(own);
         self.index.insert(node.clone(), id);
         self.nodes.push(node);
         self.levels.push(level);
@@ -170,6 +176,24 @@ impl Graph {
         }
     }
 
+    /// Terms of a sum, factors of a product.
+    pub fn operand_count(&self, id: NodeId) -> usize {
+        match self.node(id) {
+            Node::Sum(_, terms) => terms.len(),
+            Node::Product(factors) => factors.len(),
+            _ => 0,
+        }
+    }
+
+    /// The largest magnitude of a product's exponents.
+    pub fn exponent_max(&self, id: NodeId) -> u32 {
+        match self.node(id) {
+            Node::Product(factors) => factors.iter().map(|(_, e)| e.unsigned_abs()).max().unwrap_or(0),
+            Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => self.exponent_max(terms[0].0),
+            _ => 0,
+        }
+    }
+
     pub fn add2(&mut self, a: NodeId, b: NodeId) -> NodeId {
         self.sum(0.0, [(a, 1.0), (b, 1.0)])
     }
@@ -182,7 +206,7 @@ impl Graph {
             && coefficient != 1.0
             && coefficient != 0.0
         {
-            return self.add(Node::Sum(Bits::new(0.0), vec![(a, Bits::new(coefficient))]));
+            return self.add(Node::Sum(Bits::new(0.0), Arc::new([(a, Bits::new(coefficient))])));
         }
         self.sum(0.0, [(a, coefficient)])
     }
@@ -212,7 +236,7 @@ impl Graph {
                         pending.push((list[0].0, exponent));
                     } else if content != 1.0 && !self.is_opaque(node) {
                         let (constant, list) = (constant.get() / content, list.clone());
-                        let list = list.into_iter().map(|(n, c)| (n, Bits::new(c.get() / content))).collect();
+                        let list = list.iter().map(|(n, c)| (*n, Bits::new(c.get() / content))).collect();
                         coefficient *= power(content, exponent);
                         let primitive = self.add(Node::Sum(Bits::new(constant), list));
                         collected.push((primitive, exponent));
@@ -238,7 +262,7 @@ impl Graph {
         let body = match merged[..] {
             [] => return self.number(coefficient),
             [(node, 1)] => node,
-            _ => self.add(Node::Product(merged)),
+            _ => self.add(Node::Product(merged.into())),
         };
         self.scale(coefficient, body)
     }
@@ -308,15 +332,24 @@ impl Graph {
         roots.iter().for_each(|r| live[r.index()] = true);
         for i in (0..self.nodes.len()).rev() {
             if live[i] {
-                operands(&self.nodes[i]).into_iter().for_each(|n| live[n.index()] = true);
+                operands(&self.nodes[i]).for_each(|n| live[n.index()] = true);
             }
         }
         (0..self.nodes.len()).filter(|i| live[*i]).map(|i| NodeId(i as u32)).collect()
     }
 
+    /// Uses of each node by others below `roots`, by index.
+    pub fn use_counts(&self, roots: &[NodeId]) -> Vec<u32> {
+        let mut counts = vec![0; self.nodes.len()];
+        for id in self.reachable(roots) {
+            operands(self.node(id)).for_each(|n| counts[n.index()] += 1);
+        }
+        counts
+    }
+
     /// The same expression with every leaf replaced as `leaf` says (`None` keeps it); opaqueness is kept.
     pub fn substitute(&mut self, root: NodeId, leaf: &mut dyn FnMut(&mut Graph, &Node) -> Option<NodeId>) -> NodeId {
-        let mut map: HashMap<NodeId, NodeId> = HashMap::new();
+        let mut map: FxHashMap<NodeId, NodeId> = FxHashMap::default();
         for id in self.reachable(&[root]) {
             let node = self.node(id).clone();
             let replaced = leaf(self, &node);
@@ -327,10 +360,10 @@ impl Graph {
     }
 
     /// `id` with its operands mapped.
-    pub fn rebuild(&mut self, id: NodeId, map: &HashMap<NodeId, NodeId>) -> NodeId {
+    pub fn rebuild(&mut self, id: NodeId, map: &FxHashMap<NodeId, NodeId>) -> NodeId {
         let at = |n: &NodeId| map.get(n).copied().unwrap_or(*n);
         let node = self.node(id).clone();
-        if operands(&node).iter().all(|n| at(n) == *n) {
+        if operands(&node).all(|n| at(&n) == n) {
             return id;
         }
         self.span = self.spans[id.index()];
@@ -356,7 +389,7 @@ impl Graph {
 
     /// The value in f64, for formulas without pixels. Truth values are 1 and 0. `leaf` gives inputs and coordinates.
     pub fn evaluate(&self, root: NodeId, leaf: &dyn Fn(&Node) -> f64) -> f64 {
-        let mut values: HashMap<NodeId, f64> = HashMap::new();
+        let mut values: FxHashMap<NodeId, f64> = FxHashMap::default();
         let truth = |b: bool| f64::from(u8::from(b));
         for id in self.reachable(&[root]) {
             let at = |n: &NodeId| values[n];
@@ -397,7 +430,7 @@ fn power(base: f64, exponent: i32) -> f64 {
 
 /// What can be divided out of a sum exactly: the common magnitude, or the greatest common divisor of whole coefficients,
 /// with the sign of the first term.
-fn content(constant: Bits, terms: &[(NodeId, Bits)]) -> f64 {
+pub(crate) fn content(constant: Bits, terms: &[(NodeId, Bits)]) -> f64 {
     let all = || terms.iter().map(|(_, c)| c.get()).chain((constant.get() != 0.0).then(|| constant.get()));
     let sign = if terms.first().is_some_and(|(_, c)| c.get() < 0.0) { -1.0 } else { 1.0 };
     let first = terms.first().map_or(1.0, |(_, c)| c.get().abs());
@@ -416,13 +449,19 @@ fn gcd(a: u64, b: u64) -> u64 {
 }
 
 /// The nodes that `node` reads.
-pub(crate) fn operands(node: &Node) -> Vec<NodeId> {
+pub(crate) fn operands(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
+    let (mut few, mut terms, mut factors): ([Option<NodeId>; 3], &[(NodeId, Bits)], &[(NodeId, i32)]) =
+        ([None; 3], &[], &[]);
     match node {
-        Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_) => Vec::new(),
-        Node::Sum(_, terms) => terms.iter().map(|(n, _)| *n).collect(),
-        Node::Product(factors) => factors.iter().map(|(n, _)| *n).collect(),
-        Node::Sqrt(a) | Node::Abs(a) | Node::Call1(_, a) | Node::Not(a) => vec![*a],
-        Node::Call2(_, a, b) | Node::Compare(_, a, b) | Node::And(a, b) | Node::Or(a, b) => vec![*a, *b],
-        Node::Select(c, a, b) => vec![*c, *a, *b],
+        Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_) => {}
+        Node::Sum(_, list) => terms = list,
+        Node::Product(list) => factors = list,
+        Node::Sqrt(a) | Node::Abs(a) | Node::Call1(_, a) | Node::Not(a) => few = [Some(*a), None, None],
+        Node::Call2(_, a, b) | Node::Compare(_, a, b) | Node::And(a, b) | Node::Or(a, b) => {
+            few = [Some(*a), Some(*b), None];
+        }
+        Node::Select(c, a, b) => few = [Some(*c), Some(*a), Some(*b)],
     }
+    let listed = terms.iter().map(|(n, _)| *n).chain(factors.iter().map(|(n, _)| *n));
+    few.into_iter().flatten().chain(listed)
 }

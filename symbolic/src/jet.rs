@@ -4,7 +4,9 @@
 //! nodes ("cuts") that are treated as independent. The chain rule over cuts is applied by [`totals`]; nothing is ever
 //! expanded through a shared nonlinear node. A branch not taken contributes an exact zero, never 0 · NaN.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
+
+use rustc_hash::FxHashMap;
 
 use crate::function::{Function1, Function2};
 use crate::graph::{Graph, Node, NodeId, operands};
@@ -77,7 +79,7 @@ impl Form {
 /// The jet of `root` over `variables`; a variable below another is not seen through it. `root` itself may be a variable.
 /// Second derivatives are left out unless `second` is asked for.
 pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>, second: bool) -> Jet {
-    let mut jets: HashMap<NodeId, Jet> = HashMap::new();
+    let mut jets: FxHashMap<NodeId, Jet> = FxHashMap::default();
     for id in segment(graph, root, variables) {
         let jet = if id != root && variables.contains(&id) {
             let one = graph.number(1.0);
@@ -107,20 +109,20 @@ fn segment(graph: &Graph, root: NodeId, variables: &BTreeSet<NodeId>) -> BTreeSe
         if id != root && variables.contains(&id) {
             continue;
         }
-        stack.extend(operands(graph.node(id)).into_iter().filter(|n| seen.insert(*n)));
+        stack.extend(operands(graph.node(id)).filter(|n| seen.insert(*n)));
     }
     seen
 }
 
-fn step(graph: &mut Graph, id: NodeId, jets: &HashMap<NodeId, Jet>) -> Jet {
+fn step(graph: &mut Graph, id: NodeId, jets: &FxHashMap<NodeId, Jet>) -> Jet {
     let node = graph.node(id).clone();
-    if operands(&node).iter().all(|n| jets[n].first.is_empty()) {
+    if operands(&node).all(|n| jets[&n].first.is_empty()) {
         return Jet::default();
     }
     let mut form = Form::default();
     match &node {
         Node::Sum(_, terms) => {
-            for (n, coefficient) in terms {
+            for (n, coefficient) in terms.iter() {
                 let coefficient = graph.number(coefficient.get());
                 form.add(graph, coefficient, &jets[n]);
             }
@@ -154,7 +156,7 @@ fn unary(graph: &mut Graph, jet: &Jet, d1: NodeId, d2: NodeId, form: &mut Form) 
     form.add_product(graph, d2, jet, jet, true);
 }
 
-fn product(graph: &mut Graph, factors: &[(NodeId, i32)], jets: &HashMap<NodeId, Jet>, form: &mut Form) {
+fn product(graph: &mut Graph, factors: &[(NodeId, i32)], jets: &FxHashMap<NodeId, Jet>, form: &mut Form) {
     // ∂P/∂f = e f^(e−1) · rest, and the same once more for the second order.
     let lowered = |graph: &mut Graph, i: usize, j: usize| {
         let mut list = factors.to_vec();
@@ -246,7 +248,7 @@ fn binary(
     a: NodeId,
     b: NodeId,
     value: NodeId,
-    jets: &HashMap<NodeId, Jet>,
+    jets: &FxHashMap<NodeId, Jet>,
     form: &mut Form,
 ) {
     let (ja, jb) = (&jets[&a], &jets[&b]);
@@ -268,12 +270,16 @@ fn binary(
             form.add_product(graph, mixed, jb, jb, true);
         }
         Function2::Pow => {
-            // With the base: b a^(b−1) and b (b−1) a^(b−2), each its own power, so that a = 0 needs no division.
-            let (less1, less2) = (graph.sum(-1.0, [(b, 1.0)]), graph.sum(-2.0, [(b, 1.0)]));
-            let (p1, p2) = (graph.power(a, less1), graph.power(a, less2));
+            // With the base: b a^b / a and b (b−1) a^b / a². At a = 0 both count as 0, which is right where they exist.
+            let less1 = graph.sum(-1.0, [(b, 1.0)]);
+            let zero = graph.number(0.0);
+            let at_zero = graph.compare(Comparison::Eq, a, zero);
+            let reciprocal = graph.product(1.0, [(a, -1)]);
+            let reciprocal = graph.select(at_zero, zero, reciprocal);
+            let p1 = graph.mul(value, reciprocal);
             let d1 = graph.product(1.0, [(b, 1), (p1, 1)]);
             form.add(graph, d1, ja);
-            let d2 = graph.product(1.0, [(b, 1), (less1, 1), (p2, 1)]);
+            let d2 = graph.product(1.0, [(b, 1), (less1, 1), (p1, 1), (reciprocal, 1)]);
             form.add_product(graph, d2, ja, ja, true);
             if !jb.first.is_empty() {
                 let log = graph.call1(Function1::Log, a);
@@ -291,8 +297,13 @@ fn binary(
 }
 
 /// Total derivatives of cuts with respect to parameters, by the chain rule over lower cuts. `cuts` is ascending.
-pub(crate) fn totals(graph: &mut Graph, cuts: &[NodeId], parameters: &[NodeId], second: bool) -> HashMap<NodeId, Jet> {
-    let mut done: HashMap<NodeId, Jet> = HashMap::new();
+pub(crate) fn totals(
+    graph: &mut Graph,
+    cuts: &[NodeId],
+    parameters: &[NodeId],
+    second: bool,
+) -> FxHashMap<NodeId, Jet> {
+    let mut done: FxHashMap<NodeId, Jet> = FxHashMap::default();
     let one = graph.number(1.0);
     for parameter in parameters {
         done.insert(*parameter, Jet { first: BTreeMap::from([(*parameter, one)]), second: BTreeMap::new() });

@@ -15,29 +15,40 @@
 #![forbid(unsafe_code)]
 
 mod absorb;
+mod calculus;
 mod calls;
 mod cuts;
+mod derivation;
 mod diagnostic;
 mod document;
 mod domain;
+mod double_double;
+#[cfg(test)]
+mod duals_tests;
 mod elaborate;
+mod evaluate;
 mod formulas;
 mod function;
 mod graph;
+mod hyper;
 pub mod interpreter;
 mod jet;
 mod lexer;
 mod limits;
 mod model;
+mod modular;
 mod monomial;
 mod objective;
 mod parser;
 mod peephole;
 mod print;
 mod program;
+mod proof;
 mod reader;
 mod schedule;
+mod search;
 mod steps;
+mod weighed;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use formulas::Formula;
@@ -47,3 +58,4 @@ pub use model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, 
 pub use objective::{Objective, ValueKind};
 pub use print::Show;
 pub use program::*;
+pub use proof::{Form, Proof};

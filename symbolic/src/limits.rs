@@ -27,6 +27,8 @@ pub struct Limits {
     pub iterations: u32,
     /// Terms of one `sum` or `product`.
     pub terms: usize,
+    /// Arguments of a function of the user's.
+    pub arguments: usize,
     /// Entries of a matrix.
     pub entries: usize,
     /// Magnitude of an integer exponent.
@@ -35,8 +37,10 @@ pub struct Limits {
     pub steps: usize,
     /// Nodes of the expression graph, counted while it grows.
     pub nodes: usize,
-    /// Instructions of one program.
+    /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
+    /// Faults that are told of one document.
+    pub diagnostics: usize,
 }
 
 /// The bounds in force.
@@ -53,9 +57,11 @@ pub const LIMITS: Limits = Limits {
     stages: 8,
     iterations: 1000,
     terms: 1024,
+    arguments: 16,
     entries: 256,
     exponent: 64,
     steps: 262_144,
     nodes: 32_768,
     instructions: 8192,
+    diagnostics: 64,
 };

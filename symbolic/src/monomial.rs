@@ -14,9 +14,15 @@ pub(crate) struct Monomial {
 }
 
 fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Vec<(NodeId, i32)> {
-    let mut product: BTreeMap<NodeId, i32> = BTreeMap::new();
-    a.iter().chain(b).for_each(|(n, e)| *product.entry(*n).or_default() += e);
-    product.into_iter().filter(|(_, e)| *e != 0).collect()
+    let mut product = [a, b].concat();
+    product.sort_unstable_by_key(|(n, _)| *n);
+    product.dedup_by(|next, kept| {
+        let same = next.0 == kept.0;
+        kept.1 += if same { next.1 } else { 0 };
+        same
+    });
+    product.retain(|(_, e)| *e != 0);
+    product
 }
 
 /// Σ coefficient · monomial.
@@ -58,6 +64,13 @@ impl Polynomial {
             }
         }
         (product.terms.len() <= TERMS).then_some(product)
+    }
+
+    /// Appends the pixel monomials of the product.
+    pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Vec<(NodeId, i32)>>) {
+        for a in self.terms.keys() {
+            pixels.extend(other.terms.keys().map(|b| multiply(&a.pixel, &b.pixel)));
+        }
     }
 
     pub fn into_terms(self, graph: &mut Graph) -> Vec<Term> {
@@ -123,7 +136,7 @@ impl<'a> Splitter<'a> {
             Node::Product(factors) => {
                 let one = graph.number(1.0);
                 let mut total = Polynomial::of(Monomial::default(), one);
-                for (factor, exponent) in factors {
+                for (factor, exponent) in factors.iter().copied() {
                     let part = if (1..=4).contains(&exponent) { self.expand_at(graph, factor, depth) } else { None };
                     match part {
                         Some(part) if part.terms.len() > 1 => {
@@ -142,7 +155,7 @@ impl<'a> Splitter<'a> {
             }
             Node::Sum(constant, terms) if !self.is_atom(graph, node) => {
                 let mut total = Polynomial::default();
-                for (term, coefficient) in terms {
+                for (term, coefficient) in terms.iter().copied() {
                     let coefficient = graph.number(coefficient.get());
                     let part = self.expand_at(graph, term, depth)?;
                     let scale = Polynomial::of(Monomial::default(), coefficient);
@@ -170,7 +183,7 @@ impl<'a> Splitter<'a> {
     pub fn form(graph: &mut Graph, node: NodeId, split: bool, atoms: &mut BTreeSet<NodeId>) -> Polynomial {
         let pieces = match graph.node(node).clone() {
             Node::Sum(constant, terms) if split => {
-                let mut pieces: Vec<NodeId> = terms.into_iter().map(|(n, c)| graph.scale(c.get(), n)).collect();
+                let mut pieces: Vec<NodeId> = terms.iter().map(|(n, c)| graph.scale(c.get(), *n)).collect();
                 pieces.push(graph.number(constant.get()));
                 pieces
             }

@@ -6,18 +6,19 @@
 //! l_u and l_uv are expanded into pixel and row monomials, so that a few accumulators, each L or Q times a monomial, serve
 //! every entry. Gauss–Newton keeps Σ Q_lm l_u l_v with Q from ∂²F/∂r² alone.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use crate::absorb::absorb;
-use crate::cuts::cut_candidates;
+use crate::absorb::gather;
+use crate::derivation::{Cuts, Derivation, Target};
 use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
-use crate::jet::{Jet, jet, pair, totals};
 use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
-use crate::monomial::{Polynomial, Splitter};
-use crate::program::{Cost, Input, ParameterId, Program};
+use crate::monomial::Splitter;
+use crate::program::{Cost, Input, Level, ParameterId, Program};
+use crate::proof::{Claim, Form, Proof, is_small_f32};
 use crate::schedule::{self, Output, Sums};
+use crate::search;
 
 /// What a value objective sums.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -38,12 +39,10 @@ pub struct Objective {
     subset: Vec<ParameterId>,
     names: crate::program::Names,
     domain: Option<NodeId>,
+    proof: Option<Proof>,
     origin: Origin,
     pub(crate) forms: Vec<(String, NodeId)>,
 }
-
-/// Removal trials of the search over cuts and splits; each derives and schedules once.
-const TRIALS: usize = 24;
 
 impl Objective {
     /// The free parameters.
@@ -110,69 +109,78 @@ impl Objective {
             subset: Vec::new(),
             names,
             domain,
+            proof: None,
             origin: Origin::of(model),
             forms: Vec::new(),
         })
     }
 
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
-        let mut base = model.formulas.graph.clone();
-        let residual = base.sub(model.formulas.observed, model.formulas.intensity);
-        base.set_opaque(residual);
-        let held = method != Method::Newton;
-        let variance = variance(&mut base, model, held);
-        let parameters: Vec<NodeId> = subset.iter().map(|p| base.input(Input::Parameter(*p))).collect();
-        let candidates = cut_candidates(&base, residual, &parameters);
-        let lowering = Lowering { fma: true, drop_saturated: false };
-        let attempt = |cuts: &BTreeSet<NodeId>, split: &BTreeSet<usize>, expand: bool| -> Option<(u32, Objective)> {
-            let plan = Plan { model, subset, method, parameters: &parameters, residual, variance, cuts, split, expand };
-            let objective = plan.build(base.clone())?;
-            let cost = objective.cost(lowering).ok()?;
-            let calls: u32 = cost.calls.values().sum();
-            Some((cost.flops_per_pixel + 20 * calls, objective))
+        let mut graph = model.formulas.graph.clone();
+        let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
+        let residual = gather(&mut graph, residual);
+        graph.set_opaque(residual);
+        let newton = method == Method::Newton;
+        let variance = variance(&mut graph, model, !newton);
+        let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
+        let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
+        let target = Target { parameters: &parameters, names: &names, residual, variance, newton };
+        let domain = entry_domain(&mut graph, model);
+        let claim = Claim { model, graph: &graph, residual, variance, domain, parameters: &parameters, newton };
+        let mut refused = None;
+        let mut candidate = |form: Form| -> Option<Objective> {
+            let (derivation, sums) = match form {
+                Form::Unfactored => {
+                    let mut derivation = Derivation::new(graph.clone(), &target, &Cuts::default())?;
+                    derivation.unfactored().map(|sums| (derivation, sums))?
+                }
+                _ => search::fewest_flops(&graph, &target, form == Form::Factored)?,
+            };
+            let mut objective = Objective {
+                names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
+                sums,
+                values: 1,
+                subset: subset.to_vec(),
+                domain,
+                origin: Origin::of(model),
+                forms: derivation.forms,
+                graph: derivation.graph,
+                proof: None,
+            };
+            let program = objective.program(Lowering { fma: true, drop_saturated: false });
+            let errors = claim.check(&program.map_err(|fault| refused = Some(fault)).ok()?)?;
+            objective.proof =
+                Some(Proof { form, exact: errors.exact, error: errors.error, f32_error: errors.f32_error });
+            Some(objective)
         };
-        let (mut cuts, mut split) = (candidates.clone(), BTreeSet::new());
-        let mut best = attempt(&cuts, &split, true);
-        if let Some(plain) = attempt(&cuts, &split, false)
-            && best.as_ref().is_none_or(|(cost, _)| plain.0 < *cost)
-        {
-            best = Some(plain);
-        }
-        let mut trials = TRIALS;
-        for cut in candidates.iter().rev() {
-            let mut fewer = cuts.clone();
-            fewer.remove(cut);
-            trials -= usize::from(trials > 0);
-            if let (Some((cost, _)), true) = (&best, trials > 0)
-                && let Some(trial) = attempt(&fewer, &split, true)
-                && trial.0 < *cost
-            {
-                (best, cuts) = (Some(trial), fewer);
-            }
-        }
-        let forms = best.as_ref().map_or(0, |(_, o)| o.forms.len());
-        for form in 0..forms {
-            let mut more = split.clone();
-            more.insert(form);
-            trials -= usize::from(trials > 0);
-            if let (Some((cost, _)), true) = (&best, trials > 0)
-                && let Some(trial) = attempt(&cuts, &more, true)
-                && trial.0 < *cost
-            {
-                (best, split) = (Some(trial), more);
-            }
-        }
-        let limit = || {
+        safest(&mut candidate).ok_or_else(|| {
             let message = format!(
                 "the derivatives for {} parameters grow past {} distinct operations or {} instructions",
                 subset.len(),
                 LIMITS.nodes,
                 LIMITS.instructions
             );
-            Origin::of(model).fault(message)
-        };
-        best.map(|(_, objective)| objective).ok_or_else(limit)
+            refused.unwrap_or_else(|| Origin::of(model).fault(message))
+        })
     }
+
+    /// What the check of the program found; `None` for a value objective.
+    pub fn proof(&self) -> Option<&Proof> {
+        self.proof.as_ref()
+    }
+}
+
+/// The most factored form whose error in f32 is small, or at most four times that of the unfactored form.
+fn safest(candidate: &mut dyn FnMut(Form) -> Option<Objective>) -> Option<Objective> {
+    let error = |objective: &Objective| objective.proof.and_then(|proof| proof.f32_error);
+    let factored = candidate(Form::Factored);
+    if factored.as_ref().is_some_and(|objective| is_small_f32(error(objective))) {
+        return factored;
+    }
+    let Some(unfactored) = candidate(Form::Unfactored) else { return factored.or_else(|| candidate(Form::Plain)) };
+    let bound = 4.0 * error(&unfactored).unwrap_or(f64::INFINITY);
+    let fits = |objective: &Objective| error(objective).is_none_or(|error| error <= bound);
+    factored.filter(fits).or_else(|| candidate(Form::Plain).filter(fits)).or(Some(unfactored))
 }
 
 /// Where the model's intensity stands, for faults that concern the model as a whole.
@@ -194,9 +202,11 @@ impl Origin {
     }
 
     fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
-        let count = program.instructions().len();
-        if graph.overflowed() || count > LIMITS.instructions {
-            let most = LIMITS.instructions;
+        let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
+            pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
+            _ => (program.instructions().len(), LIMITS.nodes),
+        };
+        if graph.overflowed() || count > most {
             return Err(self.fault(format!("the loop takes {count} instructions; at most {most} are compiled")));
         }
         Ok(program)
@@ -237,175 +247,4 @@ fn at_entry(graph: &mut Graph, node: NodeId) -> NodeId {
 
 fn entry_domain(graph: &mut Graph, model: &Model) -> Option<NodeId> {
     model.formulas.domain.map(|d| at_entry(graph, d))
-}
-
-/// One way to write the sums down.
-struct Plan<'a> {
-    model: &'a Model,
-    subset: &'a [ParameterId],
-    method: Method,
-    parameters: &'a [NodeId],
-    residual: NodeId,
-    variance: Option<NodeId>,
-    cuts: &'a BTreeSet<NodeId>,
-    split: &'a BTreeSet<usize>,
-    expand: bool,
-}
-
-impl Plan<'_> {
-    fn build(&self, mut graph: Graph) -> Option<Objective> {
-        let second = self.method == Method::Newton;
-        let variables: BTreeSet<NodeId> = self.cuts.iter().chain(self.parameters).copied().collect();
-        // The top variables: r, and σ² where it is differentiated.
-        let mut tops = vec![self.residual];
-        tops.extend(self.variance.filter(|_| second));
-        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, second)).collect();
-        let (tops, jets, variance) = absorb(&mut graph, &tops, &jets, self.variance);
-        let (value, form) = self.top_form(&mut graph, &tops, &jets, variance)?;
-        let cuts: Vec<NodeId> = self.cuts.iter().copied().collect();
-        let totals = totals(&mut graph, &cuts, self.parameters, second);
-        if graph.overflowed() {
-            return None;
-        }
-        let mut forms: Vec<(String, NodeId)> = Vec::new();
-        let mut atoms = BTreeSet::new();
-        let mut place = |node: NodeId, name: String| {
-            forms.push((name, node));
-            forms.len() - 1
-        };
-        let first: Vec<_> = form.first.iter().map(|(l, n)| (*l, place(*n, "L".into()))).collect();
-        let quadratic: Vec<_> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q".into()))).collect();
-        let parts: Vec<Polynomial> = forms
-            .iter()
-            .enumerate()
-            .map(|(i, (_, node))| Splitter::form(&mut graph, *node, self.split.contains(&i), &mut atoms))
-            .collect();
-        let splitter = Splitter::new(&atoms);
-        let n = self.parameters.len();
-        let mut outputs =
-            vec![Output { name: "F".into(), terms: splitter.whole(&mut graph, value).into_terms(&mut graph) }];
-        let names: Vec<&str> = self.subset.iter().map(|p| self.model.parameters[p.index()].name.as_str()).collect();
-        let expand = |graph: &mut Graph, node: NodeId| {
-            if self.expand { splitter.expand(graph, node) } else { splitter.whole(graph, node) }
-        };
-        let mut entries: Vec<(String, Polynomial)> = Vec::with_capacity(n + n * (n + 1) / 2);
-        for (i, u) in self.parameters.iter().enumerate() {
-            let mut total = Polynomial::default();
-            for (l, part) in &first {
-                if let Some(l_u) = totals[l].first.get(u) {
-                    let l_u = expand(&mut graph, *l_u);
-                    let part = parts[*part].times(&mut graph, &l_u)?;
-                    total.add(&mut graph, &part);
-                }
-            }
-            entries.push((format!("dF/d{}", names[i]), total));
-        }
-        for (i, u) in self.parameters.iter().enumerate() {
-            for (j, v) in self.parameters.iter().enumerate().skip(i) {
-                let mut total = Polynomial::default();
-                for ((l, m), part) in &quadratic {
-                    let factor = cross(&mut graph, &totals[l], &totals[m], *u, *v, l == m);
-                    if graph.value_of(factor) != Some(0.0) {
-                        let factor = expand(&mut graph, factor);
-                        let part = parts[*part].times(&mut graph, &factor)?;
-                        total.add(&mut graph, &part);
-                    }
-                }
-                for (l, part) in first.iter().filter(|_| second) {
-                    if let Some(l_uv) = totals[l].second.get(&pair(*u, *v)) {
-                        let l_uv = expand(&mut graph, *l_uv);
-                        let part = parts[*part].times(&mut graph, &l_uv)?;
-                        total.add(&mut graph, &part);
-                    }
-                }
-                entries.push((format!("d2F/d{}d{}", names[i], names[j]), total));
-            }
-        }
-        for (name, polynomial) in entries {
-            outputs.push(Output { name, terms: polynomial.into_terms(&mut graph) });
-        }
-        let domain = entry_domain(&mut graph, self.model);
-        if graph.overflowed() {
-            return None;
-        }
-        Some(Objective {
-            names: self.model.names(outputs.iter().map(|o| o.name.clone()).collect()),
-            sums: Sums { outputs },
-            values: 1,
-            subset: self.subset.to_vec(),
-            domain,
-            origin: Origin::of(self.model),
-            forms,
-            graph,
-        })
-    }
-
-    /// F and its form over cuts and parameters: the top variables eliminated.
-    fn top_form(
-        &self,
-        graph: &mut Graph,
-        tops: &[NodeId],
-        jets: &[Jet],
-        variance: Option<NodeId>,
-    ) -> Option<(NodeId, Jet)> {
-        let newton = self.method == Method::Newton;
-        let mut factors = vec![(tops[0], 2)];
-        factors.extend(variance.map(|v| (v, -1)));
-        let square = graph.product(1.0, factors);
-        let value = match (variance, newton) {
-            (Some(v), true) => {
-                let log = graph.call1(crate::function::Function1::Log, v);
-                graph.add2(square, log)
-            }
-            _ => square,
-        };
-        let top = jet(graph, value, &tops.iter().copied().collect(), true);
-        let index = |n: &NodeId| tops.iter().position(|t| t == n);
-        let mut first: BTreeMap<NodeId, Vec<(NodeId, f64)>> = BTreeMap::new();
-        let mut second: BTreeMap<(NodeId, NodeId), Vec<(NodeId, f64)>> = BTreeMap::new();
-        for (t, outer) in &top.first {
-            for (l, inner) in &jets[index(t)?].first {
-                first.entry(*l).or_default().push((graph.mul(*outer, *inner), 1.0));
-            }
-            for (key, inner) in jets[index(t)?].second.iter().filter(|_| newton) {
-                second.entry(*key).or_default().push((graph.mul(*outer, *inner), 1.0));
-            }
-        }
-        for ((s, t), outer) in &top.second {
-            let (a, b) = (&jets[index(s)?], &jets[index(t)?]);
-            for (l, la) in &a.first {
-                for (m, mb) in &b.first {
-                    if s == t && l > m {
-                        continue;
-                    }
-                    let weight = if s != t && l == m { 2.0 } else { 1.0 };
-                    let node = graph.product(1.0, [(*outer, 1), (*la, 1), (*mb, 1)]);
-                    second.entry(pair(*l, *m)).or_default().push((node, weight));
-                }
-            }
-        }
-        let mut form = Jet::default();
-        for (l, terms) in first {
-            form.first.insert(l, graph.sum(0.0, terms));
-        }
-        for (key, terms) in second {
-            form.second.insert(key, graph.sum(0.0, terms));
-        }
-        (!graph.overflowed()).then_some((value, form))
-    }
-}
-
-/// l_u m_v + m_u l_v, or l_u l_v when l is m.
-fn cross(graph: &mut Graph, l: &Jet, m: &Jet, u: NodeId, v: NodeId, same: bool) -> NodeId {
-    let mut terms = Vec::new();
-    let mut add = |graph: &mut Graph, a: Option<&NodeId>, b: Option<&NodeId>| {
-        if let (Some(a), Some(b)) = (a, b) {
-            terms.push((graph.mul(*a, *b), 1.0));
-        }
-    };
-    add(graph, l.first.get(&u), m.first.get(&v));
-    if !same {
-        add(graph, m.first.get(&u), l.first.get(&v));
-    }
-    graph.sum(0.0, terms)
 }

@@ -155,7 +155,7 @@ impl Objective {
 struct Printer<'a> {
     graph: &'a Graph,
     names: &'a crate::program::Names,
-    counts: std::collections::BTreeMap<NodeId, u32>,
+    counts: Vec<u32>,
     shared: std::collections::BTreeMap<NodeId, String>,
     definitions: Vec<String>,
     lines: Vec<String>,
@@ -167,7 +167,7 @@ impl<'a> Printer<'a> {
         let mut roots: Vec<NodeId> = terms.flat_map(|t| [Some(t.coefficient), t.row, t.pixel]).flatten().collect();
         roots.extend(objective.forms.iter().map(|(_, n)| *n));
         let graph = objective.graph();
-        let counts = crate::formulas::use_counts(graph, &roots);
+        let counts = graph.use_counts(&roots);
         Printer {
             graph,
             names: objective.names(),
@@ -192,8 +192,8 @@ impl<'a> Printer<'a> {
                 continue;
             }
             let text = self.text(id, &texts);
-            let leaf = operands(self.graph.node(id)).is_empty();
-            if !leaf && (self.counts.get(&id).copied().unwrap_or(0) > 1 || text.len() > 120) {
+            let leaf = operands(self.graph.node(id)).next().is_none();
+            if !leaf && (self.counts[id.index()] > 1 || text.len() > 120) {
                 let name = format!("t{}", self.shared.len());
                 self.definitions.push(format!("{name} = {text}"));
                 self.shared.insert(id, name.clone());
@@ -219,7 +219,7 @@ impl<'a> Printer<'a> {
             Node::Channel(c) => self.names.channels[c.index()].clone(),
             Node::Sum(constant, terms) => {
                 let mut text = String::new();
-                for (n, c) in terms {
+                for (n, c) in terms.iter() {
                     let c = c.get();
                     text += match (text.is_empty(), c < 0.0) {
                         (true, true) => "-",

@@ -28,9 +28,9 @@ const TOP: [&str; 9] =
 const MODEL: [&str; 8] = ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature"];
 
 /// Checks a document.
-pub(crate) fn read(text: &str, root: Entry) -> Result<Model, Diagnostics> {
-    let mut faults = Faults::of(text);
-    let Some(top) = faults.table("", &root).map(<[_]>::to_vec) else { return Err(faults.list) };
+pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Diagnostics> {
+    let mut faults = Faults::after(text, of_syntax);
+    let Some(top) = faults.table("", &root).map(<[_]>::to_vec) else { return Err(faults.finish()) };
     let mut keys = TOP.to_vec();
     keys.push("stages");
     faults.known("", &top, &keys);
@@ -53,14 +53,19 @@ pub(crate) fn read(text: &str, root: Entry) -> Result<Model, Diagnostics> {
     let stages = read_stages(&mut faults, &top, &parameters);
 
     let mut graph = Graph::default();
-    let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants);
+    let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
     let mut reader = FormulaReader::new(graph, bindings, &mut faults);
-    if !coordinates.is_empty() && !channels.is_empty() {
-        reader.definitions(definitions);
+    // Without one of these every formula would be at fault once more.
+    if coordinates.is_empty()
+        || channels.is_empty()
+        || parameters.is_empty()
+        || names.lacking
+        || reader.faults.is_partial()
+    {
+        reader.lacks_names();
     }
+    reader.definitions(definitions);
     let formulas = match get(&top, "model") {
-        // Without coordinates and channels every formula would be at fault once more.
-        Some(_) if coordinates.is_empty() || channels.is_empty() => None,
         None => {
             faults.tell(
                 "missing-key",
@@ -85,7 +90,7 @@ pub(crate) fn read(text: &str, root: Entry) -> Result<Model, Diagnostics> {
     let document = to_json(&root);
     let digest = Sha256::digest(document.to_string().as_bytes());
     let digest = format!("sha256:{}", digest.iter().map(|b| format!("{b:02x}")).collect::<String>());
-    match (formulas, faults.list.is_empty()) {
+    match (formulas, faults.is_empty()) {
         (Some(formulas), true) => Ok(Model {
             name: name.unwrap_or_default(),
             description: description.unwrap_or_default(),
@@ -100,10 +105,7 @@ pub(crate) fn read(text: &str, root: Entry) -> Result<Model, Diagnostics> {
             digest,
             formulas,
         }),
-        _ => {
-            faults.list.sort_by_key(|d| d.span);
-            Err(faults.list)
-        }
+        _ => Err(faults.finish()),
     }
 }
 
@@ -128,12 +130,20 @@ fn required_text(faults: &mut Faults, top: &[(Key, Entry)], key: &str, whole: Sp
 #[derive(Default)]
 struct Names {
     seen: BTreeMap<String, String>,
+    /// What formulas may call names that are at fault themselves.
+    faulty: Vec<String>,
+    /// A table of names could not be read.
+    lacking: bool,
 }
 
 impl Names {
     /// True when the name is well-formed and new.
     fn declare(&mut self, faults: &mut Faults, key: &str, name: &str, span: Span) -> bool {
         if !faults.name(key, name, span) {
+            // A formula reads `my-name` as two.
+            self.faulty.push(name.to_string());
+            let parts = name.split(|c: char| !(c.is_alphanumeric() || c == '_'));
+            self.faulty.extend(parts.filter(|p| !p.is_empty()).map(String::from));
             return false;
         }
         if let Some(first) = self.seen.get(name) {
@@ -154,6 +164,7 @@ impl Names {
             return Vec::new();
         };
         let Some(list) = faults.list(key, entry, "a list of names") else { return Vec::new() };
+        self.lacking |= list.iter().any(|item| !matches!(item.item, Item::Text(_)));
         if list.is_empty() || list.len() > most {
             let code = if list.is_empty() { "bad-range" } else { "limit" };
             let help = if key == "coordinates" {
@@ -196,7 +207,7 @@ fn read_parameters(
         return Vec::new();
     };
     let Some(table) = faults.table("parameters", entry) else { return Vec::new() };
-    if table.is_empty() || table.len() > LIMITS.parameters {
+    if (table.is_empty() && !faults.is_partial()) || table.len() > LIMITS.parameters {
         let message = format!("a model has 1 to {} parameters, this one {}", LIMITS.parameters, table.len());
         faults.tell(
             if table.is_empty() { "bad-range" } else { "limit" },
@@ -207,10 +218,17 @@ fn read_parameters(
         );
     }
     let mut parameters = Vec::new();
-    for (key, entry) in table.iter().take(LIMITS.parameters) {
+    for (key, entry) in table {
         let path = format!("parameters.{}", key.name);
-        let declared = names.declare(faults, &path, &key.name, key.span);
-        let Some(fields) = faults.table(&path, entry) else { continue };
+        names.declare(faults, &path, &key.name, key.span);
+        // One that is at fault is still a parameter to those who name it.
+        let parameter =
+            |start, min, max, unit| Parameter { name: key.name.clone(), start, min, max, unit, span: key.span };
+        let unread = parameter(Start::Number(f64::NAN), None, None, None);
+        let Some(fields) = faults.table(&path, entry) else {
+            parameters.push(unread);
+            continue;
+        };
         faults.known(&path, fields, &["start", "min", "max", "unit"]);
         let bound = |faults: &mut Faults, name: &str| {
             get(fields, name).and_then(|e| faults.number(&format!("{path}.{name}"), e))
@@ -231,6 +249,7 @@ fn read_parameters(
             );
         }
         if let Some(Start::Number(value)) = start
+            && !matches!((min, max), (Some(min), Some(max)) if min >= max)
             && (min.is_some_and(|m| value <= m) || max.is_some_and(|m| value >= m))
         {
             let at = get(fields, "start").map_or(entry.span, |e| e.span);
@@ -242,9 +261,7 @@ fn read_parameters(
                 "bounds are exclusive: min < start < max",
             );
         }
-        if let (true, Some(start)) = (declared, start) {
-            parameters.push(Parameter { name: key.name.clone(), start, min, max, unit, span: key.span });
-        }
+        parameters.push(start.map_or(unread, |start| parameter(start, min, max, unit)));
     }
     parameters
 }
@@ -287,21 +304,12 @@ fn read_constants(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names) 
     for (i, (key, entry)) in table.iter().enumerate() {
         let path = format!("constants.{}", key.name);
         if i == LIMITS.constants {
-            faults.tell(
-                "limit",
-                &path,
-                key.span,
-                format!("a model has at most {} constants", LIMITS.constants),
-                "remove some",
-            );
-            break;
+            let message = format!("a model has at most {} constants, this one {}", LIMITS.constants, table.len());
+            faults.tell("limit", &path, key.span, message, "remove some");
         }
-        let declared = names.declare(faults, &path, &key.name, key.span);
-        if let Some(value) = faults.number(&path, entry)
-            && declared
-        {
-            constants.push(Constant { name: key.name.clone(), value, span: key.span });
-        }
+        names.declare(faults, &path, &key.name, key.span);
+        let value = faults.number(&path, entry).unwrap_or(f64::NAN);
+        constants.push(Constant { name: key.name.clone(), value, span: key.span });
     }
     constants
 }
@@ -313,24 +321,26 @@ fn read_definitions(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names
     for (i, (key, entry)) in table.iter().enumerate() {
         let path = format!("definitions.{}", key.name);
         if i == LIMITS.definitions {
-            faults.tell(
-                "limit",
-                &path,
-                key.span,
-                format!("a model has at most {} definitions", LIMITS.definitions),
-                "merge some",
-            );
+            let message = format!("a model has at most {} definitions, this one {}", LIMITS.definitions, table.len());
+            faults.tell("limit", &path, key.span, message, "merge some");
+            names.lacking = true;
             break;
         }
-        let (name, arguments) = match key.name.split_once('(') {
+        let (name, arguments): (_, Vec<String>) = match key.name.split_once('(') {
             Some((name, rest)) if rest.trim_end().ends_with(')') => {
                 let inner = rest.trim_end().trim_end_matches(')');
                 (name.trim(), inner.split(',').map(|a| a.trim().to_string()).collect())
             }
             _ => (key.name.as_str(), Vec::new()),
         };
+        let is_function = !arguments.is_empty();
         let mut declared = names.declare(faults, &path, name, key.span);
-        for (j, argument) in arguments.iter().enumerate() {
+        if arguments.len() > LIMITS.arguments {
+            let message = format!("a function has at most {} arguments, not {}", LIMITS.arguments, arguments.len());
+            faults.tell("limit", &path, key.span, message, "gather them in vectors");
+            declared = false;
+        }
+        for (j, argument) in arguments.iter().enumerate().take(LIMITS.arguments) {
             declared &= faults.name(&path, argument, key.span);
             if arguments[..j].contains(argument) {
                 faults.tell(
@@ -343,7 +353,10 @@ fn read_definitions(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names
             }
         }
         if let Some(text) = faults.text(&path, entry) {
-            definitions.push(Definition { name: name.to_string(), arguments, key: path, text: text.clone(), declared });
+            let (name, text) = (name.to_string(), text.clone());
+            definitions.push(Definition { name, arguments, is_function, key: path, text, declared });
+        } else {
+            names.faulty.push(name.to_string());
         }
     }
     definitions
@@ -355,9 +368,13 @@ fn bind(
     channels: &[String],
     parameters: &[Parameter],
     constants: &[Constant],
+    faulty: Vec<String>,
 ) -> BTreeMap<String, Binding> {
     let mut bindings = BTreeMap::new();
-    let mut add = |name: &String, node| bindings.insert(name.clone(), Binding::Value(Matrix::scalar(node)));
+    // The first of two with one name counts.
+    let mut add = |name: &String, node| {
+        bindings.entry(name.clone()).or_insert(Binding::Value(Matrix::scalar(node)));
+    };
     for (i, name) in coordinates.iter().enumerate() {
         add(name, graph.coordinate(CoordinateId(i as u32)));
     }
@@ -375,6 +392,9 @@ fn bind(
     for (i, constant) in constants.iter().enumerate() {
         graph.set_span(Some(constant.span));
         add(&constant.name, graph.input(Input::Constant(ConstantId(i as u32))));
+    }
+    for name in faulty {
+        bindings.entry(name).or_insert(Binding::Poisoned);
     }
     bindings
 }

@@ -1,14 +1,15 @@
 //! Expressions in, a [`Program`] out: operations are chosen (Horner, shared powers, one reciprocal a denominator), placed at
 //! the outermost level of the loop nest that knows their operands, and contracted to FMA where the lowering allows.
 
-use std::collections::{HashMap, HashSet};
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::diagnostic::Span;
 use crate::domain;
 use crate::graph::{Graph, Node, NodeId};
 use crate::model::Lowering;
 use crate::program::{
-    AccumulatorId, Comparison, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId, Value,
+    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId,
+    Value,
 };
 use crate::steps::Step;
 
@@ -33,6 +34,14 @@ pub(crate) struct Sums {
     pub outputs: Vec<Output>,
 }
 
+impl Sums {
+    /// The distinct pixel values that are summed, in order of first use.
+    fn pixels(&self) -> Vec<NodeId> {
+        let mut seen = FxHashSet::default();
+        self.outputs.iter().flat_map(|o| &o.terms).filter_map(|t| t.pixel).filter(|p| seen.insert(*p)).collect()
+    }
+}
+
 /// The loop nest for sums over the pixels of `domain`.
 pub(crate) fn sums(
     graph: &mut Graph,
@@ -42,10 +51,7 @@ pub(crate) fn sums(
     names: Names,
 ) -> Program {
     let mut builder = Builder::new(graph);
-    let pixels: Vec<NodeId> = {
-        let mut seen = HashSet::new();
-        sums.outputs.iter().flat_map(|o| &o.terms).filter_map(|t| t.pixel).filter(|p| seen.insert(*p)).collect()
-    };
+    let pixels = sums.pixels();
     builder.wanted.extend(pixels.iter().copied());
     let mut set = PixelSet::default();
     if let Some(domain) = domain {
@@ -56,13 +62,7 @@ pub(crate) fn sums(
     if lowering.drop_saturated {
         set.saturated = builder.saturated(&pixels);
     }
-    // Small monomials first, so that larger ones find them.
-    let mut order: Vec<usize> = (0..pixels.len()).collect();
-    order.sort_by_key(|i| degree(builder.graph, pixels[*i]));
-    let mut accumulators = vec![Value(0); pixels.len()];
-    for i in order {
-        accumulators[i] = builder.pixel_value(pixels[i]);
-    }
+    let accumulators = builder.pixel_values(&pixels);
     let accumulator = |node: NodeId| AccumulatorId(pixels.iter().position(|p| *p == node).unwrap_or(0) as u32);
 
     let mut totals: Vec<Value> = Vec::new();
@@ -107,6 +107,15 @@ pub(crate) fn sums(
     builder.finish(set, Sink::Sums { accumulators, totals, outputs }, lowering, names)
 }
 
+/// What the pixel loop that sums `pixels` costs: levels outside of it, and the domain, are not looked at.
+pub(crate) fn pixel_cost(graph: &mut Graph, pixels: &[NodeId], lowering: Lowering) -> Cost {
+    let mut builder = Builder::new(graph);
+    builder.wanted.extend(pixels.iter().copied());
+    let accumulators = builder.pixel_values(pixels);
+    let sink = Sink::Sums { accumulators, totals: Vec::new(), outputs: Vec::new() };
+    builder.finish(PixelSet::default(), sink, lowering, Names::default()).cost()
+}
+
 /// The loop nest that adds `value` to a plane.
 pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Program {
     let mut builder = Builder::new(graph);
@@ -125,10 +134,10 @@ pub(crate) struct Builder<'g> {
     pub graph: &'g mut Graph,
     pub instructions: Vec<Instruction>,
     inputs: Vec<Input>,
-    known: HashMap<(OpKey, Level), Value>,
-    pub values: HashMap<NodeId, Value>,
+    known: FxHashMap<(OpKey, Level), Value>,
+    pub values: FxHashMap<NodeId, Value>,
     /// Products that are needed anyway: others are built upon them.
-    pub wanted: HashSet<NodeId>,
+    pub wanted: FxHashSet<NodeId>,
     span: Option<Span>,
 }
 
@@ -159,9 +168,9 @@ impl<'g> Builder<'g> {
             graph,
             instructions: Vec::new(),
             inputs: Vec::new(),
-            known: HashMap::new(),
-            values: HashMap::new(),
-            wanted: HashSet::new(),
+            known: FxHashMap::default(),
+            values: FxHashMap::default(),
+            wanted: FxHashSet::default(),
             span: None,
         }
     }
@@ -201,6 +210,17 @@ impl<'g> Builder<'g> {
         let x = self.emit(Op::Offset(zero), Level::Pixel);
         let always = self.emit(Op::Compare(Comparison::Eq, x, x), Level::Pixel);
         self.emit(Op::Select(always, value, value), Level::Pixel)
+    }
+
+    /// The pixel values of the accumulators: small monomials first, so that larger ones find them.
+    fn pixel_values(&mut self, pixels: &[NodeId]) -> Vec<Value> {
+        let mut order: Vec<usize> = (0..pixels.len()).collect();
+        order.sort_by_key(|i| degree(self.graph, pixels[*i]));
+        let mut accumulators = vec![Value(0); pixels.len()];
+        for i in order {
+            accumulators[i] = self.pixel_value(pixels[i]);
+        }
+        accumulators
     }
 
     /// Where any channel that the pixel values read is at or above its limit.

@@ -206,7 +206,7 @@ impl Builder<'_> {
                 Node::Product(factors)
                     if !self.graph.is_opaque(*node) && factors.iter().any(|(n, e)| *n == factor && *e > 0) =>
                 {
-                    Some(self.graph.product(1.0, factors.into_iter().chain([(factor, -1)])))
+                    Some(self.graph.product(1.0, factors.iter().copied().chain([(factor, -1)])))
                 }
                 _ => None,
             };

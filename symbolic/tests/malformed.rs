@@ -1,7 +1,9 @@
 //! Every document of tests/malformed/ is refused with a diagnostic that names the fault, its key and its place.
 //!
-//! A document's first line says what is expected: `# code: unknown-name key: model.intensity` (in JSON documents `//`,
-//! blanked before parsing so that lines keep their numbers). `*` in a key stands for any text, a code of `*` for any code.
+//! A document's first lines say what is expected: `# code: unknown-name key: model.intensity`, one line a fault, in the
+//! order of the document, and nothing beside them: no fault may hide another or draw one after it (in JSON documents `//`,
+//! one line, blanked before parsing so that lines keep their numbers). `*` in a key stands for any text, a code of `*` for
+//! any code.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -25,10 +27,12 @@ fn documents() -> Vec<PathBuf> {
     files
 }
 
-fn expectation(text: &str) -> Option<Expected> {
-    let line = text.lines().next()?.trim_start_matches(['#', '/']).trim();
-    let (code, key) = line.strip_prefix("code:")?.split_once("key:")?;
-    Some(Expected { code: code.trim().into(), key: key.trim().into() })
+fn expectations(text: &str) -> Vec<Expected> {
+    let expectation = |line: &str| {
+        let (code, key) = line.trim_start_matches(['#', '/']).trim().strip_prefix("code:")?.split_once("key:")?;
+        Some(Expected { code: code.trim().into(), key: key.trim().into() })
+    };
+    text.lines().map_while(expectation).collect()
 }
 
 /// `pattern` with at most one `*`.
@@ -39,9 +43,9 @@ fn fits(pattern: &str, text: &str) -> bool {
     }
 }
 
-fn read(path: &Path) -> (Expected, Result<Model, Diagnostics>, String) {
+fn read(path: &Path) -> (Vec<Expected>, Result<Model, Diagnostics>, String) {
     let text = fs::read_to_string(path).unwrap();
-    let expected = expectation(&text).unwrap_or_else(|| panic!("{}: the first line says nothing", path.display()));
+    let expected = expectations(&text);
     let json = path.extension().is_some_and(|extension| extension == "json");
     let blank = text.lines().next().map_or(0, str::len);
     let document = if json { " ".repeat(blank) + &text[blank..] } else { text };
@@ -78,15 +82,16 @@ fn every_malformed_document_is_refused_where_its_fault_stands() {
             continue;
         };
         let Err(diagnostics) = result else {
-            wrong.push(format!("{name}: accepted, expected {} at {}", expected.code, expected.key));
+            wrong.push(format!("{name}: accepted, expected {} faults", expected.len()));
             continue;
         };
         wrong.extend(diagnostics.iter().filter_map(|d| fault_of(d, &document)).map(|fault| format!("{name}: {fault}")));
         let errors: Vec<&Diagnostic> = diagnostics.iter().filter(|d| d.severity == Severity::Error).collect();
-        let named = errors.iter().any(|d| fits(&expected.code, &d.code) && fits(&expected.key, &d.key));
-        if !named {
+        let is_named = |(e, d): (&Expected, &&Diagnostic)| fits(&e.code, &d.code) && fits(&e.key, &d.key);
+        if errors.len() != expected.len() || !expected.iter().zip(&errors).all(is_named) {
             let got: Vec<String> = errors.iter().map(|d| format!("{} at `{}`: {}", d.code, d.key, d.message)).collect();
-            wrong.push(format!("{name}: expected {} at `{}`, got {got:?}", expected.code, expected.key));
+            let wanted: Vec<String> = expected.iter().map(|e| format!("{} at `{}`", e.code, e.key)).collect();
+            wrong.push(format!("{name}: expected {wanted:?}, got {got:#?}"));
         }
     }
     assert!(wrong.is_empty(), "{} of {} documents:\n{}", wrong.len(), files.len(), wrong.join("\n"));
@@ -97,7 +102,7 @@ fn there_are_at_least_100_and_each_says_what_is_expected() {
     let files = documents();
     assert!(files.len() >= 100, "{} documents", files.len());
     for path in files {
-        assert!(expectation(&fs::read_to_string(&path).unwrap()).is_some(), "{} says nothing", path.display());
+        assert!(!expectations(&fs::read_to_string(&path).unwrap()).is_empty(), "{} says nothing", path.display());
     }
 }
 

@@ -24,7 +24,6 @@ mod options;
 #[cfg(test)]
 mod picture;
 mod report;
-mod self_check;
 mod stage;
 mod start;
 mod tracker;

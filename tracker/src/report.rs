@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat};
-use isophote_symbolic::Method;
+use isophote_symbolic::{Diagnostics, Lowering, Method, Model, Objective, Proof};
 use serde::{Deserialize, Serialize};
 
 use crate::compiled::{CompileFailure, Compiled, Control, lowering};
-use crate::self_check::self_check;
 
 /// Costs and self-check of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,8 +17,8 @@ pub struct CheckReport {
     pub digest: String,
     /// One a stage.
     pub stages: Vec<StageCost>,
-    /// The largest difference between a compiled derivative and a difference quotient of compiled values, relative to what
-    /// the derivative can be at most (`√(2 F H_ii)`), on a made-up picture in f64. Absent when F is not finite there.
+    /// The largest error of a stage's program in f64, over the sum of the absolute terms, at a made-up point (see
+    /// [`Proof`]). Absent when F is finite at none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub self_check_error: Option<f64>,
 }
@@ -41,8 +40,38 @@ pub struct StageCost {
     pub flops_per_pass: u32,
     /// Elementary functions a pixel, by name.
     pub calls: BTreeMap<String, u32>,
+    /// What the check of its program found.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub proof: Option<Proof>,
     /// From checked model to native code.
     pub compile_ms: f64,
+}
+
+impl StageCost {
+    /// The figures of an objective.
+    ///
+    /// # Errors
+    /// When its program is too long.
+    pub fn of(
+        model: &Model,
+        objective: &Objective,
+        method: Method,
+        lowering: Lowering,
+        compile_ms: f64,
+    ) -> Result<StageCost, Diagnostics> {
+        let cost = objective.cost(lowering)?;
+        Ok(StageCost {
+            parameters: objective.subset().iter().map(|id| model.parameters()[id.index()].name.clone()).collect(),
+            method,
+            flops_per_pixel: cost.flops_per_pixel,
+            accumulators: cost.accumulators,
+            flops_per_row: cost.flops_per_row,
+            flops_per_pass: cost.flops_per_pass,
+            calls: cost.calls.iter().map(|(name, count)| (name.to_string(), *count)).collect(),
+            proof: objective.proof().copied(),
+            compile_ms,
+        })
+    }
 }
 
 impl Compiled {
@@ -65,23 +94,16 @@ impl Compiled {
             };
             Kernel::compile(&program, &options).map_err(|error| CompileFailure::Kernel(error.into()))?;
             let end_ns = clock_ns();
-            let cost = objective.cost(lowering(Control::Plain)).map_err(CompileFailure::Model)?;
-            stages.push(StageCost {
-                parameters: stage.parameters.iter().map(|id| model.parameters()[id.index()].name.clone()).collect(),
-                method: stage.method,
-                flops_per_pixel: cost.flops_per_pixel,
-                accumulators: cost.accumulators,
-                flops_per_row: cost.flops_per_row,
-                flops_per_pass: cost.flops_per_pass,
-                calls: cost.calls.iter().map(|(name, count)| (name.to_string(), *count)).collect(),
-                compile_ms: end_ns.saturating_sub(begin_ns) as f64 / 1e6,
-            });
+            let compile_ms = end_ns.saturating_sub(begin_ns) as f64 / 1e6;
+            let cost = StageCost::of(model, &objective, stage.method, lowering(Control::Plain), compile_ms);
+            stages.push(cost.map_err(CompileFailure::Model)?);
         }
+        let errors = stages.iter().filter_map(|stage| stage.proof?.error);
         Ok(CheckReport {
             model: model.name().to_string(),
             digest: model.digest().to_string(),
+            self_check_error: errors.reduce(f64::max),
             stages,
-            self_check_error: self_check(model)?,
         })
     }
 }

@@ -1,38 +1,114 @@
 //! Faults of a document as they are found, each at its key and place.
 
+use std::collections::HashMap;
+
 use crate::diagnostic::{Diagnostic, Diagnostics, Span, nearest_name, quoted};
 use crate::document::{Entry, Item, Key, Text};
 use crate::elaborate::is_reserved;
 use crate::limits::LIMITS;
 use crate::model::Parameter;
-use crate::parser::Fault;
+use crate::parser::{Fault, STRAY_CHARACTER};
 use crate::program::ParameterId;
+
+/// A fault that is not shown yet.
+struct Found {
+    code: String,
+    key: String,
+    span: Span,
+    message: String,
+    help: Option<String>,
+}
+
+/// Characters of a key that are shown.
+const KEY_CHARACTERS: usize = 200;
 
 /// Collects faults; keys are paths such as `stages[0].method`.
 pub(crate) struct Faults<'a> {
     document: &'a str,
-    pub list: Diagnostics,
+    list: Vec<Found>,
+    /// What the document's reader already told: its syntax.
+    of_syntax: Diagnostics,
 }
 
 impl<'a> Faults<'a> {
     /// No faults yet of this document.
     pub fn of(document: &'a str) -> Faults<'a> {
-        Faults { document, list: Vec::new() }
+        Faults { document, list: Vec::new(), of_syntax: Vec::new() }
+    }
+
+    /// Faults of a document that could be read in spite of these.
+    pub fn after(document: &'a str, of_syntax: Diagnostics) -> Faults<'a> {
+        Faults { of_syntax, ..Faults::of(document) }
+    }
+
+    /// True when lines of the document could not be read: what seems to be missing may stand there.
+    pub fn is_partial(&self) -> bool {
+        self.of_syntax.iter().any(|d| d.code != "duplicate")
+    }
+
+    /// Faults so far.
+    pub fn count(&self) -> usize {
+        self.list.len()
+    }
+
+    /// True when all is well.
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty() && self.of_syntax.is_empty()
+    }
+
+    /// All faults in the order of the document, each once.
+    pub fn finish(self) -> Diagnostics {
+        let Faults { document, mut list, mut of_syntax } = self;
+        // What is told of a key that stands twice follows from that.
+        let stands_twice = |f: &Found| of_syntax.iter().any(|d| d.code == "duplicate" && d.key == f.key);
+        list.retain(|found| !stands_twice(found));
+        list.sort_by_key(|found| found.span);
+        // A name that nothing declares, or a character that no formula holds, is one fault, wherever it stands.
+        let key = |f: &Found| {
+            let is_one = f.code == "unknown-name" || f.message.starts_with(STRAY_CHARACTER);
+            (f.message.clone(), if is_one { Span::default() } else { f.span })
+        };
+        let mut places: HashMap<_, usize> = HashMap::new();
+        list.retain(|found| {
+            let count = places.entry(key(found)).or_default();
+            *count += 1;
+            *count == 1
+        });
+        let all = list.len() + of_syntax.len();
+        for found in list.into_iter().take(LIMITS.diagnostics) {
+            let count = places[&key(&found)];
+            let more = if count > 1 { format!(" (here and in {} more places)", count - 1) } else { String::new() };
+            let more = more.replace("1 more places", "1 more place");
+            let mut diagnostic =
+                Diagnostic::error(document, &found.code, &found.key, found.span, found.message + &more);
+            diagnostic.help = found.help;
+            of_syntax.push(diagnostic);
+        }
+        of_syntax.sort_by_key(|diagnostic| diagnostic.span);
+        if all > LIMITS.diagnostics {
+            of_syntax.truncate(LIMITS.diagnostics);
+            let message = format!("{} more faults are not shown", all - LIMITS.diagnostics);
+            let help = "mend the first ones and check again";
+            let at = of_syntax.last().map_or_else(Span::default, |last| last.span);
+            of_syntax.push(Diagnostic::error(document, "limit", "", at, message).help(help));
+        }
+        of_syntax
     }
 
     pub fn tell(&mut self, code: &str, key: &str, span: Span, message: impl Into<String>, help: impl Into<String>) {
-        self.list.push(Diagnostic::error(self.document, code, key, span, message).help(help));
-    }
-    /// A formula's fault, at its place in the document; poisoned ones are already told.
-    pub fn tell_fault(&mut self, fault: Fault, key: &str, text: &Text) {
-        let told = |d: &Diagnostic| d.code == "limit" && d.message == fault.message;
-        if fault.code == crate::elaborate::POISONED || self.list.iter().any(told) {
+        if self.is_partial() && code == "missing-key" {
             return;
         }
-        let mut diagnostic =
-            Diagnostic::error(self.document, fault.code, key, text.span(fault.start, fault.end), fault.message);
-        diagnostic.help = fault.help;
-        self.list.push(diagnostic);
+        let key = key.chars().take(KEY_CHARACTERS).collect();
+        self.list.push(Found { code: code.into(), key, span, message: message.into(), help: Some(help.into()) });
+    }
+
+    /// A formula's faults, at their places in the document.
+    pub fn tell_all(&mut self, faults: Vec<Fault>, key: &str, text: &Text) {
+        let key: String = key.chars().take(KEY_CHARACTERS).collect();
+        for Fault { code, message, help, start, end } in faults {
+            self.list.push(Found { code: code.into(), key: key.clone(), span: text.span(start, end), message, help });
+        }
     }
 
     pub fn wrong_type(&mut self, key: &str, entry: &Entry, wanted: &str) {
@@ -150,7 +226,8 @@ pub(crate) fn parameter_named(
 ) -> Option<ParameterId> {
     let text = faults.text(key, entry)?;
     let found = parameters.iter().position(|p| p.name == *text.value);
-    if found.is_none() {
+    // Where parameters could not be read, that is told already.
+    if found.is_none() && !parameters.is_empty() && !faults.is_partial() {
         let help = match nearest_name(&text.value, parameters.iter().map(|p| p.name.as_str())) {
             Some(near) => format!("did you mean `{near}`?"),
             None => "name one of the [parameters]".to_string(),

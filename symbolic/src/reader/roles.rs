@@ -49,10 +49,9 @@ fn read_role(
     {
         let Some(entry) = get(fields, field) else { continue };
         let key = format!("{path}.{field}");
-        let before = faults.list.len();
+        let before = faults.count();
         *slot = parameters_named(faults, &key, entry, parameters);
-        // Without coordinates every count would be at fault once more.
-        if slot.len() != wanted && wanted > 0 && faults.list.len() == before {
+        if slot.len() != wanted && coordinates > 0 && !faults.is_partial() && faults.count() == before {
             let message = format!("`{key}` names {wanted} parameters here, not {}", slot.len());
             faults.tell(
                 "shape",

@@ -29,25 +29,21 @@ pub(crate) fn read_stages(faults: &mut Faults, top: &[(Key, Entry)], parameters:
         let Some(fields) = faults.table(&path, item) else { continue };
         faults.known(&path, fields, &["parameters", "method", "iterations", "tolerance"]);
         let key = format!("{path}.parameters");
-        let Some(list) = get(fields, "parameters") else {
+        let before = faults.count();
+        let mut free = Vec::new();
+        if let Some(list) = get(fields, "parameters") {
+            free = parameters_named(faults, &key, list, parameters);
+            if free.is_empty() && !faults.is_partial() && faults.count() == before {
+                let message = "a stage frees at least one parameter";
+                faults.tell("bad-range", &key, list.span, message, "name one, or remove the stage");
+            }
+        } else {
             faults.tell(
                 "missing-key",
                 &key,
                 item.span,
                 "a stage names its free parameters",
                 "add `parameters = [\"bx\", \"by\"]`",
-            );
-            continue;
-        };
-        let before = faults.list.len();
-        let free = parameters_named(faults, &key, list, parameters);
-        if free.is_empty() && faults.list.len() == before {
-            faults.tell(
-                "bad-range",
-                &key,
-                list.span,
-                "a stage frees at least one parameter",
-                "name one, or remove the stage",
             );
         }
         let method =

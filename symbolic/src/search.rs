@@ -1,0 +1,133 @@
+//! Which cuts, and which layout of the forms, make the cheapest pixel loop.
+//!
+//! What comes in: the graph and what is differentiated. What goes out: a derivation and its sums. The number of ways is
+//! exponential; a greedy search from several seeds is bounded by a count of derivations that shrinks as they grow.
+
+use std::collections::BTreeSet;
+
+use crate::cuts::cut_candidates;
+use crate::derivation::{Cuts, Derivation, Layout, Target};
+use crate::graph::Graph;
+use crate::model::Lowering;
+use crate::program::Cost;
+use crate::schedule::Sums;
+
+/// Derivations tried at most, and graph nodes that all of them together may make.
+const DERIVATIONS: usize = 32;
+const NODES: usize = 24_576;
+/// Layouts tried at most, and pixel operations that all of them together may have.
+const LAYOUTS: usize = 96;
+const OPERATIONS: usize = 8192;
+
+struct Found {
+    cuts: Cuts,
+    layout: Layout,
+    derivation: Derivation,
+    weight: u64,
+}
+
+struct Search<'a> {
+    graph: &'a Graph,
+    target: &'a Target<'a>,
+    best: Option<Found>,
+    derivations: usize,
+    nodes: usize,
+    layouts: usize,
+    operations: usize,
+}
+
+/// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
+pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
+    let candidates = cut_candidates(graph, target.residual, target.parameters);
+    let mut search = Search { graph, target, best: None, derivations: 0, nodes: 0, layouts: 0, operations: 0 };
+    // Seeds: all candidates, and each of them alone.
+    search.attempt(Cuts { nodes: candidates.clone(), unify: false });
+    for cut in candidates.iter().filter(|_| candidates.len() > 1) {
+        search.attempt(Cuts { nodes: BTreeSet::from([*cut]), unify: false });
+    }
+    // One cut more or less, while that pays.
+    loop {
+        let before = search.best.as_ref()?.cuts.nodes.clone();
+        for cut in candidates.iter().rev() {
+            let mut nodes = search.best.as_ref()?.cuts.nodes.clone();
+            if !nodes.remove(cut) {
+                nodes.insert(*cut);
+            }
+            search.attempt(Cuts { nodes, unify: false });
+        }
+        if search.best.as_ref()?.cuts.nodes == before || candidates.len() < 2 {
+            break;
+        }
+    }
+    search.layouts();
+    let plain = search.best.take()?;
+    if unify {
+        search.attempt(Cuts { nodes: plain.cuts.nodes.clone(), unify });
+        search.layouts();
+    }
+    let mut best = match search.best {
+        Some(unified) if unified.weight < plain.weight => unified,
+        _ => plain,
+    };
+    let sums = best.derivation.sums(&best.layout)?;
+    Some((best.derivation, sums))
+}
+
+impl Search<'_> {
+    /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
+    fn attempt(&mut self, cuts: Cuts) {
+        if self.derivations >= DERIVATIONS || (self.nodes >= NODES && self.derivations > 1) {
+            return;
+        }
+        self.derivations += 1;
+        let layout = Layout { expand: true, split: BTreeSet::new() };
+        let Some(mut derivation) = Derivation::new(self.graph.clone(), self.target, &cuts) else {
+            self.nodes = NODES;
+            return;
+        };
+        let weight = derivation.pixel_cost(&layout, LOWERING).map(|cost| weight(&cost));
+        self.nodes += derivation.graph.len();
+        if let Some(weight) = weight
+            && self.best.as_ref().is_none_or(|best| weight < best.weight)
+        {
+            self.best = Some(Found { cuts, layout, derivation, weight });
+        }
+    }
+
+    /// Improves the layout of the best: factors whole, forms taken apart one by one.
+    fn layouts(&mut self) {
+        let Some(mut best) = self.best.take() else { return };
+        (self.layouts, self.operations) = (0, 0);
+        let plain = Layout { expand: false, ..best.layout.clone() };
+        self.try_layout(&mut best, plain);
+        for form in 0..best.derivation.forms.len() {
+            if !best.derivation.has_terms(form) {
+                continue;
+            }
+            let mut layout = best.layout.clone();
+            layout.split.insert(form);
+            self.try_layout(&mut best, layout);
+        }
+        self.best = Some(best);
+    }
+
+    fn try_layout(&mut self, best: &mut Found, layout: Layout) {
+        if self.layouts >= LAYOUTS || self.operations >= OPERATIONS {
+            return;
+        }
+        self.layouts += 1;
+        let Some(cost) = best.derivation.pixel_cost(&layout, LOWERING) else { return };
+        self.operations += cost.flops_per_pixel as usize;
+        let weight = weight(&cost);
+        if weight < best.weight {
+            (best.layout, best.weight) = (layout, weight);
+        }
+    }
+}
+
+const LOWERING: Lowering = Lowering { fma: true, drop_saturated: false };
+
+/// What a pixel is taken to cost: flops, and elementary functions as twenty of them.
+fn weight(cost: &Cost) -> u64 {
+    u64::from(cost.flops_per_pixel) + 20 * u64::from(cost.calls.values().sum::<u32>())
+}
