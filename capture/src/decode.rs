@@ -21,12 +21,15 @@ pub enum DecodeError {
     /// More pixels than the limits allow; nothing was decoded.
     #[error("{0}")]
     TooLarge(String),
-    /// A PNG or JPEG that cannot be decoded to its end.
+    /// A sound file of a kind that is not read.
+    #[error("{0}")]
+    Unsupported(String),
+    /// A file that cannot be decoded to its end.
     #[error("{0}")]
     Damaged(String),
 }
 
-/// Decodes one image. Its size is checked before memory is taken.
+/// Decodes one PNG or JPEG image. Its size is checked before memory is taken.
 ///
 /// ```
 /// let png = isophote_capture::encode_png(2, 1, isophote_jit::PixelFormat::U16, &[1, 2, 3, 4])?;
@@ -36,6 +39,41 @@ pub enum DecodeError {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn decode(bytes: &[u8]) -> Result<Frame, DecodeError> {
+    let Picture { size, format, stored, used, bytes } = picture(bytes)?;
+    let buffer = Buffer::Owned(bytes.into());
+    let planes = (0..used).map(|channel| Plane::interleaved(format, &buffer, size[0], stored, channel)).collect();
+    Frame::new(&size, planes).map_err(|error| DecodeError::Damaged(error.to_string()))
+}
+
+/// Pixels side by side, row by row.
+pub(crate) struct Picture {
+    /// Width and height.
+    pub size: [usize; 2],
+    pub format: PixelFormat,
+    /// Channels of a pixel as stored, …
+    pub stored: usize,
+    /// … and the first of them that are used: alpha is not.
+    pub used: usize,
+    pub bytes: Vec<u8>,
+}
+
+impl Picture {
+    /// What pictures of one stack have in common.
+    pub fn kind(&self) -> ([usize; 2], PixelFormat, usize, usize) {
+        (self.size, self.format, self.stored, self.used)
+    }
+
+    /// For people.
+    pub fn what(&self) -> String {
+        let [width, height] = self.size;
+        let colour = if self.used == 1 { "gray" } else { "colour" };
+        let alpha = if self.stored > self.used { " with alpha" } else { "" };
+        format!("{width}×{height} px of {}-bit {colour}{alpha}", 8 * self.format.bytes_per_pixel())
+    }
+}
+
+/// Decodes one PNG or JPEG image. Its size is checked before memory is taken.
+pub(crate) fn picture(bytes: &[u8]) -> Result<Picture, DecodeError> {
     let reader = reader(bytes)?;
     let format = reader.format();
     let decoder = reader.into_decoder().map_err(fault)?;
@@ -44,7 +82,7 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, DecodeError> {
     if format == Some(ImageFormat::Jpeg) {
         check_jpeg_end(bytes)?;
     }
-    frame(DynamicImage::from_decoder(decoder).map_err(fault)?)
+    from_image(DynamicImage::from_decoder(decoder).map_err(fault)?)
 }
 
 /// Width and height that the header names.
@@ -68,8 +106,12 @@ fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, DecodeError> {
     Ok(reader)
 }
 
-fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
+pub(crate) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
     let pixels = u64::from(width) * u64::from(height);
+    if width.max(height) > LIMITS.side_px {
+        let limit = LIMITS.side_px;
+        return Err(DecodeError::TooLarge(format!("{width}×{height} px; a side may have {limit} px")));
+    }
     if pixels > LIMITS.frame_pixels {
         let limit = LIMITS.frame_pixels;
         return Err(DecodeError::TooLarge(format!(
@@ -92,7 +134,7 @@ fn fault(error: ImageError) -> DecodeError {
     }
 }
 
-fn frame(image: DynamicImage) -> Result<Frame, DecodeError> {
+fn from_image(image: DynamicImage) -> Result<Picture, DecodeError> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let (format, stored, used) = match &image {
         DynamicImage::ImageLuma8(_) => (PixelFormat::U8, 1, 1),
@@ -105,7 +147,5 @@ fn frame(image: DynamicImage) -> Result<Frame, DecodeError> {
         DynamicImage::ImageRgba16(_) => (PixelFormat::U16, 4, 3),
         other => return Err(DecodeError::Damaged(format!("its pixels are {:?}, not 8 or 16 bit", other.color()))),
     };
-    let buffer = Buffer::Owned(image.into_bytes().into());
-    let planes = (0..used).map(|channel| Plane::interleaved(format, &buffer, width, stored, channel)).collect();
-    Frame::new(&[width, height], planes).map_err(|error| DecodeError::Damaged(error.to_string()))
+    Ok(Picture { size: [width, height], format, stored, used, bytes: image.into_bytes() })
 }

@@ -1,4 +1,4 @@
-//! A plane of pixels in, the bytes of a gray PNG file out (8 or 16 bit).
+//! A plane of pixels in, the bytes of a gray PNG file out (8 or 16 bit). Stacks become TIFF, see [`crate::encode_tiff`].
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
@@ -7,12 +7,15 @@ use isophote_jit::PixelFormat;
 /// Why a plane is not a PNG.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
-    /// PNG knows 8 and 16 bit only.
-    #[error("{0:?} pixels have no place in a PNG file; only u8 and u16 have")]
+    /// Files are written with 8 and 16 bit only.
+    #[error("{0:?} pixels are not written; only u8 and u16 are")]
     Format(PixelFormat),
     /// What the encoder says.
     #[error("{0}")]
     Encoder(#[from] image::ImageError),
+    /// What the encoder of stacks says.
+    #[error("{0}")]
+    Stack(#[from] tiff::TiffError),
 }
 
 /// Encodes `width` × `height` tightly packed pixels (u16 in native order, which is little-endian on every machine that the JIT knows).

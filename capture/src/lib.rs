@@ -7,9 +7,10 @@
 //!
 //! ```text
 //! PNG, JPEG ─► decode ─┐
-//! CSV ─────────► table ├─► Recording ─┐
-//! truth.jsonl ─────────┘              ├─► FrameSource ─► Frame (tracker)
-//! Model ─► sampling ─► noise ─► Synthetic ─┘
+//! TIFF ────────► pages ├─► stack ─┐
+//! CSV ─────────► table ───────────┼─► Recording ─┐
+//! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
+//! Model ─► sampling ─► noise ─► Synthetic ───────┘
 //! ```
 //! The door for a camera is [`FrameSource`] as well: a V4L2 `Camera` is one more file here (its ioctls the only place of
 //! the crate where `unsafe` may stand), whose frames lease the driver's buffers ([`isophote_tracker::Lease`]) and carry
@@ -25,8 +26,10 @@ mod order;
 pub mod recording;
 mod sampling;
 pub mod source;
+mod stack;
 pub mod synthetic;
 mod table;
+mod tiff;
 mod truth;
 
 pub use decode::decode;
@@ -35,3 +38,4 @@ pub use limits::LIMITS;
 pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
 pub use synthetic::{Pace, Synthetic, SyntheticError, SyntheticSpec};
+pub use tiff::encode_tiff;

@@ -1,64 +1,60 @@
-//! Recordings: a folder of images, one image, or one CSV file, as a source of frames.
+//! Recordings: pictures, stacks of them, or one CSV file, as a source of frames.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use isophote_tracker::Frame;
 
-use crate::decode::{self, DecodeError};
 use crate::limits::LIMITS;
-use crate::order::natural;
 use crate::source::{Captured, FrameSource, SourceError};
+use crate::stack::{Kind, Node, entries, picture_size, read, too_many};
 use crate::table::Table;
+use crate::tiff::Pages;
 use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG and JPEG files count; if there are none, its CSV files. Everything else in it (licences, notes,
-/// subfolders) is left alone. [`Recording::for_channels`] fits the planes to a model.
+/// Of a folder, the PNG, JPEG and TIFF files count; if there are none, its CSV files. Everything else in it (licences,
+/// notes) is left alone. Each page of a TIFF is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
+/// subfolders count as well; [`Recording::for_channels`] fits the planes to a model.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
-    files: Vec<PathBuf>,
+    frames: Vec<Node>,
     next: usize,
     sequence: u64,
     channels: Option<Vec<String>>,
     truth: BTreeMap<String, BTreeMap<String, f64>>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Image,
-    Csv,
-}
-
-impl Kind {
-    fn of(path: &Path) -> Option<Kind> {
-        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-        match extension.as_str() {
-            "png" | "jpg" | "jpeg" => Some(Kind::Image),
-            "csv" => Some(Kind::Csv),
-            _ => None,
-        }
-    }
+    open: Option<(PathBuf, Pages)>,
 }
 
 impl Recording {
-    /// Opens a folder or a file. No pixel is read yet.
+    /// Opens a folder or a file of pictures. No pixel is read yet.
     pub fn open(path: impl AsRef<Path>) -> Result<Recording, SourceError> {
+        Recording::of_dimensions(path, 2)
+    }
+
+    /// Opens a folder or a file for a document of so many coordinates. Up to two, every picture and every page is a frame. A
+    /// frame of three dimensions is a TIFF of several pages, or all pictures of a folder; one of four is a folder of either.
+    /// A folder of such frames is a recording of them.
+    pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
         let path = path.as_ref().to_path_buf();
         let about = std::fs::metadata(&path).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: path.clone() },
             _ => SourceError::Unreadable { path: path.clone(), reason },
         })?;
-        let (files, folder) = if about.is_dir() {
-            (files_of(&path)?, Some(path.as_path()))
-        } else {
+        if !about.is_dir() {
             Kind::of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
-            (vec![path.clone()], path.parent())
+        }
+        let (frames, is_folder) = match dimensions {
+            0..=2 if about.is_dir() => (pictures(files_of(&path)?)?, true),
+            0..=2 => (pictures(vec![path.clone()])?, false),
+            _ => stacks(&path, dimensions)?,
         };
+        // The truth stands beside the frames.
+        let folder = if is_folder { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
-        Ok(Recording { path, files, next: 0, sequence: 0, channels: None, truth })
+        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, open: None })
     }
 
     /// Fits every frame's planes to the channels of a model: one channel takes the image's only plane or the Rec. 601 luma
@@ -70,18 +66,19 @@ impl Recording {
 
     /// How many frames there are.
     pub fn len(&self) -> usize {
-        self.files.len()
+        self.frames.len()
     }
 
     /// Never true: an empty recording cannot be opened.
     pub fn is_empty(&self) -> bool {
-        self.files.is_empty()
+        self.frames.is_empty()
     }
 
     /// The columns that the first file's header names; `None` when it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
-        match Kind::of(&self.files[0]) {
-            Some(Kind::Csv) => Ok(Some(Table::parse(&self.files[0], &read(&self.files[0])?)?.names)),
+        let path = self.frames[0].path();
+        match Kind::of(path).filter(|_| !path.is_dir()) {
+            Some(Kind::Csv) => Ok(Some(Table::parse(path, &read(path)?)?.names)),
             _ => Ok(None),
         }
     }
@@ -91,13 +88,13 @@ impl Recording {
         self.next = 0;
     }
 
-    fn load(&self, path: &Path) -> Result<Frame, SourceError> {
-        let bytes = read(path)?;
-        if Kind::of(path) == Some(Kind::Csv) {
-            let table = Table::parse(path, &bytes)?;
+    fn load(&mut self, node: &Node) -> Result<Frame, SourceError> {
+        let path = node.path();
+        if node.dimensions() == 1 {
+            let table = Table::parse(path, &read(path)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
-        let frame = decode::decode(&bytes).map_err(|error| about(path, error))?;
+        let frame = node.load(&mut self.open)?;
         match &self.channels {
             Some(channels) => fitted(path, frame, channels),
             None => Ok(frame),
@@ -107,27 +104,26 @@ impl Recording {
 
 impl FrameSource for Recording {
     fn next(&mut self) -> Result<Option<Captured>, SourceError> {
-        let Some(path) = self.files.get(self.next).cloned() else { return Ok(None) };
+        let Some(node) = self.frames.get(self.next).cloned() else { return Ok(None) };
         self.next += 1;
         let sequence = self.sequence;
         self.sequence += 1;
-        let frame = self.load(&path)?.with_sequence(sequence);
-        let file = path.file_name().map(|name| name.to_string_lossy().into_owned());
-        let truth = file.as_ref().and_then(|name| self.truth.get(name)).cloned();
-        Ok(Some(Captured { frame, file, truth }))
+        let frame = self.load(&node)?.with_sequence(sequence);
+        let file = node.name();
+        let truth = self.truth.get(&file).cloned();
+        Ok(Some(Captured { frame, file: Some(file).filter(|name| !name.is_empty()), truth }))
     }
 
     fn description(&self) -> String {
-        format!("recording {} ({} frames)", self.path.display(), self.files.len())
+        format!("recording {} ({} frames)", self.path.display(), self.frames.len())
     }
 
     fn size(&self) -> Option<Vec<usize>> {
-        let path = &self.files[0];
-        let bytes = read(path).ok()?;
-        match Kind::of(path)? {
-            Kind::Csv => Some(vec![Table::parse(path, &bytes).ok()?.columns[0].len()]),
-            Kind::Image => decode::size(&bytes).ok().map(Vec::from),
+        let node = &self.frames[0];
+        if node.dimensions() == 1 {
+            return Some(vec![Table::parse(node.path(), &read(node.path()).ok()?).ok()?.columns[0].len()]);
         }
+        Some([&picture_size(node.first())?[..], &node.outer().ok()?].concat())
     }
 }
 
@@ -147,43 +143,51 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
     Err(SourceError::Channels { path: path.into(), reason })
 }
 
-fn files_of(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
-    let unreadable = |reason| SourceError::Unreadable { path: folder.into(), reason };
-    let mut found: Vec<(String, PathBuf, Kind)> = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
-        let Some(kind) = Kind::of(&path).filter(|_| path.is_file()) else { continue };
-        if found.len() == LIMITS.files {
-            let reason = format!("more than {} files; split the recording", LIMITS.files);
-            return Err(SourceError::TooLarge { path: folder.into(), reason });
+/// Every picture, every page and every table is a frame.
+fn pictures(files: Vec<PathBuf>) -> Result<Vec<Node>, SourceError> {
+    let mut frames = Vec::new();
+    for path in files {
+        match Node::of_file(path)? {
+            Node::Pages(path, pages) if frames.len() + pages > LIMITS.files => return Err(too_many(&path)),
+            Node::Pages(path, pages) => frames.extend((0..pages).map(|page| Node::Page(path.clone(), page))),
+            node => frames.push(node),
         }
-        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        found.push((name, path, kind));
     }
-    let kind = if found.iter().any(|(_, _, kind)| *kind == Kind::Image) { Kind::Image } else { Kind::Csv };
-    found.retain(|(_, _, k)| *k == kind);
-    found.sort_by(|a, b| natural(&a.0, &b.0));
-    if found.is_empty() {
+    Ok(frames)
+}
+
+/// One frame, or all that a folder holds; whether it is the latter.
+fn stacks(path: &Path, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
+    let node = Node::of_path(path, dimensions - 1)?;
+    let wanted = match dimensions {
+        3 => "a TIFF of several pages, a folder of pictures, or a folder of such stacks",
+        _ => "a folder of TIFFs of several pages, a folder of folders of pictures, or a folder of such folders",
+    };
+    let wrong = |what: String| {
+        let reason = format!("{what}, but the document has {dimensions} coordinates and is fitted to {wanted}");
+        Err(SourceError::Dimensions { path: path.into(), reason })
+    };
+    let (frames, is_folder) = match node {
+        Node::Folder(_, nodes) if nodes.first().is_some_and(|node| node.dimensions() == dimensions) => (nodes, true),
+        node if node.dimensions() == dimensions => (vec![node], false),
+        node => return wrong(node.what()),
+    };
+    // With one slice nothing says where a target is along z.
+    if let Some(flat) = frames.iter().find(|node| matches!(node, Node::Folder(_, nodes) if nodes.len() < 2)) {
+        return wrong(flat.what());
+    }
+    Ok((frames, is_folder))
+}
+
+fn files_of(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
+    let mut files = entries(folder)?;
+    files.retain(|path| path.is_file());
+    let is_image = |path: &PathBuf| Kind::of(path).is_some_and(|kind| kind != Kind::Csv);
+    if files.iter().any(is_image) {
+        files.retain(is_image);
+    }
+    if files.is_empty() {
         return Err(SourceError::Empty { path: folder.into() });
     }
-    Ok(found.into_iter().map(|(_, path, _)| path).collect())
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, SourceError> {
-    let unreadable = |reason| SourceError::Unreadable { path: path.into(), reason };
-    let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
-    if bytes > LIMITS.file_bytes {
-        let reason = format!("{bytes} bytes; at most {} are read", LIMITS.file_bytes);
-        return Err(SourceError::TooLarge { path: path.into(), reason });
-    }
-    std::fs::read(path).map_err(unreadable)
-}
-
-fn about(path: &Path, error: DecodeError) -> SourceError {
-    let path = path.to_path_buf();
-    match error {
-        DecodeError::UnknownKind => SourceError::UnknownKind { path },
-        DecodeError::TooLarge(reason) => SourceError::TooLarge { path, reason },
-        DecodeError::Damaged(reason) => SourceError::Damaged { path, reason },
-    }
+    Ok(files)
 }

@@ -1,7 +1,7 @@
 //! The scene: a model and its numbers in, the expected value of every pixel out.
 //!
 //! A pixel's value is the mean of the intensity at samples² points, the centres of a grid of equal squares that fill the
-//! pixel. One native pass ([`Kernel::render`]) adds one such point for all pixels of a window, so the image is
+//! pixel. A slice of a stack is thin and a volume of a series short: they are taken at their z and w. One native pass ([`Kernel::render`]) adds one such point for all pixels of a window, so the image is
 //! made in bands of rows that stay in the first-level cache.
 //!
 //! Where the intensity is smooth the mean follows from the centres alone. With u, v the offsets of the samples,
@@ -60,7 +60,7 @@ impl Scene {
         Ok(Scene { kernel, samples: samples as usize })
     }
 
-    /// The expected values of `band.width` × `band.height` pixels, in DN, into `means`.
+    /// The expected values of `band.width` × `band.height` pixels of one slice, in DN, into `means`.
     pub fn render(
         &self,
         numbers: &Numbers,
@@ -102,7 +102,7 @@ impl Scene {
         means: &mut [f32],
     ) -> Result<(), String> {
         let width = to - from;
-        let window = Window { x: band.x + from, y: band.y, width, height: band.height };
+        let window = Window { x: band.x + from, width, ..band };
         sums.clear();
         sums.resize(width * band.height, 0.0);
         let n = self.samples;

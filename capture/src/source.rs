@@ -48,13 +48,13 @@ pub enum SourceError {
         reason: std::io::Error,
     },
     /// A folder without frames.
-    #[error("{}: holds no frames; a recording is a folder of PNG or JPEG files, one such file, or one CSV file", path.display())]
+    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG or TIFF files, one such file, or one CSV file (folders in it count for documents of three and four coordinates)", path.display())]
     Empty {
         /// The folder.
         path: PathBuf,
     },
     /// A kind of file that this build does not read.
-    #[error("{}: not a PNG, JPEG or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
+    #[error("{}: not a PNG, JPEG, TIFF or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
     UnknownKind {
         /// The file.
         path: PathBuf,
@@ -65,6 +65,30 @@ pub enum SourceError {
         /// The file.
         path: PathBuf,
         /// What the decoder says.
+        reason: String,
+    },
+    /// A sound file of a kind that this build does not read.
+    #[error("{}: {reason}", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// What it is and what would be read.
+        reason: String,
+    },
+    /// One picture of a stack is not like the others.
+    #[error("{}: {reason}; all pictures of a stack must be alike", path.display())]
+    Odd {
+        /// The one that differs.
+        path: PathBuf,
+        /// In what, and from which.
+        reason: String,
+    },
+    /// Frames of another number of dimensions than the document's.
+    #[error("{}: {reason}", path.display())]
+    Dimensions {
+        /// What was asked for.
+        path: PathBuf,
+        /// What there is, and what would be right.
         reason: String,
     },
     /// More than the limits allow.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use isophote_jit::{PixelFormat, Window};
+use isophote_jit::{PixelFormat, Slices, Window};
 use isophote_symbolic::{Diagnostics, Estimator, Model, Start};
 use isophote_tracker::{Frame, Plane};
 use serde::{Deserialize, Serialize};
@@ -28,7 +28,7 @@ pub enum Pace {
 /// What to render and how to see it. `SyntheticSpec::new(model)` has the contract's defaults.
 #[derive(Clone, Debug)]
 pub struct SyntheticSpec {
-    /// One- or two-dimensional, with one channel.
+    /// Of one channel.
     pub model: Arc<Model>,
     /// Parameters and constants by name; what is not set starts as [`Synthetic`] says.
     pub set: BTreeMap<String, f64>,
@@ -38,6 +38,10 @@ pub struct SyntheticSpec {
     pub width: usize,
     /// Rows; a one-dimensional model has one whatever this says.
     pub height: usize,
+    /// Slices of a model of three coordinates and more; 1 for others.
+    pub depth: usize,
+    /// Volumes of a model of four coordinates; 1 for others.
+    pub length: usize,
     /// Frames a second: t of frame n is n / rate.
     pub rate_hz: f64,
     /// For the owner of the source.
@@ -57,14 +61,22 @@ pub struct SyntheticSpec {
 }
 
 impl SyntheticSpec {
-    /// 640 × 480 pixels of 8 bit at 60 Hz, 8 × 8 samples, no noise.
+    /// 640 × 480 pixels of 8 bit at 60 Hz, 8 × 8 samples, no noise; 64 × 64 × 32 with three coordinates, 32 × 32 × 16 × 8
+    /// with four.
     pub fn new(model: Arc<Model>) -> SyntheticSpec {
+        let [width, height, depth, length] = match model.coordinates().len() {
+            0..=2 => [640, 480, 1, 1],
+            3 => [64, 64, 32, 1],
+            _ => [32, 32, 16, 8],
+        };
         SyntheticSpec {
             model,
             set: BTreeMap::new(),
             motion: BTreeMap::new(),
-            width: 640,
-            height: 480,
+            width,
+            height,
+            depth,
+            length,
             rate_hz: 60.0,
             pace: Pace::Realtime,
             bits: 8,
@@ -131,7 +143,7 @@ fn first_message(diagnostics: &Diagnostics) -> String {
 ///
 /// A parameter that is neither set nor moved has its start if that is a number; else it follows from its estimator:
 /// `centroid` the middle of the frame, `extent` an ellipse of semi-axes 60 × 42 px at 640 px width (in
-/// proportion to the width), `size` 40 px, `background` 20 and `amplitude` 150 of 255 DN (in proportion to the saturation),
+/// proportion to the width), `size` 40 px (in a stack both a fifth of the frame along each coordinate), `background` 20 and `amplitude` 150 of 255 DN (in proportion to the saturation),
 /// or 200 and −150 where the model wants a dark target (`max` not above 0).
 pub struct Synthetic {
     spec: SyntheticSpec,
@@ -155,11 +167,8 @@ impl Synthetic {
             let channels = spec.model.channels().join(", ");
             return Err(refused(format!("it reads {channels}; the synthetic camera has one channel")));
         }
-        let size = match spec.model.coordinates().len() {
-            1 => vec![spec.width],
-            2 => vec![spec.width, spec.height],
-            n => return Err(refused(format!("it has {n} coordinates; the synthetic camera has one or two"))),
-        };
+        let sides = [spec.width, spec.height, spec.depth, spec.length];
+        let size = sides[..spec.model.coordinates().len().min(4)].to_vec();
         let scene = Scene::new(&spec.model, spec.samples).map_err(|fault| match fault {
             SceneFault::Model(diagnostics) => refused(first_message(&diagnostics)),
             SceneFault::Compile(reason) => refused(format!("{reason} (a bug of isophote)")),
@@ -198,13 +207,15 @@ impl Synthetic {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
         let numbers = Numbers { parameters: &parameters, constants: &self.constants };
-        let (width, height) = (self.size[0], self.size.get(1).copied().unwrap_or(1));
+        let side = |axis: usize| self.size.get(axis).copied().unwrap_or(1);
+        let (width, height, depth, length) = (side(0), side(1), side(2), side(3));
         self.read_out.begin(self.spec.seed, frame);
         let mut row = vec![0u16; width];
         let format = if self.spec.bits > 8 { PixelFormat::U16 } else { PixelFormat::U8 };
-        let mut bytes = Vec::with_capacity(width * height * format.bytes_per_pixel());
-        for y in (0..height).step_by(BAND_ROWS) {
-            let band = Window { x: 0, y, width, height: BAND_ROWS.min(height - y) };
+        let mut bytes = Vec::with_capacity(width * height * depth * length * format.bytes_per_pixel());
+        let slices = (0..length).flat_map(|w| (0..depth).map(move |z| Slices { first: [z, w], ..Slices::ONE }));
+        for (slices, y) in slices.flat_map(|slices| (0..height).step_by(BAND_ROWS).map(move |y| (slices, y))) {
+            let band = Window { x: 0, y, width, height: BAND_ROWS.min(height - y), slices };
             self.means.resize(width * band.height, 0.0);
             self.scene.render(&numbers, band, &mut self.scratch, &mut self.means).map_err(fault)?;
             for means in self.means.chunks_exact(width) {
@@ -248,7 +259,22 @@ fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     };
     whole("width", spec.width as u64, LIMITS.side_px.into())?;
     whole("height", spec.height as u64, LIMITS.side_px.into())?;
-    whole("width × height", spec.width as u64 * spec.height as u64, LIMITS.frame_pixels)?;
+    // A document with a third coordinate asks for slices, since one slice does not say where a target is along it.
+    for (axis, name, count) in [(2, "depth", spec.depth), (3, "length", spec.length)] {
+        let least = if spec.model.coordinates().len() > axis { 2 } else { 1 };
+        let most = if least == 2 { LIMITS.side_px as usize } else { 1 };
+        if !(least..=most).contains(&count) {
+            let coordinates = spec.model.coordinates();
+            let range = match coordinates.get(axis) {
+                Some(name) => format!("2 to {most} for the coordinate `{name}`"),
+                None => format!("1 for the {} coordinates of `{}`", coordinates.len(), spec.model.name()),
+            };
+            return Err(SyntheticError::Range { name, value: count as f64, range });
+        }
+    }
+    let [picture, depth, length] = [spec.width * spec.height, spec.depth, spec.length].map(|n| n as u64);
+    whole("width × height", picture, LIMITS.frame_pixels)?;
+    whole("width × height × depth × length", picture.saturating_mul(depth * length), LIMITS.frame_pixels)?;
     whole("samples", spec.samples.into(), LIMITS.samples.into())?;
     whole("bits", spec.bits.into(), LIMITS.bits.into())?;
     let largest = f64::from((1u32 << spec.bits) - 1);
@@ -295,13 +321,17 @@ fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), SyntheticError>
 fn typical(estimator: Estimator, spec: &SyntheticSpec, dark: bool) -> f64 {
     let scale = spec.width as f64 / 640.0;
     let level = spec.saturation / 255.0;
+    let sides = [spec.width, spec.height, spec.depth, spec.length].map(|side| side as f64);
+    let is_stack = spec.model.coordinates().len() > 2;
     match estimator {
-        Estimator::CentroidX => (spec.width as f64 - 1.0) / 2.0,
-        Estimator::CentroidY => (spec.height as f64 - 1.0) / 2.0,
-        Estimator::ExtentXX => (60.0 * scale).powi(-2),
-        Estimator::ExtentXY => 0.0,
-        Estimator::ExtentYY => (42.0 * scale).powi(-2),
-        Estimator::SizeX | Estimator::SizeY => 40.0 * scale,
+        Estimator::Centroid(axis) => (sides[axis] - 1.0) / 2.0,
+        Estimator::Extent(row, column) if row != column => 0.0,
+        Estimator::Extent(axis, _) | Estimator::Size(axis) if is_stack => {
+            let half = sides[axis] / 5.0;
+            if matches!(estimator, Estimator::Size(_)) { half } else { half.powi(-2) }
+        }
+        Estimator::Extent(axis, _) => ([60.0, 42.0, 42.0, 42.0][axis] * scale).powi(-2),
+        Estimator::Size(_) => 40.0 * scale,
         Estimator::Background => level * if dark { 200.0 } else { 20.0 },
         Estimator::Amplitude => level * if dark { -150.0 } else { 150.0 },
     }

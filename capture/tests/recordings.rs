@@ -21,7 +21,7 @@ fn folders_are_read_in_natural_order_and_only_their_images() {
     for (i, name) in ["f10.png", "f2.png", "f1.png", "F3.PNG"].iter().enumerate() {
         gray(&folder.path().join(name), i as u8);
     }
-    for other in ["LICENSE.txt", "notes.md", "table.csv", "f0.tiff"] {
+    for other in ["LICENSE.txt", "notes.md", "table.csv", "f0.bmp"] {
         std::fs::write(folder.path().join(other), "x\n1\n").unwrap();
     }
     std::fs::create_dir(folder.path().join("more.png")).unwrap();
@@ -158,10 +158,10 @@ fn what_is_no_recording_is_refused_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let message = |path: &Path| Recording::open(path).unwrap_err().to_string();
     assert!(message(&folder.path().join("none")).ends_with("none: no such file or folder"));
-    assert!(message(folder.path()).contains("holds no frames; a recording is a folder of PNG or JPEG files"));
-    let tiff = folder.path().join("a.tiff");
-    std::fs::write(&tiff, b"II*").unwrap();
-    assert!(message(&tiff).contains("convert it to PNG"));
+    assert!(message(folder.path()).contains("holds no frames; a recording is a folder of PNG, JPEG or TIFF files"));
+    let bitmap = folder.path().join("a.bmp");
+    std::fs::write(&bitmap, b"BM").unwrap();
+    assert!(message(&bitmap).contains("convert it to PNG"));
     // A PNG whose header claims 60,000 × 60,000 pixels takes no memory.
     let mut bomb = encode_png(1, 1, PixelFormat::U8, &[0]).unwrap();
     for i in [16, 20] {
@@ -207,4 +207,190 @@ fn truth_stands_beside_the_frames() {
 fn crc32(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 == 1 { 0xedb8_8320 ^ (crc >> 1) } else { crc >> 1 };
     !bytes.iter().fold(!0u32, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
+}
+
+/// Slices of 4 × 3 pixels: pixel (x, y) of slice n is 10 n + 4 y + x.
+fn slices(count: usize) -> Vec<u8> {
+    (0..12 * count).map(|i| (10 * (i / 12) + i % 12) as u8).collect()
+}
+
+fn stack(path: &Path, count: usize) {
+    std::fs::write(path, isophote_capture::encode_tiff(4, 3, PixelFormat::U8, &slices(count)).unwrap()).unwrap();
+}
+
+fn picture(path: &Path, number: usize) {
+    std::fs::write(path, encode_png(4, 3, PixelFormat::U8, &slices(number + 1)[12 * number..]).unwrap()).unwrap();
+}
+
+#[test]
+fn pages_are_frames_of_two_dimensions_or_slices_of_three() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("stack.tif");
+    stack(&path, 5);
+    let mut pages = Recording::open(&path).unwrap();
+    assert_eq!((pages.len(), pages.size()), (5, Some(vec![4, 3])));
+    for page in 0..5 {
+        let captured = pages.next().unwrap().unwrap();
+        assert_eq!(captured.file, Some(format!("stack.tif#{page}")));
+        assert_eq!(captured.frame.plane_view(0).pixel(3, 2), (10 * page + 11) as f64);
+    }
+    assert!(pages.next().unwrap().is_none());
+    pages.rewind();
+    assert_eq!(pages.next().unwrap().unwrap().frame.plane_view(0).pixel(0, 0), 0.0);
+
+    let mut volume = Recording::of_dimensions(&path, 3).unwrap();
+    assert_eq!((volume.len(), volume.size()), (1, Some(vec![4, 3, 5])));
+    let frame = volume.next().unwrap().unwrap();
+    assert_eq!((frame.frame.size(), frame.file.as_deref()), (&[4, 3, 5][..], Some("stack.tif")));
+    assert_eq!(frame.frame.plane_view(0).pixel_at([1, 2, 4, 0]), 49.0);
+
+    // A folder of single pictures, of which one is a TIFF of one page, is the same volume.
+    let pictures = folder.path().join("pictures");
+    std::fs::create_dir(&pictures).unwrap();
+    (0..4).for_each(|n| picture(&pictures.join(format!("p{n}.png")), n));
+    let tiff = isophote_capture::encode_tiff(4, 3, PixelFormat::U8, &slices(5)[48..]).unwrap();
+    std::fs::write(pictures.join("p4.tiff"), tiff).unwrap();
+    let same = Recording::of_dimensions(&pictures, 3).unwrap().next().unwrap().unwrap();
+    assert_eq!(same.file.as_deref(), Some("pictures"));
+    assert_eq!(same.frame.planes()[0].buffer.bytes(), frame.frame.planes()[0].buffer.bytes());
+
+    // Two folders of pictures, or two stacks, are volumes over time; to a document of three they are two frames.
+    let series = folder.path().join("series");
+    for volume in ["t0", "t1"] {
+        std::fs::create_dir_all(series.join(volume)).unwrap();
+        (0..3).for_each(|n| picture(&series.join(volume).join(format!("p{n}.png")), n));
+    }
+    let stacks = folder.path().join("stacks");
+    std::fs::create_dir(&stacks).unwrap();
+    ["t0.tiff", "t1.tiff"].iter().for_each(|name| stack(&stacks.join(name), 3));
+    for path in [&series, &stacks] {
+        let mut four = Recording::of_dimensions(path, 4).unwrap();
+        assert_eq!((four.len(), four.size()), (1, Some(vec![4, 3, 3, 2])));
+        assert_eq!(four.next().unwrap().unwrap().frame.plane_view(0).pixel_at([0, 1, 2, 1]), 24.0);
+        let three = Recording::of_dimensions(path, 3).unwrap();
+        assert_eq!((three.len(), three.size()), (2, Some(vec![4, 3, 3])));
+    }
+}
+
+/// 16 bit, float, colour and LZW, as other programs write them.
+#[test]
+fn kinds_of_tiff() {
+    use tiff::encoder::{Compression, TiffEncoder, colortype};
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("one.tiff");
+    let save = |write: &dyn Fn(std::fs::File)| {
+        write(std::fs::File::create(&path).unwrap());
+        Recording::open(&path).unwrap().next().map(|captured| captured.unwrap().frame)
+    };
+    let deep: Vec<u16> = (0..12).map(|i| 5000 * i).collect();
+    let frame = save(&|file| {
+        let mut encoder = TiffEncoder::new(file).unwrap().with_compression(Compression::Lzw);
+        encoder.write_image::<colortype::Gray16>(4, 3, &deep).unwrap();
+    });
+    assert_eq!(frame.unwrap().plane_view(0).pixel(3, 2), 55_000.0);
+    let floats: Vec<f32> = (0..12).map(|i| i as f32 - 0.25).collect();
+    let frame =
+        save(&|file| TiffEncoder::new(file).unwrap().write_image::<colortype::Gray32Float>(4, 3, &floats).unwrap());
+    assert_eq!(frame.unwrap().plane_view(0).pixel(0, 1), 3.75);
+    let colour: Vec<u8> = (0..36).collect();
+    let frame = save(&|file| TiffEncoder::new(file).unwrap().write_image::<colortype::RGB8>(4, 3, &colour).unwrap());
+    let frame = frame.unwrap();
+    assert_eq!((frame.planes().len(), frame.plane_view(2).pixel(1, 0)), (3, 5.0));
+    let wide: Vec<u32> = (0..12).collect();
+    let error = save(&|file| TiffEncoder::new(file).unwrap().write_image::<colortype::Gray32>(4, 3, &wide).unwrap());
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("one.tiff") && error.contains("32 bits") && error.contains("32 bit float"), "{error}");
+}
+
+#[test]
+fn odd_pictures_and_wrong_dimensions_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir(path("odd")).unwrap();
+    (0..3).for_each(|n| picture(&path("odd").join(format!("p{n}.png")), n));
+    std::fs::write(path("odd/p3.png"), encode_png(4, 4, PixelFormat::U8, &[0; 16]).unwrap()).unwrap();
+    let error = Recording::of_dimensions(path("odd"), 3).unwrap().next().unwrap_err().to_string();
+    assert!(error.contains("p3.png has 4×4 px of 8-bit gray where p0.png has 4×3 px"), "{error}");
+    let mut file = std::fs::File::create(path("odd.tiff")).unwrap();
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut file).unwrap();
+    encoder.write_image::<tiff::encoder::colortype::Gray8>(2, 2, &[0; 4]).unwrap();
+    encoder.write_image::<tiff::encoder::colortype::Gray16>(2, 2, &[0; 4]).unwrap();
+    let error = Recording::of_dimensions(path("odd.tiff"), 3).unwrap().next().unwrap_err().to_string();
+    assert!(error.contains("odd.tiff#1 has 2×2 px of 16-bit gray where odd.tiff#0 has 2×2 px of 8-bit"), "{error}");
+
+    std::fs::create_dir(path("deep")).unwrap();
+    stack(&path("deep/t0.tiff"), 3);
+    stack(&path("deep/t1.tiff"), 4);
+    let error = Recording::of_dimensions(path("deep"), 4).unwrap().next().unwrap_err().to_string();
+    assert!(error.contains("t1.tiff: it has 4 slices where t0.tiff has 3"), "{error}");
+    picture(&path("deep/t2.png"), 0);
+    let error = Recording::of_dimensions(path("deep"), 4).unwrap_err().to_string();
+    assert!(error.contains("t2.png: one picture where t0.tiff is a TIFF of 3 pages"), "{error}");
+
+    picture(&path("one.png"), 0);
+    std::fs::create_dir(path("single")).unwrap();
+    picture(&path("single/p0.png"), 0);
+    for (name, dimensions, words) in [
+        ("one.png", 3, "one picture, but the document has 3 coordinates"),
+        ("single", 3, "a folder of one picture, but the document has 3"),
+        ("odd.tiff", 4, "a TIFF of 2 pages, but the document has 4"),
+        ("odd", 4, "a folder of 4 pictures, but the document has 4 coordinates and is fitted to a folder of TIFFs"),
+    ] {
+        let error = Recording::of_dimensions(path(name), dimensions).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
+    std::fs::write(path("broken.tiff"), b"II*\0\x08\0\0\0").unwrap();
+    std::fs::write(path("text.tiff"), b"not a picture").unwrap();
+    let whole = std::fs::read(path("deep/t0.tiff")).unwrap();
+    std::fs::write(path("cut.tiff"), &whole[..whole.len() - 9]).unwrap();
+    for (name, words) in [("broken.tiff", "damaged"), ("cut.tiff", "damaged"), ("text.tiff", "not a PNG, JPEG, TIFF")] {
+        for dimensions in [2, 3] {
+            let error = Recording::of_dimensions(path(name), dimensions).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains(words), "{error}");
+        }
+    }
+}
+
+/// Whatever is in a TIFF, it is read or refused.
+#[test]
+fn hostile_tiffs_are_refused_without_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("hostile.tiff");
+    let whole = isophote_capture::encode_tiff(4, 3, PixelFormat::U16, &[7; 24 * 3]).unwrap();
+    let mut state: u64 = 5;
+    let mut random = |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    let (mut read, mut refused) = (0, 0);
+    for _ in 0..1500 {
+        let mut bytes = whole.clone();
+        for _ in 0..1 + random(3) {
+            let at = random(bytes.len());
+            bytes[at] = [0, 1, 2, 3, 255, 128, random(256) as u8][random(7)];
+        }
+        bytes.truncate(bytes.len() - if random(4) == 0 { random(bytes.len()) } else { 0 });
+        std::fs::write(&path, &bytes).unwrap();
+        for dimensions in [2, 3] {
+            let outcome = Recording::of_dimensions(&path, dimensions).and_then(|mut recording| {
+                for _ in 0..recording.len().min(5) {
+                    recording.next()?;
+                }
+                Ok(())
+            });
+            *if outcome.is_ok() { &mut read } else { &mut refused } += 1;
+        }
+    }
+    assert!(read > 100 && refused > 500, "{read} {refused}");
+}
+
+/// Too large a volume is refused when its first picture says so, before memory is taken for it.
+#[test]
+fn volumes_beyond_the_limit_are_refused_with_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let side = 4096;
+    let bytes = encode_png(side, side, PixelFormat::U8, &vec![0; side * side]).unwrap();
+    (0..5).for_each(|n| std::fs::write(folder.path().join(format!("p{n}.png")), &bytes).unwrap());
+    let error = Recording::of_dimensions(folder.path(), 3).unwrap().next().unwrap_err().to_string();
+    assert!(error.contains("4096×4096×5 px are more than the 67108864") && error.contains("crop or bin"), "{error}");
 }

@@ -1,9 +1,9 @@
-//! Values of options that several commands share: `k=v,…`, `k=FORMULA,…`, `x,y,w,h`, `640x480`.
+//! Values of options that several commands share: `k=v,…`, `k=FORMULA,…`, `x,y,w,h`, `640x480`, `64x64x32`.
 
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-use isophote_jit::Window;
+use isophote_jit::{Slices, Window};
 use isophote_symbolic::Precision;
 
 /// `k=v,…`: numbers by name.
@@ -14,13 +14,13 @@ pub struct Numbers(pub BTreeMap<String, f64>);
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Formulas(pub BTreeMap<String, String>);
 
-/// `x,y,w,h`: a pixel rectangle.
+/// `x,y,w,h`: a pixel rectangle, in all slices; `x,y,z,w,h,d`: of some of them; with eight numbers of some volumes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowArgument(pub Window);
 
-/// `WIDTHxHEIGHT`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Size(pub usize, pub usize);
+/// `640x480`: as many numbers as coordinates, the inner one first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Size(pub Vec<usize>);
 
 /// Arithmetic of the pixel loops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -99,23 +99,31 @@ impl FromStr for Formulas {
 impl FromStr for WindowArgument {
     type Err = String;
     fn from_str(text: &str) -> Result<WindowArgument, String> {
-        let wrong = || format!("`{text}` is not x,y,w,h: four whole numbers of pixels");
+        let wrong = || format!("`{text}` is not x,y,w,h: four whole numbers of pixels (six in a stack: x,y,z,w,h,d)");
         let numbers: Vec<usize> =
             text.split(',').map(|n| n.trim().parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
-        let [x, y, width, height] = numbers[..] else { return Err(wrong()) };
-        if width == 0 || height == 0 {
+        if !matches!(numbers.len(), 2 | 4 | 6 | 8) {
+            return Err(wrong());
+        }
+        let (first, count) = numbers.split_at(numbers.len() / 2);
+        if count.contains(&0) {
             return Err(format!("`{text}` has no pixels: width and height must be positive"));
         }
-        Ok(WindowArgument(Window { x, y, width, height }))
+        // What is not named is all there is.
+        let first: [usize; 4] = std::array::from_fn(|axis| first.get(axis).copied().unwrap_or(0));
+        let count: [usize; 4] = std::array::from_fn(|axis| count.get(axis).copied().unwrap_or(usize::MAX));
+        let slices = Slices { first: [first[2], first[3]], count: [count[2], count[3]] };
+        Ok(WindowArgument(Window { x: first[0], y: first[1], width: count[0], height: count[1], slices }))
     }
 }
 
 impl FromStr for Size {
     type Err = String;
     fn from_str(text: &str) -> Result<Size, String> {
-        let wrong = || format!("`{text}` is not WIDTHxHEIGHT, e.g. 640x480");
-        let (width, height) = text.split_once('x').ok_or_else(wrong)?;
-        Ok(Size(width.trim().parse().map_err(|_| wrong())?, height.trim().parse().map_err(|_| wrong())?))
+        let wrong = || format!("`{text}` is not WIDTHxHEIGHT, e.g. 640x480 (64x64x32 for a stack)");
+        let sides: Vec<usize> =
+            text.split('x').map(|side| side.trim().parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
+        if sides.len() > 4 { Err(wrong()) } else { Ok(Size(sides)) }
     }
 }
 
@@ -171,8 +179,14 @@ mod tests {
         let Numbers(numbers) = "a1=2.5e-3, bx = -7".parse().unwrap();
         assert_eq!(numbers, BTreeMap::from([("a1".into(), 2.5e-3), ("bx".into(), -7.0)]));
         assert_eq!("".parse(), Ok(Numbers::default()));
-        assert_eq!("1,2, 30,40".parse(), Ok(WindowArgument(Window { x: 1, y: 2, width: 30, height: 40 })));
-        assert_eq!("640x480".parse(), Ok(Size(640, 480)));
+        let window = Window { x: 1, y: 2, width: 30, height: 40, slices: Slices::ALL };
+        assert_eq!("1,2, 30,40".parse(), Ok(WindowArgument(window)));
+        let slices = Slices { first: [3, 0], count: [5, usize::MAX] };
+        assert_eq!("1,2,3,30,40,5".parse(), Ok(WindowArgument(Window { slices, ..window })));
+        let WindowArgument(line) = "7,9".parse().unwrap();
+        assert_eq!(line.clipped(400, 1), Some(Window { x: 7, width: 9, ..Window::whole(400, 1) }));
+        assert_eq!("640x480".parse(), Ok(Size(vec![640, 480])));
+        assert_eq!("64x64x32x8".parse(), Ok(Size(vec![64, 64, 32, 8])));
     }
 
     #[test]
@@ -189,6 +203,8 @@ mod tests {
             assert!(text.parse::<WindowArgument>().unwrap_err().contains("four whole numbers of pixels"));
         }
         assert!("1,2,0,4".parse::<WindowArgument>().unwrap_err().contains("no pixels"));
-        assert!("640".parse::<Size>().unwrap_err().contains("e.g. 640x480"));
+        for text in ["640x", "axb", "1x2x3x4x5", ""] {
+            assert!(text.parse::<Size>().unwrap_err().contains("e.g. 640x480"));
+        }
     }
 }

@@ -23,8 +23,9 @@ pub struct FitArgs {
     /// The model document (TOML; JSON if it is named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// A folder of PNG or JPEG files (in natural name order, counted from 0), one such file, or one CSV file, which is one
-    /// 1-D frame whose header names the channels
+    /// A folder of PNG, JPEG or TIFF files (in natural name order, counted from 0), one such file, or one CSV file, which is
+    /// one 1-D frame whose header names the channels. For a model of three coordinates a folder of pictures or a TIFF of
+    /// several pages is one frame; for one of four, a folder of either
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
     /// Starting values of the first frame, instead of the document's
@@ -33,7 +34,7 @@ pub struct FitArgs {
     /// Constants of the model
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
     pub constant: Vec<Numbers>,
-    /// Look at these pixels only
+    /// Look at these pixels only, in all slices; x,y,z,w,h,d names slices as well
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
     /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, intrinsics
@@ -56,7 +57,9 @@ pub struct FitArgs {
 /// Fits all frames. A frame whose target is lost is a line with its state; a file that cannot be read ends the run.
 pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
-    let mut recording = Recording::open(&args.frames).map_err(other)?.for_channels(model.channels());
+    check_overlay(args, &model)?;
+    let recording = Recording::of_dimensions(&args.frames, model.coordinates().len()).map_err(other)?;
+    let mut recording = recording.for_channels(model.channels());
     let is_csv = recording.csv_channels().map_err(other)?.is_some();
     let precision = args.precision.map_or(if is_csv { Precision::F64 } else { Precision::F32 }, Precision::from);
     let mut tracker = tracker(args, &model, precision)?;
@@ -113,6 +116,19 @@ fn json<T: serde::de::DeserializeOwned>(path: &Path, wanted: &str) -> Result<T, 
     serde_json::from_str(&text).map_err(|error| Failure::Usage(format!("{}: not {wanted}: {error}", path.display())))
 }
 
+/// Said before anything is fitted.
+fn check_overlay(args: &FitArgs, model: &Model) -> Result<(), Failure> {
+    let coordinates = model.coordinates().len();
+    if args.overlay.is_none() || coordinates == 2 {
+        return Ok(());
+    }
+    let noun = if coordinates == 1 { "coordinate" } else { "coordinates" };
+    Err(Failure::Usage(format!(
+        "--overlay draws outlines over pictures: two coordinates; {} has {coordinates} {noun}, so leave --overlay out",
+        args.model.display()
+    )))
+}
+
 /// What the tracker could only call a wrong frame is said here in full.
 fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, window: Option<Window>) -> Result<(), Failure> {
     let name = captured.file.as_deref().unwrap_or("the frame");
@@ -127,8 +143,8 @@ fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, window: Optio
             model.coordinates().join(", ")
         )));
     }
-    let (width, rows) = (captured.frame.width(), captured.frame.rows());
-    if window.is_some_and(|window| window.clipped(width, rows).is_none()) {
+    let sides = captured.frame.sides();
+    if window.is_some_and(|window| window.clipped_to(sides).is_none()) {
         return Err(Failure::Usage(format!("the window lies outside of {name}, which has {} px", size.join("×"))));
     }
     Ok(())
@@ -202,9 +218,6 @@ impl Overlays {
         window: Option<Window>,
     ) -> Result<(), Failure> {
         let frame = &captured.frame;
-        if frame.size().len() != 2 {
-            return Err(Failure::Usage("--overlay draws two-dimensional frames only".into()));
-        }
         let plane = frame.plane_view(0);
         let part = overlay::part_to_draw(window, frame.width(), frame.rows());
         let found = estimate.state == TrackState::Tracking;

@@ -3,7 +3,7 @@
 //! In: a two-dimensional frame and the contours of its targets. Out: r, g, b bytes. A contour is s = dᵀ A d = 1, d = [x, y] −
 //! centre; a pixel's distance to it is |√s − 1| / |∇√s| to first order.
 
-use isophote_jit::{PixelFormat, PlaneView, Window};
+use isophote_jit::{PixelFormat, PlaneView, Slices, Window};
 use isophote_tracker::Contour;
 
 const CONTOUR: [f64; 3] = [255.0, 150.0, 0.0];
@@ -102,12 +102,12 @@ pub fn white(plane: &PlaneView) -> f64 {
 
 /// `window` with a margin, inside a frame of `width` × `height`; the whole frame without a window.
 pub fn part_to_draw(window: Option<Window>, width: usize, height: usize) -> Window {
-    let whole = Window { x: 0, y: 0, width, height };
+    let whole = Window::whole(width, height);
     let Some(window) = window.and_then(|window| window.clipped(width, height)) else { return whole };
     let margin = (window.width.max(window.height) / 8).max(4);
     let (x, y) = (window.x.saturating_sub(margin), window.y.saturating_sub(margin));
     let (right, bottom) = (window.x + window.width + margin, window.y + window.height + margin);
-    Window { x, y, width: right.min(width) - x, height: bottom.min(height) - y }
+    Window { x, y, width: right.min(width) - x, height: bottom.min(height) - y, slices: Slices::ONE }
 }
 
 #[cfg(test)]
@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_part_has_a_margin_inside_the_frame() {
-        let window = |x, y, width, height| Window { x, y, width, height };
+        let window = |x, y, width, height| Window { x, y, width, height, slices: Slices::ONE };
         assert_eq!(part_to_draw(Some(window(50, 60, 32, 16)), 640, 480), window(46, 56, 40, 24));
         assert_eq!(part_to_draw(Some(window(0, 470, 32, 64)), 640, 480), window(0, 466, 36, 14));
         assert_eq!(part_to_draw(Some(window(700, 0, 5, 5)), 640, 480), window(0, 0, 640, 480));

@@ -3,14 +3,17 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isophote_capture::{Captured, FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png};
+use isophote_capture::{
+    Captured, FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png, encode_tiff,
+};
+use isophote_tracker::Frame;
 use serde::Serialize;
 
 use crate::arguments::{Formulas, Numbers, Size};
 use crate::failure::Failure;
 use crate::model_files;
 
-/// Render a model to PNG files, with sub-pixel samples, motion, noise and saturation
+/// Render a model to PNG files (stacks to TIFF), with sub-pixel samples, motion, noise and saturation
 #[derive(Clone, Debug, clap::Args)]
 pub struct RenderArgs {
     /// The model document (TOML; JSON if it is named *.json)
@@ -19,12 +22,12 @@ pub struct RenderArgs {
     /// Parameters and constants; what is not set starts in the middle of the frame at an ordinary size and brightness
     #[arg(long, value_name = "k=v,…")]
     pub set: Vec<Numbers>,
-    /// Where 000000.png, … and truth.jsonl go
+    /// Where 000000.png, … and truth.jsonl go; 000000.tiff with three coordinates, a folder 000000 of them with four
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Pixels of a frame
-    #[arg(long, value_name = "WxH", default_value = "640x480")]
-    pub size: Size,
+    /// Pixels of a frame, as many numbers as the model has coordinates [default: 640x480, 64x64x32, 32x32x16x8]
+    #[arg(long, value_name = "WxH")]
+    pub size: Option<Size>,
     /// How many frames
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: u64,
@@ -34,10 +37,10 @@ pub struct RenderArgs {
     /// Frames a second, for motion: frame n is at t = n / rate
     #[arg(long, value_name = "HZ", default_value_t = 60.0)]
     pub rate_hz: f64,
-    /// Bits of a pixel; over 8 writes 16-bit PNG
+    /// Bits of a pixel; over 8 writes 16-bit files
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub bits: u32,
-    /// Sub-pixel samples per side
+    /// Sub-pixel samples per side, along x and y
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub samples: u32,
     /// Electrons at the saturation limit; 0: no noise
@@ -68,11 +71,15 @@ struct Truth<'a> {
 /// Renders all frames.
 pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
+    let typical = SyntheticSpec::new(model.clone());
+    let [width, height, depth, length] = sides(args, &typical)?;
     let spec = SyntheticSpec {
         set: Numbers::merged(&args.set).map_err(Failure::Usage)?,
         motion: Formulas::merged(&args.motion).map_err(Failure::Usage)?,
-        width: args.size.0,
-        height: args.size.1,
+        width,
+        height,
+        depth,
+        length,
         rate_hz: args.rate_hz,
         bits: args.bits,
         samples: args.samples,
@@ -80,8 +87,9 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         read_noise_e: args.read_noise_e,
         saturation: args.saturation.unwrap_or_else(|| f64::from((1u32 << args.bits.clamp(1, 16)) - 1)),
         seed: args.seed,
-        ..SyntheticSpec::new(model)
+        ..typical
     };
+    let coordinates = spec.model.coordinates().len();
     let mut camera = Synthetic::new(spec).map_err(|error| refused(&args.model, error))?;
     let failed = |path: &Path, error: &dyn std::fmt::Display| {
         Failure::Other(format!("{}: cannot be written: {error}", path.display()))
@@ -92,12 +100,7 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     for number in 0..args.frames {
         let captured = camera.next().map_err(|error| Failure::Other(error.to_string()))?;
         let Some(Captured { frame, truth: Some(parameters), .. }) = captured else { break };
-        let file = format!("{number:06}.png");
-        let path = args.out.join(&file);
-        let plane = &frame.planes()[0];
-        let png = encode_png(frame.width(), frame.rows(), plane.format, plane.buffer.bytes())
-            .map_err(|error| failed(&path, &error))?;
-        std::fs::write(&path, png).map_err(|error| failed(&path, &error))?;
+        let file = write(&args.out, number, &frame)?;
         let line = Truth { frame: number, file: &file, parameters: &parameters };
         let line = serde_json::to_string(&line).map_err(|error| failed(&truth_path, &error))?;
         writeln!(truth, "{line}").map_err(|error| failed(&truth_path, &error))?;
@@ -105,8 +108,59 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
             writeln!(out, "{line}").map_err(Failure::output)?;
         }
     }
-    warn_of_strangers(args);
+    warn_of_strangers(args, coordinates);
     Ok(())
+}
+
+/// Pixels along x, y, z, w.
+fn sides(args: &RenderArgs, typical: &SyntheticSpec) -> Result<[usize; 4], Failure> {
+    let coordinates = typical.model.coordinates();
+    let mut sides = [typical.width, typical.height, typical.depth, typical.length];
+    let Some(Size(given)) = &args.size else { return Ok(sides) };
+    // A line is a picture of one row.
+    if given.len() != coordinates.len() && (coordinates.len(), given.len()) != (1, 2) {
+        let text: Vec<String> = given.iter().map(usize::to_string).collect();
+        return Err(Failure::Usage(format!(
+            "--size {} has {} numbers, the model {} coordinates: {}",
+            text.join("x"),
+            given.len(),
+            coordinates.len(),
+            coordinates.join(", ")
+        )));
+    }
+    sides.iter_mut().zip(given).for_each(|(side, given)| *side = *given);
+    Ok(sides)
+}
+
+/// Writes a frame, a picture as PNG, a volume as a TIFF of its slices, a series as a folder of volumes; its name.
+fn write(folder: &Path, number: u64, frame: &Frame) -> Result<String, Failure> {
+    let failed = |path: &Path, error: &dyn std::fmt::Display| {
+        Failure::Other(format!("{}: cannot be written: {error}", path.display()))
+    };
+    let [width, height, _, volumes] = frame.sides();
+    let plane = &frame.planes()[0];
+    let pixels = plane.buffer.bytes();
+    let save = |path: PathBuf, bytes: Result<Vec<u8>, isophote_capture::encode::EncodeError>| {
+        let bytes = bytes.map_err(|error| failed(&path, &error))?;
+        std::fs::write(&path, bytes).map_err(|error| failed(&path, &error))
+    };
+    let name = match frame.size().len() {
+        0..=2 => format!("{number:06}.png"),
+        3 => format!("{number:06}.tiff"),
+        _ => format!("{number:06}"),
+    };
+    let path = folder.join(&name);
+    match frame.size().len() {
+        0..=2 => save(path, encode_png(width, height, plane.format, pixels))?,
+        3 => save(path, encode_tiff(width, height, plane.format, pixels))?,
+        _ => {
+            std::fs::create_dir_all(&path).map_err(|error| failed(&path, &error))?;
+            for (volume, pixels) in pixels.chunks(pixels.len() / volumes).enumerate() {
+                save(path.join(format!("{volume:06}.tiff")), encode_tiff(width, height, plane.format, pixels))?;
+            }
+        }
+    }
+    Ok(name)
 }
 
 /// A wrong name or number is wrong usage; a document that cannot be rendered is a wrong model.
@@ -122,10 +176,10 @@ fn refused(model: &Path, error: SyntheticError) -> Failure {
 }
 
 /// Frames of an earlier, longer run would be taken for this one's.
-fn warn_of_strangers(args: &RenderArgs) {
-    let found = Recording::open(&args.out).map_or(0, |recording| recording.len() as u64);
+fn warn_of_strangers(args: &RenderArgs, coordinates: usize) {
+    let found = Recording::of_dimensions(&args.out, coordinates).map_or(0, |recording| recording.len() as u64);
     if found > args.frames {
         let (out, others) = (args.out.display(), found - args.frames);
-        eprintln!("warning: {out} holds {others} images more than were rendered; `isophote fit` will read them too");
+        eprintln!("warning: {out} holds {others} frames more than were rendered; `isophote fit` will read them too");
     }
 }

@@ -82,7 +82,15 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     document.insert("start".into(), json!(Numbers::merged(&args.start).map_err(Failure::Usage)?));
     document.insert("constants".into(), json!(Numbers::merged(&args.constant).map_err(Failure::Usage)?));
     if let Some(WindowArgument(window)) = args.window {
-        let window = json!({"x": window.x, "y": window.y, "width": window.width, "height": window.height});
+        let mut fields = json!({"x": window.x, "y": window.y, "width": window.width, "height": window.height});
+        // What is not named is all there is.
+        for (axis, [first, count]) in [["z", "depth"], ["w", "length"]].into_iter().enumerate() {
+            if window.slices.count[axis] < usize::MAX {
+                fields[first] = json!(window.slices.first[axis]);
+                fields[count] = json!(window.slices.count[axis]);
+            }
+        }
+        let window = fields;
         document.insert("window".into(), window);
     }
     if let Some(path) = &args.camera {

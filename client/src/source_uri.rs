@@ -22,7 +22,10 @@ pub fn document(text: &str) -> Result<Value, Failure> {
     }
     if let Some(rest) = text.strip_prefix("pushed:") {
         let (size, keys) = keys(rest)?;
-        let crate::arguments::Size(width, height) = size.trim_start_matches("//").parse().map_err(Failure::Usage)?;
+        let crate::arguments::Size(sides) = size.trim_start_matches("//").parse().map_err(Failure::Usage)?;
+        let [width, height] = sides[..] else {
+            return Err(Failure::Usage(format!("pushed:{size} is not pushed:WIDTHxHEIGHT; clients push pictures")));
+        };
         return Ok(of_kind("pushed", [("width", json!(width)), ("height", json!(height))], keys));
     }
     if text.starts_with("/dev/") {

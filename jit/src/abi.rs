@@ -14,6 +14,10 @@ pub(crate) struct PlaneArgs {
     pub row_stride: i64,
     /// Bytes.
     pub pixel_stride: i64,
+    /// Bytes from a slice to the next.
+    pub slice_stride: i64,
+    /// Bytes from a volume to the next.
+    pub volume_stride: i64,
 }
 
 /// The argument block of a kernel.
@@ -37,6 +41,14 @@ pub(crate) struct Args {
     pub width: i64,
     /// The window, px.
     pub height: i64,
+    /// The window's first slice.
+    pub z: i64,
+    /// The window's first volume.
+    pub w: i64,
+    /// The window's slices.
+    pub depth: i64,
+    /// The window's volumes.
+    pub length: i64,
     /// Written: pixels that took part.
     pub pixels: i64,
     /// Written: pixels left out for saturation.

@@ -13,6 +13,7 @@ pub(crate) struct Parts<'a> {
     pub sink: &'a Sink,
     pub inputs: usize,
     pub channels: usize,
+    pub coordinates: usize,
 }
 
 impl<'a> Parts<'a> {
@@ -23,6 +24,7 @@ impl<'a> Parts<'a> {
             sink: program.sink(),
             inputs: program.inputs().len(),
             channels: program.channels(),
+            coordinates: program.coordinates(),
         }
     }
 
@@ -86,7 +88,7 @@ impl<'a> Parts<'a> {
         };
         let exists = match op {
             Op::Input(input) => input.index() < self.inputs,
-            Op::Outer(coordinate) => coordinate.0 == 1,
+            Op::Outer(coordinate) => (1..self.coordinates.max(2)).contains(&coordinate.index()),
             Op::Channel(channel) => channel.index() < self.channels,
             Op::RowTotal(accumulator) => accumulator.index() < accumulators,
             Op::PassTotal(total) => total.index() < totals,
@@ -125,7 +127,7 @@ mod tests {
     fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet) -> Result<(), String> {
         let instructions: Vec<Instruction> =
             ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
-        Parts { instructions: &instructions, pixel_set, sink: &sink, inputs: 1, channels: 1 }.check()
+        Parts { instructions: &instructions, pixel_set, sink: &sink, inputs: 1, channels: 1, coordinates: 2 }.check()
     }
 
     fn good() -> (Vec<(Level, Op)>, Sink) {

@@ -72,14 +72,20 @@ pub enum RunError {
         stride: usize,
     },
     /// The window is empty or leaves a plane.
-    #[error("the window {window:?} is empty or leaves the plane of {width} × {height} px")]
+    #[error("the window {window:?} is empty or leaves the plane of {size:?} px")]
     Window {
         /// As given.
         window: Window,
         /// Of the plane.
-        width: usize,
-        /// Of the plane.
-        height: usize,
+        size: [usize; 4],
+    },
+    /// The window has slices that the program has no coordinate for.
+    #[error("the window {window:?} has several slices, the program {coordinates} coordinates")]
+    Slices {
+        /// Of the program.
+        coordinates: usize,
+        /// As given.
+        window: Window,
     },
     /// The output plane has another size than the window.
     #[error("the output plane holds {given} px, the window has {expected}")]

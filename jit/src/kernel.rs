@@ -89,15 +89,26 @@ impl Kernel {
     /// Adds the program's value to every pixel of `plane`, which holds the pixels of `window` row by row.
     pub fn render(&self, bindings: &Bindings<'_>, window: Window, plane: &mut [f32]) -> Result<(), RunError> {
         let Sink::Plane(_) = self.program.sink() else { return Err(RunError::Sink { renders: false }) };
-        let side = PlaneView::SIDE_MAX;
-        if window.clipped(side, side) != Some(window) {
-            return Err(RunError::Window { window, width: side, height: side });
+        let size = [PlaneView::SIDE_MAX; 4];
+        let rows = window.size()[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n));
+        if window.clipped_to(size) != Some(window) || rows > PlaneView::SIDE_MAX {
+            return Err(RunError::Window { window, size });
         }
+        self.check_slices(window)?;
         if window.pixels() != plane.len() {
             return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
         }
         self.code.render(&self.program.gather(bindings), window, plane);
         Ok(())
+    }
+
+    /// A loop nest of two coordinates would leave all slices but the first out.
+    fn check_slices(&self, window: Window) -> Result<(), RunError> {
+        let coordinates = self.program.coordinates();
+        match window.size().iter().skip(coordinates.max(2)).all(|count| *count == 1) {
+            true => Ok(()),
+            false => Err(RunError::Slices { coordinates, window }),
+        }
     }
 
     fn regions<'a>(&self, planes: &[PlaneView<'a>], window: Window) -> Result<Vec<Region<'a>>, RunError> {
@@ -112,9 +123,9 @@ impl Kernel {
             if self.options.packed && !plane.is_packed() {
                 return Err(RunError::Packing { channel, stride: plane.pixel_stride() });
             }
-            let (width, height) = (plane.width(), plane.height());
-            plane.region(window).ok_or(RunError::Window { window, width, height })
+            plane.region(window).ok_or(RunError::Window { window, size: plane.size() })
         };
+        self.check_slices(window)?;
         planes.iter().zip(formats).enumerate().map(region).collect()
     }
 }

@@ -56,4 +56,4 @@ pub use compile::{Explained, explain};
 pub use error::{CompileError, RunError};
 pub use host::has_fma;
 pub use kernel::{Kernel, KernelOptions, Sums};
-pub use plane::{PixelFormat, PlaneError, PlaneView, Window};
+pub use plane::{PixelFormat, PlaneError, PlaneView, Slices, Window};

@@ -1,5 +1,6 @@
 //! Pixels in memory: what a kernel may read, checked once, so that the loop needs no checks.
 
+pub use isophote_symbolic::interpreter::Slices;
 use thiserror::Error;
 
 /// How one pixel of a plane is stored; native byte order, any alignment.
@@ -61,23 +62,22 @@ pub enum PlaneError {
     },
 }
 
-/// A rectangle of pixels inside `bytes`, which [`PlaneView::new`] has checked: pixel (x, y) starts at byte
-/// `y · row_stride + x · pixel_stride`. Rows and pixels may overlap or interleave.
+/// Pixels inside `bytes`, which [`PlaneView::stack`] has checked: pixel (x, y, z, w) starts at byte
+/// `x · strides[0] + y · strides[1] + z · strides[2] + w · strides[3]`. A picture is one slice of one volume. Rows, slices
+/// and pixels may overlap or interleave.
 #[derive(Clone, Copy, Debug)]
 pub struct PlaneView<'a> {
     format: PixelFormat,
     bytes: &'a [u8],
-    width: usize,
-    height: usize,
-    row_stride: usize,
-    pixel_stride: usize,
+    size: [usize; 4],
+    strides: [usize; 4],
 }
 
 impl<'a> PlaneView<'a> {
     /// The longest side, px.
     pub const SIDE_MAX: usize = i32::MAX as usize;
 
-    /// A plane of `width` × `height` pixels; strides in bytes.
+    /// A picture of `width` × `height` pixels; strides in bytes.
     pub fn new(
         format: PixelFormat,
         bytes: &'a [u8],
@@ -86,17 +86,29 @@ impl<'a> PlaneView<'a> {
         row_stride: usize,
         pixel_stride: usize,
     ) -> Result<PlaneView<'a>, PlaneError> {
-        if width == 0 || height == 0 {
+        Self::stack(format, bytes, [width, height, 1, 1], [pixel_stride, row_stride, 0, 0])
+    }
+
+    /// Pixels of four coordinates, the inner one first; strides in bytes.
+    pub fn stack(
+        format: PixelFormat,
+        bytes: &'a [u8],
+        size: [usize; 4],
+        strides: [usize; 4],
+    ) -> Result<PlaneView<'a>, PlaneError> {
+        let (width, height) = (size[0], size[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n)));
+        if size.contains(&0) {
             return Err(PlaneError::Empty { width, height });
         }
-        if width > Self::SIDE_MAX || height > Self::SIDE_MAX {
+        if size.iter().any(|side| *side > Self::SIDE_MAX) || height > Self::SIDE_MAX {
             return Err(PlaneError::TooLarge { width, height });
         }
-        let rows = (height - 1).checked_mul(row_stride);
-        let pixels = (width - 1).checked_mul(pixel_stride);
-        let end = rows.zip(pixels).and_then(|(r, p)| r.checked_add(p)?.checked_add(format.bytes_per_pixel()));
-        match end {
-            Some(end) if end <= bytes.len() => Ok(PlaneView { format, bytes, width, height, row_stride, pixel_stride }),
+        let last = size
+            .iter()
+            .zip(strides)
+            .try_fold(0usize, |last, (n, stride)| (n - 1).checked_mul(stride)?.checked_add(last));
+        match last.and_then(|last| last.checked_add(format.bytes_per_pixel())) {
+            Some(end) if end <= bytes.len() => Ok(PlaneView { format, bytes, size, strides }),
             _ => Err(PlaneError::TooShort { width, height, given: bytes.len() }),
         }
     }
@@ -105,32 +117,49 @@ impl<'a> PlaneView<'a> {
     pub fn format(&self) -> PixelFormat {
         self.format
     }
+    /// Pixels along each coordinate.
+    pub fn size(&self) -> [usize; 4] {
+        self.size
+    }
     /// Pixels a row.
     pub fn width(&self) -> usize {
-        self.width
+        self.size[0]
     }
-    /// Rows.
+    /// Rows of a slice.
     pub fn height(&self) -> usize {
-        self.height
+        self.size[1]
+    }
+    /// Bytes from a pixel to the next along each coordinate.
+    pub fn strides(&self) -> [usize; 4] {
+        self.strides
     }
     /// Bytes from a pixel to the one below.
     pub fn row_stride(&self) -> usize {
-        self.row_stride
+        self.strides[1]
     }
     /// Bytes from a pixel to the next of its row.
     pub fn pixel_stride(&self) -> usize {
-        self.pixel_stride
+        self.strides[0]
     }
     /// True when the pixels of a row follow each other without gaps.
     pub fn is_packed(&self) -> bool {
-        self.pixel_stride == self.format.bytes_per_pixel()
+        self.strides[0] == self.format.bytes_per_pixel()
     }
 
-    /// The value of pixel (x, y), exactly. Panics outside the plane, as a slice does.
+    /// The value of pixel (x, y) of the first slice, exactly. Panics outside the plane, as a slice does.
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> f64 {
-        assert!(x < self.width && y < self.height, "pixel ({x}, {y}) of {} × {}", self.width, self.height);
-        let bytes = &self.bytes[y * self.row_stride + x * self.pixel_stride..];
+        self.pixel_at([x, y, 0, 0])
+    }
+
+    /// The value of pixel (x, y, z, w), exactly. Panics outside the plane, as a slice does.
+    #[inline]
+    pub fn pixel_at(&self, place: [usize; 4]) -> f64 {
+        let [x, y, z, w] = place;
+        let [width, height, depth, length] = self.size;
+        assert!(x < width && y < height && z < depth && w < length, "pixel {place:?} of {:?}", self.size);
+        let [across, down, slice, volume] = self.strides;
+        let bytes = &self.bytes[x * across + y * down + z * slice + w * volume..];
         match self.format {
             PixelFormat::U8 => f64::from(bytes[0]),
             PixelFormat::U16 => f64::from(u16::from_ne_bytes([bytes[0], bytes[1]])),
@@ -143,10 +172,10 @@ impl<'a> PlaneView<'a> {
 
     /// The part of the plane under `window`; `None` where the window leaves the plane or is empty.
     pub(crate) fn region(&self, window: Window) -> Option<Region<'a>> {
-        if window.clipped(self.width, self.height)? != window {
+        if window.clipped_to(self.size)? != window {
             return None;
         }
-        let first = window.y * self.row_stride + window.x * self.pixel_stride;
+        let first: usize = window.first().iter().zip(self.strides).map(|(at, stride)| at * stride).sum();
         Some(Region { plane: *self, first: &self.bytes[first..], window })
     }
 }
@@ -172,7 +201,7 @@ impl<'a> Region<'a> {
     }
 }
 
-/// A rectangle of pixels of an image, px; (x, y) is its top-left pixel.
+/// A rectangle of pixels of an image, px; (x, y) is its top-left pixel. In a stack, the same rectangle of several slices.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Window {
     /// First column.
@@ -183,30 +212,56 @@ pub struct Window {
     pub width: usize,
     /// Rows.
     pub height: usize,
+    /// Which slices of which volumes; [`Slices::ONE`] of a picture.
+    pub slices: Slices,
 }
 
 impl Window {
-    /// All of an image.
+    /// All of a picture.
     pub fn whole(width: usize, height: usize) -> Window {
-        Window { x: 0, y: 0, width, height }
+        Window::of_size([width, height, 1, 1])
     }
 
-    /// The part inside an image of `width` × `height` pixels; `None` when no pixel is left.
+    /// All of a stack.
+    pub fn of_size([width, height, depth, length]: [usize; 4]) -> Window {
+        Window { x: 0, y: 0, width, height, slices: Slices { first: [0, 0], count: [depth, length] } }
+    }
+
+    /// The first pixel along each coordinate.
+    pub fn first(self) -> [usize; 4] {
+        [self.x, self.y, self.slices.first[0], self.slices.first[1]]
+    }
+
+    /// Pixels along each coordinate.
+    pub fn size(self) -> [usize; 4] {
+        [self.width, self.height, self.slices.count[0], self.slices.count[1]]
+    }
+
+    /// The part inside a picture of `width` × `height` pixels; `None` when no pixel is left.
     pub fn clipped(self, width: usize, height: usize) -> Option<Window> {
-        let columns = self.x.saturating_add(self.width).min(width).checked_sub(self.x)?;
-        let rows = self.y.saturating_add(self.height).min(height).checked_sub(self.y)?;
-        (columns > 0 && rows > 0).then_some(Window { x: self.x, y: self.y, width: columns, height: rows })
+        self.clipped_to([width, height, 1, 1])
+    }
+
+    /// The part inside a stack; `None` when no pixel is left.
+    pub fn clipped_to(self, size: [usize; 4]) -> Option<Window> {
+        let mut clipped = [0; 4];
+        for (axis, clipped) in clipped.iter_mut().enumerate() {
+            let (first, count) = (self.first()[axis], self.size()[axis]);
+            *clipped = first.saturating_add(count).min(size[axis]).checked_sub(first).filter(|left| *left > 0)?;
+        }
+        let [width, height, depth, length] = clipped;
+        Some(Window { width, height, slices: Slices { count: [depth, length], ..self.slices }, ..self })
     }
 
     /// How many pixels it has.
     pub fn pixels(self) -> usize {
-        self.width * self.height
+        self.size().iter().product()
     }
 }
 
 impl From<Window> for isophote_symbolic::interpreter::Window {
     fn from(window: Window) -> Self {
-        let Window { x, y, width, height } = window;
-        Self { x, y, width, height }
+        let Window { x, y, width, height, slices } = window;
+        Self { x, y, width, height, slices }
     }
 }

@@ -85,7 +85,7 @@ impl Code {
 
     /// A pass of a program that renders.
     pub fn render(&self, inputs: &[f64], window: Window, target: &mut [f32]) {
-        assert!(self.shape.renders && target.len() == window.width * window.height, "a plane of another size");
+        assert!(self.shape.renders && target.len() == window.pixels(), "a plane of another size");
         self.run(inputs, &mut [], &[], window, target);
     }
 
@@ -115,6 +115,10 @@ impl Code {
             y: window.y as i64,
             width: window.width as i64,
             height: window.height as i64,
+            z: window.slices.first[0] as i64,
+            w: window.slices.first[1] as i64,
+            depth: window.slices.count[0] as i64,
+            length: window.slices.count[1] as i64,
             pixels: 0,
             saturated: 0,
         };
@@ -133,6 +137,8 @@ fn plane_args(region: &Region<'_>) -> PlaneArgs {
         first: region.first().as_ptr(),
         row_stride: plane.row_stride() as i64,
         pixel_stride: plane.pixel_stride() as i64,
+        slice_stride: plane.strides()[2] as i64,
+        volume_stride: plane.strides()[3] as i64,
     }
 }
 

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{Image, Random, agree, agree_with, document, lowerings, parameters, programs, shipped};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, Window};
 use isophote_symbolic::{Bindings, Lowering, Model, Precision};
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
@@ -189,6 +189,7 @@ fn windows_of_every_width() {
                             y: random.below(image.height - height + 1),
                             width,
                             height,
+                            slices: Slices::ONE,
                         };
                         let values = parameters(&model, size(&model), &mut random);
                         let saturation = vec![250.0; model.channels().len()];
@@ -313,6 +314,103 @@ fn rows_outside_the_domain_are_skipped() {
                 let outcome = agree(&program, precision, &bindings, &image, window, &name);
                 assert_eq!(outcome.pixels > 0, some, "{name} at {bx}, {by}");
                 assert!(outcome.pixels < 70, "{name} at {bx}, {by}: {}", outcome.pixels);
+            }
+        }
+    }
+}
+
+/// Three and four coordinates: bounds that slices and volumes move, a mask, a row value of each outer coordinate.
+const STACKS: [&str; 3] = [
+    r#"
+    name = "blob"
+    coordinates = ["x", "y", "z"]
+    channels = ["phi"]
+    [parameters]
+    bx = { start = 5.0 }
+    by = { start = 4.0 }
+    bz = { start = 2.0 }
+    a1 = { start = 0.05 }
+    v0 = { start = 10.0 }
+    v1 = { start = 100.0 }
+    [definitions]
+    s = "a1 * ((x - bx)^2 + (y - by)^2 + 2 * (z - bz)^2 + 0.3 * (x - bx) * (z - bz))"
+    [model]
+    intensity = "v0 + v1 * exp(-2 * s)"
+    domain = "s <= 1.5"
+    "#,
+    r#"
+    name = "moving"
+    coordinates = ["x", "y", "z", "t"]
+    channels = ["phi"]
+    [parameters]
+    bx = { start = 5.0 }
+    by = { start = 4.0 }
+    bz = { start = 2.0 }
+    u = { start = 0.4 }
+    a1 = { start = 0.05 }
+    v1 = { start = 100.0 }
+    [definitions]
+    s = "a1 * ((x - bx - u * t)^2 + (y - by)^2 + (z - bz + 0.2 * t)^2)"
+    [model]
+    intensity = "v1 * (1 + t / 5) / (1 + s)^2"
+    domain = "s <= 2"
+    "#,
+    r#"
+    name = "masked"
+    coordinates = ["x", "y", "z", "t"]
+    channels = ["r", "g"]
+    [parameters]
+    bx = { start = 5.0 }
+    bt = { start = 2.0 }
+    v1 = { start = 100.0 }
+    [model]
+    observed = "r - 0.5 * g"
+    intensity = "v1 * (x - bx) + sin(z) * (t - bt)^2"
+    domain = "abs(x - bx) + sin(y) + z <= 9 and not (x * y * t > 60)"
+    "#,
+];
+
+#[test]
+fn stacks_agree_slice_by_slice() {
+    let seed = 7;
+    let mut random = Random(seed);
+    for model in STACKS.map(document) {
+        let length = if model.coordinates().len() == 4 { 4 } else { 1 };
+        let size = [13, 9, 5, length];
+        for lowering in lowerings() {
+            for (name, program) in programs(&model, lowering) {
+                for precision in PRECISIONS {
+                    let format = *random.pick(&PixelFormat::ALL);
+                    let gaps = *random.pick(&[[0, 0, 0, 0], [0, 5, 2, 9], [1, 0, 3, 0], [7, 11, 1, 4]]);
+                    let image = Image::stack(format, size, model.channels().len(), gaps, |_, _| {
+                        if random.below(6) == 0 { 250.0 } else { random.between(0.0, 249.0) }
+                    });
+                    let packed = gaps[0] == 0;
+                    let formats = vec![format; model.channels().len()];
+                    let kernel = Kernel::compile(&program, &KernelOptions { precision, formats, packed }).unwrap();
+                    let saturation = vec![250.0; model.channels().len()];
+                    for whole in [true, false, false] {
+                        let side = |n: usize, random: &mut Random| {
+                            let count = 1 + random.below(n);
+                            (random.below(n - count + 1), count)
+                        };
+                        let sides = size.map(|n| if whole { (0, n) } else { side(n, &mut random) });
+                        let [(x, width), (y, height), (z, depth), (w, length)] = sides;
+                        let slices = Slices { first: [z, w], count: [depth, length] };
+                        let window = Window { x, y, width, height, slices };
+                        let values = parameters(&model, [13, 9], &mut random);
+                        let entry = parameters(&model, [13, 9], &mut random);
+                        let bindings = Bindings {
+                            parameters: &values,
+                            entry: &entry,
+                            saturation: &saturation,
+                            ..Bindings::default()
+                        };
+                        let context = format!("{name}, seed {seed}");
+                        let outcome = agree_with(&kernel, &bindings, &image, window, &context);
+                        assert!(!whole || outcome.pixels > 50, "the case is empty: {context}");
+                    }
+                }
             }
         }
     }

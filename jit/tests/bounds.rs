@@ -6,7 +6,7 @@
 mod common;
 
 use common::{Random, lowerings, parameters, programs, shipped};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneError, PlaneView, RunError, Window};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneError, PlaneView, RunError, Slices, Window};
 use isophote_symbolic::{Bindings, Lowering, Precision, Program};
 
 fn program() -> Program {
@@ -39,7 +39,8 @@ fn windows_outside_the_plane_are_refused() {
     let kernel = kernel(PixelFormat::U8, true);
     let values = [1.0; 9];
     let bindings = Bindings { parameters: &values, entry: &values, ..Bindings::default() };
-    let run = |x, y, width, height| kernel.sums(&bindings, &[view], Window { x, y, width, height });
+    let run =
+        |x, y, width, height| kernel.sums(&bindings, &[view], Window { x, y, width, height, slices: Slices::ONE });
     assert!(run(0, 0, 20, 10).is_ok() && run(19, 9, 1, 1).is_ok() && run(3, 4, 17, 6).is_ok());
     let outside = [
         (0, 0, 21, 10),
@@ -59,10 +60,94 @@ fn windows_outside_the_plane_are_refused() {
         assert!(matches!(refused, Err(RunError::Window { .. })), "{x} {y} {width} {height}: {refused:?}");
     }
     assert_eq!(
-        Window { x: 15, y: 8, width: 10, height: 10 }.clipped(20, 10),
-        Some(Window { x: 15, y: 8, width: 5, height: 2 })
+        Window { x: 15, y: 8, width: 10, height: 10, slices: Slices::ONE }.clipped(20, 10),
+        Some(Window { x: 15, y: 8, width: 5, height: 2, slices: Slices::ONE })
     );
-    assert_eq!(Window { x: 20, y: 0, width: 10, height: 10 }.clipped(20, 10), None);
+    assert_eq!(Window { x: 20, y: 0, width: 10, height: 10, slices: Slices::ONE }.clipped(20, 10), None);
+}
+
+#[test]
+fn slices_that_do_not_fit_are_refused() {
+    let bytes = [0_u8; 200];
+    let stack = |size, strides| PlaneView::stack(PixelFormat::U8, &bytes, size, strides);
+    assert!(stack([5, 4, 5, 2], [1, 5, 20, 100]).is_ok());
+    assert!(matches!(
+        stack([5, 4, 5, 2], [1, 5, 20, 101]),
+        Err(PlaneError::TooShort { width: 5, height: 40, given: 200 })
+    ));
+    assert!(matches!(stack([5, 4, 0, 2], [1, 5, 20, 100]), Err(PlaneError::Empty { .. })));
+    assert!(matches!(stack([1, 1 << 20, 1 << 20, 1], [0; 4]), Err(PlaneError::TooLarge { .. })));
+    assert!(stack([5, 4, 1, 1], [1, 5, usize::MAX, usize::MAX]).is_ok(), "strides that are never used");
+
+    let view = stack([5, 4, 5, 2], [1, 5, 20, 100]).unwrap();
+    let window = |first, count| Window { slices: Slices { first, count }, ..Window::whole(5, 4) };
+    let flat = kernel(PixelFormat::U8, true);
+    let values = [1.0; 9];
+    let bindings = Bindings { parameters: &values, entry: &values, ..Bindings::default() };
+    assert!(flat.sums(&bindings, &[view], window([4, 1], [1, 1])).is_ok(), "one slice is a picture");
+    let refused = flat.sums(&bindings, &[view], window([0, 0], [2, 1]));
+    assert!(matches!(refused, Err(RunError::Slices { coordinates: 2, .. })), "{refused:?}");
+    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let deep = Kernel::compile(&stacked(), &options).unwrap();
+    assert!(deep.sums(&bindings, &[view], window([0, 0], [5, 2])).is_ok());
+    for (first, count) in [
+        ([0, 0], [6, 2]),
+        ([0, 0], [5, 3]),
+        ([1, 0], [5, 1]),
+        ([0, 0], [0, 1]),
+        ([5, 0], [1, 1]),
+        ([0, 1], [usize::MAX, 1]),
+    ] {
+        let refused = deep.sums(&bindings, &[view], window(first, count));
+        assert!(matches!(refused, Err(RunError::Window { .. })), "{first:?} {count:?}: {refused:?}");
+    }
+    assert_eq!(window([1, 0], [9, 9]).clipped_to([5, 4, 5, 2]), Some(window([1, 0], [4, 2])));
+    assert_eq!(Window { slices: Slices::ALL, ..Window::whole(9, 9) }.clipped(5, 4), Some(Window::whole(5, 4)));
+}
+
+/// A program of four coordinates that looks at every pixel.
+fn stacked() -> Program {
+    let text = r#"
+    name = "all"
+    coordinates = ["x", "y", "z", "t"]
+    channels = ["phi"]
+    [parameters]
+    v = { start = 1.0 }
+    [model]
+    intensity = "v * (x + y + z + t)"
+    "#;
+    programs(&common::document(text), Lowering { fma: false, drop_saturated: false }).swap_remove(2).1
+}
+
+#[test]
+fn nothing_outside_a_stack_is_read() {
+    let seed = 12;
+    let mut random = Random(seed);
+    for precision in [Precision::F32, Precision::F64] {
+        for format in PixelFormat::ALL {
+            for packed in [true, false] {
+                let size = format.bytes_per_pixel();
+                let pixel = if packed { size } else { size + 1 };
+                let options = KernelOptions { precision, formats: vec![format], packed };
+                let kernel = Kernel::compile(&stacked(), &options).unwrap();
+                for width in 1..=9 {
+                    let sides = [width, 1 + random.below(4), 1 + random.below(4), 1 + random.below(3)];
+                    let row = width * pixel + random.below(4);
+                    let slice = sides[1] * row + random.below(9);
+                    let strides = [pixel, row, slice, sides[2] * slice + random.below(9)];
+                    let last: usize = sides.iter().zip(strides).map(|(n, stride)| (n - 1) * stride).sum();
+                    let bytes = last + size;
+                    let guarded = Guarded::new(bytes);
+                    for at_end in [false, true] {
+                        let view = PlaneView::stack(format, guarded.slice(bytes, at_end), sides, strides).unwrap();
+                        let bindings = Bindings { parameters: &[1.0], entry: &[1.0], ..Bindings::default() };
+                        let sums = kernel.sums(&bindings, &[view], Window::of_size(sides)).unwrap();
+                        assert_eq!(sums.pixels as usize, sides.iter().product::<usize>(), "seed {seed}");
+                    }
+                }
+            }
+        }
+    }
 }
 
 #[test]

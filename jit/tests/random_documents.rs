@@ -5,7 +5,7 @@
 mod common;
 
 use common::{Image, Random, agree, lowerings};
-use isophote_jit::{PixelFormat, Window};
+use isophote_jit::{PixelFormat, Slices, Window};
 use isophote_symbolic::{Bindings, Method, Model, ParameterId, Precision, ValueKind};
 
 const PARAMETERS: [&str; 4] = ["p", "q", "u", "v"];
@@ -96,7 +96,13 @@ fn random_documents_agree() {
             let entry: Vec<f64> = (0..4).map(|_| random.between(-2.0, 12.0)).collect();
             let bindings =
                 Bindings { parameters: &values, entry: &entry, saturation: &[240.0, 200.0], ..Bindings::default() };
-            let window = Window { x: random.below(5), y: random.below(3), width: 5 + random.below(9), height: 4 };
+            let window = Window {
+                x: random.below(5),
+                y: random.below(3),
+                width: 5 + random.below(9),
+                height: 4,
+                slices: Slices::ONE,
+            };
             for precision in [Precision::F32, Precision::F64] {
                 let outcome = agree(&program, precision, &bindings, &image, window, &format!("seed {seed}\n{text}"));
                 ran += 1;

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Random, document, lowerings, parameters, shipped};
-use isophote_jit::{Kernel, KernelOptions, RunError, Window};
+use isophote_jit::{Kernel, KernelOptions, RunError, Slices, Window};
 use isophote_symbolic::{Bindings, Precision, interpreter};
 
 struct NoPixels;
@@ -38,7 +38,8 @@ fn planes_agree() {
                 let options = KernelOptions { precision, formats: vec![], packed: true };
                 let kernel = Kernel::compile(&program, &options).unwrap();
                 for width in 1..=13 {
-                    let window = Window { x: random.below(40), y: random.below(tall), width, height: tall };
+                    let window =
+                        Window { x: random.below(40), y: random.below(tall), width, height: tall, slices: Slices::ONE };
                     let values = parameters(&model, [40, 9], &mut random);
                     let shift = [random.between(-0.5, 0.5), random.between(-0.5, 0.5)];
                     let bindings =
@@ -56,6 +57,40 @@ fn planes_agree() {
                     );
                 }
             }
+        }
+    }
+}
+
+const STACK: &str = r#"
+name = "stack"
+coordinates = ["x", "y", "z", "t"]
+channels = ["phi"]
+[parameters]
+bx = { start = 10.0 }
+v1 = { start = 10.0 }
+[model]
+intensity = "if(x + y < bx + z, v1, exp(-x * t) / (y - 3 + z))"
+"#;
+
+#[test]
+fn volumes_agree() {
+    let seed = 2;
+    let mut random = Random(seed);
+    let program = document(STACK).rendering(lowerings()[0]).unwrap();
+    for precision in [Precision::F32, Precision::F64] {
+        let kernel = Kernel::compile(&program, &KernelOptions { precision, formats: vec![], packed: true }).unwrap();
+        for width in 1..=9 {
+            let slices = Slices { first: [random.below(5), random.below(5)], count: [3, 2] };
+            let window = Window { x: random.below(9), y: random.below(9), width, height: 4, slices };
+            let shift: [f64; 4] = std::array::from_fn(|_| random.between(-0.5, 0.5));
+            let values = [random.between(5.0, 15.0), random.between(1.0, 9.0)];
+            let bindings = Bindings { parameters: &values, entry: &values, shift: &shift, ..Bindings::default() };
+            let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
+            let mut expected = native.clone();
+            kernel.render(&bindings, window, &mut native).unwrap();
+            interpreter::run(&program, precision, &bindings, &NoPixels, window.into(), Some(&mut expected));
+            let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
+            assert!(native.iter().zip(&expected).all(same), "{precision:?} {window:?} seed {seed}");
         }
     }
 }

@@ -16,7 +16,7 @@ use random::{Condition, Place, Random, Scope, Tree};
 use crate::double_double::DoubleDouble;
 use crate::evaluate::evaluate;
 use crate::function::Function1;
-use crate::interpreter::{Pixels, Window, run};
+use crate::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, ParameterId, Precision, Program, Sink, Value};
 use crate::weighed::Weighed;
 use crate::{Lowering, Method, Model};
@@ -155,7 +155,7 @@ impl Case {
         let zero = N::from(0.0);
         let mut outputs = vec![zero; 1 + n + n * (n + 1) / 2];
         let mut add = |k: usize, term: N| outputs[k] = outputs[k] + term;
-        let Window { x, y, width, height } = at.window;
+        let Window { x, y, width, height, .. } = at.window;
         for (x, y) in (y..y + height).flat_map(|y| (x..x + width).map(move |x| (x, y))) {
             for place in [&mut here, &mut entry] {
                 place.coordinates = [x as f64, y as f64];
@@ -209,7 +209,7 @@ impl Point {
         };
         let height = if case.scope.coordinates == 1 { 1 } else { 2 };
         let y = if case.scope.coordinates == 1 { 0 } else { random.below(4) };
-        let window = Window { x: random.below(5), y, width: 2 + random.below(2), height };
+        let window = Window { x: random.below(5), y, width: 2 + random.below(2), height, slices: Slices::ONE };
         Point { parameters, entry, constant: random.between(0.1, 0.9), window }
     }
 

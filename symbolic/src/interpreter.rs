@@ -5,11 +5,32 @@ use crate::program::{Bindings, Comparison, Instruction, Level, Op, Precision, Pr
 
 /// Where pixels come from. Coordinates are those of the whole plane.
 pub trait Pixels {
-    /// The pixel of a channel, as stored; f32 and integers are exact in f64.
+    /// The pixel of a channel of a picture, as stored; f32 and integers are exact in f64.
     fn at(&self, channel: usize, x: usize, y: usize) -> f64;
+
+    /// The pixel at (x, y, z, w). What has no slices is the same in all of them.
+    fn at_place(&self, channel: usize, [x, y, ..]: [usize; 4]) -> f64 {
+        self.at(channel, x, y)
+    }
 }
 
-/// A rectangle of pixels.
+/// The third and fourth coordinate of a window: which slices of which volumes.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct Slices {
+    /// First slice, first volume.
+    pub first: [usize; 2],
+    /// How many slices of each volume, how many volumes.
+    pub count: [usize; 2],
+}
+
+impl Slices {
+    /// The one slice of a picture.
+    pub const ONE: Slices = Slices { first: [0, 0], count: [1, 1] };
+    /// As many as there are.
+    pub const ALL: Slices = Slices { first: [0, 0], count: [usize::MAX, usize::MAX] };
+}
+
+/// A rectangle of pixels, in one slice or in several.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Window {
     /// First column.
@@ -20,6 +41,8 @@ pub struct Window {
     pub width: usize,
     /// Rows.
     pub height: usize,
+    /// Slices; more than one only for a program of more than two coordinates.
+    pub slices: Slices,
 }
 
 /// What a run hands back.
@@ -144,7 +167,7 @@ fn apply<T: Lane>(op: Op, at: impl Fn(Value) -> Cell<T>) -> Cell<T> {
     })
 }
 
-/// Runs a program over a window. `plane` is the output of a plane program: `width · height` values, added to.
+/// Runs a program over a window. `plane` is the output of a plane program: a value for each pixel of the window, added to.
 pub fn run(
     program: &Program,
     precision: Precision,
@@ -226,9 +249,19 @@ fn run_lanes<T: Lane, const L: usize>(
     if window.width == 0 {
         return outcome;
     }
-    for row in 0..window.height {
-        let y = window.y + row;
-        scalars.execute(Level::Row, &|op| matches!(op, Op::Outer(_)).then_some(y as f64));
+    let [depth, length] = match program.coordinates {
+        0..=2 => [1, 1],
+        3 => [window.slices.count[0], 1],
+        _ => window.slices.count,
+    };
+    for row in 0..window.height * depth * length {
+        let (slice, y) = (row / window.height, window.y + row % window.height);
+        let [z, w] = [window.slices.first[0] + slice % depth, window.slices.first[1] + slice / depth];
+        let outer = |op: Op| match op {
+            Op::Outer(c) => Some([f64::NAN, y as f64, z as f64, w as f64][c.index()]),
+            _ => None,
+        };
+        scalars.execute(Level::Row, &outer);
         let Some((start, end)) = row_range(&scalars, window) else { continue };
         let mut lanes: Vec<[Cell<T>; L]> = scalars.cells.iter().map(|c| [rounded(*c); L]).collect();
         let mut sums = vec![[T::from_f64(0.0); L]; accumulators.len()];
@@ -255,7 +288,7 @@ fn run_lanes<T: Lane, const L: usize>(
                     Op::Offset(_) => lanes[i],
                     Op::Channel(c) => std::array::from_fn(|l| {
                         let x = window.x + (group + l).min(end);
-                        Cell::Number(T::from_f64(pixels.at(c.index(), x, y)))
+                        Cell::Number(T::from_f64(pixels.at_place(c.index(), [x, y, z, w])))
                     }),
                     op => std::array::from_fn(|l| apply(op, |v| lanes[v.index()][l])),
                 };

@@ -17,7 +17,7 @@ pub struct Limits {
     pub parameters: usize,
     /// Constants of a document.
     pub constants: usize,
-    /// Coordinates of a document (this build).
+    /// Coordinates of a document.
     pub coordinates: usize,
     /// Raw planes of a document.
     pub channels: usize,
@@ -54,7 +54,7 @@ pub const LIMITS: Limits = Limits {
     name_bytes: 64,
     parameters: 64,
     constants: 64,
-    coordinates: 2,
+    coordinates: 4,
     channels: 8,
     stages: 8,
     iterations: 1000,

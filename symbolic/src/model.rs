@@ -36,23 +36,15 @@ pub enum Start {
     Estimator(Estimator),
 }
 
-/// Named starting values, found from the image's histogram and moments.
+/// Named starting values, found from the image's histogram and moments. Axes are positions of coordinates: 0 is the first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub enum Estimator {
-    /// Centre, first coordinate, px.
-    CentroidX,
-    /// Centre, second coordinate, px.
-    CentroidY,
-    /// Entry of A, px⁻².
-    ExtentXX,
-    /// Entry of A, px⁻².
-    ExtentXY,
-    /// Entry of A, px⁻².
-    ExtentYY,
-    /// Half extent along the first coordinate, px.
-    SizeX,
-    /// Half extent along the second coordinate, px.
-    SizeY,
+    /// Centre, px.
+    Centroid(usize),
+    /// Entry of A, px⁻²; the row is not after the column.
+    Extent(usize, usize),
+    /// Half extent, px.
+    Size(usize),
     /// Level of the surroundings, pixel value.
     Background,
     /// Signed height over the background, pixel value.
@@ -61,23 +53,57 @@ pub enum Estimator {
 
 impl Estimator {
     /// Every estimator.
-    pub const ALL: [Estimator; 9] = {
+    pub const ALL: [Estimator; 20] = {
         use Estimator::*;
-        [CentroidX, CentroidY, ExtentXX, ExtentXY, ExtentYY, SizeX, SizeY, Background, Amplitude]
+        [
+            Centroid(0),
+            Centroid(1),
+            Centroid(2),
+            Centroid(3),
+            Extent(0, 0),
+            Extent(0, 1),
+            Extent(0, 2),
+            Extent(0, 3),
+            Extent(1, 1),
+            Extent(1, 2),
+            Extent(1, 3),
+            Extent(2, 2),
+            Extent(2, 3),
+            Extent(3, 3),
+            Size(0),
+            Size(1),
+            Size(2),
+            Size(3),
+            Background,
+            Amplitude,
+        ]
     };
 
-    /// The name in a document.
+    /// The name in a document. The letters x, y, z, w stand for the first to the fourth coordinate, whatever its name is.
     pub fn name(self) -> &'static str {
+        const CENTROID: [&str; 4] = ["centroid.x", "centroid.y", "centroid.z", "centroid.w"];
+        const SIZE: [&str; 4] = ["size.x", "size.y", "size.z", "size.w"];
+        const EXTENT: [[&str; 4]; 4] = [
+            ["extent.xx", "extent.xy", "extent.xz", "extent.xw"],
+            ["extent.xy", "extent.yy", "extent.yz", "extent.yw"],
+            ["extent.xz", "extent.yz", "extent.zz", "extent.zw"],
+            ["extent.xw", "extent.yw", "extent.zw", "extent.ww"],
+        ];
         match self {
-            Estimator::CentroidX => "centroid.x",
-            Estimator::CentroidY => "centroid.y",
-            Estimator::ExtentXX => "extent.xx",
-            Estimator::ExtentXY => "extent.xy",
-            Estimator::ExtentYY => "extent.yy",
-            Estimator::SizeX => "size.x",
-            Estimator::SizeY => "size.y",
+            Estimator::Centroid(axis) => CENTROID[axis],
+            Estimator::Extent(row, column) => EXTENT[row][column],
+            Estimator::Size(axis) => SIZE[axis],
             Estimator::Background => "background",
             Estimator::Amplitude => "amplitude",
+        }
+    }
+
+    /// How many coordinates a document must have for it.
+    pub fn coordinates(self) -> usize {
+        match self {
+            Estimator::Centroid(axis) | Estimator::Size(axis) => axis + 1,
+            Estimator::Extent(row, column) => row.max(column) + 1,
+            Estimator::Background | Estimator::Amplitude => 1,
         }
     }
 }
@@ -100,7 +126,8 @@ pub struct Roles {
     pub name: Option<String>,
     /// One a coordinate, or empty.
     pub centre: Vec<ParameterId>,
-    /// The entries a1, a2, a3 of A (the outline is dᵀ A d = 1), or empty.
+    /// The upper triangle of A, row by row (the outline is dᵀ A d = 1), or empty: a1, a2, a3 in two dimensions; xx, xy,
+    /// xz, yy, yz, zz in three.
     pub shape: Vec<ParameterId>,
     /// Background level.
     pub background: Option<ParameterId>,
@@ -261,6 +288,16 @@ impl Model {
         };
         self.parameters.iter().zip(parameters).all(bounded)
             && self.formulas.constraints.iter().all(|c| self.formulas.graph.evaluate(*c, &leaf) == 1.0)
+    }
+
+    /// `observed` of one pixel, from the values of its channels.
+    pub fn observed(&self, channels: &[f64], constants: &[f64]) -> f64 {
+        let leaf = |node: &Node| match node {
+            Node::Channel(c) => channels[c.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.graph.evaluate(self.formulas.observed, &leaf)
     }
 
     /// F, its gradient and its Hessian for a subset of the parameters.

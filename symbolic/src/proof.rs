@@ -15,7 +15,7 @@ use crate::evaluate::{Number, Sample, evaluate_at};
 use crate::function::Function1;
 use crate::graph::{Graph, Node, NodeId};
 use crate::hyper::{Evaluator, Hyper, Order};
-use crate::interpreter::{self, Pixels, Window};
+use crate::interpreter::{self, Pixels, Slices, Window};
 use crate::model::{Estimator, Model, Start};
 use crate::modular::Modular;
 use crate::program::{Bindings, Input, Precision, Program};
@@ -61,12 +61,12 @@ const POINTS: u64 = 6;
 const UNSEEN: f64 = 1e-12;
 /// How near a rim, px, a pixel may belong or not.
 const RIM: f64 = 1e-6;
-/// Columns and rows of the picture for f32.
+/// Columns and rows of the picture for f32; of a third and fourth coordinate it has two.
 const PICTURE: (usize, usize) = (48, 3);
 /// Where the made-up target is, px: in the middle of a camera's picture for f32, and where terms are as small as their sum
 /// for f64.
-const FAR: [f64; 2] = [300.3, 200.7];
-const NEAR: [f64; 2] = [0.3, -0.3];
+const FAR: [f64; 4] = [300.3, 200.7, 20.3, 10.7];
+const NEAR: [f64; 4] = [0.3, -0.3, 0.3, -0.3];
 /// How large it is, px.
 const SIZE: f64 = 12.0;
 
@@ -302,7 +302,7 @@ impl Claim<'_> {
     }
 
     /// Where the first target is: numbers of the document count, everything else is put where the caller wants it.
-    fn centre(&self, otherwise: [f64; 2]) -> [f64; 2] {
+    fn centre(&self, otherwise: [f64; 4]) -> [f64; 4] {
         let role = |i: usize| self.model.roles.first()?.centre.get(i).copied();
         std::array::from_fn(|i| match role(i).map(|p| self.model.parameters[p.index()].start) {
             Some(Start::Number(number)) => number,
@@ -312,12 +312,12 @@ impl Claim<'_> {
     }
 
     /// Parameters near their starts, with the target in the middle of some columns and rows.
-    fn plausible(&self, centre: [f64; 2], random: &mut Random) -> Point<f64> {
+    fn plausible(&self, centre: [f64; 4], random: &mut Random) -> Point<f64> {
         let parameters: Vec<f64> = self.model.parameters.iter().map(|p| made_up(p, centre, random)).collect();
         let coordinates = self.model.coordinates.len();
         let near = |centre: f64, random: &mut Random| (centre + 0.8 * SIZE * random.signed()).round();
         let columns: Vec<f64> = (0..4).map(|_| near(centre[0], random)).collect();
-        let outer = |random: &mut Random| (1..coordinates).map(|_| near(centre[1], random)).collect::<Vec<_>>();
+        let outer = |random: &mut Random| (1..coordinates).map(|i| near(centre[i], random)).collect::<Vec<_>>();
         let rows: Vec<Vec<f64>> = (0..if coordinates == 1 { 1 } else { 2 }).map(|_| outer(random)).collect();
         let pixels = self.model.channels.len() * columns.len() * rows.len();
         Point {
@@ -378,15 +378,21 @@ impl Claim<'_> {
         let centre = self.centre(FAR);
         let x = columns_around(centre[0])[0].max(0.0) as usize;
         let y = (centre[1] - 0.5 * height as f64).round().max(0.0) as usize;
-        let height = if self.model.coordinates.len() == 1 { 1 } else { height };
-        let window = Window { x, y: if height == 1 { 0 } else { y }, width, height };
+        let coordinates = self.model.coordinates.len();
+        let height = if coordinates == 1 { 1 } else { height };
+        let slices = Slices {
+            first: [2, 3].map(|i| if i < coordinates { centre[i].floor().max(0.0) as usize } else { 0 }),
+            count: [2, 3].map(|i| if i < coordinates { 2 } else { 1 }),
+        };
+        let window = Window { x, y: if height == 1 { 0 } else { y }, width, height, slices };
         let away = |i: usize, value: f64| match self.model.parameters[i].start {
-            Start::Estimator(Estimator::CentroidX | Estimator::CentroidY) => value + 0.3,
+            Start::Estimator(Estimator::Centroid(_)) => value + 0.3,
             _ => 1.03 * value,
         };
         let parameters: Vec<f64> = point.parameters.iter().enumerate().map(|(i, value)| away(i, *value)).collect();
         let channels = self.model.channels.len();
-        let mut pixels = Vec::with_capacity(channels * width * height);
+        let [depth, length] = slices.count;
+        let mut pixels = Vec::with_capacity(channels * width * height * depth * length);
         let inputs = |node: &Node| match node {
             Node::Input(Input::Parameter(p) | Input::Entry(p)) => parameters[p.index()],
             Node::Input(Input::Constant(c)) => point.constants[c.index()],
@@ -396,11 +402,12 @@ impl Claim<'_> {
         let roots = [formulas.intensity];
         let mut evaluator = Evaluator::new(&formulas.graph, &roots, &[], Order::First, &inputs);
         for _ in 0..channels {
-            for row in 0..height {
+            for row in 0..height * depth * length {
+                let (slice, y) = (row / height, window.y + row % height);
+                let [z, w] = [slices.first[0] + slice % depth, slices.first[1] + slice / depth];
                 for column in 0..width {
                     let shown = evaluator.at(&|node| match node {
-                        Node::Coordinate(c) if c.0 == 0 => (window.x + column) as f64,
-                        Node::Coordinate(_) => (window.y + row) as f64,
+                        Node::Coordinate(c) => [window.x + column, y, z, w][c.index()] as f64,
                         node => inputs(node),
                     });
                     pixels.push(f64::from((shown[0].value + 1.5 * random.signed()) as f32));
@@ -423,22 +430,27 @@ struct Picture {
 
 impl Pixels for Picture {
     fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
-        let Window { width, height, .. } = self.window;
-        self.pixels[(channel * height + y - self.window.y) * width + x - self.window.x]
+        let [z, w] = self.window.slices.first;
+        self.at_place(channel, [x, y, z, w])
+    }
+    fn at_place(&self, channel: usize, [x, y, z, w]: [usize; 4]) -> f64 {
+        let Window { width, height, slices: Slices { first, count }, .. } = self.window;
+        let volume = channel * count[1] + w - first[1];
+        let slice = volume * count[0] + z - first[0];
+        self.pixels[(slice * height + y - self.window.y) * width + x - self.window.x]
     }
 }
 
 /// A plausible value within the bounds.
-fn made_up(parameter: &crate::model::Parameter, centre: [f64; 2], random: &mut Random) -> f64 {
+fn made_up(parameter: &crate::model::Parameter, centre: [f64; 4], random: &mut Random) -> f64 {
     let jitter = random.signed();
     let value = match parameter.start {
         Start::Number(value) => value + 0.05 * jitter * if value == 0.0 { 1.0 } else { value },
         Start::Estimator(estimator) => match estimator {
-            Estimator::CentroidX => centre[0] + jitter,
-            Estimator::CentroidY => centre[1] + jitter,
-            Estimator::ExtentXX | Estimator::ExtentYY => (1.0 + 0.2 * jitter) / (SIZE * SIZE),
-            Estimator::ExtentXY => 0.3 * jitter / (SIZE * SIZE),
-            Estimator::SizeX | Estimator::SizeY => SIZE * (1.0 + 0.2 * jitter),
+            Estimator::Centroid(axis) => centre[axis] + jitter,
+            Estimator::Extent(row, column) if row == column => (1.0 + 0.2 * jitter) / (SIZE * SIZE),
+            Estimator::Extent(..) => 0.3 * jitter / (SIZE * SIZE),
+            Estimator::Size(_) => SIZE * (1.0 + 0.2 * jitter),
             Estimator::Background => 20.0 + 5.0 * jitter,
             Estimator::Amplitude => {
                 (150.0 + 30.0 * jitter) * if parameter.max.is_some_and(|m| m <= 0.0) { -1.0 } else { 1.0 }

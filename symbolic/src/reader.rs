@@ -168,7 +168,7 @@ impl Names {
         if list.is_empty() || list.len() > most {
             let code = if list.is_empty() { "bad-range" } else { "limit" };
             let help = if key == "coordinates" {
-                "this build fits one and two coordinates; the first is the inner loop"
+                "columns, rows, slices, volumes: the first is the inner loop"
             } else {
                 "name the raw planes that formulas use"
             };
@@ -280,25 +280,20 @@ fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span
     };
     let Item::Text(text) = &entry.item else { return faults.number(&path, entry).map(Start::Number) };
     let found = Estimator::ALL.into_iter().find(|e| e.name() == &*text.value);
+    let known = || Estimator::ALL.into_iter().filter(|e| e.coordinates() <= coordinates.max(1)).map(Estimator::name);
     if found.is_none() {
-        let known = Estimator::ALL.map(Estimator::name);
-        let help = match nearest_name(&text.value, known) {
+        let help = match nearest_name(&text.value, known()) {
             Some(near) => format!("did you mean \"{near}\"?"),
-            None => format!("estimators: {}", known.join(", ")),
+            None => format!("estimators: {}", known().collect::<Vec<_>>().join(", ")),
         };
         faults.tell("unknown-name", &path, entry.span, format!("{} is not an estimator", quoted(&text.value)), help);
     }
-    if let Some(Estimator::CentroidY | Estimator::ExtentXY | Estimator::ExtentYY | Estimator::SizeY) = found
-        && coordinates == 1
-    {
-        let message = format!("{} needs a second coordinate", quoted(&text.value));
-        faults.tell(
-            "unknown-name",
-            &path,
-            entry.span,
-            message,
-            "with one coordinate: centroid.x, extent.xx, size.x, background, amplitude",
-        );
+    if let Some(needed) = found.map(Estimator::coordinates).filter(|needed| coordinates > 0 && *needed > coordinates) {
+        let ordinal = ["first", "second", "third", "fourth"][needed - 1];
+        let message = format!("{} needs a {ordinal} coordinate", quoted(&text.value));
+        let count = ["one coordinate", "two coordinates", "three coordinates"][coordinates - 1];
+        let help = format!("with {count}: {}", known().collect::<Vec<_>>().join(", "));
+        faults.tell("unknown-name", &path, entry.span, message, help);
     }
     found.map(Start::Estimator)
 }

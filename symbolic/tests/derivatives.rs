@@ -1,7 +1,7 @@
 //! Derivatives against finite differences of the interpreter's own F (f64), for every shipped model.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use isophote_symbolic::interpreter::{Outcome, Pixels, Window, run};
+use isophote_symbolic::interpreter::{Outcome, Pixels, Slices, Window, run};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Start, ValueKind};
 
 struct Pattern;
@@ -11,6 +11,9 @@ impl Pixels for Pattern {
         20.0 + 90.0 * (-((x - 17.3).powi(2) + (y - 11.1).powi(2)) / 60.0).exp()
             + ((x * 7.0 + y * 13.0) % 5.0)
             + channel as f64
+    }
+    fn at_place(&self, channel: usize, [x, y, z, w]: [usize; 4]) -> f64 {
+        self.at(channel, x, y) * (1.0 - 0.1 * (z as f64 - 3.3).abs()) + ((3 * z + 5 * w) % 7) as f64
     }
 }
 
@@ -24,7 +27,12 @@ fn value(i: usize, start: Start, name: &str) -> f64 {
             "extent.xx" => 0.011,
             "extent.xy" => 0.0013,
             "extent.yy" => 0.009,
+            "centroid.z" => 3.4,
+            "extent.zz" => 0.04,
+            "extent.xz" => 0.0007,
+            "extent.yz" => -0.0005,
             "size.x" | "size.y" => 8.0,
+            "size.z" => 4.0,
             "background" => 19.0,
             "amplitude" => 80.0,
             _ => panic!("{i} {name}"),
@@ -36,8 +44,17 @@ fn outcome(model: &Model, program: &isophote_symbolic::Program, p: &[f64], entry
     let constants: Vec<f64> = model.constants().iter().map(|c| c.value).collect();
     let saturation = vec![f64::INFINITY; model.channels().len()];
     let bindings = Bindings { parameters: p, entry, constants: &constants, saturation: &saturation, shift: &[] };
-    let height = if model.coordinates().len() == 1 { 1 } else { 24 };
-    run(program, Precision::F64, &bindings, &Pattern, Window { x: 0, y: 0, width: 37, height }, None)
+    let coordinates = model.coordinates().len();
+    let height = if coordinates == 1 { 1 } else { 24 };
+    let count = [if coordinates > 2 { 7 } else { 1 }, if coordinates > 3 { 3 } else { 1 }];
+    run(
+        program,
+        Precision::F64,
+        &bindings,
+        &Pattern,
+        Window { x: 0, y: 0, width: 37, height, slices: Slices { first: [0, 0], count } },
+        None,
+    )
 }
 
 fn check(model: &Model, subset: &[ParameterId], method: Method) {

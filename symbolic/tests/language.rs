@@ -1,7 +1,7 @@
 //! The formula language: values, precedence, shapes, branches, and how faults read.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use isophote_symbolic::interpreter::{Pixels, Window, run};
+use isophote_symbolic::interpreter::{Pixels, Slices, Window, run};
 use isophote_symbolic::{Bindings, Formula, Lowering, Method, Model, ParameterId, Precision};
 
 #[test]
@@ -109,7 +109,14 @@ intensity = "p*x + f(3, 4) + norm(row(M, 1)) + norm(twice([0, 1.5])) + poly([1, 
     let p = [2.0];
     let bindings = Bindings { parameters: &p, entry: &p, ..Bindings::default() };
     let mut plane = [0.0_f32; 1];
-    run(&program, Precision::F64, &bindings, &Flat, Window { x: 0, y: 0, width: 1, height: 1 }, Some(&mut plane));
+    run(
+        &program,
+        Precision::F64,
+        &bindings,
+        &Flat,
+        Window { x: 0, y: 0, width: 1, height: 1, slices: Slices::ONE },
+        Some(&mut plane),
+    );
     assert_eq!(plane[0], 6.0 + 10.0 + 10.0 + 3.0 + 17.0 + 7.0);
 }
 
@@ -280,7 +287,14 @@ fn no_nan_from_the_branch_not_taken() {
         let program = model.objective(&all, Method::Newton).unwrap().program(Lowering::default()).unwrap();
         let p = [5.25, 1.0];
         let bindings = Bindings { parameters: &p, entry: &p, saturation: &[f64::INFINITY], ..Bindings::default() };
-        let out = run(&program, Precision::F64, &bindings, &Flat, Window { x: 0, y: 0, width: 11, height: 1 }, None);
+        let out = run(
+            &program,
+            Precision::F64,
+            &bindings,
+            &Flat,
+            Window { x: 0, y: 0, width: 11, height: 1, slices: Slices::ONE },
+            None,
+        );
         assert!(out.outputs.iter().all(|v| v.is_finite()), "{formula}: {:?}\n{program}", out.outputs);
     }
 }
@@ -294,7 +308,14 @@ fn offsets_are_taken_in_f64() {
     let p = [3_000.123_456_789];
     let bindings = Bindings { parameters: &p, entry: &p, ..Bindings::default() };
     let mut plane = [0.0_f32; 9];
-    run(&program, Precision::F32, &bindings, &Flat, Window { x: 2996, y: 0, width: 9, height: 1 }, Some(&mut plane));
+    run(
+        &program,
+        Precision::F32,
+        &bindings,
+        &Flat,
+        Window { x: 2996, y: 0, width: 9, height: 1, slices: Slices::ONE },
+        Some(&mut plane),
+    );
     for (i, value) in plane.iter().enumerate() {
         let exact = (2996 + i) as f64 - p[0];
         assert!((f64::from(*value) - exact).abs() < 4e-7, "{i}: {value} against {exact}");

@@ -4,7 +4,7 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
 use crate::compiled::Control;
 use crate::fit::View;
-use crate::grey::Grey;
+use crate::grey::{Grey, Mixture};
 use crate::start::{Sight, Sign, Wanted, find};
 
 /// Starting values to try, and how.
@@ -29,7 +29,7 @@ const TIGHTER: f64 = 2.5;
 impl Cold {
     /// `given` numbers first, then the model's own numbers, then what its estimators see. `None` when an estimator is
     /// needed and there is no target for it.
-    pub fn look(model: &Model, view: &View, given: &[Option<f64>]) -> Option<Cold> {
+    pub fn look(model: &Model, view: &View, constants: &[f64], given: &[Option<f64>]) -> Option<Cold> {
         let estimators: Vec<Option<Estimator>> = model
             .parameters()
             .iter()
@@ -39,9 +39,10 @@ impl Cold {
                 _ => None,
             })
             .collect();
-        let grey = Grey::read(&view.planes, view.window, &view.saturation);
+        let mixture = Mixture::observed(model, constants);
+        let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
-        let origin = [view.window.x as f64, view.window.y as f64];
+        let origin = view.window.first().map(|at| at as f64);
         let targets = if estimators.iter().any(Option::is_some) {
             let targets = find(&grey, &wanted(model, given, origin));
             if targets.len() < model.roles().len().max(1) {
@@ -60,8 +61,8 @@ impl Cold {
                         let value = target_of(model, &targets, index).value(estimator, origin);
                         match estimator {
                             Estimator::Amplitude => brighter * value,
-                            Estimator::ExtentXX | Estimator::ExtentXY | Estimator::ExtentYY => tighter * value,
-                            Estimator::SizeX | Estimator::SizeY => value / tighter.sqrt(),
+                            Estimator::Extent(..) => tighter * value,
+                            Estimator::Size(_) => value / tighter.sqrt(),
                             _ => value,
                         }
                     }
@@ -73,7 +74,7 @@ impl Cold {
         if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
             starts.push(start(BRIGHTER, 1.0));
         }
-        let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::ExtentXX | Estimator::SizeX));
+        let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
         let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
         Some(Cold { starts, tighter, control })
     }
@@ -90,12 +91,14 @@ fn target_of<'a>(model: &Model, targets: &'a [Sight], parameter: usize) -> &'a S
 }
 
 /// What the model and the given numbers say about the targets beforehand.
-fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 2]) -> Wanted {
+fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 4]) -> Wanted {
     let first = model.roles().first();
-    let near = first.and_then(|roles| match roles.centre[..] {
-        [x, y] => Some([given[x.index()]? - origin[0], given[y.index()]? - origin[1]]),
-        [x] => Some([given[x.index()]? - origin[0], 0.0]),
-        _ => None,
+    let near = first.filter(|roles| !roles.centre.is_empty()).and_then(|roles| {
+        let mut near = [0.0; 4];
+        for ((near, parameter), origin) in near.iter_mut().zip(&roles.centre).zip(origin) {
+            *near = given[parameter.index()]? - origin;
+        }
+        Some(near)
     });
     let estimated = |start: &Start| *start == Start::Estimator(Estimator::Amplitude);
     let brightness = model.parameters().iter().find(|parameter| estimated(&parameter.start));

@@ -3,7 +3,7 @@
 /// A component, as indices of its pixels.
 #[derive(Clone, Debug)]
 pub(crate) struct Component {
-    /// Indices into the image, row by row.
+    /// Indices into the image, row by row, slice by slice.
     pub pixels: Vec<usize>,
     /// The sum of its pixel values.
     pub mass: f64,
@@ -14,17 +14,17 @@ pub(crate) struct Component {
 /// Which pixels already belong to a component.
 pub(crate) struct Labels<'a> {
     values: &'a [f64],
-    width: usize,
+    size: [usize; 4],
     seen: Vec<bool>,
 }
 
 impl<'a> Labels<'a> {
     /// No pixel belongs to anything yet.
-    pub fn new(values: &'a [f64], width: usize) -> Labels<'a> {
-        Labels { values, width, seen: vec![false; values.len()] }
+    pub fn new(values: &'a [f64], size: [usize; 4]) -> Labels<'a> {
+        Labels { values, size, seen: vec![false; values.len()] }
     }
 
-    /// All components above `level`, of at least `pixels_min` pixels (4-connected), the most massive first.
+    /// All components above `level`, of at least `pixels_min` pixels that share a side, the most massive first.
     pub fn above(mut self, level: f64, pixels_min: usize) -> Vec<Component> {
         let mut components = Vec::new();
         for start in 0..self.values.len() {
@@ -50,17 +50,21 @@ impl<'a> Labels<'a> {
             component.pixels.push(pixel);
             component.mass += self.values[pixel];
             component.peak = component.peak.max(self.values[pixel]);
-            let x = pixel % self.width;
-            let neighbours = [
-                (x > 0).then(|| pixel - 1),
-                (x + 1 < self.width).then_some(pixel + 1),
-                pixel.checked_sub(self.width),
-                Some(pixel + self.width).filter(|&next| next < self.values.len()),
-            ];
-            for next in neighbours.into_iter().flatten() {
-                if !self.seen[next] && self.values[next] > level {
-                    self.seen[next] = true;
-                    waiting.push(next);
+            let mut stride = 1;
+            for side in self.size {
+                // Places along this axis repeat every `stride * side` pixels.
+                let (at, last) = (pixel / stride % side, side - 1);
+                let before = (at > 0).then(|| pixel - stride);
+                let after = (at < last).then(|| pixel + stride);
+                for next in before.into_iter().chain(after) {
+                    if !self.seen[next] && self.values[next] > level {
+                        self.seen[next] = true;
+                        waiting.push(next);
+                    }
+                }
+                stride *= side;
+                if stride == self.values.len() {
+                    break;
                 }
             }
         }

@@ -13,11 +13,14 @@ pub struct Contour {
     pub shape: Option<[[f64; 2]; 2]>,
 }
 
-/// The contours of all targets of a model that have a centre in two dimensions. `parameters` as in an estimate.
+/// The contours of all targets of a model of two coordinates that have a centre; a volume has no outline to draw. `parameters` as in an estimate.
 pub fn contours(model: &Model, parameters: &[f64]) -> Vec<Contour> {
     let number = |roles: &[isophote_symbolic::ParameterId]| -> Option<Vec<f64>> {
         roles.iter().map(|parameter| parameters.get(parameter.index()).copied()).collect()
     };
+    if model.coordinates().len() != 2 {
+        return Vec::new();
+    }
     let contour = |(index, roles): (usize, &isophote_symbolic::Roles)| {
         let [x, y] = number(&roles.centre)?[..] else { return None };
         let shape = match number(&roles.shape)?[..] {

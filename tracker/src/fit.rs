@@ -10,6 +10,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
+use crate::grey::{Grey, Mixture};
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
@@ -56,9 +57,12 @@ fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
     if limit.is_finite() {
         return limit.abs();
     }
-    let rows = window.y..window.y + window.height;
-    let pixels = rows.flat_map(|y| (window.x..window.x + window.width).map(move |x| plane.pixel(x, y).abs()));
-    pixels.filter(|value| value.is_finite()).fold(0.0, f64::max)
+    Grey::read(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1))
+        .values
+        .into_iter()
+        .map(f64::abs)
+        .filter(|value| value.is_finite())
+        .fold(0.0, f64::max)
 }
 
 /// What a fit came to.
@@ -131,7 +135,7 @@ fn fit_controlled(
             noise: model.has_noise(),
             precision: compiled.precision(),
             rounding: view.rounding,
-            window_pixels: (view.window.width * view.window.height) as u64,
+            window_pixels: view.window.pixels() as u64,
         };
         let report = stage::run(&mut problem, &rules, &mut fit.parameters);
         fit.ending = report.ending;

@@ -74,9 +74,12 @@ impl Plane {
         Plane { format, row_stride: width * pixel_stride, pixel_stride, offset, buffer: buffer.clone() }
     }
 
-    fn view(&self, width: usize, height: usize) -> Result<PlaneView<'_>, PlaneError> {
+    /// Rows follow each other through slices and volumes.
+    fn view(&self, sides: [usize; 4]) -> Result<PlaneView<'_>, PlaneError> {
         let bytes = self.buffer.bytes().get(self.offset..).unwrap_or(&[]);
-        PlaneView::new(self.format, bytes, width, height, self.row_stride, self.pixel_stride)
+        let slice = sides[1].saturating_mul(self.row_stride);
+        let strides = [self.pixel_stride, self.row_stride, slice, sides[2].saturating_mul(slice)];
+        PlaneView::stack(self.format, bytes, sides, strides)
     }
 }
 
@@ -125,7 +128,7 @@ impl Frame {
         }
         let frame = Frame { size: size.to_vec(), planes, sequence: 0, capture_ns: None };
         for (channel, plane) in frame.planes.iter().enumerate() {
-            plane.view(frame.width(), frame.rows()).map_err(|source| FrameError::Plane { channel, source })?;
+            plane.view(frame.sides()).map_err(|source| FrameError::Plane { channel, source })?;
         }
         Ok(frame)
     }
@@ -145,6 +148,11 @@ impl Frame {
     /// Pixels along each dimension, the inner one first.
     pub fn size(&self) -> &[usize] {
         &self.size
+    }
+
+    /// Pixels along x, y, z and w; 1 where the frame has no such dimension.
+    pub fn sides(&self) -> [usize; 4] {
+        std::array::from_fn(|axis| self.size.get(axis).copied().unwrap_or(1))
     }
 
     /// Pixels of a row.
@@ -167,7 +175,7 @@ impl Frame {
     /// # Panics
     /// When there is no such channel, as indexing does.
     pub fn plane_view(&self, channel: usize) -> PlaneView<'_> {
-        let view = self.planes[channel].view(self.width(), self.rows());
+        let view = self.planes[channel].view(self.sides());
         view.expect("Frame::new made this very view, and a buffer's bytes stay the same")
     }
 
@@ -177,7 +185,9 @@ impl Frame {
         if self.planes.len() != LUMA.len() {
             return self.clone();
         }
-        let views: Vec<PlaneView> = (0..LUMA.len()).map(|channel| self.plane_view(channel)).collect();
+        // A stack's rows, one after the other, are one tall picture.
+        let tall = [self.width(), self.rows(), 1, 1];
+        let views: Vec<PlaneView> = self.planes.iter().filter_map(|plane| plane.view(tall).ok()).collect();
         let format = self.planes[0].format;
         let mut bytes = Vec::with_capacity(self.width() * self.rows() * format.bytes_per_pixel());
         for y in 0..self.rows() {
@@ -233,6 +243,20 @@ mod tests {
         assert_eq!(luma.planes()[0].buffer.bytes(), [255, 76, 82]); // 0.587·100 + 0.114·200 = 81.5
         assert_eq!(luma.sequence, 7);
         assert_eq!(luma.luma().planes()[0].buffer.bytes(), [255, 76, 82]);
+    }
+
+    #[test]
+    fn a_stack_is_read_by_four_coordinates() {
+        let plane = Plane::owned(PixelFormat::U8, (0..24).collect(), 3);
+        let frame = Frame::new(&[3, 2, 2, 2], vec![plane]).unwrap();
+        let view = frame.plane_view(0);
+        assert_eq!((frame.sides(), view.size()), ([3, 2, 2, 2], [3, 2, 2, 2]));
+        assert_eq!(
+            (view.pixel_at([1, 0, 0, 0]), view.pixel_at([0, 1, 1, 0]), view.pixel_at([2, 1, 1, 1])),
+            (1.0, 9.0, 23.0)
+        );
+        let colour = Frame::new(&[2, 1, 2], vec![Plane::owned(PixelFormat::U8, vec![7; 4], 2); 3]).unwrap();
+        assert_eq!((colour.luma().size(), colour.luma().plane_view(0).pixel_at([1, 0, 1, 0])), (&[2, 1, 2][..], 7.0));
     }
 
     #[test]

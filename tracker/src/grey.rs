@@ -1,16 +1,51 @@
 //! `Grey`: the pixel values of a window as plain numbers, for everything that looks at an image before a fit.
 
 use isophote_jit::{PixelFormat, PlaneView, Window};
+use isophote_symbolic::Model;
 
-/// The mean of all planes inside a window.
+/// How planes make one picture: what a document's `observed` is, when it is linear in the channels.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Mixture {
+    /// What each plane counts.
+    pub weights: Vec<f64>,
+    pub constant: f64,
+}
+
+impl Mixture {
+    /// Every plane alike.
+    pub fn mean(planes: usize) -> Mixture {
+        Mixture { weights: vec![1.0 / planes.max(1) as f64; planes], constant: 0.0 }
+    }
+
+    /// `observed` of a model; the mean where that is not linear.
+    pub fn observed(model: &Model, constants: &[f64]) -> Mixture {
+        let channels = model.channels().len();
+        let at =
+            |value: &dyn Fn(usize) -> f64| model.observed(&(0..channels).map(value).collect::<Vec<f64>>(), constants);
+        let constant = at(&|_| 0.0);
+        let weight = |channel: usize| (at(&|i| if i == channel { PROBE } else { 0.0 }) - constant) / PROBE;
+        let mixture = Mixture { weights: (0..channels).map(weight).collect(), constant };
+        let probe = |i: usize| PROBE / 3.0 + 7.0 * i as f64;
+        let (is, should) = (at(&probe), mixture.at((0..channels).map(probe)));
+        let is_linear = (is - should).abs() <= 1e-9 * (is.abs() + PROBE);
+        if is_linear { mixture } else { Mixture::mean(channels) }
+    }
+
+    fn at(&self, values: impl Iterator<Item = f64>) -> f64 {
+        self.weights.iter().zip(values).map(|(weight, value)| weight * value).sum::<f64>() + self.constant
+    }
+}
+
+/// A pixel value at which `observed` is tried.
+const PROBE: f64 = 100.0;
+
+/// All planes inside a window as one picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Grey {
-    /// Row by row.
+    /// Row by row, slice by slice.
     pub values: Vec<f64>,
-    /// Pixels of a row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
+    /// Pixels along x, y, z, w.
+    pub size: [usize; 4],
     /// At or above: saturated.
     pub saturation: f64,
     /// The step between two pixel values; 0 for fractions.
@@ -19,35 +54,48 @@ pub(crate) struct Grey {
 
 impl Grey {
     /// Reads a window that lies inside the planes; `saturation` is one limit a plane. A pixel that is saturated in any
-    /// plane reads as `saturation`.
-    pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64]) -> Grey {
-        let limit = saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let mut values = Vec::with_capacity(window.width * window.height);
-        for y in window.y..window.y + window.height {
-            for x in window.x..window.x + window.width {
-                let (mut sum, mut clipped) = (0.0, false);
-                for (plane, limit) in planes.iter().zip(saturation) {
-                    let value = plane.pixel(x, y);
-                    clipped |= value >= *limit;
-                    sum += value;
+    /// plane reads as the largest value that there is.
+    pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
+        let limit = mixture.at(saturation.iter().zip(&mixture.weights).map(|(l, w)| if *w > 0.0 { *l } else { 0.0 }));
+        let mut values = Vec::with_capacity(window.pixels());
+        let size = window.size();
+        let [x0, y0, z0, w0] = window.first();
+        for row in 0..size[1..].iter().product() {
+            let [y, z, w] = outer_of(row, size);
+            for x in x0..x0 + window.width {
+                let (mut sum, mut clipped) = (mixture.constant, false);
+                for ((plane, limit), weight) in planes.iter().zip(saturation).zip(&mixture.weights) {
+                    let value = plane.pixel_at([x, y0 + y, z0 + z, w0 + w]);
+                    clipped |= value >= *limit && *weight != 0.0;
+                    sum += weight * value;
                 }
-                let mean = sum / planes.len().max(1) as f64;
-                values.push(if clipped { mean.max(limit) } else { mean });
+                values.push(if clipped { sum.max(limit) } else { sum });
             }
         }
         let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
-        Grey {
-            values,
-            width: window.width,
-            height: window.height,
-            saturation: limit,
-            step: if whole { 1.0 } else { 0.0 },
-        }
+        let largest = mixture.weights.iter().fold(0.0, |largest: f64, weight| largest.max(weight.abs()));
+        Grey { values, size, saturation: limit, step: if whole { largest } else { 0.0 } }
     }
 
-    /// All pixels as (x, y, value), in window coordinates.
-    pub fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
-        self.values.iter().enumerate().map(|(i, &value)| ((i % self.width) as f64, (i / self.width) as f64, value))
+    /// How many dimensions it extends in, at least one: 1 for a single row, 2 for a single slice.
+    pub fn dimensions(&self) -> usize {
+        self.size.iter().rposition(|n| *n > 1).map_or(1, |axis| axis + 1)
+    }
+
+    /// Where pixel `i` of `values` is, in window coordinates.
+    pub fn place(&self, i: usize) -> [f64; 4] {
+        place_of(i, self.size)
+    }
+
+    /// All rows with their y, z, w.
+    pub fn rows(&self) -> impl Iterator<Item = ([f64; 3], &[f64])> + '_ {
+        let rows = self.values.chunks_exact(self.size[0]).enumerate();
+        rows.map(|(row, values)| (outer_of(row, self.size).map(|at| at as f64), values))
+    }
+
+    /// All pixels with their places, in window coordinates.
+    pub fn pixels(&self) -> impl Iterator<Item = ([f64; 4], f64)> + '_ {
+        self.values.iter().enumerate().map(|(i, &value)| (self.place(i), value))
     }
 
     /// How many are saturated.
@@ -55,10 +103,12 @@ impl Grey {
         self.values.iter().filter(|&&value| value >= self.saturation).count()
     }
 
-    /// The mean over 3 × 3 pixels (3 in a single row), fewer at the border: noise down by 3, single hot pixels by 9.
+    /// The mean over 3 pixels along each dimension, fewer at the border: in a picture noise goes down by 3, single hot
+    /// pixels by 9.
     pub fn smoothed(&self) -> Vec<f64> {
+        let width = self.size[0];
         let mut along = self.values.clone();
-        for (row, from) in along.chunks_exact_mut(self.width).zip(self.values.chunks_exact(self.width)) {
+        for (row, from) in along.chunks_exact_mut(width).zip(self.values.chunks_exact(width)) {
             for (mean, three) in row.iter_mut().skip(1).zip(from.windows(3)) {
                 *mean = (three[0] + three[1] + three[2]) * (1.0 / 3.0);
             }
@@ -66,21 +116,44 @@ impl Grey {
                 row[0] = 0.5 * (first + second);
             }
             if let [.., second, last] = *from {
-                row[self.width - 1] = 0.5 * (second + last);
+                row[width - 1] = 0.5 * (second + last);
             }
         }
-        let mut smooth = vec![0.0; along.len()];
-        for (y, row) in smooth.chunks_exact_mut(self.width).enumerate() {
-            let rows = y.saturating_sub(1)..(y + 2).min(self.height);
-            let share = 1.0 / rows.len() as f64;
-            for near in along[rows.start * self.width..rows.end * self.width].chunks_exact(self.width) {
-                for (mean, value) in row.iter_mut().zip(near) {
+        let mut stride = width;
+        for axis in 1..self.dimensions() {
+            along = smoothed_across(&along, stride, self.size[axis]);
+            stride *= self.size[axis];
+        }
+        along
+    }
+}
+
+/// y, z, w of row number `row`.
+fn outer_of(row: usize, [_, height, depth, _]: [usize; 4]) -> [usize; 3] {
+    [row % height, row / height % depth, row / height / depth]
+}
+
+/// x, y, z, w of pixel number `i`.
+pub(crate) fn place_of(i: usize, size: [usize; 4]) -> [f64; 4] {
+    let [y, z, w] = outer_of(i / size[0], size);
+    [i % size[0], y, z, w].map(|at| at as f64)
+}
+
+/// The mean over 3 blocks (rows, slices, volumes) of `stride` values, of which `count` follow each other.
+fn smoothed_across(values: &[f64], stride: usize, count: usize) -> Vec<f64> {
+    let mut smooth = vec![0.0; values.len()];
+    for (group, from) in smooth.chunks_exact_mut(stride * count).zip(values.chunks_exact(stride * count)) {
+        for (at, block) in group.chunks_exact_mut(stride).enumerate() {
+            let blocks = at.saturating_sub(1)..(at + 2).min(count);
+            let share = 1.0 / blocks.len() as f64;
+            for near in from[blocks.start * stride..blocks.end * stride].chunks_exact(stride) {
+                for (mean, value) in block.iter_mut().zip(near) {
                     *mean += share * value;
                 }
             }
         }
-        smooth
     }
+    smooth
 }
 
 #[cfg(test)]
@@ -88,22 +161,47 @@ mod tests {
     use super::*;
 
     #[test]
-    fn smoothing_is_the_mean_of_what_is_there() {
-        let grey = |width, height| Grey {
-            values: (0..width * height).map(|i| ((i * i) % 17) as f64).collect(),
-            width,
-            height,
-            saturation: 255.0,
-            step: 1.0,
+    fn what_is_observed_is_what_is_looked_at() {
+        let model = |observed: &str| {
+            let text = format!(
+                "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"r\", \"g\"]\n[constants]\nc = 0.25\n[parameters]\nv = {{ start = 1.0 }}\n\
+                 [model]\nobserved = \"{observed}\"\nintensity = \"v\"\n"
+            );
+            Model::from_toml(&text).unwrap_or_else(|d| panic!("{}", d[0].render("test")))
         };
-        for (width, height) in [(1, 1), (2, 1), (5, 1), (1, 4), (2, 2), (5, 4)] {
-            let grey = grey(width, height);
-            let near = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
+        let close = |mixture: Mixture, weights: [f64; 2], constant: f64| {
+            let is = mixture.weights.iter().zip(weights).all(|(a, b)| (a - b).abs() < 1e-12);
+            assert!(is && (mixture.constant - constant).abs() < 1e-12, "{mixture:?}");
+        };
+        close(Mixture::observed(&model("r - c * g + 3"), &[0.5]), [1.0, -0.5], 3.0);
+        close(Mixture::observed(&model("g"), &[0.5]), [0.0, 1.0], 0.0);
+        for curved in ["sqrt(r * g)", "r^2 + g", "log(r) + g", "max(r, g)"] {
+            close(Mixture::observed(&model(curved), &[0.5]), [0.5, 0.5], 0.0);
+        }
+    }
+
+    #[test]
+    fn smoothing_is_the_mean_of_what_is_there() {
+        for size in [
+            [1, 1, 1, 1],
+            [2, 1, 1, 1],
+            [5, 1, 1, 1],
+            [1, 4, 1, 1],
+            [5, 4, 1, 1],
+            [3, 4, 5, 1],
+            [3, 2, 1, 4],
+            [2, 3, 4, 3],
+        ] {
+            let count: usize = size.iter().product();
+            let values = (0..count).map(|i| ((i * i) % 17) as f64).collect();
+            let grey = Grey { values, size, saturation: 255.0, step: 1.0 };
             for (i, mean) in grey.smoothed().into_iter().enumerate() {
-                let places = near(i / width, height).flat_map(|y| near(i % width, width).map(move |x| y * width + x));
-                let values: Vec<f64> = places.map(|place| grey.values[place]).collect();
-                let should = values.iter().sum::<f64>() / values.len() as f64;
-                assert!((mean - should).abs() < 1e-12, "{width} x {height}, {i}: {mean} {should}");
+                let here = grey.place(i);
+                let is_near = |there: &[f64; 4]| here.iter().zip(there).all(|(a, b)| (a - b).abs() <= 1.0);
+                let near: Vec<f64> =
+                    grey.pixels().filter(|(there, _)| is_near(there)).map(|(_, value)| value).collect();
+                let should = near.iter().sum::<f64>() / near.len() as f64;
+                assert!((mean - should).abs() < 1e-12, "{size:?}, {i}: {mean} {should}");
             }
         }
     }

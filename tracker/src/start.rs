@@ -7,14 +7,15 @@
 //! 2. What differs from it by a fifth of the largest difference, and from its noise, is a target; one that is smaller than
 //!    six pixels is not.
 //! 3. Its pixels' moments are centre and extent. Extent is that of the thresholded region, each pixel alike: it does not
-//!    change when the middle is saturated. `A = 0.7 C⁻¹/4` in two dimensions, where C is the region's covariance: a full
-//!    ellipse `dᵀAd ≤ 1` has C = A⁻¹/4, and the region above a fifth covers about 0.7 of a spot's.
+//!    change when the middle is saturated. `A = 0.7 C⁻¹/(n + 2)` in n dimensions, where C is the region's covariance: a
+//!    full ellipsoid `dᵀAd ≤ 1` has C = A⁻¹/(n + 2), and the region above a fifth covers about 0.7 of a spot's s.
 
 use isophote_symbolic::Estimator;
+use nalgebra::DMatrix;
 
 use crate::background::Background;
 use crate::component::{Component, Labels};
-use crate::grey::Grey;
+use crate::grey::{Grey, place_of};
 
 /// Which way a target differs from the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +33,7 @@ pub struct Wanted {
     pub sign: Option<Sign>,
     /// Where the first target should be, in px of the window: of all targets that matter the nearest is taken, not the
     /// most massive.
-    pub near: Option<[f64; 2]>,
+    pub near: Option<[f64; 4]>,
     /// How many at most.
     pub targets_max: usize,
 }
@@ -40,12 +41,12 @@ pub struct Wanted {
 /// Starting values of one target; px of the window.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sight {
-    /// Centre; y is 0 in one dimension.
-    pub centre: [f64; 2],
-    /// Entries xx, xy, yy of A, px⁻²: the outline is dᵀAd = 1.
-    pub extent: [f64; 3],
-    /// Half the outline's width and height, px.
-    pub size: [f64; 2],
+    /// Centre; 0 in dimensions that the window does not extend in.
+    pub centre: [f64; 4],
+    /// A, px⁻²: the outline is dᵀAd = 1.
+    pub extent: [[f64; 4]; 4],
+    /// Half the outline's width, height, depth and so on, px.
+    pub size: [f64; 4],
     /// The ground's pixel value at the centre.
     pub background: f64,
     /// By how much the target differs from it at most; negative for a dark one.
@@ -76,15 +77,11 @@ const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 
 impl Sight {
     /// The value that a document's estimator stands for, in frame coordinates when `origin` is the window's corner.
-    pub fn value(&self, estimator: Estimator, origin: [f64; 2]) -> f64 {
+    pub fn value(&self, estimator: Estimator, origin: [f64; 4]) -> f64 {
         match estimator {
-            Estimator::CentroidX => self.centre[0] + origin[0],
-            Estimator::CentroidY => self.centre[1] + origin[1],
-            Estimator::ExtentXX => self.extent[0],
-            Estimator::ExtentXY => self.extent[1],
-            Estimator::ExtentYY => self.extent[2],
-            Estimator::SizeX => self.size[0],
-            Estimator::SizeY => self.size[1],
+            Estimator::Centroid(axis) => self.centre[axis] + origin[axis],
+            Estimator::Extent(row, column) => self.extent[row][column],
+            Estimator::Size(axis) => self.size[axis],
             Estimator::Background => self.background,
             Estimator::Amplitude => self.amplitude,
         }
@@ -100,48 +97,50 @@ pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Vec<Sight> {
     };
     let found: Vec<Vec<Sight>> = signs.into_iter().map(|sign| find_signed(grey, &background, sign, wanted)).collect();
     // The sign whose first target differs more, pixel by pixel and in all.
+    let volume = |sizes: &[f64]| sizes.iter().map(|size| size.max(1.0)).product::<f64>();
     let weight =
-        |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * s.size[1].max(1.0));
+        |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * volume(&s.size[1..]));
     found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default()
 }
 
 fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted) -> Vec<Sight> {
     let factor = if sign == Sign::Bright { 1.0 } else { -1.0 };
-    let difference = |values: &[f64]| -> Vec<f64> {
-        let rows = values.chunks_exact(grey.width).enumerate();
-        let row = |(y, row): (usize, &[f64])| -> Vec<f64> {
-            row.iter().enumerate().map(|(x, value)| factor * (value - background.at(x as f64, y as f64))).collect()
-        };
-        rows.flat_map(row).collect()
+    let slope = background.slope_along_rows();
+    let difference = |mut values: Vec<f64>| -> Vec<f64> {
+        for (row, ([y, z, w], _)) in values.chunks_exact_mut(grey.size[0]).zip(grey.rows()) {
+            let first = background.at([0.0, y, z, w]);
+            row.iter_mut().enumerate().for_each(|(x, value)| *value = factor * (*value - (first + slope * x as f64)));
+        }
+        values
     };
-    let smooth = difference(&grey.smoothed());
+    let smooth = difference(grey.smoothed());
     let peak = smooth.iter().copied().fold(0.0, f64::max);
     if peak <= SIGNIFICANT * background.noise || peak <= grey.step {
         return Vec::new();
     }
     let level = |peak: f64| (THRESHOLD * peak).max((NOISE_FACTOR * background.noise).min(0.5 * peak));
-    let sharp = difference(&grey.values);
+    let sharp = difference(grey.values.clone());
     let values = if level(peak) < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
-    let pixels_min = if grey.height == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
-    let mut components = Labels::new(values, grey.width).above(level(peak), pixels_min);
-    // Smoothing makes nine pixels of a hot one.
+    let pixels_min = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
+    let mut components = Labels::new(values, grey.size).above(level(peak), pixels_min);
+    // Smoothing makes nine pixels and more of a hot one.
     components.retain(|component| component.pixels.iter().filter(|&&i| sharp[i] > level(peak)).count() >= pixels_min);
     if let Some(near) = wanted.near {
-        put_nearest_first(&mut components, grey.width, near);
+        put_nearest_first(&mut components, grey.size, near);
     }
     let measured = components.into_iter().take(wanted.targets_max.max(1)).map(|component| {
         // A faint target beside a bright one has a threshold of its own.
         let peak = component.pixels.iter().map(|&pixel| smooth[pixel]).fold(0.0, f64::max);
-        let own = Labels::new(values, grey.width).grow(component.pixels, level(peak));
+        let own = Labels::new(values, grey.size).grow(component.pixels, level(peak));
         measure(grey, background, &own, &sharp, factor * peak)
     });
     measured.collect()
 }
 
-fn put_nearest_first(components: &mut [Component], width: usize, near: [f64; 2]) {
+fn put_nearest_first(components: &mut [Component], size: [usize; 4], near: [f64; 4]) {
     let least = MASS_SHARE * components.first().map_or(0.0, |component| component.mass);
     let distance = |component: &Component| {
-        let square = |&i: &usize| ((i % width) as f64 - near[0]).powi(2) + ((i / width) as f64 - near[1]).powi(2);
+        let square = |&i: &usize| place_of(i, size).iter().zip(near).map(|(at, near)| (at - near).powi(2)).sum::<f64>();
         component.pixels.iter().map(square).fold(f64::INFINITY, f64::min)
     };
     // Stable: among targets that hold the place the most massive stays first.
@@ -151,40 +150,48 @@ fn put_nearest_first(components: &mut [Component], width: usize, near: [f64; 2])
 
 /// Moments of a region: the centre with the difference as weight, the extent with every pixel alike.
 fn measure(grey: &Grey, background: &Background, region: &Component, difference: &[f64], amplitude: f64) -> Sight {
-    let place = |i: usize| ((i % grey.width) as f64, (i / grey.width) as f64);
     let mean = |weight: &dyn Fn(usize) -> f64| {
-        let (mut total, mut x, mut y) = (0.0, 0.0, 0.0);
+        let (mut total, mut sum) = (0.0, [0.0; 4]);
         for &i in &region.pixels {
-            let (w, (px, py)) = (weight(i), place(i));
-            (total, x, y) = (total + w, x + w * px, y + w * py);
+            let (w, place) = (weight(i), grey.place(i));
+            total += w;
+            sum.iter_mut().zip(place).for_each(|(sum, at)| *sum += w * at);
         }
-        [x / total, y / total]
+        sum.map(|sum| sum / total)
     };
     let centre = mean(&|i| difference[i].max(0.0) + f64::MIN_POSITIVE);
     let middle = mean(&|_| 1.0);
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    let dimensions = grey.dimensions();
+    let mut covariance = DMatrix::zeros(dimensions, dimensions);
     for &i in &region.pixels {
-        let (x, y) = place(i);
-        let (dx, dy) = (x - middle[0], y - middle[1]);
-        (xx, xy, yy) = (xx + dx * dx, xy + dx * dy, yy + dy * dy);
-    }
-    let n = region.pixels.len() as f64;
-    let (xx, xy, yy) = (xx / n + PIXEL_VARIANCE, xy / n, yy / n + PIXEL_VARIANCE);
-    // Variance of an even segment [−w, w] is w²/3, of an even ellipse along a half axis w it is w²/4.
-    let even = if grey.height == 1 { 3.0 } else { 4.0 };
-    let extent = match grey.height {
-        1 => [REGION / (even * xx), 0.0, 0.0],
-        _ => {
-            let scale = REGION / (even * (xx * yy - xy * xy).max(PIXEL_VARIANCE * PIXEL_VARIANCE));
-            [scale * yy, -scale * xy, scale * xx]
+        let place = grey.place(i);
+        for row in 0..dimensions {
+            for column in 0..=row {
+                covariance[(row, column)] += (place[row] - middle[row]) * (place[column] - middle[column]);
+            }
         }
-    };
-    let half = |variance: f64| (even * variance / REGION).sqrt();
+    }
+    covariance /= region.pixels.len() as f64;
+    covariance.fill_upper_triangle_with_lower_triangle();
+    for axis in 0..dimensions {
+        covariance[(axis, axis)] += PIXEL_VARIANCE; // so it has an inverse
+    }
+    // The variance of an even segment [−w, w] is w²/3, of an even ellipse along a half axis w w²/4, of an ellipsoid w²/5.
+    let even = dimensions as f64 + 2.0;
+    let (mut extent, mut size) = ([[0.0; 4]; 4], [0.0; 4]);
+    if let Some(inverse) = covariance.clone().try_inverse() {
+        for row in 0..dimensions {
+            size[row] = (even * covariance[(row, row)] / REGION).sqrt();
+            for column in 0..dimensions {
+                extent[row][column] = REGION / even * inverse[(row, column)];
+            }
+        }
+    }
     Sight {
         centre,
         extent,
-        size: [half(xx), if grey.height == 1 { 0.0 } else { half(yy) }],
-        background: background.at(centre[0], centre[1]),
+        size,
+        background: background.at(centre),
         amplitude,
         saturated: region.pixels.iter().filter(|&&i| grey.values[i] >= grey.saturation).count(),
     }

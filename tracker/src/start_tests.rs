@@ -1,19 +1,30 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
+use crate::grey::Mixture;
 use crate::picture::{Picture, Profile, Spot};
 use isophote_jit::Window;
 
 fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {
     let frame = picture.frame();
     find(
-        &Grey::read(&[frame.plane_view(0)], Window::whole(picture.width, picture.height), &[picture.saturation]),
+        &Grey::read(
+            &[frame.plane_view(0)],
+            Window::whole(picture.width, picture.height),
+            &[picture.saturation],
+            &Mixture::mean(1),
+        ),
         wanted,
     )
 }
 
+/// xx, xy, yy.
+fn upper(extent: [[f64; 4]; 4]) -> [f64; 3] {
+    [extent[0][0], extent[0][1], extent[1][1]]
+}
+
 /// Half axes and angle of a sighting's outline.
-fn axes(extent: [f64; 3]) -> (f64, f64) {
-    let [a, b, c] = extent;
+fn axes(extent: [[f64; 4]; 4]) -> (f64, f64) {
+    let [a, b, c] = upper(extent);
     let (mean, root) = (0.5 * (a + c), (0.25 * (a - c).powi(2) + b * b).sqrt());
     (1.0 / (mean - root).sqrt(), 1.0 / (mean + root).sqrt())
 }
@@ -54,7 +65,7 @@ fn spots_of_every_size_in_a_noisy_full_frame() {
 fn a_tilted_outline_comes_out_tilted() {
     let spot = Spot { half: [40.0, 15.0], angle: 0.5, ..Spot::at(100.0, 90.0, 1.0, 150.0) };
     let found = &look(&Picture::new(200, 180, vec![spot]), &Wanted::default())[0];
-    for (is, should) in found.extent.iter().zip(spot.extent()) {
+    for (is, should) in upper(found.extent).iter().zip(spot.extent()) {
         assert!((is / should - 1.0).abs() < 0.4, "{is} {should}");
     }
 }
@@ -82,7 +93,7 @@ fn the_most_massive_of_several_unless_a_place_is_given() {
     assert_eq!(all.len(), 4, "{all:?}");
     assert!((all[0].centre[0] - 450.0).abs() < 1.0, "{all:?}");
     for (spot, off) in spots.iter().zip([[8.0, -3.0], [40.0, 20.0], [0.0, 15.0], [-30.0, 20.0]]) {
-        let near = Some([spot.centre[0] + off[0], spot.centre[1] + off[1]]);
+        let near = Some([spot.centre[0] + off[0], spot.centre[1] + off[1], 0.0, 0.0]);
         let found = look(&picture, &Wanted { near, ..Wanted::default() });
         assert_eq!(found.len(), 1);
         assert!((found[0].centre[0] - spot.centre[0]).abs() < 1.0, "{spot:?} {found:?}");
@@ -119,7 +130,10 @@ fn one_dimension() {
         let picture = Picture { noise, ..Picture::new(400, 1, vec![Spot::at(170.4, 0.0, 30.0, 120.0)]) };
         let found = &look(&picture, &Wanted::default())[0];
         assert!((found.centre[0] - 170.4).abs() < 1.0 && found.centre[1] == 0.0, "{found:?}");
-        assert!((found.size[0] / 30.0 - 1.0).abs() < 0.3 && (found.extent[0] * 900.0 - 1.0).abs() < 0.6, "{found:?}");
+        assert!(
+            (found.size[0] / 30.0 - 1.0).abs() < 0.3 && (found.extent[0][0] * 900.0 - 1.0).abs() < 0.6,
+            "{found:?}"
+        );
         assert!((found.amplitude - 120.0).abs() < 15.0, "{found:?}");
     }
 }
@@ -137,4 +151,32 @@ fn saturated_pixels_are_counted_and_do_not_change_the_extent() {
         })
         .collect();
     assert!(sizes.iter().all(|size| (size / 40.0 - 1.0).abs() < 0.35), "{sizes:?}");
+}
+
+/// Gaussian blobs in three and four dimensions: the outline is the contour at 1/e² of the peak.
+#[test]
+fn blobs_in_volumes() {
+    for size in [[40, 36, 24, 1], [24, 22, 16, 12]] {
+        let dimensions = if size[3] > 1 { 4 } else { 3 };
+        let (centre, half) = ([18.3, 14.8, 9.4, 5.2], [9.0, 7.0, 5.0, 4.0]);
+        let count: usize = size.iter().product();
+        let value = |i: usize| {
+            let place = place_of(i, size);
+            let s: f64 = (0..dimensions).map(|axis| ((place[axis] - centre[axis]) / half[axis]).powi(2)).sum();
+            20.0 + 0.1 * place[2] + 150.0 * (-2.0 * s).exp()
+        };
+        let grey = Grey { values: (0..count).map(value).collect(), size, saturation: 255.0, step: 1.0 };
+        let found = find(&grey, &Wanted::default());
+        assert_eq!(found.len(), 1, "{found:?}");
+        let found = &found[0];
+        for axis in 0..4 {
+            let (is, should) = (found.centre[axis], if axis < dimensions { centre[axis] } else { 0.0 });
+            assert!((is - should).abs() < 0.5, "{found:?}");
+            let size = found.size[axis] / half[axis];
+            assert!(if axis < dimensions { (0.5..1.7).contains(&size) } else { size == 0.0 }, "{found:?}");
+        }
+        assert!((found.amplitude / 150.0 - 1.0).abs() < 0.35 && found.extent[0][2].abs() < 1e-3, "{found:?}");
+        let far = Wanted { near: Some([1.0, 2.0, 3.0, 4.0]), ..Wanted::default() };
+        assert_eq!(find(&grey, &far), std::slice::from_ref(found));
+    }
 }

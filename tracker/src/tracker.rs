@@ -10,6 +10,8 @@
 use std::sync::Arc;
 
 use isophote_jit::Window;
+use isophote_symbolic::Roles;
+use nalgebra::DMatrix;
 
 use crate::cold::Cold;
 use crate::compiled::{CompileFailure, Compiled, Control};
@@ -149,8 +151,8 @@ impl Tracker {
         if !suits || frame.planes().len() != model.channels().len() {
             return None;
         }
-        let whole = Window::whole(frame.width(), frame.rows());
-        let window = self.options.window.unwrap_or(whole).clipped(frame.width(), frame.rows())?;
+        let whole = Window::of_size(frame.sides());
+        let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
         let planes = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
         Some(View::new(planes, window, self.options.camera.saturation, self.compiled.precision()))
     }
@@ -186,7 +188,7 @@ impl Tracker {
     /// From starting values: `given` numbers first, then the model's own, then what the window shows. The believable fit
     /// with the smallest χ²/ν, if any is.
     fn cold(&self, view: &View, given: &[Option<f64>]) -> Result<Attempt, CompileFailure> {
-        let Some(cold) = Cold::look(self.compiled.model(), view, given) else {
+        let Some(cold) = Cold::look(self.compiled.model(), view, &self.constants, given) else {
             return Ok(Attempt::none(Ending::NoTarget));
         };
         let mut best: Option<Attempt> = None;
@@ -207,7 +209,7 @@ impl Tracker {
     /// By which factor a brightness changed since the last good fit, up or down, the largest of all targets; 1 where unknown.
     fn brightness_change(&self, attempt: &Attempt) -> f64 {
         let Some(fit) = &attempt.fit else { return 1.0 };
-        let ratio = |roles: &isophote_symbolic::Roles| {
+        let ratio = |roles: &Roles| {
             let index = roles.brightness?.index();
             let (old, new) = (self.memory.last.get(index)?.abs(), fit.parameters[index].abs());
             Some((new / old).max(old / new))
@@ -236,7 +238,7 @@ impl Tracker {
         if !model.constraints_hold(&fit.parameters, &self.constants) {
             return Some(Rejection::OutsideBounds);
         }
-        let (first, size) = ([view.window.x, view.window.y], [view.window.width, view.window.height]);
+        let (first, size) = (view.window.first(), view.window.size());
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
                 let place = fit.parameters[parameter.index()] - first as f64;
@@ -244,12 +246,10 @@ impl Tracker {
                     return Some(Rejection::OutsideWindow);
                 }
             }
-            if let [a1, a2, a3] = roles.shape[..] {
-                let [a1, a2, a3] = [a1, a2, a3].map(|p| fit.parameters[p.index()]);
-                // The lesser eigenvalue of A belongs to the longer semi-axis, 1/√λ.
-                let (mean, half) = (0.5 * (a1 + a3), 0.5 * (a1 - a3));
-                let lesser = mean - half.hypot(a2);
-                if lesser * (size[0].max(size[1]) as f64).powi(2) < 1.0 {
+            // The least eigenvalue of A belongs to the longest semi-axis, 1/√λ.
+            if let Some(least) = least_eigenvalue(roles, model.coordinates().len(), &fit.parameters) {
+                let longest = size.into_iter().max().unwrap_or(1) as f64;
+                if least * longest.powi(2) < 1.0 {
                     return Some(Rejection::Oversized);
                 }
             }
@@ -320,6 +320,20 @@ impl Tracker {
             stages,
         }
     }
+}
+
+/// Of A, in two dimensions and more; `None` without the role `shape`.
+fn least_eigenvalue(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<f64> {
+    let mut upper = roles.shape.iter().map(|parameter| parameters[parameter.index()]);
+    let mut a = DMatrix::zeros(dimensions, dimensions);
+    for row in 0..dimensions {
+        for column in row..dimensions {
+            let entry = upper.next()?;
+            a[(row, column)] = entry;
+            a[(column, row)] = entry;
+        }
+    }
+    (dimensions > 1).then(|| a.symmetric_eigenvalues().min())
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 use super::*;
 use crate::frame::Plane;
 use crate::picture::{Picture, Profile, Spot};
-use isophote_jit::PixelFormat;
+use isophote_jit::{PixelFormat, Slices};
 use isophote_symbolic::{Model, Precision};
 
 const SPOT: &str = include_str!("../../models/spot.toml");
@@ -207,7 +207,24 @@ fn a_line_in_one_dimension() {
 
 #[test]
 fn the_report_of_every_shipped_model() {
-    for document in [SPOT, THESIS, DISC, GAUSSIAN, MISRA1A, include_str!("../../models/profile-1d.toml")] {
+    let shipped = [
+        SPOT,
+        THESIS,
+        DISC,
+        GAUSSIAN,
+        MISRA1A,
+        include_str!("../../models/profile-1d.toml"),
+        include_str!("../../models/rational-spot.toml"),
+        include_str!("../../models/bright-disc.toml"),
+        include_str!("../../models/bead.toml"),
+        include_str!("../../models/moffat.toml"),
+        include_str!("../../models/ring.toml"),
+        include_str!("../../models/gaussian-pixel.toml"),
+        include_str!("../../models/three-spots.toml"),
+        include_str!("../../models/blob-3d.toml"),
+        include_str!("../../models/blob-4d.toml"),
+    ];
+    for document in shipped {
         let compiled = compiled(document, Precision::F32);
         let clock = std::cell::Cell::new(0);
         let report = compiled.report(&|| clock.replace(clock.get() + 2_000_000)).unwrap();
@@ -271,12 +288,16 @@ fn a_window_keeps_the_neighbours_out() {
     let frame = Picture { noise: 1.0, ..Picture::new(160, 120, vec![left, right]) }.frame();
     let options = |window| TrackerOptions { window, ..TrackerOptions::default() };
     let compiled = compiled(SPOT, Precision::F32);
-    for (window, truth) in [(None, right), (Some(Window { x: 10, y: 30, width: 60, height: 900 }), left)] {
+    for (window, truth) in
+        [(None, right), (Some(Window { x: 10, y: 30, width: 60, height: 900, slices: Slices::ONE }), left)]
+    {
         let mut tracker = Tracker::new(compiled.clone(), options(window)).unwrap();
         let estimate = tracker.track(&frame);
         assert!(centre_error(&tracker, &estimate, &truth) < 0.1, "{window:?} {estimate:?}");
     }
-    let mut tracker = Tracker::new(compiled, options(Some(Window { x: 160, y: 0, width: 9, height: 9 }))).unwrap();
+    let mut tracker =
+        Tracker::new(compiled, options(Some(Window { x: 160, y: 0, width: 9, height: 9, slices: Slices::ONE })))
+            .unwrap();
     assert_eq!(tracker.track(&frame).ending, Ending::WrongFrame);
 }
 
@@ -436,4 +457,42 @@ fn newton_with_a_small_variance_converges() {
     assert_eq!((estimate.state, estimate.ending), (TrackState::Tracking, Ending::SmallStep), "{estimate:?}");
     assert!(estimate.objective.unwrap() < 0.0, "{estimate:?}");
     assert!((estimate.parameters[0] - 70.3).abs() < 0.02 && (estimate.parameters[1] - 60.2).abs() < 0.02);
+}
+
+/// A blob in a stack: found, followed with a window of slices, and not believed where the window leaves it out.
+#[test]
+fn a_blob_in_a_stack() {
+    let size = [32, 28, 20];
+    let frame = |bz: f64, sequence: u64| {
+        let value = |i: usize| {
+            let (x, y, z) = ((i % 32) as f64, (i / 32 % 28) as f64, (i / 32 / 28) as f64);
+            let s = ((x - 15.3) / 7.0).powi(2) + ((y - 12.8) / 6.0).powi(2) + ((z - bz) / 4.0).powi(2);
+            (20.0 + 180.0 * (-2.0 * s).exp()).round() as u8
+        };
+        let plane = Plane::owned(PixelFormat::U8, (0..32 * 28 * 20).map(value).collect(), 32);
+        Frame::new(&size, vec![plane]).unwrap().with_sequence(sequence)
+    };
+    let compiled = compiled(include_str!("../../models/blob-3d.toml"), Precision::F32);
+    let window = |first: usize, count: usize| {
+        let slices = Slices { first: [first, 0], count: [count, usize::MAX] };
+        TrackerOptions { window: Some(Window { slices, ..Window::whole(32, 28) }), ..TrackerOptions::default() }
+    };
+    let mut whole = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+    let mut part = Tracker::new(compiled.clone(), window(3, 16)).unwrap();
+    for sequence in 0..4 {
+        let bz = 9.4 + 0.8 * sequence as f64;
+        for tracker in [&mut whole, &mut part] {
+            let estimate = tracker.track(&frame(bz, sequence));
+            assert!(estimate.converged, "{estimate:?}");
+            for (name, value) in [("bx", 15.3), ("by", 12.8), ("bz", bz)] {
+                assert!((named(tracker, &estimate, name) - value).abs() < 0.01, "{name} {estimate:?}");
+            }
+        }
+    }
+    let mut elsewhere = Tracker::new(compiled.clone(), window(0, 3)).unwrap();
+    assert_eq!(elsewhere.track(&frame(14.0, 0)).state, TrackState::Searching);
+    let mut beyond = Tracker::new(compiled, window(20, 3)).unwrap();
+    assert_eq!(beyond.track(&frame(9.4, 0)).ending, Ending::WrongFrame);
+    let picture = Frame::new(&[32, 28], vec![Plane::owned(PixelFormat::U8, vec![20; 32 * 28], 32)]).unwrap();
+    assert_eq!(whole.track(&picture).ending, Ending::WrongFrame);
 }

@@ -24,6 +24,10 @@ pub(super) mod arg {
     pub const Y: i32 = offset_of!(Args, y) as i32;
     pub const WIDTH: i32 = offset_of!(Args, width) as i32;
     pub const HEIGHT: i32 = offset_of!(Args, height) as i32;
+    pub const Z: i32 = offset_of!(Args, z) as i32;
+    pub const W: i32 = offset_of!(Args, w) as i32;
+    pub const DEPTH: i32 = offset_of!(Args, depth) as i32;
+    pub const LENGTH: i32 = offset_of!(Args, length) as i32;
     pub const PIXELS: i32 = offset_of!(Args, pixels) as i32;
     pub const SATURATED: i32 = offset_of!(Args, saturated) as i32;
 }
@@ -39,8 +43,8 @@ pub(super) struct Emitter<'a, 'p> {
     pub results: Vec<Option<ir::Value>>,
     /// What stays in registers during a row's loop, by value.
     pub held: Vec<Option<ir::Value>>,
-    /// The outer coordinate of the row.
-    pub outer: Option<ir::Value>,
+    /// The outer coordinates of the row, by their position; the inner one has none.
+    pub outer: [Option<ir::Value>; 4],
     /// Pixels of the row, at its end, or of the pass, at its end.
     pub count: Option<ir::Value>,
     /// Accumulators at the end of the row; `None` where the record has it.
@@ -83,7 +87,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
             truth,
             results: vec![None; count],
             held: vec![None; count],
-            outer: None,
+            outer: [None; 4],
             count: None,
             sums: Vec::new(),
             rows: vec![None; plan.program.channels()],

@@ -17,9 +17,10 @@ pub(super) enum Reach {
 }
 
 impl Emitter<'_, '_> {
-    /// Computes what the loop needs of row `y`: the address of the first pixel of each plane that is read, its pixel
-    /// stride, and the row of the output plane.
-    pub fn open_row(&mut self, y: ir::Value) {
+    /// Computes what the loop needs of a row: the address of the first pixel of each plane that is read, its pixel stride,
+    /// and the row of the output plane. `at` is y, z, w as far as the program has them, relative to the window; `row` how
+    /// many rows came before.
+    pub fn open_row(&mut self, at: &[ir::Value], row: ir::Value) {
         let program = self.plan.program;
         let read = self.plan.pixels.iter().filter_map(|v| match program.instruction(*v).op {
             Op::Channel(channel) => Some(channel.index()),
@@ -29,16 +30,24 @@ impl Emitter<'_, '_> {
             let planes = self.arg(types::I64, arg::PLANES);
             let field = |offset: usize| (channel * size_of::<PlaneArgs>() + offset) as i32;
             let base = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, first)));
-            let stride = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, row_stride)));
-            let down = self.b.ins().imul(y, stride);
-            let row = self.b.ins().iadd(base, down);
+            let strides = [
+                offset_of!(PlaneArgs, row_stride),
+                offset_of!(PlaneArgs, slice_stride),
+                offset_of!(PlaneArgs, volume_stride),
+            ];
+            let mut row = base;
+            for (at, stride) in at.iter().zip(strides) {
+                let stride = self.b.ins().load(types::I64, PIXELS, planes, field(stride));
+                let down = self.b.ins().imul(*at, stride);
+                row = self.b.ins().iadd(row, down);
+            }
             let stride = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, pixel_stride)));
             self.rows[channel] = Some((row, stride));
         }
         if let Sink::Plane(_) = program.sink() {
             let target = self.arg(types::I64, arg::TARGET);
             let width = self.arg(types::I64, arg::WIDTH);
-            let pixels = self.b.ins().imul(y, width);
+            let pixels = self.b.ins().imul(row, width);
             let down = self.b.ins().ishl_imm_s(pixels, 2);
             self.target = Some(self.b.ins().iadd(target, down));
         }

@@ -39,6 +39,20 @@ pub(crate) fn lower(program: &Program, options: &KernelOptions, isa: &dyn Target
     function
 }
 
+/// Where a row is in the window: its numbers along the outer coordinates, as many as the program has, y at least.
+#[derive(Clone)]
+struct Place {
+    /// y; y, z; or y, z, w.
+    at: Vec<ir::Value>,
+    /// How many rows came before it.
+    row: ir::Value,
+}
+
+/// Fields of the argument block, by the outer coordinate: where the window begins, …
+const FIRST: [i32; 3] = [arg::Y, arg::Z, arg::W];
+/// … and how far it goes.
+const COUNT: [i32; 3] = [arg::HEIGHT, arg::DEPTH, arg::LENGTH];
+
 /// A row while it is worked on.
 #[derive(Clone, Copy)]
 struct Row {
@@ -64,22 +78,29 @@ impl Nest<'_, '_> {
         }
         self.emit.level(Level::Pass);
         let zero = self.emit.integer(0);
-        self.emit.b.ins().jump(head, &[zero.into(), zero.into(), zero.into()]);
+        let outer = self.emit.plan.program.coordinates().clamp(2, 4) - 1;
+        // A picture's y counts its rows as well; a stack needs a counter beside y, z, w.
+        let counters = if outer == 1 { 1 } else { outer + 1 };
+        self.emit.b.ins().jump(head, &vec![zero.into(); counters + 2]);
 
-        let [y, pixels, saturated] = self.emit.parameters(head, [types::I64; 3]);
+        let state: Vec<ir::Value> =
+            (0..counters + 2).map(|_| self.emit.b.append_block_param(head, types::I64)).collect();
+        let [pixels, saturated] = [state[counters], state[counters + 1]];
+        let place = Place { at: state[..outer].to_vec(), row: state[counters - 1] };
         self.emit.b.switch_to_block(head);
-        let height = self.emit.arg(types::I64, arg::HEIGHT);
-        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, y, height);
+        let last = self.emit.arg(types::I64, COUNT[outer - 1]);
+        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, place.at[outer - 1], last);
         self.emit.b.ins().brif(more, row, &[], pass_end, &[]);
 
         self.emit.b.switch_to_block(row);
         let next = self.emit.b.create_block();
         let counts = self.emit.parameters(next, [types::I64; 2]);
-        self.row(y, next, [pixels, saturated]);
+        self.row(&place, next, [pixels, saturated]);
 
         self.emit.b.switch_to_block(next);
-        let y = self.emit.b.ins().iadd_imm_s(y, 1);
-        self.emit.b.ins().jump(head, &[y.into(), counts[0].into(), counts[1].into()]);
+        let mut state: Vec<BlockArg> = self.after(&place).into_iter().map(BlockArg::from).collect();
+        state.extend(counts.map(BlockArg::from));
+        self.emit.b.ins().jump(head, &state);
 
         self.emit.b.switch_to_block(pass_end);
         self.emit.count = Some(pixels);
@@ -92,11 +113,33 @@ impl Nest<'_, '_> {
         self.emit.b.finalize(frontend);
     }
 
+    /// The numbers of the row that follows: y counts up, and each coordinate that has come to its end begins again and
+    /// moves the next one on.
+    fn after(&mut self, place: &Place) -> Vec<ir::Value> {
+        let emit = &mut self.emit;
+        let outer = place.at.len();
+        let mut numbers = vec![emit.b.ins().iadd_imm_s(place.at[0], 1)];
+        for axis in 1..outer {
+            let count = emit.arg(types::I64, COUNT[axis - 1]);
+            let ends = emit.b.ins().icmp(IntCC::SignedGreaterThanOrEqual, numbers[axis - 1], count);
+            let zero = emit.integer(0);
+            numbers[axis - 1] = emit.b.ins().select(ends, zero, numbers[axis - 1]);
+            let carried = emit.b.ins().uextend(types::I64, ends);
+            numbers.push(emit.b.ins().iadd(place.at[axis], carried));
+        }
+        if outer > 1 {
+            numbers.push(emit.b.ins().iadd_imm_s(place.row, 1));
+        }
+        numbers
+    }
+
     /// One row; ends in a jump to `next` with the pass' pixel counts.
-    fn row(&mut self, y: ir::Value, next: Block, [pixels, saturated]: [ir::Value; 2]) {
-        let top = self.emit.arg(types::I64, arg::Y);
-        let absolute = self.emit.b.ins().iadd(top, y);
-        self.emit.outer = Some(self.emit.b.ins().fcvt_from_sint(types::F64, absolute));
+    fn row(&mut self, place: &Place, next: Block, [pixels, saturated]: [ir::Value; 2]) {
+        for (axis, at) in place.at.iter().enumerate() {
+            let first = self.emit.arg(types::I64, FIRST[axis]);
+            let absolute = self.emit.b.ins().iadd(first, *at);
+            self.emit.outer[axis + 1] = Some(self.emit.b.ins().fcvt_from_sint(types::F64, absolute));
+        }
         self.emit.level(Level::Row);
         let (start, end) = self.range(next, [pixels, saturated]);
 
@@ -108,7 +151,7 @@ impl Nest<'_, '_> {
         let row = Row { start, end, rest };
 
         self.emit.hold();
-        self.emit.open_row(y);
+        self.emit.open_row(&place.at, place.row);
         let before = Running::start(&mut self.emit, row);
         let (body, after, tail, row_end) = (
             self.emit.b.create_block(),

@@ -95,7 +95,7 @@ impl<'p> Emitter<'_, 'p> {
             Op::Select(..) => self.b.ins().select(at(0), at(1), at(2)),
             Op::Call1(f, _) => self.call_scalar(Functions::scalar1(f), Form::Scalar1, &operands),
             Op::Call2(f, ..) => self.call_scalar(Functions::scalar2(f), Form::Scalar2, &operands),
-            Op::Outer(_) => self.known(self.outer),
+            Op::Outer(coordinate) => self.known(self.outer[coordinate.index()]),
             Op::RowTotal(accumulator) => self.row_total(accumulator.index()),
             Op::PassTotal(total) => {
                 let slot = self.plan.totals[total.index()];

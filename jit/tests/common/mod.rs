@@ -36,8 +36,8 @@ pub struct Image {
     pub format: PixelFormat,
     pub width: usize,
     pub height: usize,
-    pub row_stride: usize,
-    pub pixel_stride: usize,
+    pub size: [usize; 4],
+    pub strides: [usize; 4],
     pub channels: Vec<Vec<u8>>,
 }
 
@@ -51,33 +51,49 @@ impl Image {
         [gap, margin]: [usize; 2],
         mut value: impl FnMut(usize, usize, usize) -> f64,
     ) -> Image {
-        let pixel_stride = format.bytes_per_pixel() + gap;
-        let row_stride = width * pixel_stride + margin;
+        let gaps = [gap, margin, 0, 0];
+        Image::stack(format, [width, height, 1, 1], channels, gaps, |channel, [x, y, ..]| value(channel, x, y))
+    }
+
+    /// The same of slices and volumes, with gaps after each pixel, row, slice and volume.
+    pub fn stack(
+        format: PixelFormat,
+        size: [usize; 4],
+        channels: usize,
+        gaps: [usize; 4],
+        mut value: impl FnMut(usize, [usize; 4]) -> f64,
+    ) -> Image {
+        let mut strides = [format.bytes_per_pixel() + gaps[0]; 4];
+        for axis in 1..4 {
+            strides[axis] = size[axis - 1] * strides[axis - 1] + gaps[axis];
+        }
+        let at = |place: [usize; 4]| 1 + place.iter().zip(strides).map(|(at, stride)| at * stride).sum::<usize>();
+        let [width, height, depth, length] = size;
+        let places = || {
+            let slices = (0..length).flat_map(move |w| (0..depth).map(move |z| (z, w)));
+            let rows = slices.flat_map(move |(z, w)| (0..height).map(move |y| (y, z, w)));
+            rows.flat_map(move |(y, z, w)| (0..width).map(move |x| [x, y, z, w]))
+        };
+        // The last row ends with its last pixel: a read beyond it leaves the slice.
+        let bytes = at(size.map(|n| n - 1)) + format.bytes_per_pixel();
         let plane = |channel: usize| {
-            let mut bytes = vec![0xEE_u8; 1 + height * row_stride];
-            for y in 0..height {
-                for x in 0..width {
-                    let at = 1 + y * row_stride + x * pixel_stride;
-                    let value = value(channel, x, y);
-                    match format {
-                        PixelFormat::U8 => bytes[at] = value as u8,
-                        PixelFormat::U16 => bytes[at..at + 2].copy_from_slice(&(value as u16).to_ne_bytes()),
-                        PixelFormat::F32 => bytes[at..at + 4].copy_from_slice(&(value as f32).to_ne_bytes()),
-                        PixelFormat::F64 => bytes[at..at + 8].copy_from_slice(&value.to_ne_bytes()),
-                    }
+            let mut bytes = vec![0xEE_u8; bytes];
+            for place in places() {
+                let (at, value) = (at(place), value(channel, place));
+                match format {
+                    PixelFormat::U8 => bytes[at] = value as u8,
+                    PixelFormat::U16 => bytes[at..at + 2].copy_from_slice(&(value as u16).to_ne_bytes()),
+                    PixelFormat::F32 => bytes[at..at + 4].copy_from_slice(&(value as f32).to_ne_bytes()),
+                    PixelFormat::F64 => bytes[at..at + 8].copy_from_slice(&value.to_ne_bytes()),
                 }
             }
-            // The last row ends with its last pixel: a read beyond it leaves the slice.
-            bytes.truncate(1 + (height - 1) * row_stride + (width - 1) * pixel_stride + format.bytes_per_pixel());
             bytes
         };
-        let channels = (0..channels).map(plane).collect();
-        Image { format, width, height, row_stride, pixel_stride, channels }
+        Image { format, width, height, size, strides, channels: (0..channels).map(plane).collect() }
     }
 
     pub fn views(&self) -> Vec<PlaneView<'_>> {
-        let view =
-            |bytes| PlaneView::new(self.format, bytes, self.width, self.height, self.row_stride, self.pixel_stride);
+        let view = |bytes| PlaneView::stack(self.format, bytes, self.size, self.strides);
         self.channels.iter().map(|bytes| view(&bytes[1..]).unwrap()).collect()
     }
 }
@@ -88,6 +104,9 @@ pub struct Planes<'a>(pub Vec<PlaneView<'a>>);
 impl Pixels for Planes<'_> {
     fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
         self.0[channel].pixel(x, y)
+    }
+    fn at_place(&self, channel: usize, place: [usize; 4]) -> f64 {
+        self.0[channel].pixel_at(place)
     }
 }
 
@@ -105,7 +124,7 @@ pub fn agree(
     window: Window,
     context: &str,
 ) -> Outcome {
-    let packed = image.pixel_stride == image.format.bytes_per_pixel();
+    let packed = image.strides[0] == image.format.bytes_per_pixel();
     let options = KernelOptions { precision, formats: vec![image.format; program.channels()], packed };
     let kernel = Kernel::compile(program, &options).unwrap_or_else(|e| panic!("{context}: {e}"));
     agree_with(&kernel, bindings, image, window, context)
@@ -117,12 +136,7 @@ pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, windo
     let native = kernel.sums(bindings, &image.views(), window).unwrap_or_else(|e| panic!("{context}: {e}"));
     let planes = Planes(image.views());
     let expected = interpreter::run(program, precision, bindings, &planes, window.into(), None);
-    let context = || {
-        format!(
-            "{context}, {precision:?}, {:?}, strides {} {}, {window:?}",
-            image.format, image.row_stride, image.pixel_stride
-        )
-    };
+    let context = || format!("{context}, {precision:?}, {:?}, strides {:?}, {window:?}", image.format, image.strides);
     assert_eq!(native.pixels, expected.pixels, "pixels: {}", context());
     assert_eq!(native.saturated, expected.saturated, "saturated: {}", context());
     assert_eq!(native.outputs.len(), expected.outputs.len(), "outputs: {}", context());
@@ -176,6 +190,7 @@ pub fn parameters(model: &Model, [width, height]: [usize; 2], random: &mut Rando
     let mut value = |name: &str| match name {
         "bx" | "b" => random.between(0.3, 0.7) * w,
         "by" => random.between(0.3, 0.7) * h,
+        "bz" | "bt" => random.between(1.0, 4.0),
         "a1" => random.between(2.0, 20.0) / (w * w),
         "a2" => random.between(-0.5, 0.5) / (w * h),
         "a3" => random.between(2.0, 20.0) / (h * h),

@@ -186,7 +186,8 @@ fn check_document(document: &SessionDocument) -> Result<(), Problem> {
         return absent("options.exposure.control", "does not control exposure");
     }
     if let Some(window) = document.window {
-        let pixels = window.width.saturating_mul(window.height);
+        let slices = window.depth.unwrap_or(1).saturating_mul(window.length.unwrap_or(1));
+        let pixels = window.width.saturating_mul(window.height).saturating_mul(slices);
         if pixels == 0 || pixels > LIMITS.window_pixels {
             let message = format!("a window has 1 to {} pixels", LIMITS.window_pixels);
             return Err(Problem::wrong_key("out-of-range", "window", message));

@@ -67,5 +67,11 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
 }
 
 fn jit_window(window: Window) -> isophote_jit::Window {
-    isophote_jit::Window { x: window.x, y: window.y, width: window.width, height: window.height }
+    let Window { x, y, width, height, z, depth, w, length } = window;
+    // What is not named is all there is.
+    let slices = isophote_jit::Slices {
+        first: [z.unwrap_or(0), w.unwrap_or(0)],
+        count: [depth.unwrap_or(usize::MAX), length.unwrap_or(usize::MAX)],
+    };
+    isophote_jit::Window { x, y, width, height, slices }
 }

@@ -47,20 +47,25 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
     check_rate(document.rate_hz, document.pace, prefix)?;
     check_size(document.width, document.height, prefix)?;
     let saturation = document.saturation_level();
+    let typical = SyntheticSpec::new(model.clone());
+    let (depth, length) = (document.depth.unwrap_or(typical.depth), document.length.unwrap_or(typical.length));
+    check_pixels(&[document.width, document.height, depth, length], prefix)?;
     let spec = SyntheticSpec {
         set: document.set.clone(),
         motion: document.motion.clone(),
         width: document.width,
         height: document.height,
+        depth,
+        length,
         // `t` of a motion is frames over rate; a rate of 0 says only that nothing waits
-        rate_hz: if document.rate_hz > 0.0 { document.rate_hz } else { SyntheticSpec::new(model.clone()).rate_hz },
+        rate_hz: if document.rate_hz > 0.0 { document.rate_hz } else { typical.rate_hz },
         bits: document.bits,
         samples: document.samples,
         full_well_e: document.full_well_e,
         read_noise_e: document.read_noise_e,
         saturation,
         seed: document.seed,
-        ..SyntheticSpec::new(model.clone())
+        ..typical
     };
     let source = Synthetic::new(spec)
         .map_err(|error| Problem::wrong_key("wrong-source", prefix.trim_end_matches('.'), error.to_string()))?;
@@ -78,7 +83,9 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
 fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Model>) -> Result<Opened, Problem> {
     check_rate(document.rate_hz, document.pace, prefix)?;
     let wrong = |error: SourceError| Problem::wrong_key("wrong-source", &format!("{prefix}path"), error.to_string());
-    let mut recording = Recording::open(Path::new(&document.path)).map_err(wrong)?;
+    // Pictures are stacked when the model that looks at them has more than two coordinates.
+    let dimensions = reader.map_or(2, |model| model.coordinates().len());
+    let mut recording = Recording::of_dimensions(Path::new(&document.path), dimensions).map_err(wrong)?;
     // Columns of a table are picked by name; planes of images are left as they are, for each session to pick from.
     let is_table = recording.csv_channels().map_err(wrong)?.is_some();
     if let (true, Some(model)) = (is_table, reader) {
@@ -136,8 +143,14 @@ fn check_size(width: usize, height: usize, prefix: &str) -> Result<(), Problem> 
             return Err(Problem::wrong_key("out-of-range", &format!("{prefix}{key}"), message));
         }
     }
-    if width.saturating_mul(height) > limit {
-        let message = format!("{width} × {height} pixels are more than the {limit} that a frame may have");
+    check_pixels(&[width, height], prefix)
+}
+
+fn check_pixels(sides: &[usize], prefix: &str) -> Result<(), Problem> {
+    let limit = LIMITS.window_pixels;
+    if sides.iter().fold(1usize, |pixels, side| pixels.saturating_mul(*side)) > limit {
+        let sides: Vec<String> = sides.iter().map(usize::to_string).collect();
+        let message = format!("{} pixels are more than the {limit} that a frame may have", sides.join(" × "));
         return Err(Problem::wrong_key("out-of-range", &format!("{prefix}width"), message));
     }
     Ok(())

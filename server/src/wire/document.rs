@@ -77,6 +77,18 @@ pub struct Window {
     pub width: usize,
     /// Rows, px.
     pub height: usize,
+    /// First slice, with three coordinates; with `depth` absent, all from there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub z: Option<usize>,
+    /// Slices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<usize>,
+    /// First volume, with four coordinates; with `length` absent, all from there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub w: Option<usize>,
+    /// Volumes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length: Option<usize>,
 }
 
 /// A source of its own, or the name of one that exists.
@@ -165,6 +177,12 @@ pub struct SyntheticDocument {
     /// px.
     #[serde(default = "default_height")]
     pub height: usize,
+    /// Slices, for a model of three coordinates and more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<usize>,
+    /// Volumes, for a model of four coordinates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length: Option<usize>,
     /// Frames a second.
     #[serde(default = "default_synthetic_rate_hz")]
     pub rate_hz: f64,
@@ -198,7 +216,7 @@ impl SyntheticDocument {
     }
 }
 
-/// A folder or file of PNG, JPEG or CSV.
+/// A folder or file of PNG, JPEG, TIFF or CSV.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingDocument {

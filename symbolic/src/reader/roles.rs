@@ -58,7 +58,7 @@ fn read_role(
                 &key,
                 entry.span,
                 message,
-                "a centre has one a coordinate, a shape one an entry of A's upper triangle",
+                "a centre has one a coordinate, a shape one an entry of A's upper triangle, row by row (xx, xy, …, yy, …)",
             );
         }
     }
@@ -77,15 +77,13 @@ fn default_roles(parameters: &[Parameter], coordinates: usize) -> Roles {
         found.map(|i| ParameterId(i as u32))
     };
     let all = |wanted: &[Estimator]| wanted.iter().map(|e| with(*e)).collect::<Option<Vec<_>>>().unwrap_or_default();
-    let centre = [Estimator::CentroidX, Estimator::CentroidY];
-    let shape: &[Estimator] = match coordinates {
-        1 => &[Estimator::ExtentXX],
-        _ => &[Estimator::ExtentXX, Estimator::ExtentXY, Estimator::ExtentYY],
-    };
+    let centre: Vec<Estimator> = (0..coordinates).map(Estimator::Centroid).collect();
+    let shape: Vec<Estimator> =
+        (0..coordinates).flat_map(|row| (row..coordinates).map(move |column| Estimator::Extent(row, column))).collect();
     Roles {
         name: None,
-        centre: all(&centre[..coordinates.min(2)]),
-        shape: all(shape),
+        centre: all(&centre),
+        shape: all(&shape),
         background: with(Estimator::Background),
         brightness: with(Estimator::Amplitude),
     }

@@ -10,3 +10,4 @@ mod models;
 mod sessions;
 mod streams;
 mod swaps;
+mod volumes;

@@ -16,8 +16,22 @@ fn the_shipped_models_are_there() {
     let items = service.get("/v1/models").expect(200);
     let names: Vec<&str> =
         items["items"].as_array().unwrap().iter().map(|item| item["name"].as_str().unwrap()).collect();
-    let shipped =
-        ["bead", "bright-disc", "dark-disc", "gaussian", "profile-1d", "rational-spot", "spot", "thesis-spot"];
+    let shipped = [
+        "bead",
+        "blob-3d",
+        "blob-4d",
+        "bright-disc",
+        "dark-disc",
+        "gaussian",
+        "gaussian-pixel",
+        "moffat",
+        "profile-1d",
+        "rational-spot",
+        "ring",
+        "spot",
+        "thesis-spot",
+        "three-spots",
+    ];
     assert_eq!(names, shipped);
     let spot = service.get("/v1/models/spot").expect(200);
     assert_eq!(spot["name"], "spot");

@@ -1,0 +1,305 @@
+//! `Node`: where the pixels of one frame are. A path in, a tree of pictures out, and its pixels when they are asked for.
+//!
+//! A picture has two dimensions, a TIFF of several pages three, and a folder one more than what it holds. So a document of
+//! three coordinates takes a TIFF of several pages, or a folder of pictures, as one frame; one of four takes a folder of
+//! either.
+
+use std::path::{Path, PathBuf};
+
+use isophote_tracker::{Buffer, Frame, Plane};
+
+use crate::decode::{self, Picture};
+use crate::limits::LIMITS;
+use crate::order::natural;
+use crate::source::SourceError;
+use crate::tiff::{PageFault, Pages};
+
+/// What a file's name says that it is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Image,
+    Tiff,
+    Csv,
+}
+
+impl Kind {
+    pub fn of(path: &Path) -> Option<Kind> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        match extension.as_str() {
+            "png" | "jpg" | "jpeg" => Some(Kind::Image),
+            "tif" | "tiff" => Some(Kind::Tiff),
+            "csv" => Some(Kind::Csv),
+            _ => None,
+        }
+    }
+}
+
+/// Pictures, and how they lie on each other.
+#[derive(Clone, Debug)]
+pub(crate) enum Node {
+    /// A PNG, JPEG or CSV file, or a TIFF of one page.
+    File(PathBuf),
+    /// One page of a TIFF of several, from 0.
+    Page(PathBuf, usize),
+    /// All pages of a TIFF, of which there are several.
+    Pages(PathBuf, usize),
+    /// What a folder holds, all of one kind.
+    Folder(PathBuf, Vec<Node>),
+}
+
+impl Node {
+    /// A file; a TIFF by its number of pages.
+    pub fn of_file(path: PathBuf) -> Result<Node, SourceError> {
+        if Kind::of(&path) != Some(Kind::Tiff) {
+            return Ok(Node::File(path));
+        }
+        match Pages::open(&path).and_then(|pages| pages.count(LIMITS.files)) {
+            Ok(pages) if pages > LIMITS.files => Err(too_many(&path)),
+            Ok(pages) if pages > 1 => Ok(Node::Pages(path, pages)),
+            Ok(_) => Ok(Node::File(path)),
+            // Where the chain of pages breaks, nobody knows how many there were.
+            Err(PageFault::Wrong(error)) => Err(about(&path, error)),
+            Err(PageFault::Unreadable(reason)) => Err(SourceError::Unreadable { path, reason }),
+        }
+    }
+
+    /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
+    pub fn of_path(path: &Path, levels: usize) -> Result<Node, SourceError> {
+        if !path.is_dir() {
+            return Node::of_file(path.into());
+        }
+        let entries = entries(path)?;
+        let files: Vec<&PathBuf> =
+            entries.iter().filter(|path| path.is_file() && Kind::of(path).is_some_and(|k| k != Kind::Csv)).collect();
+        let nodes = match files.is_empty() {
+            false => files.into_iter().map(|path| Node::of_file(path.clone())).collect::<Result<Vec<_>, _>>()?,
+            true => {
+                let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
+                let nodes = folders.map(|path| Node::of_path(path, levels - 1));
+                nodes.filter(|node| !matches!(node, Err(SourceError::Empty { .. }))).collect::<Result<_, _>>()?
+            }
+        };
+        let Some(first) = nodes.first() else { return Err(SourceError::Empty { path: path.into() }) };
+        if let Some(odd) = nodes.iter().find(|node| node.dimensions() != first.dimensions()) {
+            let reason = format!("{} where {} is {}", odd.what(), first.name(), first.what());
+            return Err(odd_one(odd.path(), &reason));
+        }
+        Ok(Node::Folder(path.into(), nodes))
+    }
+
+    /// How many dimensions its pixels have.
+    pub fn dimensions(&self) -> usize {
+        match self {
+            Node::File(path) if Kind::of(path) == Some(Kind::Csv) => 1,
+            Node::File(_) | Node::Page(..) => 2,
+            Node::Pages(..) => 3,
+            Node::Folder(_, nodes) => 1 + nodes.first().map_or(0, Node::dimensions),
+        }
+    }
+
+    /// For people.
+    pub fn what(&self) -> String {
+        match self {
+            Node::File(path) if Kind::of(path) == Some(Kind::Csv) => "a table".into(),
+            Node::File(_) | Node::Page(..) => "one picture".into(),
+            Node::Pages(_, pages) => format!("a TIFF of {pages} pages"),
+            Node::Folder(_, nodes) => match (nodes.len(), nodes.first()) {
+                (1, Some(first)) => format!("a folder of {}", first.what()),
+                (n, Some(Node::Pages(..))) => format!("a folder of {n} stacks"),
+                (n, Some(Node::Folder(..))) => format!("a folder of {n} folders"),
+                (n, _) => format!("a folder of {n} pictures"),
+            },
+        }
+    }
+
+    pub fn path(&self) -> &Path {
+        match self {
+            Node::File(path) | Node::Page(path, _) | Node::Pages(path, _) | Node::Folder(path, _) => path,
+        }
+    }
+
+    /// The name of file or folder; of a page with its number behind it.
+    pub fn name(&self) -> String {
+        let name = self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        match self {
+            Node::Page(_, page) => format!("{name}#{page}"),
+            _ => name,
+        }
+    }
+
+    /// The first picture.
+    pub fn first(&self) -> &Node {
+        match self {
+            Node::Folder(_, nodes) => nodes.first().map_or(self, Node::first),
+            _ => self,
+        }
+    }
+
+    /// Pixels beyond x and y: nothing for a picture, slices, or slices and volumes.
+    pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
+        match self {
+            Node::File(_) | Node::Page(..) => Ok(Vec::new()),
+            Node::Pages(_, pages) => Ok(vec![*pages]),
+            Node::Folder(_, nodes) => {
+                let mut size = nodes.first().map_or(Ok(Vec::new()), Node::outer)?;
+                for node in nodes {
+                    let other = node.outer()?;
+                    if other != size {
+                        let reason = format!("it has {} slices where {} has {}", other[0], nodes[0].name(), size[0]);
+                        return Err(odd_one(node.path(), &reason));
+                    }
+                }
+                size.push(nodes.len());
+                Ok(size)
+            }
+        }
+    }
+
+    /// The pixels of all its pictures as one frame.
+    pub fn load(&self, open: &mut Option<(PathBuf, Pages)>) -> Result<Frame, SourceError> {
+        let outer = self.outer()?;
+        let mut stack = Stack { slices: outer.iter().product(), outer, picture: None, name: String::new() };
+        stack.add(self, open)?;
+        let Some(Picture { size, format, stored, used, bytes }) = stack.picture else {
+            return Err(SourceError::Empty { path: self.path().into() });
+        };
+        let buffer = Buffer::Owned(bytes.into());
+        let planes = (0..used).map(|channel| Plane::interleaved(format, &buffer, size[0], stored, channel)).collect();
+        let damaged = |reason: String| SourceError::Damaged { path: self.path().into(), reason };
+        Frame::new(&[&size[..], &stack.outer].concat(), planes).map_err(|error| damaged(error.to_string()))
+    }
+}
+
+/// Pictures laid on each other.
+struct Stack {
+    outer: Vec<usize>,
+    slices: usize,
+    /// All so far, one below the other.
+    picture: Option<Picture>,
+    /// Of the first.
+    name: String,
+}
+
+impl Stack {
+    fn add(&mut self, node: &Node, open: &mut Option<(PathBuf, Pages)>) -> Result<(), SourceError> {
+        match node {
+            Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, open)),
+            Node::Pages(path, pages) => {
+                (0..*pages).try_for_each(|page| self.add(&Node::Page(path.clone(), page), open))
+            }
+            Node::File(path) if Kind::of(path) == Some(Kind::Image) => {
+                let picture = decode::picture(&read(path)?).map_err(|error| about(path, error))?;
+                self.push(node, picture)
+            }
+            Node::File(path) => self.push(node, page(path, 0, open)?),
+            Node::Page(path, number) => self.push(node, page(path, *number, open)?),
+        }
+    }
+
+    fn push(&mut self, node: &Node, picture: Picture) -> Result<(), SourceError> {
+        let Some(first) = &mut self.picture else {
+            let pixels = (picture.size[0] * picture.size[1]) as u64 * self.slices as u64;
+            if pixels > LIMITS.frame_pixels {
+                let sides: Vec<String> = picture.size.iter().chain(&self.outer).map(usize::to_string).collect();
+                let reason = format!(
+                    "{} px are more than the {} that a frame may have; crop or bin its pictures, or take some out of it",
+                    sides.join("×"),
+                    LIMITS.frame_pixels
+                );
+                return Err(SourceError::TooLarge { path: node.path().into(), reason });
+            }
+            self.name = node.name();
+            let mut picture = picture;
+            picture.bytes.reserve_exact(picture.bytes.len() * (self.slices - 1));
+            self.picture = Some(picture);
+            return Ok(());
+        };
+        if first.kind() != picture.kind() {
+            let reason = format!("{} has {} where {} has {}", node.name(), picture.what(), self.name, first.what());
+            return Err(odd_one(node.path(), &reason));
+        }
+        first.bytes.extend_from_slice(&picture.bytes);
+        Ok(())
+    }
+}
+
+/// A page of a TIFF; the file stays open for the page after it.
+fn page(path: &Path, number: usize, open: &mut Option<(PathBuf, Pages)>) -> Result<Picture, SourceError> {
+    let wrong = |fault: PageFault| match fault {
+        PageFault::Unreadable(reason) => SourceError::Unreadable { path: path.into(), reason },
+        PageFault::Wrong(error) => about(path, error),
+    };
+    let known = open.take().filter(|(name, _)| name == path).map(|(_, pages)| pages);
+    let forward = known.map(|pages| pages.forward(number)).transpose().map_err(wrong)?.flatten();
+    let pages = match forward {
+        Some(pages) => Some(pages),
+        None => Pages::open(path).and_then(|pages| pages.forward(number)).map_err(wrong)?,
+    };
+    let Some(mut pages) = pages else { return Err(SourceError::Empty { path: path.into() }) };
+    let picture = pages.picture().map_err(|error| about(path, error));
+    *open = Some((path.into(), pages));
+    picture
+}
+
+/// The size of a file's first picture.
+pub(crate) fn picture_size(node: &Node) -> Option<[usize; 2]> {
+    let path = node.path();
+    match (node, Kind::of(path)?) {
+        (_, Kind::Image) => decode::size(&read(path).ok()?).ok(),
+        (Node::Page(_, number), Kind::Tiff) => Pages::open(path).ok()?.forward(*number).ok()??.size().ok(),
+        (_, Kind::Tiff) => Pages::open(path).ok()?.size().ok(),
+        (_, Kind::Csv) => None,
+    }
+}
+
+/// What a folder holds, in natural order.
+pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
+    let unreadable = |reason| SourceError::Unreadable { path: folder.into(), reason };
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        if Kind::of(&path).is_none() && !path.is_dir() {
+            continue;
+        }
+        if found.len() == LIMITS.files {
+            return Err(too_many(folder));
+        }
+        found.push((name, path));
+    }
+    found.sort_by(|a, b| natural(&a.0, &b.0));
+    Ok(found.into_iter().map(|(_, path)| path).collect())
+}
+
+pub(crate) fn too_many(path: &Path) -> SourceError {
+    SourceError::TooLarge {
+        path: path.into(),
+        reason: format!("more than {} pictures; split the recording", LIMITS.files),
+    }
+}
+
+fn odd_one(path: &Path, reason: &str) -> SourceError {
+    SourceError::Odd { path: path.into(), reason: reason.into() }
+}
+
+/// A file's bytes, if they are not too many.
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SourceError> {
+    let unreadable = |reason| SourceError::Unreadable { path: path.into(), reason };
+    let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
+    if bytes > LIMITS.file_bytes {
+        let reason = format!("{bytes} bytes; at most {} are read", LIMITS.file_bytes);
+        return Err(SourceError::TooLarge { path: path.into(), reason });
+    }
+    std::fs::read(path).map_err(unreadable)
+}
+
+fn about(path: &Path, error: decode::DecodeError) -> SourceError {
+    use decode::DecodeError;
+    let path = path.to_path_buf();
+    match error {
+        DecodeError::UnknownKind => SourceError::UnknownKind { path },
+        DecodeError::TooLarge(reason) => SourceError::TooLarge { path, reason },
+        DecodeError::Damaged(reason) => SourceError::Damaged { path, reason },
+        DecodeError::Unsupported(reason) => SourceError::Unsupported { path, reason },
+    }
+}
