@@ -41,6 +41,7 @@ mod monomial;
 mod objective;
 mod parser;
 mod peephole;
+mod points;
 mod print;
 mod program;
 mod proof;
