@@ -45,6 +45,7 @@ mod points;
 mod print;
 mod program;
 mod proof;
+mod rank;
 mod reader;
 mod schedule;
 mod search;

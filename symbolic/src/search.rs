@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 
 use crate::cuts::cut_candidates;
-use crate::derivation::{Cuts, Derivation, Layout, Target};
+use crate::derivation::{Cuts, Derivation, Layout, Target, reduced};
 use crate::graph::Graph;
 use crate::limits::LIMITS;
 use crate::model::Lowering;
@@ -67,6 +67,7 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
         _ => plain,
     };
     let sums = best.derivation.sums(&best.layout)?;
+    let sums = reduced(&mut best.derivation.graph, sums);
     Some((best.derivation, sums))
 }
 
