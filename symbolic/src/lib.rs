@@ -47,6 +47,7 @@ mod program;
 mod proof;
 mod rank;
 mod reader;
+mod registers;
 mod schedule;
 mod search;
 mod steps;
