@@ -88,7 +88,7 @@ pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {
         let mut new = graph.rebuild(id, &map);
         if graph.level(new) == Level::Pixel
             && let Node::Sum(constant, terms) = graph.node(new).clone()
-            && let Some(factor) = shared_factor(graph, &terms)
+            && let Some((factor, _)) = shared_factor(graph, &terms, Level::Pixel)
         {
             let (mut inside, mut outside) = (Vec::new(), Vec::new());
             for (n, c) in terms.iter() {
@@ -115,25 +115,26 @@ pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {
     map[&root]
 }
 
-/// The input that most terms have as a plain factor: at least two, one of them a pixel value.
-fn shared_factor(graph: &Graph, terms: &[(NodeId, Bits)]) -> Option<NodeId> {
+/// The input that most terms have as a plain factor, and how many: at least two, one of them known at `level` only.
+pub(crate) fn shared_factor(graph: &Graph, terms: &[(NodeId, Bits)], level: Level) -> Option<(NodeId, usize)> {
     let mut counts: FxHashMap<NodeId, (usize, bool)> = FxHashMap::default();
-    let mut count = |factor: NodeId, pixel: bool| {
+    let mut count = |factor: NodeId, there: bool| {
         if matches!(graph.node(factor), Node::Input(_)) {
             let entry = counts.entry(factor).or_default();
-            *entry = (entry.0 + 1, entry.1 || pixel);
+            *entry = (entry.0 + 1, entry.1 || there);
         }
     };
     for (n, _) in terms {
         match graph.node(*n) {
             Node::Product(f) => {
-                f.iter().filter(|(_, e)| *e == 1).for_each(|(m, _)| count(*m, graph.level(*n) == Level::Pixel))
+                f.iter().filter(|(_, e)| *e == 1).for_each(|(m, _)| count(*m, graph.level(*n) == level))
             }
-            _ => count(*n, false),
+            _ => count(*n, graph.level(*n) == level),
         }
     }
-    let shared = counts.into_iter().filter(|(_, (times, pixel))| *times > 1 && *pixel);
-    shared.max_by_key(|(factor, (times, _))| (*times, *factor)).map(|(factor, _)| factor)
+    let shared = counts.into_iter().filter(|(_, (times, there))| *times > 1 && *there);
+    let most = shared.max_by_key(|(factor, (times, _))| (*times, *factor));
+    most.map(|(factor, (times, _))| (factor, times))
 }
 
 /// Takes numeric factors of products into sums that only they use (2 r (k2 − 3 k3 s)), which costs nothing there.

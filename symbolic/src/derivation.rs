@@ -35,6 +35,8 @@ pub(crate) struct Cuts {
     pub nodes: BTreeSet<NodeId>,
     /// A sum that occurs with and without an invariant factor known to be positive is computed with it only.
     pub unify: bool,
+    /// Polynomials in this value are collected before.
+    pub collect: Option<NodeId>,
 }
 
 /// A choice of how forms become accumulators.

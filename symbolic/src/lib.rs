@@ -42,6 +42,7 @@ mod objective;
 mod parser;
 mod peephole;
 mod points;
+mod polynomials;
 mod print;
 mod program;
 mod proof;

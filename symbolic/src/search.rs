@@ -5,11 +5,13 @@
 
 use std::collections::BTreeSet;
 
+use crate::absorb::gather;
 use crate::cuts::cut_candidates;
 use crate::derivation::{Cuts, Derivation, Layout, Target, reduced};
-use crate::graph::Graph;
+use crate::graph::{Graph, NodeId};
 use crate::limits::LIMITS;
 use crate::model::Lowering;
+use crate::polynomials::collected;
 use crate::program::Cost;
 use crate::schedule::Sums;
 
@@ -29,6 +31,7 @@ struct Search<'a> {
     graph: &'a Graph,
     target: &'a Target<'a>,
     best: Option<Found>,
+    tried: BTreeSet<Cuts>,
     derivations: usize,
     work: usize,
 }
@@ -36,11 +39,11 @@ struct Search<'a> {
 /// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
 pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
     let candidates = cut_candidates(graph, target.residual, target.parameters);
-    let mut search = Search { graph, target, best: None, derivations: 0, work: 0 };
+    let mut search = Search { graph, target, best: None, tried: BTreeSet::new(), derivations: 0, work: 0 };
     // Seeds: all candidates, and each of them alone.
-    search.attempt(Cuts { nodes: candidates.clone(), unify: false });
+    search.attempt(Cuts { nodes: candidates.clone(), ..Cuts::default() });
     for cut in candidates.iter().filter(|_| candidates.len() > 1) {
-        search.attempt(Cuts { nodes: BTreeSet::from([*cut]), unify: false });
+        search.attempt(Cuts { nodes: BTreeSet::from([*cut]), ..Cuts::default() });
     }
     // One cut more or less, while that pays.
     loop {
@@ -50,16 +53,20 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
             if !nodes.remove(cut) {
                 nodes.insert(*cut);
             }
-            search.attempt(Cuts { nodes, unify: false });
+            search.attempt(Cuts { nodes, ..Cuts::default() });
         }
         if search.best.as_ref()?.cuts.nodes == before || candidates.len() < 2 {
             break;
         }
     }
+    let collecting = |cut: NodeId| Cuts { nodes: BTreeSet::from([cut]), collect: Some(cut), ..Cuts::default() };
+    let collected: Vec<Cuts> = search.best.as_ref()?.cuts.nodes.iter().map(|cut| collecting(*cut)).collect();
+    collected.iter().for_each(|cuts| search.attempt(cuts.clone()));
     search.layouts();
     let plain = search.best.take()?;
     if unify {
-        search.attempt(Cuts { nodes: plain.cuts.nodes.clone(), unify });
+        search.attempt(Cuts { unify, ..plain.cuts.clone() });
+        collected.into_iter().for_each(|cuts| search.attempt(Cuts { unify, ..cuts }));
         search.layouts();
     }
     let mut best = match search.best {
@@ -74,12 +81,22 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
 impl Search<'_> {
     /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
     fn attempt(&mut self, cuts: Cuts) {
-        if self.derivations >= DERIVATIONS || self.work >= WORK {
+        if self.derivations >= DERIVATIONS || self.work >= WORK || !self.tried.insert(cuts.clone()) {
             return;
         }
+        let (mut graph, mut residual) = (self.graph.clone(), self.target.residual);
+        if let Some(variable) = cuts.collect {
+            residual = collected(&mut graph, residual, variable);
+            residual = gather(&mut graph, residual);
+            if residual == self.target.residual {
+                return;
+            }
+            graph.set_opaque(residual);
+        }
+        let target = Target { residual, ..*self.target };
         self.derivations += 1;
         let layout = Layout { expand: true, split: BTreeSet::new() };
-        let Some(mut derivation) = Derivation::new(self.graph.clone(), self.target, &cuts) else {
+        let Some(mut derivation) = Derivation::new(graph, &target, &cuts) else {
             self.work = WORK;
             return;
         };

@@ -43,3 +43,41 @@ fn saturation_control_and_bounds_cost_no_flops_per_pixel() {
     assert!(program.pixel_set().bounds.is_some() && program.pixel_set().mask.is_none(), "{program}");
     assert!(program.pixel_set().saturated.is_some());
 }
+
+/// The thesis' spot in other words: definitions, intensity.
+const SPELLINGS: [(&str, &str); 7] = [
+    ("s = \"a1*(x-bx)^2 + 2*a2*(x-bx)*(y-by) + a3*(y-by)^2\"", "v0 + v1*(1 + s*(k1 + s*(k2 - s*(1 + k1 + k2))))"),
+    (
+        "dx = \"x - bx\"\ndy = \"y - by\"\ns = \"dx*(a1*dx + a2*dy) + dy*(a2*dx + a3*dy)\"\nq = \"s*s\"\nk3 = \"-1 - k1 - k2\"",
+        "v0 + v1 + v1*k1*s + v1*k2*q + v1*k3*q*s",
+    ),
+    ("s = \"a1*(bx-x)^2 + 2*a2*(bx-x)*(by-y) + a3*(by-y)^2\"", "(v0 + v1) - v1*(s^3 - k1*(s - s^3) - k2*(s^2 - s^3))"),
+    ("s = \"a1*(x-bx)^2 + 2*a2*(x-bx)*(y-by) + a3*(y-by)^2\"", "v0 + v1*(1 - s)*(1 + (1 + k1)*s + (1 + k1 + k2)*s^2)"),
+    (
+        "X = \"[x - bx, y - by]\"\ns = \"X' * [[a1, a2], [a2, a3]] * X\"\nk = \"[1, k1, k2, -(1 + k1 + k2)]\"",
+        "v0 + sum(v1*k[i]*s^i, i, 0, 3)",
+    ),
+    (
+        "\"p(t)\" = \"1 + k1*t + k2*t^2 - (1 + k1 + k2)*t^3\"\n\"d(u, v)\" = \"a1*u^2 + 2*a2*u*v + a3*v^2\"\ns = \"d(x - bx, y - by)\"",
+        "v0 + v1*p(s)",
+    ),
+    ("s = \"a1*(x-bx)^2 + 2*a2*(x-bx)*(y-by) + a3*(y-by)^2\"", "v0 - v1*(-1 - k1*s - k2*s^2 + (1 + k1 + k2)*s^3)"),
+];
+
+#[test]
+fn how_a_model_is_spelled_does_not_matter() {
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/thesis-spot.toml")).unwrap();
+    let (head, rest) = text.split_once("[definitions]").unwrap();
+    let (_, stages) = rest.split_once("[[stages]]").unwrap();
+    let subsets = ["bx,by", "a1,a2,a3", "bx,by,a1,a2,a3", "bx,by,a1,a2,a3,v0,v1", "bx,by,a1,a2,a3,k1,k2,v0,v1"];
+    let thesis = Model::from_toml(&text).unwrap();
+    for (definitions, intensity) in SPELLINGS {
+        let text = format!(
+            "{head}[definitions]\n{definitions}\n[model]\nintensity = \"{intensity}\"\ndomain = \"s <= 1\"\n[[stages]]{stages}"
+        );
+        let model = Model::from_toml(&text).unwrap_or_else(|faults| panic!("{}", faults[0].render("spelling")));
+        for subset in subsets {
+            assert_eq!(cost(&model, subset, true), cost(&thesis, subset, true), "{intensity}: {subset}");
+        }
+    }
+}

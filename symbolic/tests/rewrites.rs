@@ -44,13 +44,18 @@ fn count(text: &str, what: &str) -> usize {
 }
 
 /// Name, and the check of its example and counterexample.
-const REWRITES: [(&str, fn()); 13] = [
+const REWRITES: [(&str, fn()); 14] = [
     ("collect", || assert_eq!(cost("a b", "3*a*x + b + 2*a*x"), cost("a b", "5*a*x + b"))),
     ("powers", || assert_eq!(cost("a b", "a*x^2*x^3 + b"), cost("a b", "a*x^5 + b"))),
     ("roots", || {
         let text = pixel_level("a b+", "a*(b + x^2)^2.5");
         assert!(count(&text, "sqrt") == 1 && count(&text, "pow") == 0, "{text}");
         assert_eq!(count(&pixel_level("a b+", "a*(b + x^2)^2.6"), "pow"), 1);
+    }),
+    ("polynomials", || {
+        let s = "((x - c)^2 + y^2)";
+        let horner = cost("a b c", &format!("{s}*(a + {s}*(b + {s}))"));
+        assert_eq!(horner, cost("a b c", &format!("a*{s} + b*{s}^2 + {s}^3")));
     }),
     ("gather", || {
         assert_eq!(cost("a v+", "v + v*a*x + v*a^2*x^2"), cost("a v+", "v*(1 + a*x + a^2*x^2)"));
