@@ -101,9 +101,11 @@ pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {
                     _ => outside.push((*n, c.get())),
                 }
             }
-            let inside = graph.sum(0.0, inside);
+            // The sign stays outside: what was a definition is the same node again.
+            let sign = inside.iter().map(|(_, c)| c.signum()).sum::<f64>().signum();
+            let inside = graph.sum(0.0, inside.into_iter().map(|(n, c)| (n, sign * c)).collect::<Vec<_>>());
             graph.set_opaque(inside);
-            outside.push((graph.mul(factor, inside), 1.0));
+            outside.push((graph.mul(factor, inside), sign));
             let gathered = graph.sum(constant.get(), outside);
             if graph.is_opaque(new) {
                 graph.set_opaque(gathered);

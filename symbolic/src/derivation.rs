@@ -195,7 +195,7 @@ impl Derivation {
             let node = graph.sum(0.0, terms);
             outputs.push(whole(graph, name, node));
         }
-        (!graph.overflowed()).then_some(Sums { outputs })
+        (!graph.overflowed()).then_some(Sums { outputs, shift: None })
     }
 
     /// The sums of a layout; the first output is F.
@@ -211,7 +211,7 @@ impl Derivation {
             }
             outputs.push(Output { name: name.clone(), terms: total.into_terms(&mut self.graph) });
         }
-        (!self.graph.overflowed()).then_some(Sums { outputs })
+        (!self.graph.overflowed()).then_some(Sums { outputs, shift: None })
     }
 }
 
@@ -234,7 +234,7 @@ pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
     };
     let outputs = sums.outputs.into_iter();
     let outputs = outputs.map(|o| Output { terms: o.terms.into_iter().flat_map(&mut replaced).collect(), ..o });
-    Sums { outputs: outputs.collect() }
+    Sums { outputs: outputs.collect(), shift: None }
 }
 
 /// F and its form over cuts and parameters: the top variables eliminated.

@@ -57,35 +57,49 @@ fn bounds(graph: &mut Graph, part: NodeId) -> Option<(NodeId, NodeId)> {
     }
     let Node::Compare(Comparison::Le, left, right) = *graph.node(part) else { return None };
     let difference = graph.sub(left, right);
-    // e(x) = A x² + B x + C ≤ 0, by derivatives at x = 0.
-    let x = graph.coordinate(CoordinateId(0));
-    let slopes = jet(graph, difference, &BTreeSet::from([x]), true);
-    let piecewise = |n: &NodeId| match graph.node(*n) {
-        Node::Select(condition, ..) => graph.level(*condition) == Level::Pixel,
-        Node::Abs(a) => graph.level(*a) == Level::Pixel,
-        _ => false,
-    };
-    if graph.reachable(&[difference]).iter().any(piecewise) {
-        return None;
-    }
-    let curvature = *slopes.second.get(&(x, x))?;
-    if graph.level(curvature) == Level::Pixel || !is_positive(graph, curvature) {
-        return None;
-    }
-    let slope = *slopes.first.get(&x)?;
-    let at_zero = |graph: &mut Graph, node: NodeId| {
-        graph.substitute(node, &mut |graph, leaf| {
-            matches!(leaf, Node::Coordinate(CoordinateId(0))).then(|| graph.number(0.0))
-        })
-    };
-    let (b, c) = (at_zero(graph, slope), at_zero(graph, difference));
-    // With 2A = curvature: x = (−B ± √(B² − 2 (2A) C)) / (2A).
+    let Parabola { curvature, slope_at_zero: b } = parabola(graph, difference)?;
+    let c = graph.substitute(difference, &mut |graph, leaf| {
+        matches!(leaf, Node::Coordinate(CoordinateId(0))).then(|| graph.number(0.0))
+    });
+    // e(x) = A x² + B x + C ≤ 0 with 2A = curvature: x = (−B ± √(B² − 2 (2A) C)) / (2A).
     let square = graph.product(1.0, [(b, 2)]);
     let product = graph.product(2.0, [(curvature, 1), (c, 1)]);
     let discriminant = graph.sub(square, product);
     let root = graph.sqrt(discriminant);
     let (low, high) = (graph.sum(0.0, [(b, -1.0), (root, -1.0)]), graph.sum(0.0, [(b, -1.0), (root, 1.0)]));
     Some((graph.div(low, curvature), graph.div(high, curvature)))
+}
+
+/// A value that is A x² + B x + C over a row, A known to be positive.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parabola {
+    /// 2 A.
+    pub curvature: NodeId,
+    /// B.
+    pub slope_at_zero: NodeId,
+}
+
+/// The parabola that a value is, found by its derivatives; nothing where it has several pieces.
+pub(crate) fn parabola(graph: &mut Graph, value: NodeId) -> Option<Parabola> {
+    let piecewise = |n: &NodeId| match graph.node(*n) {
+        Node::Select(condition, ..) => graph.level(*condition) == Level::Pixel,
+        Node::Abs(a) => graph.level(*a) == Level::Pixel,
+        _ => false,
+    };
+    if graph.reachable(&[value]).iter().any(piecewise) {
+        return None;
+    }
+    let x = graph.coordinate(CoordinateId(0));
+    let slopes = jet(graph, value, &BTreeSet::from([x]), true);
+    let curvature = *slopes.second.get(&(x, x))?;
+    if graph.level(curvature) == Level::Pixel || !is_positive(graph, curvature) {
+        return None;
+    }
+    let slope = *slopes.first.get(&x)?;
+    let slope_at_zero = graph.substitute(slope, &mut |graph, leaf| {
+        matches!(leaf, Node::Coordinate(CoordinateId(0))).then(|| graph.number(0.0))
+    });
+    Some(Parabola { curvature, slope_at_zero })
 }
 
 /// True when the value is positive whatever the inputs, as far as declared bounds tell.

@@ -51,6 +51,7 @@ mod reader;
 mod registers;
 mod schedule;
 mod search;
+mod square;
 mod steps;
 mod weighed;
 

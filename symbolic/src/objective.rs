@@ -101,7 +101,7 @@ impl Objective {
         };
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());
         let domain = entry_domain(&mut graph, model);
-        let sums = Sums { outputs };
+        let sums = Sums { outputs, shift: None };
         Ok(Objective {
             graph,
             sums,

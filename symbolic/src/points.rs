@@ -9,7 +9,7 @@ use crate::model::{Estimator, Model, Parameter, Start};
 use crate::program::Input;
 
 /// Columns of a picture.
-const WIDTH: usize = 48;
+const WIDTH: usize = 36;
 /// How large the target is, px.
 const SIZE: f64 = 12.0;
 /// Where the made-up target is, px: in the middle of a camera's picture for f32, and where terms are as small as their sum
@@ -87,7 +87,7 @@ pub(crate) fn plausible(model: &Model, centre: [f64; 4], random: &mut Random) ->
     let parameters: Vec<f64> = model.parameters.iter().map(|p| made_up(p, centre, random)).collect();
     let coordinates = model.coordinates.len();
     let near = |centre: f64, random: &mut Random| (centre + 0.8 * SIZE * random.signed()).round();
-    let columns: Vec<f64> = (0..4).map(|_| near(centre[0], random)).collect();
+    let columns: Vec<f64> = (0..3).map(|_| near(centre[0], random)).collect();
     let outer = |random: &mut Random| (1..coordinates).map(|i| near(centre[i], random)).collect::<Vec<_>>();
     let rows: Vec<Vec<f64>> = (0..if coordinates == 1 { 1 } else { 2 }).map(|_| outer(random)).collect();
     let pixels = model.channels.len() * columns.len() * rows.len();

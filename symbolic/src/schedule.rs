@@ -11,6 +11,7 @@ use crate::program::{
     AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId,
     Value,
 };
+use crate::square::Shift;
 use crate::steps::Step;
 
 /// coefficient · Σ_rows (row · Σ_pixels pixel); an absent row factor is 1, an absent pixel value counts pixels.
@@ -32,9 +33,19 @@ pub(crate) struct Output {
 #[derive(Clone, Debug)]
 pub(crate) struct Sums {
     pub outputs: Vec<Output>,
+    /// Totals over one offset of the column are made from those over another, once a row.
+    pub shift: Option<Shift>,
 }
 
 impl Sums {
+    /// The pixel values that are really summed.
+    pub fn summed(&self, graph: &mut Graph) -> Vec<NodeId> {
+        let Some(shift) = &self.shift else { return self.pixels() };
+        let mut seen = FxHashSet::default();
+        let parts: Vec<NodeId> = self.pixels().into_iter().flat_map(|p| shift.parts(graph, p)).flatten().collect();
+        parts.into_iter().filter(|part| seen.insert(*part)).collect()
+    }
+
     /// The distinct pixel values that are summed, in order of first use.
     pub fn pixels(&self) -> Vec<NodeId> {
         let mut seen = FxHashSet::default();
@@ -51,7 +62,7 @@ pub(crate) fn sums(
     names: Names,
 ) -> Program {
     let mut builder = Builder::new(graph);
-    let pixels = sums.pixels();
+    let pixels = sums.summed(builder.graph);
     builder.wanted.extend(pixels.iter().copied());
     let mut set = PixelSet::default();
     if let Some(domain) = domain {
@@ -73,10 +84,7 @@ pub(crate) fn sums(
             let pass_total = match (term.row, term.pixel) {
                 (None, None) => builder.emit(Op::PassCount, Level::PassEnd),
                 (row, pixel) => {
-                    let row_sum = match pixel {
-                        Some(pixel) => builder.emit(Op::RowTotal(accumulator(pixel)), Level::RowEnd),
-                        None => builder.emit(Op::RowCount, Level::RowEnd),
-                    };
+                    let row_sum = builder.row_sum(pixel, sums.shift.as_ref(), &accumulator);
                     let total = match row {
                         Some(row) => {
                             let row = builder.lower(row);
@@ -198,6 +206,36 @@ impl<'g> Builder<'g> {
             self.inputs.len() - 1
         });
         self.emit(Op::Input(InputId(at as u32)), Level::Pass)
+    }
+
+    /// The row's total of a pixel value: of what is summed, or made from such totals by the shift.
+    fn row_sum(
+        &mut self,
+        pixel: Option<NodeId>,
+        shift: Option<&Shift>,
+        accumulator: &dyn Fn(NodeId) -> AccumulatorId,
+    ) -> Value {
+        let total = |builder: &mut Self, part: Option<NodeId>| match part {
+            Some(part) => builder.emit(Op::RowTotal(accumulator(part)), Level::RowEnd),
+            None => builder.emit(Op::RowCount, Level::RowEnd),
+        };
+        let (Some(pixel), Some(shift)) = (pixel, shift) else { return total(self, pixel) };
+        // Σ_j C(k, j) e^(k−j) U_j by Horner's rule.
+        let parts = shift.parts(self.graph, pixel);
+        let power = parts.len() - 1;
+        let (mut sum, mut binomial) = (total(self, parts[0]), 1.0);
+        for (j, part) in parts.into_iter().enumerate().skip(1) {
+            let distance = self.lower(shift.distance);
+            binomial *= (power + 1 - j) as f64 / j as f64;
+            let mut value = total(self, part);
+            if binomial != 1.0 {
+                let number = self.emit(Op::Const(binomial), Level::Pass);
+                value = self.emit(Op::Mul(number, value), Level::RowEnd);
+            }
+            let lower = self.emit(Op::Mul(distance, sum), Level::RowEnd);
+            sum = self.emit(Op::Add(lower, value), Level::RowEnd);
+        }
+        sum
     }
 
     /// The node as a pixel value: one known earlier is chosen by a condition that always holds, so that a sink may read it.

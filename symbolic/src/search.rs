@@ -8,12 +8,13 @@ use std::collections::BTreeSet;
 use crate::absorb::gather;
 use crate::cuts::cut_candidates;
 use crate::derivation::{Cuts, Derivation, Layout, Target, reduced};
-use crate::graph::{Graph, NodeId};
+use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
 use crate::model::Lowering;
 use crate::polynomials::collected;
 use crate::program::Cost;
-use crate::schedule::Sums;
+use crate::schedule::{Sums, pixel_cost};
+use crate::square::completed;
 
 /// Derivations tried at most.
 const DERIVATIONS: usize = 32;
@@ -74,8 +75,14 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
         _ => plain,
     };
     let sums = best.derivation.sums(&best.layout)?;
-    let sums = reduced(&mut best.derivation.graph, sums);
-    Some((best.derivation, sums))
+    let graph = &mut best.derivation.graph;
+    let sums = reduced(graph, sums);
+    let of = |sums: &Sums, graph: &mut Graph| {
+        let pixels = sums.summed(graph);
+        weight(&pixel_cost(graph, &pixels, LOWERING))
+    };
+    let squared = completed(graph, &sums).filter(|squared| of(squared, graph) < of(&sums, graph));
+    Some((best.derivation, squared.unwrap_or(sums)))
 }
 
 impl Search<'_> {
@@ -88,7 +95,7 @@ impl Search<'_> {
         if let Some(variable) = cuts.collect {
             residual = collected(&mut graph, residual, variable);
             residual = gather(&mut graph, residual);
-            if residual == self.target.residual {
+            if residual == levelled(&mut graph, self.target.residual) {
                 return;
             }
             graph.set_opaque(residual);
@@ -112,8 +119,10 @@ impl Search<'_> {
     /// Improves the layout of the best: factors whole, forms taken apart one by one.
     fn layouts(&mut self) {
         let Some(mut best) = self.best.take() else { return };
-        let plain = Layout { expand: false, ..best.layout.clone() };
-        try_layout(&mut best, plain);
+        if !best.cuts.unify {
+            let whole = Layout { expand: false, ..best.layout.clone() };
+            try_layout(&mut best, whole);
+        }
         for form in 0..best.derivation.forms.len() {
             if !best.derivation.has_terms(form) || best.derivation.graph.work() >= WORK {
                 continue;
@@ -124,6 +133,22 @@ impl Search<'_> {
         }
         self.best = Some(best);
     }
+}
+
+/// A sum with its terms' sums written into it.
+fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
+    let Node::Sum(constant, terms) = graph.node(node).clone() else { return node };
+    let (mut constant, mut list) = (constant.get(), Vec::new());
+    for (n, c) in terms.iter() {
+        match graph.node(*n) {
+            Node::Sum(inner, inside) => {
+                constant += c.get() * inner.get();
+                list.extend(inside.iter().map(|(m, k)| (*m, c.get() * k.get())));
+            }
+            _ => list.push((*n, c.get())),
+        }
+    }
+    graph.sum(constant, list)
 }
 
 fn try_layout(best: &mut Found, layout: Layout) {
