@@ -15,7 +15,8 @@ use crate::jet::{Jet, jet, pair, totals};
 use crate::model::Lowering;
 use crate::monomial::{Polynomial, Splitter};
 use crate::program::Cost;
-use crate::schedule::{self, Output, Sums};
+use crate::rank::{Combination, dependent};
+use crate::schedule::{self, Output, Sums, Term};
 
 /// What is differentiated: the same for every choice.
 #[derive(Clone, Copy)]
@@ -216,6 +217,28 @@ impl Derivation {
         }
         (!self.graph.overflowed()).then_some(Sums { outputs })
     }
+}
+
+/// The sums without those that are combinations of others, F's own left alone.
+pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
+    let own =
+        sums.outputs.first().map(|f| f.terms.iter().filter_map(|t| t.pixel).collect::<Vec<_>>()).unwrap_or_default();
+    let mut pixels: Vec<NodeId> = sums.pixels().into_iter().filter(|pixel| !own.contains(pixel)).collect();
+    pixels.sort_by_key(|pixel| (schedule::degree(graph, *pixel), *pixel));
+    let combinations: FxHashMap<NodeId, Combination> = dependent(graph, &pixels).into_iter().collect();
+    if combinations.is_empty() {
+        return sums;
+    }
+    let mut replaced = |term: Term| match term.pixel.and_then(|pixel| combinations.get(&pixel)) {
+        None => vec![term],
+        Some(combination) => combination
+            .iter()
+            .map(|(pixel, c)| Term { coefficient: graph.scale(*c, term.coefficient), pixel: *pixel, ..term.clone() })
+            .collect(),
+    };
+    let outputs = sums.outputs.into_iter();
+    let outputs = outputs.map(|o| Output { terms: o.terms.into_iter().flat_map(&mut replaced).collect(), ..o });
+    Sums { outputs: outputs.collect() }
 }
 
 /// F and its form over cuts and parameters: the top variables eliminated.

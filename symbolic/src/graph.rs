@@ -466,8 +466,8 @@ fn gcd(a: u64, b: u64) -> u64 {
 
 /// The nodes that `node` reads.
 pub(crate) fn operands(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
-    let (mut few, mut terms, mut factors): ([Option<NodeId>; 3], &[(NodeId, Bits)], &[(NodeId, i32)]) =
-        ([None; 3], &[], &[]);
+    let mut few = [None; 3];
+    let (mut terms, mut factors) = (&[][..], &[][..]);
     match node {
         Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_) => {}
         Node::Sum(_, list) => terms = list,

@@ -22,6 +22,18 @@ impl Modular {
         Modular(bits % P)
     }
 
+    /// The fraction with numerator and denominator below 2²⁰ that this residue stands for, if there is one.
+    pub fn small_fraction(self) -> Option<f64> {
+        const SMALL: i64 = 1 << 20;
+        let (mut r, mut r_next, mut t, mut t_next) = (P as i64, self.0 as i64, 0_i64, 1_i64);
+        while r_next >= SMALL {
+            let quotient = r / r_next;
+            (r, r_next) = (r_next, r - quotient * r_next);
+            (t, t_next) = (t_next, t.checked_sub(quotient.checked_mul(t_next)?)?);
+        }
+        (t_next.abs() < SMALL && t_next != 0).then(|| r_next as f64 / t_next as f64)
+    }
+
     fn power(self, mut exponent: u64) -> Modular {
         let (mut square, mut power) = (self, Modular(1));
         while exponent > 0 {
@@ -150,9 +162,18 @@ mod tests {
         assert_eq!(of(1.7) - of(1.0), of(1.7 - 1.0));
         assert_eq!(of(-0.25) * of(-4.0), Modular(1));
         assert_eq!(of(1e-9) * of(1e9), Modular(1));
-        assert_ne!(of(std::f64::consts::PI), of(3.141_592_653));
+        assert_ne!(of(std::f64::consts::PI), of(355.0 / 113.0));
         assert_eq!(of(std::f64::consts::PI) * of(2.0), of(2.0 * std::f64::consts::PI));
         assert_eq!(of(7.0) / of(3.0) * of(3.0), of(7.0));
+    }
+
+    #[test]
+    fn small_fractions_come_back() {
+        for (numerator, denominator) in [(0.0, 1.0), (3.0, 10.0), (-7.0, 1.0), (1.0, -48.0), (1023.0, 1000.0)] {
+            let residue = Modular::from(numerator) / Modular::from(denominator);
+            assert_eq!(residue.small_fraction(), Some(numerator / denominator));
+        }
+        assert_eq!(Modular(0x5eed).opaque(7).small_fraction(), None);
     }
 
     #[test]

@@ -14,6 +14,7 @@
 
 use crate::diagnostic::Span;
 use crate::function::{Function1, Function2};
+use crate::registers;
 
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident) => {
@@ -272,6 +273,12 @@ pub struct Cost {
     pub accumulators: u32,
     /// Elementary functions a pixel, by name.
     pub calls: std::collections::BTreeMap<&'static str, u32>,
+    /// Divisions and square roots among the flops a pixel.
+    pub divisions: u32,
+    /// Instructions a pixel, accumulation included.
+    pub instructions_per_pixel: u32,
+    /// Stores and fetches a pixel for want of registers, where there are 16 of them and where there are 32.
+    pub spills: [u32; 2],
 }
 
 /// What the caller gives for [`Program::inputs`]; slices in document order.
@@ -355,6 +362,8 @@ impl Program {
                 Level::Pass | Level::PassEnd => cost.flops_per_pass += flops,
             }
             if instruction.level == Level::Pixel {
+                cost.instructions_per_pixel += u32::from(flops > 0);
+                cost.divisions += u32::from(matches!(instruction.op, Op::Div(..) | Op::Sqrt(_)));
                 let name = match instruction.op {
                     Op::Call1(function, _) => function.name(),
                     Op::Call2(function, ..) => function.name(),
@@ -366,8 +375,10 @@ impl Program {
         if let Sink::Sums { accumulators, totals, .. } = &self.sink {
             cost.accumulators = accumulators.len() as u32;
             cost.flops_per_pixel += accumulators.len() as u32;
+            cost.instructions_per_pixel += accumulators.len() as u32;
             cost.flops_per_row += totals.len() as u32;
         }
+        cost.spills = [registers::OF_16, registers::OF_32].map(|count| registers::spills(self, count));
         cost
     }
 }

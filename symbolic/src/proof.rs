@@ -15,10 +15,11 @@ use crate::evaluate::{Number, Sample, evaluate_at};
 use crate::function::Function1;
 use crate::graph::{Graph, Node, NodeId};
 use crate::hyper::{Evaluator, Hyper, Order};
-use crate::interpreter::{self, Pixels, Slices, Window};
-use crate::model::{Estimator, Model, Start};
+use crate::interpreter;
+use crate::model::Model;
 use crate::modular::Modular;
-use crate::program::{Bindings, Input, Precision, Program};
+use crate::points::{FAR, NEAR, Point, Random, centre, columns_around, picture, plausible};
+use crate::program::{Bindings, Precision, Program};
 use crate::weighed::Weighed;
 
 /// How a program's sums are written down.
@@ -59,17 +60,10 @@ const F32_TOLERANCE: f64 = 1e-5;
 const POINTS: u64 = 6;
 /// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
 const UNSEEN: f64 = 1e-12;
+/// Instructions of a program that is run in f32 on one row only.
+const LONG: usize = 2000;
 /// How near a rim, px, a pixel may belong or not.
 const RIM: f64 = 1e-6;
-/// Columns and rows of the picture for f32; of a third and fourth coordinate it has two.
-const PICTURE: (usize, usize) = (48, 3);
-/// Where the made-up target is, px: in the middle of a camera's picture for f32, and where terms are as small as their sum
-/// for f64.
-const FAR: [f64; 4] = [300.3, 200.7, 20.3, 10.7];
-const NEAR: [f64; 4] = [0.3, -0.3, 0.3, -0.3];
-/// How large it is, px.
-const SIZE: f64 = 12.0;
-
 /// What a program claims to sum.
 pub(crate) struct Claim<'a> {
     pub model: &'a Model,
@@ -93,65 +87,12 @@ pub(crate) fn is_small_f32(error: Option<f64>) -> bool {
     error.is_none_or(|error| error <= F32_TOLERANCE)
 }
 
-/// Random numbers that are the same every time.
-struct Random(u64);
-
-impl Random {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    /// In −1 … 1.
-    fn signed(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-}
-
-/// Numbers for everything that formulas read.
-struct Point<N> {
-    parameters: Vec<N>,
-    constants: Vec<N>,
-    columns: Vec<N>,
-    rows: Vec<Vec<N>>,
-    /// Channel by channel, row by row.
-    pixels: Vec<N>,
-}
-
-impl<N: Number> Point<N> {
-    fn input(&self, input: Input) -> N {
-        match input {
-            Input::Parameter(p) | Input::Entry(p) => self.parameters[p.index()],
-            Input::Constant(c) => self.constants[c.index()],
-            Input::Saturation(_) => N::from(f64::MAX),
-            Input::Shift(_) => N::from(0.0),
-        }
-    }
-
-    fn pixel(&self, channel: usize, column: usize, row: usize) -> N {
-        self.pixels[(channel * self.rows.len() + row) * self.columns.len() + column]
-    }
-
-    fn map<M>(&self, to: impl Fn(N) -> M) -> Point<M> {
-        let all = |list: &[N]| list.iter().map(|x| to(*x)).collect::<Vec<M>>();
-        Point {
-            parameters: all(&self.parameters),
-            constants: all(&self.constants),
-            columns: all(&self.columns),
-            rows: self.rows.iter().map(|row| all(row)).collect(),
-            pixels: all(&self.pixels),
-        }
-    }
-}
-
 impl Claim<'_> {
     /// Nothing when the program does not compute what it claims to.
     pub fn check(&self, program: &Program) -> Option<Errors> {
         let exact = self.agrees_exactly(program, &mut Random(0));
         let points: Vec<Point<f64>> =
-            (0..POINTS).map(|seed| self.plausible(self.centre(NEAR), &mut Random(seed))).collect();
+            (0..POINTS).map(|seed| plausible(self.model, centre(self.model, NEAR), &mut Random(seed))).collect();
         let (error, right) = self.sampled(program, &points);
         if !right
             || (!exact && error.is_none())
@@ -278,7 +219,7 @@ impl Claim<'_> {
                 node => inputs(node),
             })
         };
-        let mut columns: Vec<f64> = columns_around(self.centre(NEAR)[0]).into_iter().step_by(3).collect();
+        let mut columns: Vec<f64> = columns_around(centre(self.model, NEAR)[0]).into_iter().step_by(3).collect();
         for i in 1..columns.len() {
             let (mut left, mut right) = (columns[i - 1], columns[i]);
             let at_left = inside(left);
@@ -301,41 +242,14 @@ impl Claim<'_> {
         columns.into_iter().zip(taken).all(|(x, taken)| inside(x) == taken || inside(x - RIM) != inside(x + RIM))
     }
 
-    /// Where the first target is: numbers of the document count, everything else is put where the caller wants it.
-    fn centre(&self, otherwise: [f64; 4]) -> [f64; 4] {
-        let role = |i: usize| self.model.roles.first()?.centre.get(i).copied();
-        std::array::from_fn(|i| match role(i).map(|p| self.model.parameters[p.index()].start) {
-            Some(Start::Number(number)) => number,
-            Some(Start::Estimator(_)) => otherwise[i],
-            None => 0.5 * PICTURE.0 as f64,
-        })
-    }
-
-    /// Parameters near their starts, with the target in the middle of some columns and rows.
-    fn plausible(&self, centre: [f64; 4], random: &mut Random) -> Point<f64> {
-        let parameters: Vec<f64> = self.model.parameters.iter().map(|p| made_up(p, centre, random)).collect();
-        let coordinates = self.model.coordinates.len();
-        let near = |centre: f64, random: &mut Random| (centre + 0.8 * SIZE * random.signed()).round();
-        let columns: Vec<f64> = (0..4).map(|_| near(centre[0], random)).collect();
-        let outer = |random: &mut Random| (1..coordinates).map(|i| near(centre[i], random)).collect::<Vec<_>>();
-        let rows: Vec<Vec<f64>> = (0..if coordinates == 1 { 1 } else { 2 }).map(|_| outer(random)).collect();
-        let pixels = self.model.channels.len() * columns.len() * rows.len();
-        Point {
-            parameters,
-            constants: self.model.constants.iter().map(|c| c.value).collect(),
-            pixels: (0..pixels).map(|_| 110.0 + 90.0 * random.signed()).collect(),
-            columns,
-            rows,
-        }
-    }
-
     /// The gradient's error in f32 on a picture of the target beside its place; `None` when it is finite nowhere.
     pub fn f32_error(&self, program: &Program) -> Option<f64> {
         let n = self.parameters.len();
+        let height = if program.instructions().len() < LONG { 3 } else { 1 };
         (0..POINTS).find_map(|seed| {
             let mut random = Random(seed);
-            let point = self.plausible(self.centre(FAR), &mut random);
-            let picture = self.picture(&point, &mut random);
+            let point = plausible(self.model, centre(self.model, FAR), &mut random);
+            let picture = picture(self.model, &point, height, &mut random);
             let constants = &point.constants;
             let saturation = vec![f64::INFINITY; self.model.channels.len()];
             let bindings = Bindings {
@@ -371,107 +285,12 @@ impl Claim<'_> {
             _ => f64::NAN,
         }
     }
-
-    /// What the model shows with its parameters a little off, and some noise.
-    fn picture(&self, point: &Point<f64>, random: &mut Random) -> Picture {
-        let (width, height) = PICTURE;
-        let centre = self.centre(FAR);
-        let x = columns_around(centre[0])[0].max(0.0) as usize;
-        let y = (centre[1] - 0.5 * height as f64).round().max(0.0) as usize;
-        let coordinates = self.model.coordinates.len();
-        let height = if coordinates == 1 { 1 } else { height };
-        let slices = Slices {
-            first: [2, 3].map(|i| if i < coordinates { centre[i].floor().max(0.0) as usize } else { 0 }),
-            count: [2, 3].map(|i| if i < coordinates { 2 } else { 1 }),
-        };
-        let window = Window { x, y: if height == 1 { 0 } else { y }, width, height, slices };
-        let away = |i: usize, value: f64| match self.model.parameters[i].start {
-            Start::Estimator(Estimator::Centroid(_)) => value + 0.3,
-            _ => 1.03 * value,
-        };
-        let parameters: Vec<f64> = point.parameters.iter().enumerate().map(|(i, value)| away(i, *value)).collect();
-        let channels = self.model.channels.len();
-        let [depth, length] = slices.count;
-        let mut pixels = Vec::with_capacity(channels * width * height * depth * length);
-        let inputs = |node: &Node| match node {
-            Node::Input(Input::Parameter(p) | Input::Entry(p)) => parameters[p.index()],
-            Node::Input(Input::Constant(c)) => point.constants[c.index()],
-            _ => 0.0,
-        };
-        let formulas = &self.model.formulas;
-        let roots = [formulas.intensity];
-        let mut evaluator = Evaluator::new(&formulas.graph, &roots, &[], Order::First, &inputs);
-        for _ in 0..channels {
-            for row in 0..height * depth * length {
-                let (slice, y) = (row / height, window.y + row % height);
-                let [z, w] = [slices.first[0] + slice % depth, slices.first[1] + slice / depth];
-                for column in 0..width {
-                    let shown = evaluator.at(&|node| match node {
-                        Node::Coordinate(c) => [window.x + column, y, z, w][c.index()] as f64,
-                        node => inputs(node),
-                    });
-                    pixels.push(f64::from((shown[0].value + 1.5 * random.signed()) as f32));
-                }
-            }
-        }
-        Picture { window, pixels }
-    }
-}
-
-fn columns_around(centre: f64) -> Vec<f64> {
-    let first = (centre - 0.5 * PICTURE.0 as f64).round();
-    (0..PICTURE.0).map(|i| first + i as f64).collect()
-}
-
-struct Picture {
-    window: Window,
-    pixels: Vec<f64>,
-}
-
-impl Pixels for Picture {
-    fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
-        let [z, w] = self.window.slices.first;
-        self.at_place(channel, [x, y, z, w])
-    }
-    fn at_place(&self, channel: usize, [x, y, z, w]: [usize; 4]) -> f64 {
-        let Window { width, height, slices: Slices { first, count }, .. } = self.window;
-        let volume = channel * count[1] + w - first[1];
-        let slice = volume * count[0] + z - first[0];
-        self.pixels[(slice * height + y - self.window.y) * width + x - self.window.x]
-    }
-}
-
-/// A plausible value within the bounds.
-fn made_up(parameter: &crate::model::Parameter, centre: [f64; 4], random: &mut Random) -> f64 {
-    let jitter = random.signed();
-    let value = match parameter.start {
-        Start::Number(value) => value + 0.05 * jitter * if value == 0.0 { 1.0 } else { value },
-        Start::Estimator(estimator) => match estimator {
-            Estimator::Centroid(axis) => centre[axis] + jitter,
-            Estimator::Extent(row, column) if row == column => (1.0 + 0.2 * jitter) / (SIZE * SIZE),
-            Estimator::Extent(..) => 0.3 * jitter / (SIZE * SIZE),
-            Estimator::Size(_) => SIZE * (1.0 + 0.2 * jitter),
-            Estimator::Background => 20.0 + 5.0 * jitter,
-            Estimator::Amplitude => {
-                (150.0 + 30.0 * jitter) * if parameter.max.is_some_and(|m| m <= 0.0) { -1.0 } else { 1.0 }
-            }
-        },
-    };
-    let inside = parameter.min.is_none_or(|min| value > min) && parameter.max.is_none_or(|max| value < max);
-    match (inside, parameter.start, parameter.min, parameter.max) {
-        (true, ..) => value,
-        (_, Start::Number(start), ..) => start,
-        (_, _, Some(min), Some(max)) => 0.5 * (min + max),
-        (_, _, Some(min), None) => min + 1.0,
-        (_, _, None, Some(max)) => max - 1.0,
-        (_, _, None, None) => value,
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::program::{Op, ParameterId, Sink, Value};
+    use crate::program::{Input, Op, ParameterId, Sink, Value};
     use crate::{Lowering, Method};
 
     const SPOT: &str = r#"

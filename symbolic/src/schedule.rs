@@ -36,7 +36,7 @@ pub(crate) struct Sums {
 
 impl Sums {
     /// The distinct pixel values that are summed, in order of first use.
-    fn pixels(&self) -> Vec<NodeId> {
+    pub fn pixels(&self) -> Vec<NodeId> {
         let mut seen = FxHashSet::default();
         self.outputs.iter().flat_map(|o| &o.terms).filter_map(|t| t.pixel).filter(|p| seen.insert(*p)).collect()
     }
@@ -123,7 +123,7 @@ pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names:
     builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names)
 }
 
-fn degree(graph: &Graph, node: NodeId) -> i32 {
+pub(crate) fn degree(graph: &Graph, node: NodeId) -> i32 {
     match graph.node(node) {
         Node::Product(factors) => factors.iter().map(|(_, e)| e.abs()).sum(),
         _ => 1,

@@ -1,0 +1,131 @@
+//! The table of rewrites in docs/derivation.md: an example of each, and one where its condition fails.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use isophote_symbolic::{Lowering, Method, Model, Program};
+
+/// A model of two coordinates over given parameters.
+fn model(parameters: &str, intensity: &str, domain: &str) -> Model {
+    let parameters: String = parameters
+        .split(' ')
+        .map(|p| match p.strip_suffix('+') {
+            Some(positive) => format!("{positive} = {{ start = 1.25, min = 0 }}\n"),
+            None => format!("{p} = {{ start = 0.75 }}\n"),
+        })
+        .collect();
+    let domain = if domain.is_empty() { String::new() } else { format!("domain = \"{domain}\"\n") };
+    let text = format!(
+        "name = \"rewrites\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n{parameters}[model]\nintensity = \"{intensity}\"\n{domain}"
+    );
+    Model::from_toml(&text).unwrap_or_else(|faults| panic!("{}", faults[0].render("model")))
+}
+
+fn program(model: &Model, subset: &str, method: Method) -> Program {
+    let subset: Vec<_> = subset.split(' ').map(|p| model.parameter(p.trim_end_matches('+')).unwrap()).collect();
+    let objective = model.objective(&subset, method).unwrap();
+    assert!(objective.proof().unwrap().exact);
+    objective.program(Lowering { fma: true, drop_saturated: false }).unwrap()
+}
+
+/// Flops a pixel and sums kept, F included.
+fn cost(parameters: &str, intensity: &str) -> (u32, u32) {
+    let cost = program(&model(parameters, intensity, ""), parameters, Method::Newton).cost();
+    (cost.flops_per_pixel, cost.accumulators)
+}
+
+/// The part of a program's text that is done for every pixel.
+fn pixel_level(parameters: &str, intensity: &str) -> String {
+    let text = program(&model(parameters, intensity, ""), parameters, Method::GaussNewton).to_string();
+    let (_, pixel) = text.split_once("pixel:\n").unwrap();
+    pixel.split_once("row end:").unwrap().0.to_string()
+}
+
+fn count(text: &str, what: &str) -> usize {
+    text.matches(what).count()
+}
+
+/// Name, and the check of its example and counterexample.
+const REWRITES: [(&str, fn()); 13] = [
+    ("collect", || assert_eq!(cost("a b", "3*a*x + b + 2*a*x"), cost("a b", "5*a*x + b"))),
+    ("powers", || assert_eq!(cost("a b", "a*x^2*x^3 + b"), cost("a b", "a*x^5 + b"))),
+    ("roots", || {
+        let text = pixel_level("a b+", "a*(b + x^2)^2.5");
+        assert!(count(&text, "sqrt") == 1 && count(&text, "pow") == 0, "{text}");
+        assert_eq!(count(&pixel_level("a b+", "a*(b + x^2)^2.6"), "pow"), 1);
+    }),
+    ("gather", || {
+        assert_eq!(cost("a v+", "v + v*a*x + v*a^2*x^2"), cost("a v+", "v*(1 + a*x + a^2*x^2)"));
+    }),
+    ("absorb", || {
+        // The factor 7 costs nothing in the sum that has coefficients, and one flop where every term would pay.
+        assert_eq!(cost("a b", "7*(a*x + b*x^2)"), cost("a b", "a*x + b*x^2"));
+    }),
+    ("unify", || {
+        let s = "((x - c)^2 + y^2)";
+        let intensity = format!("v*(1 + a*{s} + b*{s}^2 + a*b*{s}^3)");
+        let ((unified, _), (plain, _)) = (cost("a b c v+", &intensity), cost("a b c v", &intensity));
+        assert!(unified < plain, "{unified} against {plain}");
+    }),
+    ("power rule", || {
+        let text = pixel_level("a+ b", "(a + x^2)^b");
+        assert!(count(&text, "pow") == 1 && count(&text, "log") == 1, "{text}");
+    }),
+    ("cut", || {
+        // One cut: L and Q times 1, d, d².
+        let s = "(a*((x - b)^2 + y^2))";
+        assert_eq!(
+            cost("b a+", &format!("exp(-{s}) + {s}^3 + tanh({s})")).1,
+            cost("b a+", &format!("exp(-{s})*tanh({s})")).1
+        );
+    }),
+    ("expand", || {
+        let text = pixel_level("b", "(x - b)^2*y + (x - b)*y^2");
+        assert_eq!(count(&text, "x + "), 1, "{text}");
+    }),
+    ("rank", || {
+        // ∂r/∂a = t, ∂r/∂b = 1 − t²; with 1 and t² summed, t⁴ … are new, 1 − t² is not.
+        let of = |intensity: &str| {
+            let model = model("a b c", intensity, "");
+            program(&model, "a b c", Method::GaussNewton).cost().accumulators
+        };
+        assert!(of("a*tanh(x) + b*tanh(x)^2 + c*(1 - tanh(x)^2)") < of("a*tanh(x) + b*tanh(x)^2 + c*cos(x)^2"));
+    }),
+    ("bounds", || {
+        let is_bounded = |parameters: &str, domain: &str| {
+            let model = model(parameters, "a*x + b", domain);
+            let set = *program(&model, "b", Method::Newton).pixel_set();
+            assert_ne!(set.bounds.is_some(), set.mask.is_some());
+            set.bounds.is_some()
+        };
+        assert!(is_bounded("a+ b", "a*x^2 + b*x*y <= 9"));
+        assert!(!is_bounded("a b", "a*x^2 + b*x*y <= 9"));
+        assert!(!is_bounded("a+ b", "a*x^2 <= if(x > 2, 30, 1)"));
+    }),
+    ("reciprocal", || {
+        let text = pixel_level("a b+", "a/(b + x^2) + 1/(b + x^2)^2 + x/(b + x^2)^3");
+        assert_eq!(count(&text, " / "), 1, "{text}");
+    }),
+    ("contract", || {
+        let model = model("a b", "a*x + b", "");
+        let objective = model.objective(&[model.parameter("a").unwrap()], Method::Newton).unwrap();
+        let of = |fma: bool| objective.program(Lowering { fma, drop_saturated: false }).unwrap();
+        assert!(of(true).to_string().contains("fma(") && !of(false).to_string().contains("fma("));
+        assert_eq!(of(true).cost().flops_per_pixel, of(false).cost().flops_per_pixel);
+    }),
+];
+
+#[test]
+fn every_rewrite_does_what_its_row_says() {
+    for (name, check) in REWRITES {
+        println!("{name}");
+        check();
+    }
+}
+
+#[test]
+fn the_documented_table_is_this_one() {
+    let text = include_str!("../../docs/derivation.md");
+    let (_, table) = text.split_once("| rewrite | from | to | condition |").unwrap();
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
+    let names: Vec<&str> = rows.map(|row| row.split('|').nth(1).unwrap().trim()).collect();
+    assert_eq!(names, REWRITES.map(|(name, _)| name));
+}
