@@ -6,29 +6,13 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 
+use isophote_benches::{text, time};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Precision};
 use isophote_tracker::{Compiled, Frame, Plane, Tracker, TrackerOptions};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
-
-/// Microseconds: median, minimum, maximum over `runs`.
-fn time(runs: usize, mut f: impl FnMut()) -> [f64; 3] {
-    f();
-    let once = |f: &mut dyn FnMut()| {
-        let start = Instant::now();
-        f();
-        start.elapsed().as_secs_f64() * 1e6
-    };
-    let mut all: Vec<f64> = (0..runs).map(|_| once(&mut f)).collect();
-    all.sort_by(f64::total_cmp);
-    [all[runs / 2], all[0], all[runs - 1]]
-}
-
-fn text(name: &str) -> String {
-    std::fs::read_to_string(format!("{}/../models/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
-}
 
 /// The spot of the figures: s ≤ 1 covers half of the frame.
 fn values(model: &Model) -> Vec<f64> {

@@ -1,3 +1,42 @@
-//! Benchmarks of the whole way from a document to an estimate; see `benches/`.
+//! What the benchmarks share; they stand in `benches/`.
 //!
-//! What comes in: shipped models and frames made here. What goes out: tables on standard output, for docs/results.md.
+//! What comes in: shipped models and frames made here. What goes out: tables on standard output, and those of
+//! [docs/flops.md](../../docs/flops.md), whose counts a test compares with the page.
+#![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
+
+pub mod counts;
+pub mod figure;
+pub mod page;
+
+use std::time::Instant;
+
+/// Microseconds: median, minimum, maximum over `runs`, after one that is not counted.
+pub fn time(runs: usize, mut f: impl FnMut()) -> [f64; 3] {
+    f();
+    let once = |f: &mut dyn FnMut()| {
+        let start = Instant::now();
+        f();
+        start.elapsed().as_secs_f64() * 1e6
+    };
+    let mut all: Vec<f64> = (0..runs).map(|_| once(&mut f)).collect();
+    all.sort_by(f64::total_cmp);
+    [all[runs / 2], all[0], all[runs - 1]]
+}
+
+/// The document of a shipped model.
+pub fn text(name: &str) -> String {
+    std::fs::read_to_string(format!("{}/../models/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
+}
+
+/// The shipped models, by name.
+pub fn shipped() -> Vec<String> {
+    let folder = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../models")).unwrap();
+    let file_stem = |entry: std::io::Result<std::fs::DirEntry>| {
+        let path = entry.unwrap().path();
+        let document = path.extension().is_some_and(|extension| extension == "toml");
+        document.then(|| path.file_stem().unwrap().to_string_lossy().into_owned())
+    };
+    let mut names: Vec<String> = folder.filter_map(file_stem).collect();
+    names.sort();
+    names
+}

@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::absorb::{absorb, absorb_numbers};
+use crate::bodies::Part;
 use crate::graph::{Graph, Node, NodeId};
 use crate::jet::{Jet, jet, pair, totals};
 use crate::model::Lowering;
@@ -27,6 +28,8 @@ pub(crate) struct Target<'a> {
     pub variance: Option<NodeId>,
     /// The full Hessian, not JᵀWJ.
     pub newton: bool,
+    /// What is summed of it.
+    pub part: Part,
 }
 
 /// A choice of variables for the chain rule.
@@ -76,6 +79,9 @@ impl Derivation {
         let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.newton)).collect();
         let (tops, jets, variance) = absorb(&mut graph, &tops, &jets, target.variance, cuts.unify);
         let (value, mut form) = top_form(&mut graph, target.newton, &tops, &jets, variance)?;
+        if !target.part.has_hessian() {
+            form.second.clear();
+        }
         let ascending: Vec<NodeId> = cuts.nodes.iter().copied().collect();
         let totals = totals(&mut graph, &ascending, target.parameters, target.newton);
         if graph.overflowed() {
@@ -92,7 +98,7 @@ impl Derivation {
         let first: Vec<_> = form.first.iter().map(|(l, n)| (*l, place(*n, "L"))).collect();
         let quadratic: FxHashMap<_, _> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q"))).collect();
         let mut entries = Vec::new();
-        for (u, name) in target.parameters.iter().zip(target.names) {
+        for (u, name) in target.parameters.iter().zip(target.names).filter(|_| target.part.has_gradient()) {
             let uses = first.iter().filter_map(|(l, form)| Some((*form, *totals[l].first.get(u)?))).collect();
             entries.push(Entry { name: format!("dF/d{name}"), uses });
         }
@@ -103,7 +109,7 @@ impl Derivation {
             variables.iter().filter_map(|(l, jet)| Some((*l, *jet.first.get(u)?))).collect()
         };
         let slopes: Vec<_> = target.parameters.iter().map(slopes).collect();
-        for (i, u) in target.parameters.iter().enumerate() {
+        for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
             for (j, v) in target.parameters.iter().enumerate().skip(i) {
                 let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {

@@ -15,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 mod absorb;
+mod bodies;
 mod calculus;
 mod calls;
 mod cuts;
@@ -55,6 +56,7 @@ mod square;
 mod steps;
 mod weighed;
 
+pub use bodies::{BodyFlops, Part};
 pub use diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use formulas::Formula;
 pub use function::{Function1, Function2};

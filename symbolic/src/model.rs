@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::bodies::Part;
 use crate::diagnostic::{Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
 use crate::objective::{Objective, ValueKind};
@@ -303,6 +304,10 @@ impl Model {
     /// F, its gradient and its Hessian for a subset of the parameters.
     pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         Objective::derive(self, subset, method)
+    }
+    /// Gradient or Hessian in a loop of its own, to compare with the joint loop; it is not checked against the formulas.
+    pub fn part_objective(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Objective, Diagnostics> {
+        Objective::part(self, subset, method, part)
     }
     /// F alone.
     pub fn value_objective(&self, kind: ValueKind) -> Result<Objective, Diagnostics> {

@@ -9,6 +9,7 @@
 use std::collections::BTreeSet;
 
 use crate::absorb::gather;
+use crate::bodies::Part;
 use crate::derivation::{Cuts, Derivation, Target};
 use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
@@ -116,36 +117,19 @@ impl Objective {
     }
 
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
-        let mut graph = model.formulas.graph.clone();
-        let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
-        let residual = gather(&mut graph, residual);
-        graph.set_opaque(residual);
-        let newton = method == Method::Newton;
-        let variance = variance(&mut graph, model, !newton);
-        let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-        let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
-        let target = Target { parameters: &parameters, names: &names, residual, variance, newton };
-        let domain = entry_domain(&mut graph, model);
-        let claim = Claim { model, graph: &graph, residual, variance, domain, parameters: &parameters, newton };
-        let origin = Origin::of(model);
+        let setting = Setting::new(model, subset, method);
+        let Setting { graph, residual, variance, domain, parameters, newton, .. } = &setting;
+        let claim = Claim {
+            model,
+            graph,
+            residual: *residual,
+            variance: *variance,
+            domain: *domain,
+            parameters,
+            newton: *newton,
+        };
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
-            let derived = match form {
-                Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
-                    .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
-                _ => search::fewest_flops(&graph, &target, form == Form::Factored),
-            };
-            let (derivation, sums) = derived.ok_or_else(|| Refusal::Limit(origin.growth(subset.len())))?;
-            let mut objective = Objective {
-                names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
-                sums,
-                values: 1,
-                subset: subset.to_vec(),
-                domain,
-                origin: origin.clone(),
-                forms: derivation.forms,
-                graph: derivation.graph,
-                proof: None,
-            };
+            let mut objective = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
             let program = objective.program(Lowering { fma: true, drop_saturated: false }).map_err(Refusal::Limit)?;
             let Some(Errors { exact, error, f32_error }) = claim.check(&program) else { return Err(Refusal::Wrong) };
             objective.proof = Some(Proof { form, exact, error, f32_error });
@@ -153,13 +137,85 @@ impl Objective {
         };
         safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
-            Refusal::Wrong => origin.fault("bug", "no program that was derived for this model passes its check".into()),
+            Refusal::Wrong => {
+                Origin::of(model).fault("bug", "no program that was derived for this model passes its check".into())
+            }
         })
+    }
+
+    /// Gradient or Hessian in a loop of its own, in the form of the joint loop.
+    pub(crate) fn part(
+        model: &Model,
+        subset: &[ParameterId],
+        method: Method,
+        part: Part,
+    ) -> Result<Objective, Diagnostics> {
+        let joint = Objective::derive(model, subset, method)?;
+        match (part, joint.proof) {
+            (Part::Gradient | Part::Hessian, Some(proof)) => {
+                Setting::new(model, subset, method).objective(proof.form, part)
+            }
+            _ => Ok(joint),
+        }
     }
 
     /// What the check of the program found; `None` for a value objective.
     pub fn proof(&self) -> Option<&Proof> {
         self.proof.as_ref()
+    }
+}
+
+/// What is derived from, the same for every form.
+struct Setting<'a> {
+    model: &'a Model,
+    graph: Graph,
+    residual: NodeId,
+    variance: Option<NodeId>,
+    domain: Option<NodeId>,
+    subset: Vec<ParameterId>,
+    parameters: Vec<NodeId>,
+    newton: bool,
+}
+
+impl<'a> Setting<'a> {
+    fn new(model: &'a Model, subset: &[ParameterId], method: Method) -> Setting<'a> {
+        let mut graph = model.formulas.graph.clone();
+        let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
+        let residual = gather(&mut graph, residual);
+        graph.set_opaque(residual);
+        let newton = method == Method::Newton;
+        let variance = variance(&mut graph, model, !newton);
+        let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
+        let domain = entry_domain(&mut graph, model);
+        Setting { model, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
+    }
+
+    /// The sums in one form, not yet checked.
+    fn objective(&self, form: Form, part: Part) -> Result<Objective, Diagnostics> {
+        let Setting { model, graph, residual, variance, domain, subset, parameters, newton } = self;
+        let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
+        // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
+        let newton = *newton && (part.has_hessian() || variance.is_some());
+        let (residual, variance) = (*residual, *variance);
+        let target = Target { parameters, names: &names, residual, variance, newton, part };
+        let derived = match form {
+            Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
+                .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
+            _ => search::fewest_flops(graph, &target, form == Form::Factored),
+        };
+        let origin = Origin::of(model);
+        let (derivation, sums) = derived.ok_or_else(|| origin.growth(subset.len()))?;
+        Ok(Objective {
+            names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
+            sums,
+            values: 1,
+            subset: subset.clone(),
+            domain: *domain,
+            origin,
+            forms: derivation.forms,
+            graph: derivation.graph,
+            proof: None,
+        })
     }
 }
 
@@ -189,13 +245,13 @@ fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Resu
 
 /// Where the model's intensity stands, for faults that concern the model as a whole.
 #[derive(Clone, Debug)]
-struct Origin {
+pub(crate) struct Origin {
     text: std::sync::Arc<str>,
     span: Span,
 }
 
 impl Origin {
-    fn of(model: &Model) -> Origin {
+    pub fn of(model: &Model) -> Origin {
         let span = model.formulas.graph.span(model.formulas.intensity).unwrap_or_default();
         Origin { text: model.text.clone(), span }
     }
@@ -205,7 +261,7 @@ impl Origin {
         vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
     }
 
-    fn growth(&self, parameters: usize) -> Diagnostics {
+    pub fn growth(&self, parameters: usize) -> Diagnostics {
         let most = LIMITS.nodes;
         let message = format!(
             "the derivatives for {parameters} parameters grow past {most} distinct operations, or take too long"
@@ -213,7 +269,7 @@ impl Origin {
         self.fault("limit", message)
     }
 
-    fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
+    pub fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
         let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
             pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
             _ => (program.instructions().len(), LIMITS.nodes),
@@ -250,7 +306,7 @@ pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Di
 }
 
 /// The pixel's variance; `held` reads it at the entry parameters.
-fn variance(graph: &mut Graph, model: &Model, held: bool) -> Option<NodeId> {
+pub(crate) fn variance(graph: &mut Graph, model: &Model, held: bool) -> Option<NodeId> {
     let node = model.formulas.noise?;
     let node = if held { at_entry(graph, node) } else { node };
     graph.set_opaque(node);

@@ -21,7 +21,7 @@ use crate::markdown::{Block, blocks};
 use crate::{File, expect_none, files};
 
 /// Commands that a reader runs and this test does not, by how they begin.
-const NOT_RUN: [&str; 6] = ["git clone", "cd ", "cargo test", "cargo build", "cargo install", ".ci/run"];
+const NOT_RUN: [&str; 7] = ["git clone", "cd ", "cargo test", "cargo bench", "cargo build", "cargo install", ".ci/run"];
 /// Commands of `isophote` that need no service.
 const OFFLINE: [&str; 7] = ["model check", "model explain", "model export", "fit", "render", "--help", "--version"];
 /// Time for one command.
