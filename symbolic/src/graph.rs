@@ -382,7 +382,7 @@ impl Graph {
         if operands(&node).all(|n| at(&n) == n) {
             return id;
         }
-        self.span = self.spans[id.index()];
+        let before = std::mem::replace(&mut self.span, self.spans[id.index()]);
         let new = match &node {
             Node::Sum(c, terms) => self.sum(c.get(), terms.iter().map(|(n, c)| (at(n), c.get())).collect::<Vec<_>>()),
             Node::Product(f) => self.product(1.0, f.iter().map(|(n, e)| (at(n), *e)).collect::<Vec<_>>()),
@@ -397,6 +397,7 @@ impl Graph {
             Node::Select(c, a, b) => self.select(at(c), at(a), at(b)),
             _ => id,
         };
+        self.span = before;
         if self.is_opaque(id) {
             self.set_opaque(new);
         }
