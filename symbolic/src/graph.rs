@@ -157,6 +157,15 @@ impl Graph {
         }
     }
 
+    /// A number, or a sum's constant and coefficients: neither infinite nor NaN.
+    pub fn has_finite_numbers(&self, id: NodeId) -> bool {
+        match self.node(id) {
+            Node::Number(bits) => bits.get().is_finite(),
+            Node::Sum(constant, terms) => constant.get().is_finite() && terms.iter().all(|(_, c)| c.get().is_finite()),
+            _ => true,
+        }
+    }
+
     /// constant + Σ coefficient · node. Like terms are collected; sums that are not opaque are taken in.
     pub fn sum(&mut self, constant: f64, terms: impl IntoIterator<Item = (NodeId, f64)>) -> NodeId {
         let mut constant = constant;
