@@ -117,7 +117,7 @@ impl Latex<'_> {
     }
 
     fn product(&self, coefficient: f64, factors: &[(Tree, i32)]) -> String {
-        let (above, below) = fraction(factors);
+        let [above, below] = fraction(factors);
         if below.is_empty() {
             return self.juxtaposed(coefficient, &above, false);
         }

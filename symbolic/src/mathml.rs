@@ -148,7 +148,7 @@ impl MathMl<'_> {
     }
 
     fn product(&self, coefficient: f64, factors: &[(Tree, i32)], around: Option<Span>) -> String {
-        let (above, below) = fraction(factors);
+        let [above, below] = fraction(factors);
         if below.is_empty() {
             return self.juxtaposed(coefficient, &above, false, around);
         }

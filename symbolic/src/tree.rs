@@ -117,12 +117,12 @@ impl Tree {
 }
 
 /// A product's factors above and below the fraction bar, exponents positive.
-pub(crate) fn fraction(factors: &[(Tree, i32)]) -> (Vec<(&Tree, u32)>, Vec<(&Tree, u32)>) {
+pub(crate) fn fraction(factors: &[(Tree, i32)]) -> [Vec<(&Tree, u32)>; 2] {
     let side = |above: bool| {
         let factors = factors.iter().filter(|(_, e)| (*e > 0) == above);
         factors.map(|(tree, e)| (tree, e.unsigned_abs())).collect()
     };
-    (side(true), side(false))
+    [side(true), side(false)]
 }
 
 /// So large or small that its digits alone would be mostly zeros.
