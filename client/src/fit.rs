@@ -176,7 +176,8 @@ fn columns(model: &Model, line: &wire::Estimate, estimate: &Estimate) -> String 
 pub(crate) fn with_deviation(value: f64, deviation: Option<f64>) -> String {
     let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
     let exponent = deviation.log10().floor() as i32;
-    if (-4..=4).contains(&exponent) && value.abs() < 1e9 {
+    let decimals = if value.abs() < 0.1 { -4..=4 } else { -9..=4 };
+    if decimals.contains(&exponent) && value.abs() < 1e9 {
         let digits = (1 - exponent).max(0) as usize;
         return format!("{value:.digits$} ± {deviation:.digits$}");
     }
@@ -255,6 +256,9 @@ mod tests {
             (150.0, Some(2.5), "150.0 ± 2.5"),
             (1500.4, Some(25.0), "1500 ± 25"),
             (2.7712e-4, Some(1.5e-7), "2.7712e-4 ± 1.5e-7"),
+            (2.199943, Some(9.2e-5), "2.199943 ± 0.000092"),
+            (0.150007, Some(1.8e-5), "0.150007 ± 0.000018"),
+            (1.5, Some(2e-12), "1.500000000000e0 ± 2.0e-12"),
             (-0.5, None, "-0.5000"),
             (2.5e-4, None, "2.50000e-4"),
             (1.0, Some(f64::NAN), "1.0000"),

@@ -31,7 +31,7 @@ pub struct ExplainArgs {
     /// The free parameters [default: those of the last stage]
     #[arg(long, value_name = "bx,by", value_delimiter = ',')]
     pub parameters: Vec<String>,
-    /// derivative, sums, program, clif, asm (later builds: latex, mathml)
+    /// derivative, also as latex or mathml; sums, program, clif, asm
     #[arg(long, value_name = "WHAT", default_value = "derivative",
           value_parser = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml"])]
     pub show: String,

@@ -11,9 +11,7 @@ use crate::clock::{elapsed_ms, monotonic_ns};
 use crate::wire::{Explanation, ModelReport, StageReport};
 
 /// What an explanation can show, in this build.
-pub const SHOWN: [&str; 5] = ["derivative", "sums", "program", "clif", "asm"];
-/// What later builds will show.
-const NOT_YET: [&str; 2] = ["latex", "mathml"];
+pub const SHOWN: [&str; 7] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml"];
 
 /// Why there is no explanation.
 #[derive(Debug, thiserror::Error)]
@@ -21,9 +19,6 @@ pub enum ExplainError {
     /// A wrong word in the question.
     #[error("{0}")]
     Question(String),
-    /// The contract knows it, this build does not have it.
-    #[error("`--show {0}`: not in this build")]
-    NotInThisBuild(String),
     /// The document asks for what this build cannot do.
     #[error("the model cannot be explained")]
     Model(Diagnostics),
@@ -51,9 +46,6 @@ pub fn explain(
     method: Option<&str>,
     show: &str,
 ) -> Result<Explanation, ExplainError> {
-    if NOT_YET.contains(&show) {
-        return Err(ExplainError::NotInThisBuild(show.to_string()));
-    }
     if !SHOWN.contains(&show) {
         return Err(ExplainError::Question(format!("`{show}` cannot be shown; there are {}", SHOWN.join(", "))));
     }
@@ -76,6 +68,8 @@ pub fn explain(
         "program" => program.to_string(),
         "clif" => isophote_jit::explain(&program, &options)?.clif,
         "asm" => isophote_jit::explain(&program, &options)?.disassembly,
+        "latex" => objective.explain(Show::Latex),
+        "mathml" => objective.explain(Show::MathMl),
         _ => objective.explain(Show::Derivative),
     };
     let stage = StageReport::of(model, &objective, method, lowering, compile_ms)?;
@@ -133,7 +127,6 @@ pub(crate) fn problem(error: ExplainError) -> crate::problem::Problem {
     use crate::problem::Problem;
     match error {
         ExplainError::Question(_) => Problem::bad_request(error.to_string()),
-        ExplainError::NotInThisBuild(show) => Problem::not_in_this_build(&format!("show={show}")),
         ExplainError::Model(diagnostics) => Problem::wrong_document(diagnostics),
         ExplainError::Kernel(_) => Problem::bug(error.to_string()),
     }

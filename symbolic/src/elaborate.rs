@@ -260,12 +260,12 @@ impl<'a> Elaborator<'a> {
                 );
             }
         }
-        match value.entries[..] {
-            [node] if self.graph.value_of(node).is_some_and(|v| !v.is_finite()) => {
+        match value.entries.iter().all(|n| self.graph.has_finite_numbers(*n)) {
+            false => {
                 let fault = fault("bad-number", at, "the value of this is not a finite number");
                 Err(self.tell(fault.help("no division by zero, no logarithm or root of what is negative")))
             }
-            _ => Ok(value),
+            true => Ok(value),
         }
     }
 

@@ -157,6 +157,15 @@ impl Graph {
         }
     }
 
+    /// A number, or a sum's constant and coefficients: neither infinite nor NaN.
+    pub fn has_finite_numbers(&self, id: NodeId) -> bool {
+        match self.node(id) {
+            Node::Number(bits) => bits.get().is_finite(),
+            Node::Sum(constant, terms) => constant.get().is_finite() && terms.iter().all(|(_, c)| c.get().is_finite()),
+            _ => true,
+        }
+    }
+
     /// constant + Σ coefficient · node. Like terms are collected; sums that are not opaque are taken in.
     pub fn sum(&mut self, constant: f64, terms: impl IntoIterator<Item = (NodeId, f64)>) -> NodeId {
         let mut constant = constant;
@@ -382,7 +391,7 @@ impl Graph {
         if operands(&node).all(|n| at(&n) == n) {
             return id;
         }
-        self.span = self.spans[id.index()];
+        let before = std::mem::replace(&mut self.span, self.spans[id.index()]);
         let new = match &node {
             Node::Sum(c, terms) => self.sum(c.get(), terms.iter().map(|(n, c)| (at(n), c.get())).collect::<Vec<_>>()),
             Node::Product(f) => self.product(1.0, f.iter().map(|(n, e)| (at(n), *e)).collect::<Vec<_>>()),
@@ -397,6 +406,7 @@ impl Graph {
             Node::Select(c, a, b) => self.select(at(c), at(a), at(b)),
             _ => id,
         };
+        self.span = before;
         if self.is_opaque(id) {
             self.set_opaque(new);
         }

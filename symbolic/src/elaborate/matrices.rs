@@ -144,6 +144,7 @@ impl Elaborator<'_> {
     }
 
     pub(super) fn power(&mut self, base: &Expr, exponent: &Expr, at: &Expr) -> Worked {
+        let base_at = base;
         let (base, power) = (self.scalar(base), self.scalar(exponent));
         let value = power.ok().and_then(|p| self.graph.value_of(p));
         if let Some(value) = value
@@ -156,6 +157,15 @@ impl Elaborator<'_> {
             return Err(Poison::Numbers(Shape::SCALAR));
         }
         let (Ok(base), Ok(power)) = (base, power) else { return Err(Poison::Numbers(Shape::SCALAR)) };
+        if let (None, Some(number)) = (value, self.graph.value_of(base))
+            && number <= 0.0
+        {
+            let message =
+                format!("the base of a power is positive where its exponent is no number, and this is {number}");
+            let help = "write the sign outside, or choose the value by `if(condition, a, b)`";
+            self.tell(fault("bad-number", base_at, message).help(help));
+            return Err(Poison::Numbers(Shape::SCALAR));
+        }
         self.graph.set_span(self.span(at));
         Ok(Matrix::scalar(self.graph.power(base, power)))
     }

@@ -60,14 +60,11 @@ pub(crate) fn read_model(
     let whole = (domain.is_none() || domain.flatten().is_some()) && (noise.is_none() || noise.flatten().is_some());
     let constraints = constraints.into_iter().collect::<Option<Vec<_>>>()?;
     match (intensity, observed, whole) {
-        (Some(intensity), Some(observed), true) => Some(Formulas {
-            graph: reader.graph,
-            observed,
-            intensity,
-            domain: domain.flatten(),
-            noise: noise.flatten(),
-            constraints,
-        }),
+        (Some(intensity), Some(observed), true) => {
+            let mut graph = reader.graph;
+            graph.set_span(graph.span(intensity)); // what has no formula of its own, such as the residual, comes from it
+            Some(Formulas { graph, observed, intensity, domain: domain.flatten(), noise: noise.flatten(), constraints })
+        }
         _ => None,
     }
 }

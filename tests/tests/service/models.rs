@@ -143,7 +143,8 @@ fn checks_and_explanations_keep_nothing() {
         ("parameters=bx,bx", 400),
         ("show=poem", 400),
         ("colour=red", 400),
-        ("show=latex", 501),
+        ("show=latex", 200),
+        ("show=mathml", 200),
         ("", 200),
     ] {
         service.get(&format!("/v1/models/thesis-spot/explain?{query}")).expect(status);
