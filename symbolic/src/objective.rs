@@ -41,9 +41,14 @@ pub struct Objective {
     names: crate::program::Names,
     domain: Option<NodeId>,
     proof: Option<Proof>,
+    /// The program that was proved: that of [`CHECKED`].
+    checked: Option<Program>,
     origin: Origin,
     pub(crate) forms: Vec<(String, NodeId)>,
 }
+
+/// How a program is lowered for its check; others differ in contraction and in the pixels that they leave out.
+const CHECKED: Lowering = Lowering { fma: true, drop_saturated: false };
 
 impl Objective {
     /// The free parameters.
@@ -53,6 +58,9 @@ impl Objective {
 
     /// The loop nest.
     pub fn program(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
+        if let (CHECKED, Some(program)) = (lowering, &self.checked) {
+            return Ok(program.clone());
+        }
         let mut graph = self.graph.clone();
         let program = schedule::sums(&mut graph, &self.sums, self.domain, lowering, self.names.clone());
         self.origin.checked(&graph, program)
@@ -111,6 +119,7 @@ impl Objective {
             names,
             domain,
             proof: None,
+            checked: None,
             origin: Origin::of(model),
             forms: Vec::new(),
         })
@@ -130,9 +139,10 @@ impl Objective {
         };
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
             let mut objective = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
-            let program = objective.program(Lowering { fma: true, drop_saturated: false }).map_err(Refusal::Limit)?;
+            let program = objective.program(CHECKED).map_err(Refusal::Limit)?;
             let Some(Errors { exact, error, f32_error }) = claim.check(&program) else { return Err(Refusal::Wrong) };
             objective.proof = Some(Proof { form, exact, error, f32_error });
+            objective.checked = Some(program);
             Ok(objective)
         };
         safest(&mut candidate).map_err(|refusal| match refusal {
@@ -215,6 +225,7 @@ impl<'a> Setting<'a> {
             forms: derivation.forms,
             graph: derivation.graph,
             proof: None,
+            checked: None,
         })
     }
 }

@@ -46,8 +46,9 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
     for cut in candidates.iter().filter(|_| candidates.len() > 1) {
         search.attempt(Cuts { nodes: BTreeSet::from([*cut]), ..Cuts::default() });
     }
-    // One cut more or less, while that pays.
-    loop {
+    // One cut more or less, while that pays. Without any, every pair of parameters has a form of its own.
+    let pairs = target.parameters.len() * (target.parameters.len() + 3) / 2;
+    while candidates.len() > 1 || search.best.as_ref()?.derivation.forms.len() >= pairs {
         let before = search.best.as_ref()?.cuts.nodes.clone();
         for cut in candidates.iter().rev() {
             let mut nodes = search.best.as_ref()?.cuts.nodes.clone();
