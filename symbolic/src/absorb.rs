@@ -28,6 +28,8 @@ pub(crate) fn absorb(
     let mut kept = BTreeSet::new();
     let mut map = FxHashMap::default();
     for id in graph.reachable(&roots) {
+        let span = graph.span(id);
+        graph.set_span(span);
         let new = match graph.node(id).clone() {
             Node::Sum(constant, terms) if graph.level(id) == Level::Pixel => {
                 let mut list = Vec::new();
@@ -46,8 +48,6 @@ pub(crate) fn absorb(
                         _ => list.push((inner, coefficient.get())),
                     }
                 }
-                let span = graph.span(id);
-                graph.set_span(span);
                 let sum = graph.sum(constant, list);
                 if graph.is_opaque(id) {
                     graph.set_opaque(sum);
@@ -145,10 +145,10 @@ pub(crate) fn absorb_numbers(graph: &mut Graph, roots: &mut [NodeId]) {
     let lone = |n: NodeId| counts.get(n.index()) == Some(&1);
     let mut map = FxHashMap::default();
     for id in graph.reachable(roots) {
+        let span = graph.span(id);
+        graph.set_span(span);
         let new = match graph.node(id).clone() {
             Node::Sum(constant, terms) if graph.level(id) == Level::Pixel && terms.len() > 1 => {
-                let span = graph.span(id);
-                graph.set_span(span);
                 let mut list = Vec::with_capacity(terms.len());
                 let content = content(constant, &terms).abs();
                 for (n, coefficient) in terms.iter() {
@@ -226,10 +226,15 @@ fn absorbed(
 
 /// scale · (constant + Σ terms), term by term.
 fn distributed(graph: &mut Graph, scale: &[(NodeId, i32)], constant: Bits, terms: &[(NodeId, Bits)]) -> NodeId {
-    let mut times = |node: Option<NodeId>, c: f64| graph.product(c, scale.iter().copied().chain(node.map(|n| (n, 1))));
-    let mut list: Vec<_> = terms.iter().map(|(n, c)| (times(Some(*n), c.get()), 1.0)).collect();
+    let mut list = Vec::with_capacity(terms.len() + 1);
+    for (n, c) in terms {
+        // A term stays where it came from.
+        let span = graph.span(*n);
+        graph.set_span(span);
+        list.push((graph.product(c.get(), scale.iter().copied().chain([(*n, 1)])), 1.0));
+    }
     if constant.get() != 0.0 {
-        list.push((times(None, constant.get()), 1.0));
+        list.push((graph.product(constant.get(), scale.iter().copied()), 1.0));
     }
     graph.sum(0.0, list)
 }

@@ -172,7 +172,7 @@ impl Derivation {
         let mut pixels = Vec::new();
         for (form, factor) in self.entries.iter().flat_map(|e| &e.uses) {
             if seen.insert((*form, *factor)) {
-                parts[*form].pixels_with(&self.factors[&(*factor, layout.expand)], &mut pixels);
+                parts[*form].pixels_with(&self.factors[&(*factor, layout.expand)], &mut pixels)?;
             }
         }
         let mut distinct = FxHashSet::default();

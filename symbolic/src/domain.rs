@@ -107,9 +107,7 @@ fn is_positive(graph: &Graph, node: NodeId) -> bool {
     match graph.node(node) {
         Node::Number(bits) => bits.get() > 0.0,
         Node::Input(_) => graph.is_declared_positive(node),
-        Node::Product(factors) => factors
-            .iter()
-            .all(|(n, e)| is_positive_shallow(graph, *n) || (e % 2 == 0 && is_positive_shallow(graph, *n))),
+        Node::Product(factors) => factors.iter().all(|(n, _)| is_positive_shallow(graph, *n)),
         Node::Sum(constant, terms) => {
             constant.get() >= 0.0 && terms.iter().all(|(n, c)| c.get() > 0.0 && is_positive_shallow(graph, *n))
         }

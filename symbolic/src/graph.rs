@@ -284,6 +284,8 @@ impl Graph {
             }
         }
         merged.retain(|(_, exponent)| *exponent != 0);
+        // Beyond what an exponent can be.
+        self.overflowed |= merged.iter().any(|(_, exponent)| exponent.unsigned_abs() >= i32::MAX as u32);
         let body = match merged[..] {
             [] => return self.number(coefficient),
             [(node, 1)] => node,

@@ -117,13 +117,21 @@ impl<N: Number> Hyper<N> {
 
     /// The whole power n ≠ 0.
     pub fn power(&self, n: i32) -> Hyper<N> {
-        let magnitude = (1..n.unsigned_abs()).fold(self.clone(), |power, _| power.mul(self));
-        if n > 0 {
-            return magnitude;
+        if n == 1 {
+            return self.clone();
         }
-        let inverse = N::from(1.0) / magnitude.value;
-        let square = inverse * inverse;
-        magnitude.unary((inverse, -square, N::from(2.0) * square * inverse))
+        let whole = |exponent: i32| -> N {
+            let (mut square, mut power, mut left) = (self.value, N::from(1.0), exponent.unsigned_abs());
+            while left > 0 {
+                power = if left & 1 == 1 { power * square } else { power };
+                square = square * square;
+                left >>= 1;
+            }
+            if exponent < 0 { N::from(1.0) / power } else { power }
+        };
+        let (first, second) = (f64::from(n), f64::from(n) * (f64::from(n) - 1.0));
+        let (slope, bend) = (whole(n.saturating_sub(1)), whole(n.saturating_sub(2)));
+        self.unary((whole(n), N::from(first) * slope, N::from(second) * bend))
     }
 
     fn sqrt(&self) -> Hyper<N> {

@@ -40,14 +40,18 @@ impl Polynomial {
     }
 
     pub fn add(&mut self, graph: &mut Graph, other: &Polynomial) {
-        for (monomial, coefficient) in &other.terms {
-            let total = match self.terms.get(monomial) {
-                Some(old) => graph.add2(*old, *coefficient),
-                None => *coefficient,
-            };
-            self.terms.insert(monomial.clone(), total);
-        }
-        self.terms.retain(|_, c| graph.value_of(*c) != Some(0.0));
+        other.terms.iter().for_each(|(monomial, coefficient)| self.add_term(graph, monomial.clone(), *coefficient));
+    }
+
+    fn add_term(&mut self, graph: &mut Graph, monomial: Monomial, coefficient: NodeId) {
+        let total = match self.terms.get(&monomial) {
+            Some(old) => graph.add2(*old, coefficient),
+            None => coefficient,
+        };
+        match graph.value_of(total) {
+            Some(0.0) => self.terms.remove(&monomial),
+            _ => self.terms.insert(monomial, total),
+        };
     }
 
     /// The product, or nothing when it has too many terms.
@@ -60,17 +64,21 @@ impl Polynomial {
             for (b, cb) in &other.terms {
                 let monomial = Monomial { pixel: multiply(&a.pixel, &b.pixel), row: multiply(&a.row, &b.row) };
                 let coefficient = graph.mul(*ca, *cb);
-                product.add(graph, &Polynomial::of(monomial, coefficient));
+                product.add_term(graph, monomial, coefficient);
             }
         }
         (product.terms.len() <= TERMS).then_some(product)
     }
 
-    /// Appends the pixel monomials of the product.
-    pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Vec<(NodeId, i32)>>) {
+    /// Appends the pixel monomials of the product; nothing when [`Polynomial::times`] would give nothing.
+    pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Vec<(NodeId, i32)>>) -> Option<()> {
+        if self.terms.len() * other.terms.len() > TERMS {
+            return None;
+        }
         for a in self.terms.keys() {
             pixels.extend(other.terms.keys().map(|b| multiply(&a.pixel, &b.pixel)));
         }
+        Some(())
     }
 
     pub fn into_terms(self, graph: &mut Graph) -> Vec<Term> {
@@ -101,7 +109,9 @@ impl<'a> Splitter<'a> {
         while let Some((node, exponent)) = pending.pop() {
             match graph.node(node) {
                 Node::Number(bits) => coefficient *= bits.get().powi(exponent),
-                Node::Product(list) if !self.atoms.contains(&node) => {
+                Node::Product(list)
+                    if !self.atoms.contains(&node) && list.iter().all(|(_, e)| e.checked_mul(exponent).is_some()) =>
+                {
                     pending.extend(list.iter().map(|(n, e)| (*n, e * exponent)))
                 }
                 Node::Sum(c, list) if list.len() == 1 && c.get() == 0.0 => {

@@ -77,7 +77,6 @@ impl Objective {
         Ok(self.origin.checked(&graph, program)?.cost())
     }
 
-    /// Lines `name = formula`: the forms over cuts, and what each output is made of.
     pub(crate) fn graph(&self) -> &Graph {
         &self.graph
     }
@@ -140,6 +139,9 @@ impl Objective {
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
             let mut objective = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
             let program = objective.program(CHECKED).map_err(Refusal::Limit)?;
+            if claim.is_too_large() {
+                return Err(Refusal::Limit(Origin::of(model).growth(subset.len())));
+            }
             let Some(Errors { exact, error, f32_error }) = claim.check(&program) else { return Err(Refusal::Wrong) };
             objective.proof = Some(Proof { form, exact, error, f32_error });
             objective.checked = Some(program);
@@ -147,9 +149,7 @@ impl Objective {
         };
         safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
-            Refusal::Wrong => {
-                Origin::of(model).fault("bug", "no program that was derived for this model passes its check".into())
-            }
+            Refusal::Wrong => Origin::of(model).bug(),
         })
     }
 
@@ -270,6 +270,13 @@ impl Origin {
     fn fault(&self, code: &'static str, message: String) -> Diagnostics {
         let help = "free fewer parameters per stage, or give shared parts a definition";
         vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
+    }
+
+    fn bug(&self) -> Diagnostics {
+        let message =
+            "no program that was derived for this model passes its check: a fault of isophote, not of the document";
+        let help = "please report the document; spelling the formula in another way may help";
+        vec![Diagnostic::error(&self.text, "bug", "model.intensity", self.span, message).help(help)]
     }
 
     pub fn growth(&self, parameters: usize) -> Diagnostics {

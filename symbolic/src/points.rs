@@ -76,15 +76,26 @@ impl<N: Number> Point<N> {
 pub(crate) fn centre(model: &Model, otherwise: [f64; 4]) -> [f64; 4] {
     let role = |i: usize| model.roles.first()?.centre.get(i).copied();
     std::array::from_fn(|i| match role(i).map(|p| model.parameters[p.index()].start) {
-        Some(Start::Number(number)) => number,
+        // Within what a picture's columns can number.
+        Some(Start::Number(number)) => number.clamp(-1e6, 1e6),
         Some(Start::Estimator(_)) => otherwise[i],
         None => 0.5 * WIDTH as f64,
     })
 }
 
+/// The coordinate that a parameter is the first target's centre along.
+fn axis(model: &Model, parameter: usize) -> Option<usize> {
+    model.roles.first()?.centre.iter().position(|p| p.index() == parameter)
+}
+
 /// Parameters near their starts, with the target in the middle of some columns and rows.
 pub(crate) fn plausible(model: &Model, centre: [f64; 4], random: &mut Random) -> Point<f64> {
-    let parameters: Vec<f64> = model.parameters.iter().map(|p| made_up(p, centre, random)).collect();
+    let made_up = |(i, parameter): (usize, &Parameter)| match (axis(model, i), parameter.start) {
+        // A centre stays where the columns are.
+        (Some(_), Start::Number(number)) => number,
+        _ => made_up(parameter, centre, random),
+    };
+    let parameters: Vec<f64> = model.parameters.iter().enumerate().map(made_up).collect();
     let coordinates = model.coordinates.len();
     let near = |centre: f64, random: &mut Random| (centre + 0.8 * SIZE * random.signed()).round();
     let columns: Vec<f64> = (0..3).map(|_| near(centre[0], random)).collect();
@@ -115,6 +126,7 @@ pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: 
     let window = Window { x, y: if height == 1 { 0 } else { y }, width, height, slices };
     let away = |i: usize, value: f64| match model.parameters[i].start {
         Start::Estimator(Estimator::Centroid(_)) => value + 0.3,
+        Start::Number(_) if axis(model, i).is_some() => value + 0.3,
         _ => 1.03 * value,
     };
     let parameters: Vec<f64> = point.parameters.iter().enumerate().map(|(i, value)| away(i, *value)).collect();

@@ -11,17 +11,12 @@ use crate::program::{Level, Op, Program, Value};
 pub(crate) const OF_16: usize = 15;
 /// The same where there are 32 (aarch64, AVX-512).
 pub(crate) const OF_32: usize = 31;
-/// Longer loops are not gone through.
-const INSTRUCTIONS: usize = 2048;
 
 /// Stores and fetches of the pixel loop beyond those that it is made of.
 pub(crate) fn spills(program: &Program, registers: usize) -> u32 {
     let is_pixel = |v: &Value| program.instruction(*v).level == Level::Pixel;
     let loop_of = || (0..program.instructions().len() as u32).map(Value).filter(is_pixel);
     let operands = |v: Value| program.instruction(v).op.operands().filter(is_pixel);
-    if loop_of().count() > INSTRUCTIONS {
-        return 0;
-    }
     // The uses of each value, the next one last.
     let mut uses: Vec<Vec<u32>> = vec![Vec::new(); program.instructions().len()];
     for value in loop_of().collect::<Vec<_>>().into_iter().rev() {
@@ -29,7 +24,7 @@ pub(crate) fn spills(program: &Program, registers: usize) -> u32 {
     }
     let carried = loop_of().filter(|v| matches!(program.instruction(*v).op, Op::Offset(_))).count();
     let room = registers.saturating_sub(carried).max(3);
-    let (mut held, mut stored, mut count): (Vec<Value>, Vec<Value>, u32) = (Vec::new(), Vec::new(), 0);
+    let (mut held, mut stored, mut count) = (Vec::<Value>::new(), vec![false; program.instructions().len()], 0);
     for value in loop_of() {
         for operand in operands(value) {
             if !held.contains(&operand) {
@@ -46,10 +41,7 @@ pub(crate) fn spills(program: &Program, registers: usize) -> u32 {
         while held.len() > room {
             let furthest = (0..held.len()).max_by_key(|i| uses[held[*i].index()].last()).unwrap_or(0);
             let gone = held.swap_remove(furthest);
-            if !stored.contains(&gone) {
-                stored.push(gone);
-                count += 1;
-            }
+            count += u32::from(!std::mem::replace(&mut stored[gone.index()], true));
         }
     }
     count

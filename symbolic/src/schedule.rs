@@ -74,7 +74,9 @@ pub(crate) fn sums(
         set.saturated = builder.saturated(&pixels);
     }
     let accumulators = builder.pixel_values(&pixels);
-    let accumulator = |node: NodeId| AccumulatorId(pixels.iter().position(|p| *p == node).unwrap_or(0) as u32);
+    let numbers: FxHashMap<NodeId, AccumulatorId> =
+        pixels.iter().enumerate().map(|(i, pixel)| (*pixel, AccumulatorId(i as u32))).collect();
+    let accumulator = |node: NodeId| numbers[&node];
 
     let mut totals: Vec<Value> = Vec::new();
     let mut outputs = Vec::new();

@@ -76,14 +76,21 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
         _ => plain,
     };
     let sums = best.derivation.sums(&best.layout)?;
-    let graph = &mut best.derivation.graph;
-    let sums = reduced(graph, sums);
+    let sums = reduced(&mut best.derivation.graph, sums);
+    // Tried on a copy: what does not pay leaves nothing behind, not even a full graph.
+    let mut trial = best.derivation.graph.clone();
     let of = |sums: &Sums, graph: &mut Graph| {
         let pixels = sums.summed(graph);
         weight(&pixel_cost(graph, &pixels, LOWERING))
     };
-    let squared = completed(graph, &sums).filter(|squared| of(squared, graph) < of(&sums, graph));
-    Some((best.derivation, squared.unwrap_or(sums)))
+    let squared = completed(&mut trial, &sums).filter(|squared| of(squared, &mut trial) < of(&sums, &mut trial));
+    match squared {
+        Some(squared) if !trial.overflowed() => {
+            best.derivation.graph = trial;
+            Some((best.derivation, squared))
+        }
+        _ => Some((best.derivation, sums)),
+    }
 }
 
 impl Search<'_> {
@@ -153,10 +160,11 @@ fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
 }
 
 fn try_layout(best: &mut Found, layout: Layout) {
-    let Some(cost) = best.derivation.pixel_cost(&layout, LOWERING) else { return };
+    let mut trial = best.derivation.clone();
+    let Some(cost) = trial.pixel_cost(&layout, LOWERING) else { return };
     let weight = weight(&cost);
     if weight < best.weight {
-        (best.layout, best.weight) = (layout, weight);
+        (best.derivation, best.layout, best.weight) = (trial, layout, weight);
     }
 }
 

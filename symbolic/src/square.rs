@@ -14,6 +14,9 @@ use crate::monomial::Splitter;
 use crate::program::{CoordinateId, Level};
 use crate::schedule::Sums;
 
+/// Sums that are looked at.
+const SUMS: usize = 16;
+
 /// Row totals over d from totals over u = d − e.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(crate) struct Shift {
@@ -49,7 +52,7 @@ pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
     let pixels = sums.pixels();
     let reachable = graph.reachable(&pixels);
     let is_sum = |n: &NodeId| graph.level(*n) == Level::Pixel && matches!(graph.node(*n), Node::Sum(..));
-    let candidates: Vec<NodeId> = reachable.iter().copied().filter(is_sum).collect();
+    let candidates: Vec<NodeId> = reachable.iter().copied().filter(is_sum).take(SUMS).collect();
     let (s, parabola) = candidates.iter().find_map(|s| Some((*s, parabola(graph, *s)?)))?;
     let vertex = graph.product(-1.0, [(parabola.slope_at_zero, 1), (parabola.curvature, -1)]);
     let at_vertex = |graph: &mut Graph, node: NodeId| {

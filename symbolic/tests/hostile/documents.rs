@@ -33,6 +33,12 @@ fn chain(count: usize, first: &str, next: impl Fn(&str) -> String) -> Vec<(Strin
     (0..count).map(|i| (format!("d{i}"), text(i))).collect()
 }
 
+/// Σᵢ (Σⱼ pⱼ xʲ + i)^64.
+fn many_powers() -> String {
+    let inner: Vec<String> = (0..64).map(|j| format!("p{j}*x^{j}")).collect();
+    format!("sum(({} + i)^64, i, 0, 300)", inner.join(" + "))
+}
+
 /// Functions f0(t), f1(t), … each made of the one before.
 fn functions(count: usize, first: &str, next: impl Fn(&str) -> String) -> Vec<(String, String)> {
     let text = |i: usize| if i == 0 { first.to_string() } else { next(&format!("f{}", i - 1)) };
@@ -64,6 +70,22 @@ pub fn all() -> Vec<Hostile> {
     let mut add = |name, text: String, ending| list.push(Hostile { name, text, is_json: false, ending });
     let one = |intensity: &str| document(1, &[], intensity);
     let limit = Refused("limit");
+
+    // Numbers at the end of their range.
+    let far = |start: &str| {
+        let head = "name = \"far\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n";
+        format!(
+            "{head}bx = {{ start = {start} }}\nby = {{ start = {start} }}\n[roles]\ncentre = [\"bx\", \"by\"]\n[model]\nintensity = \"exp(-(x-bx)^2-(y-by)^2)\"\ndomain = \"x <= {start}\"\n"
+        )
+    };
+    add("a centre at 1e9", far("1e9"), Honest);
+    add("a centre at -1e300", far("-1e300"), Honest);
+    let powers =
+        [("d1", "product(x, i, 0, 1023)"), ("d2", "d1^64"), ("d3", "product(d2, i, 0, 1023)"), ("d4", "d3^64")];
+    let powers: Vec<(String, String)> = powers.map(|(name, text)| (name.to_string(), text.to_string())).into();
+    add("an exponent beyond 32 bits", document(1, &powers, "p0*d4"), Honest);
+    add("(x - p0)^900 by products", document(1, &[], "product(x - p0, i, 1, 900)"), Honest);
+    add("powers of 64 in 64 parameters", document(64, &[], &many_powers()), Honest);
 
     // Growth of what is worked out and derived.
     add(
