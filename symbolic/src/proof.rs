@@ -111,7 +111,11 @@ impl Claim<'_> {
         let points: Vec<Point<f64>> =
             (0..POINTS).map(|seed| plausible(self.model, centre(self.model, NEAR), &mut Random(seed))).collect();
         let (error, right) = self.sampled(program, &points);
-        if !right || (!exact && error.is_none()) || !self.has_its_pixels(program, &points[0], &points[0].rows[0]) {
+        if !right
+            || (!exact && error.is_none())
+            || (is_conditional && !self.is_right_far_off(program))
+            || !self.has_its_pixels(program, &points[0], &points[0].rows[0])
+        {
             return None;
         }
         Some(Errors { exact, error, f32_error: self.f32_error(program) })
@@ -206,14 +210,33 @@ impl Claim<'_> {
             if error <= TOLERANCE {
                 return (Some(error), true);
             }
-            let point = point.map(DoubleDouble::from);
-            let (found, exact) = (self.outputs(program, &point), self.direct(&point));
-            let right = found.iter().zip(&exact).zip(&direct).all(|((found, exact), direct)| {
-                (*found - *exact).to_f64().abs() <= REFEREE * direct.terms.max(SMALLEST)
-            });
-            return (Some(error), right);
+            return (Some(error), self.is_rounding(program, point, &direct));
         }
         (None, true)
+    }
+
+    /// True when in double-double nothing is left of the difference; `direct` holds the sums of the absolute terms.
+    fn is_rounding(&self, program: &Program, point: &Point<f64>, direct: &[Weighed]) -> bool {
+        let point = point.map(DoubleDouble::from);
+        let (found, exact) = (self.outputs(program, &point), self.direct(&point));
+        found
+            .iter()
+            .zip(&exact)
+            .zip(direct)
+            .all(|((found, exact), direct)| (*found - *exact).to_f64().abs() <= REFEREE * direct.terms.max(SMALLEST))
+    }
+
+    /// True when every branch that far-off parameters take is right as well.
+    fn is_right_far_off(&self, program: &Program) -> bool {
+        (0..CONDITIONAL_POINTS).all(|seed| {
+            let mut random = Random(seed);
+            let mut point = plausible(self.model, centre(self.model, NEAR), &mut random);
+            point.parameters.iter_mut().for_each(|p| *p *= 10.0_f64.powf(3.0 * random.signed()));
+            let direct = self.direct(&point.map(Weighed::from));
+            let all_finite = direct.iter().all(|x| x.value.is_finite() && x.terms.is_finite())
+                && self.outputs(program, &point).iter().all(|x| x.is_finite());
+            !all_finite || self.is_rounding(program, &point, &direct)
+        })
     }
 
     /// True when the pixel set is that of the domain: at whole columns, and on both sides of every rim between them.
