@@ -46,6 +46,9 @@ impl Form {
     /// Adds ∂²n/∂a∂b · da db for the two jets' first derivatives; a and b the same operand when `square`.
     fn add_product(&mut self, graph: &mut Graph, derivative: NodeId, a: &Jet, b: &Jet, square: bool) {
         for (l, la) in &a.first {
+            if graph.overflowed() {
+                return;
+            }
             for (m, mb) in &b.first {
                 // second[l, m] of a product of first orders: a_l b_m + a_m b_l; for a square each ordered pair once.
                 if square && l > m {

@@ -64,7 +64,7 @@ pub const LIMITS: Limits = Limits {
     exponent: 64,
     steps: 262_144,
     nodes: 32_768,
-    work: 1_000_000,
+    work: 500_000,
     instructions: 8192,
     diagnostics: 64,
 };
