@@ -11,9 +11,9 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use crate::absorb::{absorb, absorb_numbers};
 use crate::bodies::Part;
 use crate::graph::{Graph, Node, NodeId};
-use crate::jet::{Jet, jet, pair, totals};
+use crate::jet::{Jet, compose, jet, pair, totals};
 use crate::model::Lowering;
-use crate::monomial::{Polynomial, Splitter};
+use crate::monomial::{Polynomial, Splitter, whole_output};
 use crate::program::Cost;
 use crate::rank::{Combination, dependent};
 use crate::schedule::{self, Output, Sums, Term};
@@ -190,16 +190,12 @@ impl Derivation {
     /// One sum for every output, nothing taken apart; the first is F.
     pub fn unfactored(&mut self) -> Option<Sums> {
         let graph = &mut self.graph;
-        let whole = |graph: &mut Graph, name: &str, node: NodeId| Output {
-            name: name.into(),
-            terms: Splitter::new(&BTreeSet::new()).whole(graph, node).into_terms(graph),
-        };
-        let mut outputs = vec![whole(graph, "F", self.value)];
+        let mut outputs = vec![whole_output(graph, "F", self.value)];
         for Entry { name, uses } in &self.entries {
             let terms: Vec<_> =
                 uses.iter().map(|(form, factor)| (graph.mul(self.forms[*form].1, *factor), 1.0)).collect();
             let node = graph.sum(0.0, terms);
-            outputs.push(whole(graph, name, node));
+            outputs.push(whole_output(graph, name, node));
         }
         (!graph.overflowed()).then_some(Sums { outputs, shift: None })
     }
@@ -207,8 +203,7 @@ impl Derivation {
     /// The sums of a layout; the first output is F.
     pub fn sums(&mut self, layout: &Layout) -> Option<Sums> {
         let parts = self.parts(layout);
-        let value = Splitter::new(&BTreeSet::new()).whole(&mut self.graph, self.value);
-        let mut outputs = vec![Output { name: "F".into(), terms: value.into_terms(&mut self.graph) }];
+        let mut outputs = vec![whole_output(&mut self.graph, "F", self.value)];
         for Entry { name, uses } in &self.entries {
             let mut total = Polynomial::default();
             for (form, factor) in uses {
@@ -262,36 +257,7 @@ fn top_form(
         _ => square,
     };
     let top = jet(graph, value, &tops.iter().copied().collect(), true);
-    let index = |n: &NodeId| tops.iter().position(|t| t == n);
-    let mut first: BTreeMap<NodeId, Vec<(NodeId, f64)>> = BTreeMap::new();
-    let mut second: BTreeMap<(NodeId, NodeId), Vec<(NodeId, f64)>> = BTreeMap::new();
-    for (t, outer) in &top.first {
-        for (l, inner) in &jets[index(t)?].first {
-            first.entry(*l).or_default().push((graph.mul(*outer, *inner), 1.0));
-        }
-        for (key, inner) in jets[index(t)?].second.iter().filter(|_| newton) {
-            second.entry(*key).or_default().push((graph.mul(*outer, *inner), 1.0));
-        }
-    }
-    for ((s, t), outer) in &top.second {
-        let (a, b) = (&jets[index(s)?], &jets[index(t)?]);
-        for (l, la) in &a.first {
-            for (m, mb) in &b.first {
-                if s == t && l > m {
-                    continue;
-                }
-                let weight = if s != t && l == m { 2.0 } else { 1.0 };
-                let node = graph.product(1.0, [(*outer, 1), (*la, 1), (*mb, 1)]);
-                second.entry(pair(*l, *m)).or_default().push((node, weight));
-            }
-        }
-    }
-    let mut form = Jet::default();
-    for (l, terms) in first {
-        form.first.insert(l, graph.sum(0.0, terms));
-    }
-    for (key, terms) in second {
-        form.second.insert(key, graph.sum(0.0, terms));
-    }
+    let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
+    let form = compose(graph, &top, &|t| of[&t]);
     (!graph.overflowed()).then_some((value, form))
 }

@@ -5,23 +5,15 @@ use std::fmt;
 use super::numbers::{Hyper, PARAMETERS, Scalar};
 use crate::evaluate::holds;
 use crate::function::{Function1, Function2};
+pub(crate) use crate::points::Random;
 use crate::program::Comparison;
 
-/// SplitMix64.
-pub struct Random(pub u64);
-
 impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
     pub fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
+        (self.bits() % n as u64) as usize
     }
     pub fn between(&mut self, lo: f64, hi: f64) -> f64 {
-        lo + (hi - lo) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+        lo + (hi - lo) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
     pub fn pick<T: Clone>(&mut self, all: &[T]) -> T {
         all[self.below(all.len())].clone()

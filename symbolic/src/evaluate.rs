@@ -69,7 +69,7 @@ impl Number for DoubleDouble {
 }
 
 /// True when the comparison holds.
-pub(crate) fn holds<N: Number>(comparison: Comparison, a: N, b: N) -> bool {
+pub(crate) fn holds<N: PartialOrd>(comparison: Comparison, a: N, b: N) -> bool {
     match comparison {
         Comparison::Lt => a < b,
         Comparison::Le => a <= b,

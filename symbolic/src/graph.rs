@@ -9,6 +9,7 @@ use std::sync::Arc;
 use rustc_hash::FxHashMap;
 
 use crate::diagnostic::Span;
+use crate::evaluate::holds;
 use crate::function::{Function1, Function2};
 use crate::limits::LIMITS;
 use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, id};
@@ -249,19 +250,19 @@ impl Graph {
         let mut pending: Vec<(NodeId, i32)> = factors.into_iter().filter(|(_, e)| *e != 0).collect();
         while let Some((node, exponent)) = pending.pop() {
             match self.node(node) {
-                Node::Number(bits) => coefficient *= power(bits.get(), exponent),
+                Node::Number(bits) => coefficient *= bits.get().powi(exponent),
                 Node::Product(list) if !self.is_opaque(node) => {
                     pending.extend(list.iter().map(|(n, e)| (*n, e.saturating_mul(exponent))));
                 }
                 Node::Sum(constant, list) => {
                     let content = content(*constant, list);
                     if list.len() == 1 && constant.get() == 0.0 {
-                        coefficient *= power(list[0].1.get(), exponent);
+                        coefficient *= list[0].1.get().powi(exponent);
                         pending.push((list[0].0, exponent));
                     } else if content != 1.0 && !self.is_opaque(node) {
                         let (constant, list) = (constant.get() / content, list.clone());
                         let list = list.iter().map(|(n, c)| (*n, Bits::new(c.get() / content))).collect();
-                        coefficient *= power(content, exponent);
+                        coefficient *= content.powi(exponent);
                         let primitive = self.add(Node::Sum(Bits::new(constant), list));
                         collected.push((primitive, exponent));
                     } else {
@@ -425,15 +426,12 @@ impl Graph {
                 Node::Number(bits) => bits.get(),
                 node @ (Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => leaf(node),
                 Node::Sum(c, terms) => terms.iter().fold(c.get(), |sum, (n, c)| sum + c.get() * at(n)),
-                Node::Product(factors) => factors.iter().map(|(n, e)| power(at(n), *e)).product(),
+                Node::Product(factors) => factors.iter().map(|(n, e)| at(n).powi(*e)).product(),
                 Node::Sqrt(a) => at(a).sqrt(),
                 Node::Abs(a) => at(a).abs(),
                 Node::Call1(f, a) => f.value(at(a)),
                 Node::Call2(f, a, b) => f.value(at(a), at(b)),
-                Node::Compare(Comparison::Lt, a, b) => truth(at(a) < at(b)),
-                Node::Compare(Comparison::Le, a, b) => truth(at(a) <= at(b)),
-                Node::Compare(Comparison::Eq, a, b) => truth(at(a) == at(b)),
-                Node::Compare(Comparison::Ne, a, b) => truth(at(a) != at(b)),
+                Node::Compare(c, a, b) => truth(holds(*c, at(a), at(b))),
                 Node::And(a, b) => at(a) * at(b),
                 Node::Or(a, b) => at(a).max(at(b)),
                 Node::Not(a) => 1.0 - at(a),
@@ -449,11 +447,6 @@ impl Graph {
         }
         values[&root]
     }
-}
-
-/// base^exponent by repeated multiplication, as `libm` would round no better.
-fn power(base: f64, exponent: i32) -> f64 {
-    base.powi(exponent)
 }
 
 /// What can be divided out of a sum exactly: the common magnitude, or the greatest common divisor of whole coefficients,

@@ -1,7 +1,8 @@
 //! The meaning of a [`Program`]: what comes in is a program, numbers and pixels; what goes out are the sums that native
 //! code must equal bit for bit. It is written to be read, not to be fast.
 
-use crate::program::{Bindings, Comparison, Instruction, Level, Op, Precision, Program, Sink, Value};
+use crate::evaluate::holds;
+use crate::program::{Bindings, Instruction, Level, Op, Precision, Program, Sink, Value};
 
 /// Where pixels come from. Coordinates are those of the whole plane.
 pub trait Pixels {
@@ -134,15 +135,6 @@ impl<T: Lane> Cell<T> {
     }
 }
 
-fn compare(comparison: Comparison, a: f64, b: f64) -> bool {
-    match comparison {
-        Comparison::Lt => a < b,
-        Comparison::Le => a <= b,
-        Comparison::Eq => a == b,
-        Comparison::Ne => a != b,
-    }
-}
-
 /// An operation that reads only values.
 fn apply<T: Lane>(op: Op, at: impl Fn(Value) -> Cell<T>) -> Cell<T> {
     let n = |v: Value| at(v).number();
@@ -158,7 +150,7 @@ fn apply<T: Lane>(op: Op, at: impl Fn(Value) -> Cell<T>) -> Cell<T> {
         Op::Fma(a, b, c) => n(a).fma(n(b), n(c)),
         Op::Call1(f, a) => T::from_f64(f.value(n(a).to_f64())),
         Op::Call2(f, a, b) => T::from_f64(f.value(n(a).to_f64(), n(b).to_f64())),
-        Op::Compare(c, a, b) => return Cell::Truth(compare(c, n(a).to_f64(), n(b).to_f64())),
+        Op::Compare(c, a, b) => return Cell::Truth(holds(c, n(a).to_f64(), n(b).to_f64())),
         Op::And(a, b) => return Cell::Truth(at(a).truth() && at(b).truth()),
         Op::Or(a, b) => return Cell::Truth(at(a).truth() || at(b).truth()),
         Op::Not(a) => return Cell::Truth(!at(a).truth()),

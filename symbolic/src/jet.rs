@@ -299,6 +299,18 @@ fn binary(
     }
 }
 
+/// The chain rule: `own` is a jet over variables, each of which has a jet of its own.
+pub(crate) fn compose<'a>(graph: &mut Graph, own: &Jet, inner: &dyn Fn(NodeId) -> &'a Jet) -> Jet {
+    let mut form = Form::default();
+    for (l, derivative) in &own.first {
+        form.add(graph, *derivative, inner(*l));
+    }
+    for ((l, m), derivative) in &own.second {
+        form.add_product(graph, *derivative, inner(*l), inner(*m), l == m);
+    }
+    form.finish(graph)
+}
+
 /// Total derivatives of cuts with respect to parameters, by the chain rule over lower cuts. `cuts` is ascending.
 pub(crate) fn totals(
     graph: &mut Graph,
@@ -314,14 +326,7 @@ pub(crate) fn totals(
     let variables: BTreeSet<NodeId> = parameters.iter().chain(cuts).copied().collect();
     for cut in cuts {
         let own = jet(graph, *cut, &variables, second);
-        let mut form = Form::default();
-        for (l, derivative) in &own.first {
-            form.add(graph, *derivative, &done[l]);
-        }
-        for ((l, m), derivative) in &own.second {
-            form.add_product(graph, *derivative, &done[l], &done[m], l == m);
-        }
-        let total = form.finish(graph);
+        let total = compose(graph, &own, &|l| &done[&l]);
         done.insert(*cut, total);
     }
     done

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::graph::{Graph, Node, NodeId};
 use crate::program::Level;
-use crate::schedule::Term;
+use crate::schedule::{Output, Term};
 
 /// A product of powers: of pixel values (summed over the row) and of row values (applied to the row's total).
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
@@ -89,6 +89,12 @@ impl Polynomial {
         };
         self.terms.into_iter().map(term).collect()
     }
+}
+
+/// An output that is the sum of one value, no sum in it looked into.
+pub(crate) fn whole_output(graph: &mut Graph, name: &str, node: NodeId) -> Output {
+    let terms = Splitter::new(&BTreeSet::new()).whole(graph, node).into_terms(graph);
+    Output { name: name.into(), terms }
 }
 
 /// Takes nodes apart; `atoms` are never looked into.

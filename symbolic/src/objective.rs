@@ -6,8 +6,6 @@
 //! l_u and l_uv are expanded into pixel and row monomials, so that a few accumulators, each L or Q times a monomial, serve
 //! every entry. Gauss–Newton keeps Σ Q_lm l_u l_v with Q from ∂²F/∂r² alone.
 
-use std::collections::BTreeSet;
-
 use crate::absorb::gather;
 use crate::bodies::Part;
 use crate::derivation::{Cuts, Derivation, Target};
@@ -15,7 +13,7 @@ use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
-use crate::monomial::Splitter;
+use crate::monomial::whole_output;
 use crate::program::{Cost, Input, Level, ParameterId, Program};
 use crate::proof::{Claim, Errors, Form, Proof, is_small_f32};
 use crate::schedule::{self, Output, Sums};
@@ -93,18 +91,14 @@ impl Objective {
         let square = graph.product(1.0, [(residual, 2)]);
         let variance = variance(&mut graph, model, kind == ValueKind::Entry);
         let chi = variance.map_or(square, |v| graph.product(1.0, [(square, 1), (v, -1)]));
-        let one = |graph: &mut Graph, name: &str, node: NodeId| Output {
-            name: name.to_string(),
-            terms: Splitter::new(&BTreeSet::new()).whole(graph, node).into_terms(graph),
-        };
-        let chi_square = one(&mut graph, "chi2", chi);
+        let chi_square = whole_output(&mut graph, "chi2", chi);
         let outputs = match (kind, variance) {
             (ValueKind::Entry, _) => vec![chi_square],
             (ValueKind::Full, None) => vec![Output { name: "F".into(), ..chi_square.clone() }, chi_square],
             (ValueKind::Full, Some(v)) => {
                 let log = graph.call1(crate::function::Function1::Log, v);
                 let total = graph.add2(chi, log);
-                vec![one(&mut graph, "F", total), chi_square]
+                vec![whole_output(&mut graph, "F", total), chi_square]
             }
         };
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());

@@ -1,6 +1,7 @@
 //! Comparisons and what joins them; what is known when the model is read is decided here.
 
 use super::{Elaborator, Matrix, Poison, Worked};
+use crate::evaluate::holds;
 use crate::graph::{Graph, Node, NodeId};
 use crate::parser::{Expr, Relation};
 use crate::program::Comparison;
@@ -71,11 +72,6 @@ impl Elaborator<'_> {
     pub fn known_truth(&self, node: NodeId) -> Option<bool> {
         let Node::Compare(comparison, a, b) = self.graph.node(node) else { return None };
         let (a, b) = (self.graph.value_of(*a)?, self.graph.value_of(*b)?);
-        Some(match comparison {
-            Comparison::Lt => a < b,
-            Comparison::Le => a <= b,
-            Comparison::Eq => a == b,
-            Comparison::Ne => a != b,
-        })
+        Some(holds(*comparison, a, b))
     }
 }
