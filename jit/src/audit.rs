@@ -52,11 +52,13 @@ fn allowed(opcode: Opcode) -> bool {
             | Ishl
             | Icmp
             | Smin
+            | Smax
             | Band
             | Bor
             | Bxor
             | Bnot
             | Uextend
+            | Sextend
             | Ireduce
             | Popcnt
             | Bmask

@@ -59,6 +59,7 @@ impl Kernel {
             formats: options.formats.clone(),
             packed: options.packed,
             renders: matches!(program.sink(), Sink::Plane(_)),
+            lanes: options.precision.lanes(),
         };
         let code = Code::load(&compiled, shape).map_err(CompileError::NoCodeMemory)?;
         Ok(Kernel { program: program.clone(), options: options.clone(), code })

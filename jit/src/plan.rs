@@ -33,6 +33,8 @@ pub(crate) struct Plan<'a> {
     pub accumulators: Vec<Home>,
     /// The f64 of each total.
     pub totals: Vec<Slot>,
+    /// The window's first and last column, as f64.
+    pub columns: [Slot; 2],
     /// Two vectors through which elementary functions take lanes.
     pub operands: [Slot; 2],
     /// Bytes of the record.
@@ -109,9 +111,10 @@ impl<'a> Plan<'a> {
             Sink::Sums { totals, .. } => totals.iter().map(|_| record.scalar()).collect(),
             Sink::Plane(_) => Vec::new(),
         };
+        let columns = [record.scalar(), record.scalar()];
         let operands = [record.vector(), record.vector()];
         let record_bytes = record.bytes;
-        Plan { program, pixels, scalars, splats, accumulators, totals, operands, record_bytes }
+        Plan { program, pixels, scalars, splats, accumulators, totals, columns, operands, record_bytes }
     }
 
     /// True when the program looks at each pixel before it takes it.

@@ -201,6 +201,42 @@ impl<'a> Region<'a> {
     }
 }
 
+/// A copy of a window's pixels in rows of at least so many, packed; what stands beyond the window is zero.
+pub(crate) struct Padded {
+    bytes: Vec<u8>,
+    strides: [usize; 4],
+}
+
+impl Padded {
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+    pub fn strides(&self) -> [usize; 4] {
+        self.strides
+    }
+}
+
+impl Region<'_> {
+    /// The pixels of the window in rows of at least `width_min`.
+    pub fn padded(&self, width_min: usize) -> Padded {
+        let pixel = self.plane.format.bytes_per_pixel();
+        let [width, height, depth, length] = self.window.size();
+        let row = width.max(width_min) * pixel;
+        let strides = [pixel, row, height * row, depth * height * row];
+        let mut bytes = vec![0; length * strides[3]];
+        let [across, down, slice, volume] = self.plane.strides;
+        for (number, copy) in bytes.chunks_mut(row).enumerate() {
+            let (y, z, w) = (number % height, number / height % depth, number / (height * depth));
+            let first = y * down + z * slice + w * volume;
+            for x in 0..width {
+                let at = first + x * across;
+                copy[x * pixel..][..pixel].copy_from_slice(&self.first[at..][..pixel]);
+            }
+        }
+        Padded { bytes, strides }
+    }
+}
+
 /// A rectangle of pixels of an image, px; (x, y) is its top-left pixel. In a stack, the same rectangle of several slices.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Window {

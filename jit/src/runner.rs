@@ -11,7 +11,7 @@ use cranelift_module::{Module, default_libcall_names};
 use crate::abi::{Args, FUNCTIONS, PlaneArgs};
 use crate::compile::Native;
 use crate::host::{self, Allocator};
-use crate::plane::{PixelFormat, Region, Window};
+use crate::plane::{Padded, PixelFormat, Region, Window};
 
 /// What the code expects of its arguments.
 #[derive(Debug)]
@@ -21,6 +21,8 @@ pub(crate) struct Shape {
     pub formats: Vec<PixelFormat>,
     pub packed: bool,
     pub renders: bool,
+    /// Pixels that a group reads at once: no row that the code sees may be shorter.
+    pub lanes: usize,
 }
 
 /// Pixels that a pass counted.
@@ -86,7 +88,23 @@ impl Code {
     /// A pass of a program that renders.
     pub fn render(&self, inputs: &[f64], window: Window, target: &mut [f32]) {
         assert!(self.shape.renders && target.len() == window.pixels(), "a plane of another size");
-        self.run(inputs, &mut [], &[], window, target);
+        let lanes = self.shape.lanes;
+        if window.width >= lanes {
+            self.run(inputs, &mut [], &[], window, target);
+            return;
+        }
+        let mut wide = vec![0.0; target.len() / window.width * lanes];
+        let copy = |wide: &mut [f32], narrow: &mut [f32], into_wide: bool| {
+            for (wide, narrow) in wide.chunks_mut(lanes).zip(narrow.chunks_mut(window.width)) {
+                match into_wide {
+                    true => wide[..narrow.len()].copy_from_slice(narrow),
+                    false => narrow.copy_from_slice(&wide[..narrow.len()]),
+                }
+            }
+        };
+        copy(&mut wide, target, true);
+        self.run(inputs, &mut [], &[], window, &mut wide);
+        copy(&mut wide, target, false);
     }
 
     fn run(
@@ -104,7 +122,12 @@ impl Code {
             assert!(region.window() == window && plane.format() == *format, "another window's or program's plane");
             assert!(plane.is_packed() || !self.shape.packed, "pixels with gaps");
         }
-        let planes: Vec<PlaneArgs> = regions.iter().map(plane_args).collect();
+        let narrow = window.width < self.shape.lanes;
+        let padded: Vec<Padded> = regions.iter().filter(|_| narrow).map(|r| r.padded(self.shape.lanes)).collect();
+        let planes: Vec<PlaneArgs> = match narrow {
+            true => padded.iter().map(|padded| plane_args(padded.bytes(), padded.strides())).collect(),
+            false => regions.iter().map(|region| plane_args(region.first(), region.plane().strides())).collect(),
+        };
         let mut args = Args {
             inputs: inputs.as_ptr(),
             outputs: outputs.as_mut_ptr(),
@@ -123,7 +146,7 @@ impl Code {
             saturated: 0,
         };
         // SAFETY: the code was lowered from a checked and audited program of this `Shape`: it reads `inputs`, writes
-        // `outputs`, and reads or writes pixels of `window` only. The assertions above say that the slices are that long;
+        // `outputs`, and reads or writes pixels of `window` only, or of rows padded to a group's width. The assertions above say that the slices are that long;
         // each `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies
         // inside its bytes. All borrows outlive the call.
         unsafe { (self.entry)(&raw mut args) };
@@ -131,15 +154,9 @@ impl Code {
     }
 }
 
-fn plane_args(region: &Region<'_>) -> PlaneArgs {
-    let plane = region.plane();
-    PlaneArgs {
-        first: region.first().as_ptr(),
-        row_stride: plane.row_stride() as i64,
-        pixel_stride: plane.pixel_stride() as i64,
-        slice_stride: plane.strides()[2] as i64,
-        volume_stride: plane.strides()[3] as i64,
-    }
+fn plane_args(first: &[u8], strides: [usize; 4]) -> PlaneArgs {
+    let [pixel_stride, row_stride, slice_stride, volume_stride] = strides.map(|stride| stride as i64);
+    PlaneArgs { first: first.as_ptr(), row_stride, pixel_stride, slice_stride, volume_stride }
 }
 
 fn define(module: &mut JITModule, native: &Native) -> Result<Entry, String> {

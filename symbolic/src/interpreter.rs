@@ -267,10 +267,17 @@ fn run_lanes<T: Lane, const L: usize>(
                 offsets.push((i, lane, T::from_f64(c + n)));
             }
         }
-        let (mut used_in_row, mut group) = (0_u64, start);
-        while group <= end {
+        let mut used_in_row = 0_u64;
+        // All groups but the last are full. The last one has the pixels from `rest` on; where it would leave the window it
+        // begins further left, and the lanes before `rest` take no part either.
+        let rest = start + (end - start) / L * L;
+        let last = rest.min(window.width.saturating_sub(L));
+        for group in (start..rest).step_by(L).chain([last]) {
+            let is_last = group == last;
+            let shift = T::from_f64(last as f64 - rest as f64);
             for (i, lane, fraction) in &mut offsets {
-                lanes[*i] = std::array::from_fn(|l| Cell::Number(lane[l].add(*fraction)));
+                let here = if is_last { lane.map(|t| t.add(shift)) } else { *lane };
+                lanes[*i] = here.map(|t| Cell::Number(t.add(*fraction)));
                 *lane = lane.map(|t| t.add(T::from_f64(L as f64)));
             }
             for (i, Instruction { op, .. }) in
@@ -279,13 +286,14 @@ fn run_lanes<T: Lane, const L: usize>(
                 lanes[i] = match *op {
                     Op::Offset(_) => lanes[i],
                     Op::Channel(c) => std::array::from_fn(|l| {
-                        let x = window.x + (group + l).min(end);
+                        let x = window.x + (group + l).min(window.width - 1);
                         Cell::Number(T::from_f64(pixels.at_place(c.index(), [x, y, z, w])))
                     }),
                     op => std::array::from_fn(|l| apply(op, |v| lanes[v.index()][l])),
                 };
             }
-            for l in (0..L).filter(|l| group + l <= end) {
+            let alive = if is_last { rest..=end } else { group..=end };
+            for l in (0..L).filter(|l| alive.contains(&(group + l))) {
                 let holds = |v: Option<Value>, otherwise: bool| v.map_or(otherwise, |v| lanes[v.index()][l].truth());
                 if !holds(program.pixel_set.mask, true) {
                     continue;
@@ -302,16 +310,17 @@ fn run_lanes<T: Lane, const L: usize>(
                     plane[row * window.width + group + l] += lanes[value.index()][l].number().to_f64() as f32;
                 }
             }
-            // A lane that takes no part adds +0, which turns a sum of −0 into +0.
-            for sum in &mut sums {
-                *sum = sum.map(|s| s.add(T::from_f64(0.0)));
-            }
-            group += L;
         }
         outcome.pixels += used_in_row;
-        let row_total = |l: &[T; L]| match L {
-            4 => (l[0].to_f64() + l[1].to_f64()) + (l[2].to_f64() + l[3].to_f64()),
-            _ => l.iter().map(|x| x.to_f64()).reduce(|a, b| a + b).unwrap_or(0.0),
+        // The upper half of the lanes is added to the lower one until one is left.
+        let row_total = |lanes: &[T; L]| {
+            let mut sum = lanes.map(T::to_f64);
+            let mut half = L / 2;
+            while half > 0 {
+                (0..half).for_each(|l| sum[l] += sum[l + half]);
+                half /= 2;
+            }
+            sum[0]
         };
         let leaf = |op: Op| match op {
             Op::RowTotal(a) => Some(row_total(&sums[a.index()])),

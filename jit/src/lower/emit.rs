@@ -32,6 +32,9 @@ pub(super) mod arg {
     pub const SATURATED: i32 = offset_of!(Args, saturated) as i32;
 }
 
+/// Added to an f64 below 2⁵¹ it leaves the nearest integer in the low bits.
+pub(super) const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
+
 pub(super) struct Emitter<'a, 'p> {
     pub b: FunctionBuilder<'a>,
     pub plan: &'p Plan<'p>,
@@ -216,6 +219,16 @@ impl<'a, 'p> Emitter<'a, 'p> {
         let signature = self.b.import_signature(signature);
         self.signatures[form as usize] = Some(signature);
         signature
+    }
+
+    /// The integer nearest to an f64 below 2⁵¹, ties to even: as f64 and as integer. Nothing that could trap.
+    pub fn nearest(&mut self, x: ir::Value) -> (ir::Value, ir::Value) {
+        let magic = self.b.ins().f64const(MAGIC);
+        let shifted = self.b.ins().fadd(x, magic);
+        let bits = self.b.ins().bitcast(types::I64, MemFlagsData::new(), shifted);
+        let integer = self.b.ins().ireduce(types::I32, bits);
+        let integer = self.b.ins().sextend(types::I64, integer);
+        (self.b.ins().fsub(shifted, magic), integer)
     }
 
     /// The same bits as another vector type.

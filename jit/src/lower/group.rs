@@ -1,14 +1,13 @@
 //! The pixel level: one group of lanes.
 
 use cranelift_codegen::ir::condcodes::IntCC;
-use cranelift_codegen::ir::{self, InstBuilder, types};
+use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
 use isophote_symbolic::{Level, Op, PixelSet, Precision, Sink, Value};
 
-use super::Row;
-use super::emit::{Emitter, Form};
-use super::load::Reach;
+use super::emit::{Emitter, Form, arg};
 use super::running::{Running, vector};
 use super::scalar::condition;
+use super::{Row, with};
 use crate::abi::Functions;
 
 /// One group while it is emitted.
@@ -16,37 +15,59 @@ pub(super) struct Group<'e, 'a, 'p> {
     emit: &'e mut Emitter<'a, 'p>,
     /// The group's first pixel, relative to the window.
     first: ir::Value,
-    /// Truth values of the lanes that are not beyond the row's end; `None`: all are alive.
-    live: Option<ir::Value>,
-    reach: Reach,
+    kind: Kind,
+}
+
+/// Which lanes of a group take part.
+enum Kind {
+    /// All; where the pixel set leaves one out, the block takes over, with the pixel and the state.
+    Full { otherwise: Block, pixel: ir::Value },
+    /// Those of the row that the pixel set does not leave out.
+    Partial {
+        /// Truth values of the lanes that belong to the group.
+        live: ir::Value,
+        /// What the offsets lack, because the group begins left of its first pixel.
+        shift: ir::Value,
+    },
 }
 
 impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
-    /// A group of live lanes that starts at pixel `first`.
-    pub fn full(emit: &'e mut Emitter<'a, 'p>, first: ir::Value) -> Self {
-        Group { emit, first, live: None, reach: Reach::Full }
+    /// The group of all pixels from `first` on; `otherwise` has the same parameters as this block.
+    pub fn full(emit: &'e mut Emitter<'a, 'p>, first: ir::Value, otherwise: Block) -> Self {
+        Group { emit, first, kind: Kind::Full { otherwise, pixel: first } }
     }
 
-    /// The row's last group, which has at least one live and one dead lane.
-    pub fn tail(emit: &'e mut Emitter<'a, 'p>, row: Row) -> Self {
+    /// The pixels from `pixel` on, as far as the row goes. Begins so far left that it ends inside of the window.
+    pub fn partial(emit: &'e mut Emitter<'a, 'p>, pixel: ir::Value, row: Row) -> Self {
         let lanes = emit.lanes();
-        let left = emit.b.ins().isub(row.end, row.rest);
-        let last = emit.truth.lane_type();
-        let left_lane = if last == types::I64 { left } else { emit.b.ins().ireduce(last, left) };
-        let left_lanes = emit.b.ins().splat(emit.truth, left_lane);
+        let width = emit.arg(types::I64, arg::WIDTH);
+        let lane_count = emit.integer(lanes as i64);
+        let pitch = emit.b.ins().smax(width, lane_count);
+        let furthest = emit.b.ins().iadd_imm_s(pitch, -(lanes as i64));
+        let first = emit.b.ins().smin(pixel, furthest);
+        let shift = emit.b.ins().isub(first, pixel);
+        let ahead = emit.b.ins().isub(row.end, first);
+
         let bytes: Vec<u8> = match emit.options.precision {
             Precision::F32 => (0..4_i32).flat_map(i32::to_le_bytes).collect(),
             Precision::F64 => (0..2_i64).flat_map(i64::to_le_bytes).collect(),
         };
         let constant = emit.b.func.dfg.constants.insert(bytes.into());
         let steps = emit.b.ins().vconst(emit.truth, constant);
-        let live = emit.b.ins().icmp(IntCC::SignedGreaterThanOrEqual, left_lanes, steps);
-        let clamped = (0..lanes).map(|lane| {
-            let at = emit.b.ins().iadd_imm_s(row.rest, lane as i64);
-            emit.b.ins().smin(at, row.end)
-        });
-        let reach = Reach::Clamped(clamped.collect());
-        Group { emit, first: row.rest, live: Some(live), reach }
+        let ahead = spread(emit, ahead);
+        let reached = emit.b.ins().icmp(IntCC::SignedGreaterThanOrEqual, ahead, steps);
+        // −shift ≤ lane, that is 0 ≤ lane + shift.
+        let lanes_shift = spread(emit, shift);
+        let place = emit.b.ins().iadd(steps, lanes_shift);
+        let minus_one = emit.b.ins().iconst(types::I64, -1);
+        let minus_one = spread(emit, minus_one);
+        let begun = emit.b.ins().icmp(IntCC::SignedGreaterThan, place, minus_one);
+        let live = emit.b.ins().band(reached, begun);
+
+        let shift = emit.b.ins().fcvt_from_sint(types::F64, shift);
+        let shift = emit.rounded(shift);
+        let shift = emit.b.ins().splat(emit.number, shift);
+        Group { emit, first, kind: Kind::Partial { live, shift } }
     }
 
     /// Emits the group: pixel set, then every value, which is summed as soon as it is there.
@@ -55,9 +76,10 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let PixelSet { mask, saturated, .. } = *plan.program.pixel_set();
         let roots: Vec<Value> = mask.into_iter().chain(saturated).collect();
         let decided = roots.iter().filter_map(|root| plan.pixels.iter().position(|v| v == root)).max();
+        let before = state.clone();
         let mut used = None;
         if decided.is_none() {
-            used = self.decide(&mut state);
+            used = self.decide(&before, &mut state);
             self.sink(None, used, &mut state);
         }
         let mut running = 0;
@@ -75,7 +97,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
             match decided {
                 Some(last) if at < last => {}
                 Some(last) if at == last => {
-                    used = self.decide(&mut state);
+                    used = self.decide(&before, &mut state);
                     self.sink(None, used, &mut state);
                     plan.pixels[..=at].iter().for_each(|v| self.sink(Some(*v), used, &mut state));
                 }
@@ -89,7 +111,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     fn step(&mut self, running: ir::Value, value: Value) -> (ir::Value, ir::Value) {
         let lanes = self.emit.lanes() as f64;
         let fraction = self.operand_held(value);
-        let result = self.emit.b.ins().fadd(running, fraction);
+        let here = match self.kind {
+            Kind::Full { .. } => running,
+            Kind::Partial { shift, .. } => self.emit.b.ins().fadd(running, shift),
+        };
+        let result = self.emit.b.ins().fadd(here, fraction);
         let step = vector(self.emit, |_| lanes);
         (result, self.emit.b.ins().fadd(running, step))
     }
@@ -120,7 +146,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
 
     fn op(&mut self, op: Op) -> ir::Value {
         if let Op::Channel(channel) = op {
-            return self.emit.channel(channel.index(), self.first, &self.reach);
+            return self.emit.channel(channel.index(), self.first);
         }
         let operands: Vec<ir::Value> = op.operands().map(|v| self.operand(v)).collect();
         let at = |i: usize| operands[i];
@@ -160,27 +186,32 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         emit.load(emit.number, slots[0])
     }
 
-    /// The lanes that take part, as a vector like the numbers, and both counts; `None`: all lanes take part.
-    fn decide(&mut self, state: &mut Running) -> Option<ir::Value> {
+    /// The lanes that take part, as a vector like the numbers; `None`: all. `before` is the state that the block began with.
+    fn decide(&mut self, before: &Running, state: &mut Running) -> Option<ir::Value> {
         let PixelSet { mask, saturated, .. } = *self.emit.plan.program.pixel_set();
-        let mut used = self.live;
-        if let Some(mask) = mask {
-            let mask = self.operand(mask);
-            used = Some(used.map_or(mask, |used| self.emit.b.ins().band(used, mask)));
+        let mask = mask.map(|mask| self.operand(mask));
+        let over = saturated.map(|saturated| self.operand(saturated));
+        match self.kind {
+            Kind::Full { otherwise, pixel } => {
+                if mask.is_some() || over.is_some() {
+                    self.leave(mask, over, otherwise, &with(pixel, &before.values()));
+                }
+                None
+            }
+            Kind::Partial { live, .. } => {
+                let in_set = mask.map_or(live, |mask| self.emit.b.ins().band(live, mask));
+                let used = over.map_or(in_set, |over| self.emit.b.ins().band_not(in_set, over));
+                if let Some(count) = state.unused {
+                    let unused = self.emit.b.ins().band_not(live, used);
+                    state.unused = Some(self.add_count(count, unused));
+                }
+                if let (Some(count), Some(over)) = (state.saturated, over) {
+                    let dropped = self.emit.b.ins().band(in_set, over);
+                    state.saturated = Some(self.add_count(count, dropped));
+                }
+                Some(self.emit.cast(self.emit.number, used))
+            }
         }
-        if let Some(saturated) = saturated {
-            let over = self.operand(saturated);
-            let dropped = used.map_or(over, |used| self.emit.b.ins().band(used, over));
-            state.saturated = state.saturated.map(|count| self.add_count(count, dropped));
-            used = Some(match used {
-                Some(used) => self.emit.b.ins().band_not(used, over),
-                None => self.emit.b.ins().bnot(over),
-            });
-        }
-        if let Some(used) = used {
-            state.used = state.used.map(|count| self.add_count(count, used));
-        }
-        used.map(|used| self.emit.cast(self.emit.number, used))
     }
 
     /// `count` plus the lanes that hold.
@@ -189,6 +220,21 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let lanes = self.emit.b.ins().popcnt(bits);
         let lanes = self.emit.b.ins().uextend(types::I64, lanes);
         self.emit.b.ins().iadd(count, lanes)
+    }
+
+    /// Goes on only if every lane is in the set and none is saturated; else `otherwise` takes the group over.
+    fn leave(&mut self, mask: Option<ir::Value>, over: Option<ir::Value>, otherwise: Block, arguments: &[BlockArg]) {
+        let emit = &mut *self.emit;
+        let all = (1_i64 << emit.lanes()) - 1;
+        let (lanes, expected) = match (mask, over) {
+            (Some(mask), Some(over)) => (emit.b.ins().band_not(mask, over), all),
+            (Some(mask), None) => (mask, all),
+            (None, Some(over)) => (over, 0),
+            (None, None) => return,
+        };
+        let bits = emit.b.ins().vhigh_bits(types::I32, lanes);
+        let whole = emit.b.ins().icmp_imm_s(IntCC::Equal, bits, expected);
+        emit.go_on_if(whole, otherwise, arguments);
     }
 
     /// Sums, or writes, what `value` is wanted for; `None` stands for every value of the pass or the row.
@@ -206,7 +252,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
             }
             Sink::Plane(v) if meant(v) => {
                 let value = self.operand(*v);
-                self.emit.write(value, used, self.first, &self.reach);
+                self.emit.write(value, used, self.first);
             }
             Sink::Plane(_) => {}
         }
@@ -228,4 +274,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
             }
         }
     }
+}
+
+/// A small integer in every lane of truth values' type.
+fn spread(emit: &mut Emitter<'_, '_>, number: ir::Value) -> ir::Value {
+    let lane = emit.truth.lane_type();
+    let number = if lane == types::I64 { number } else { emit.b.ins().ireduce(lane, number) };
+    emit.b.ins().splat(emit.truth, number)
 }

@@ -8,14 +8,6 @@ use super::emit::{Emitter, PIXELS, arg};
 use crate::abi::PlaneArgs;
 use crate::plane::PixelFormat;
 
-/// Which pixels the lanes of a group are.
-pub(super) enum Reach {
-    /// Neighbours.
-    Full,
-    /// These pixels of the row, one a lane; dead lanes repeat the row's last.
-    Clamped(Vec<ir::Value>),
-}
-
 impl Emitter<'_, '_> {
     /// Computes what the loop needs of a row: the address of the first pixel of each plane that is read, its pixel stride,
     /// and the row of the output plane. `at` is y, z, w as far as the program has them, relative to the window; `row` how
@@ -47,41 +39,31 @@ impl Emitter<'_, '_> {
         if let Sink::Plane(_) = program.sink() {
             let target = self.arg(types::I64, arg::TARGET);
             let width = self.arg(types::I64, arg::WIDTH);
-            let pixels = self.b.ins().imul(row, width);
+            let lanes = self.integer(self.lanes() as i64);
+            let pitch = self.b.ins().smax(width, lanes);
+            let pixels = self.b.ins().imul(row, pitch);
             let down = self.b.ins().ishl_imm_s(pixels, 2);
             self.target = Some(self.b.ins().iadd(target, down));
         }
     }
 
-    /// The lanes of a raw plane in the lane type.
-    pub fn channel(&mut self, channel: usize, first: ir::Value, reach: &Reach) -> ir::Value {
+    /// The lanes of a raw plane in the lane type, from pixel `first` of the row on.
+    pub fn channel(&mut self, channel: usize, first: ir::Value) -> ir::Value {
         let Some((row, stride)) = self.rows[channel] else { unreachable!("open_row comes first") };
         let format = self.options.formats[channel];
-        if let (Reach::Full, true) = (reach, self.options.packed) {
+        if self.options.packed {
             let bytes = format.bytes_per_pixel();
             let across = self.b.ins().ishl_imm_s(first, i64::from(bytes.trailing_zeros()));
             let address = self.b.ins().iadd(row, across);
             return self.packed(format, address);
         }
-        let addresses: Vec<ir::Value> = match reach {
-            Reach::Full => {
-                let across = self.b.ins().imul(first, stride);
-                let mut address = self.b.ins().iadd(row, across);
-                let mut all = vec![address];
-                for _ in 1..self.lanes() {
-                    address = self.b.ins().iadd(address, stride);
-                    all.push(address);
-                }
-                all
-            }
-            Reach::Clamped(pixels) => pixels
-                .iter()
-                .map(|pixel| {
-                    let across = self.b.ins().imul(*pixel, stride);
-                    self.b.ins().iadd(row, across)
-                })
-                .collect(),
-        };
+        let across = self.b.ins().imul(first, stride);
+        let mut address = self.b.ins().iadd(row, across);
+        let mut addresses = vec![address];
+        for _ in 1..self.lanes() {
+            address = self.b.ins().iadd(address, stride);
+            addresses.push(address);
+        }
         self.gathered(format, &addresses)
     }
 
@@ -183,6 +165,15 @@ impl Emitter<'_, '_> {
     /// The low two f32 of each.
     fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
         let bytes: Vec<u8> = (0..8).chain(16..24).collect();
+        self.shuffled(low, high, bytes)
+    }
+
+    /// The high two f32 in the place of the low ones.
+    pub fn upper(&mut self, lanes: ir::Value) -> ir::Value {
+        self.shuffled(lanes, lanes, (8..16).chain(8..16).collect())
+    }
+
+    fn shuffled(&mut self, low: ir::Value, high: ir::Value, bytes: Vec<u8>) -> ir::Value {
         let mask = self.b.func.dfg.immediates.push(bytes.into());
         let low = self.cast(types::I8X16, low);
         let high = self.cast(types::I8X16, high);
@@ -190,15 +181,12 @@ impl Emitter<'_, '_> {
         self.cast(types::F32X4, both)
     }
 
-    /// Adds the group's values, as f32, to the output plane where `used` holds.
-    pub fn write(&mut self, value: ir::Value, used: Option<ir::Value>, first: ir::Value, reach: &Reach) {
+    /// Adds the values of the group at pixel `first`, as f32, to the output plane where `used` holds.
+    pub fn write(&mut self, value: ir::Value, used: Option<ir::Value>, first: ir::Value) {
         let Some(target) = self.target else { unreachable!("open_row comes first") };
-        let address_of = |emit: &mut Self, x: ir::Value| {
-            let across = emit.b.ins().ishl_imm_s(x, 2);
-            emit.b.ins().iadd(target, across)
-        };
-        if let (Reach::Full, Precision::F32) = (reach, self.options.precision) {
-            let at = address_of(self, first);
+        let across = self.b.ins().ishl_imm_s(first, 2);
+        let at = self.b.ins().iadd(target, across);
+        if self.options.precision == Precision::F32 {
             let old = self.b.ins().load(types::F32X4, PIXELS, at, 0);
             let mut new = self.b.ins().fadd(old, value);
             if let Some(used) = used {
@@ -209,23 +197,16 @@ impl Emitter<'_, '_> {
         }
         let used = used.map(|used| self.cast(self.truth, used));
         for lane in 0..self.lanes() {
-            let x = match reach {
-                Reach::Full => self.b.ins().iadd_imm_s(first, lane as i64),
-                Reach::Clamped(pixels) => pixels[lane],
-            };
-            let at = address_of(self, x);
+            let place = 4 * lane as i32;
             let term = self.b.ins().extractlane(value, lane as u8);
-            let term = match self.options.precision {
-                Precision::F32 => term,
-                Precision::F64 => self.b.ins().fdemote(types::F32, term),
-            };
-            let old = self.b.ins().load(types::F32, PIXELS, at, 0);
+            let term = self.b.ins().fdemote(types::F32, term);
+            let old = self.b.ins().load(types::F32, PIXELS, at, place);
             let mut new = self.b.ins().fadd(old, term);
             if let Some(used) = used {
                 let holds = self.b.ins().extractlane(used, lane as u8);
                 new = self.b.ins().select(holds, new, old);
             }
-            self.b.ins().store(PIXELS, new, at, 0);
+            self.b.ins().store(PIXELS, new, at, place);
         }
     }
 }

@@ -3,11 +3,13 @@
 //! What comes in: a [`Plan`] and how the pixels are stored. What goes out: one function of one argument, the address of
 //! [`Args`]. Blocks, in the order of execution:
 //! ```text
-//! entry ─► row_head ─► row ─► begin ─► loop ⟲ ─► rest? ─► tail ─► row_end ─► row_head … ─► pass_end
-//!                       └── outside the domain ──────────────────────────────────┘
+//! entry ─► row_head ─► row ─► full ⟲ ─► partial ─► row_end ─► row_head … ─► pass_end
+//!                       │       └──────◄──┘ (where a pixel was left out)   │
+//!                       └── outside the domain ────────────────────────────┘
 //! ```
-//! `loop` takes full groups of lanes; `tail` takes the last pixels of a row, with the dead lanes reading the row's last
-//! pixel again.
+//! `full` takes groups all of whose pixels take part. `partial` takes the others: the last group of a row, always, and
+//! those where the pixel set leaves a pixel out, after which the loop goes on. The last group ends at the window's
+//! edge at the latest, so that every group reads its pixels at once and inside of the window.
 
 mod emit;
 mod group;
@@ -53,13 +55,13 @@ const FIRST: [i32; 3] = [arg::Y, arg::Z, arg::W];
 /// … and how far it goes.
 const COUNT: [i32; 3] = [arg::HEIGHT, arg::DEPTH, arg::LENGTH];
 
-/// A row while it is worked on.
+/// A row while it is worked on; numbers of pixels, relative to the window.
 #[derive(Clone, Copy)]
 struct Row {
-    /// First and last pixel, relative to the window.
+    /// The first and the last pixel.
     start: ir::Value,
     end: ir::Value,
-    /// The first pixel that is left over when full groups are done.
+    /// The first pixel of the last group.
     rest: ir::Value,
 }
 
@@ -77,6 +79,7 @@ impl Nest<'_, '_> {
             self.emit.store(zero, *slot);
         }
         self.emit.level(Level::Pass);
+        self.columns();
         let zero = self.emit.integer(0);
         let outer = self.emit.plan.program.coordinates().clamp(2, 4) - 1;
         // A picture's y counts its rows as well; a stack needs a counter beside y, z, w.
@@ -113,6 +116,21 @@ impl Nest<'_, '_> {
         self.emit.b.finalize(frontend);
     }
 
+    /// Puts the first and the last column of the window into the record, as f64.
+    fn columns(&mut self) {
+        if self.emit.plan.program.pixel_set().bounds.is_none() {
+            return;
+        }
+        let first = self.emit.arg(types::I64, arg::X);
+        let width = self.emit.arg(types::I64, arg::WIDTH);
+        let last = self.emit.b.ins().iadd(first, width);
+        let last = self.emit.b.ins().iadd_imm_s(last, -1);
+        for (column, slot) in [first, last].into_iter().zip(self.emit.plan.columns) {
+            let column = self.emit.b.ins().fcvt_from_sint(types::F64, column);
+            self.emit.store(column, slot);
+        }
+    }
+
     /// The numbers of the row that follows: y counts up, and each coordinate that has come to its end begins again and
     /// moves the next one on.
     fn after(&mut self, place: &Place) -> Vec<ir::Value> {
@@ -142,77 +160,79 @@ impl Nest<'_, '_> {
         }
         self.emit.level(Level::Row);
         let (start, end) = self.range(next, [pixels, saturated]);
-
         let lanes = self.emit.lanes() as i64;
-        let count = self.emit.b.ins().isub(end, start);
-        let count = self.emit.b.ins().iadd_imm_s(count, 1);
-        let full = self.emit.b.ins().band_imm_s(count, -lanes);
+        let distance = self.emit.b.ins().isub(end, start);
+        let full = self.emit.b.ins().band_imm_s(distance, -lanes);
         let rest = self.emit.b.ins().iadd(start, full);
         let row = Row { start, end, rest };
 
         self.emit.hold();
         self.emit.open_row(&place.at, place.row);
         let before = Running::start(&mut self.emit, row);
-        let (body, after, tail, row_end) = (
-            self.emit.b.create_block(),
-            self.emit.b.create_block(),
-            self.emit.b.create_block(),
-            self.emit.b.create_block(),
-        );
-        let any = self.emit.b.ins().icmp(IntCC::SignedLessThan, start, rest);
-        let values = before.values();
-        self.emit.b.ins().brif(any, body, &with(start, &values), after, &values);
+        let [body, partial, row_end] = std::array::from_fn(|_| self.emit.b.create_block());
+        self.groups(row, start, &before, [body, partial]);
 
         let i = self.emit.b.append_block_param(body, types::I64);
         let state = before.parameters(&mut self.emit, body);
         self.emit.b.switch_to_block(body);
-        let state = Group::full(&mut self.emit, i).run(state);
+        let state = Group::full(&mut self.emit, i, partial).run(state);
         let i = self.emit.b.ins().iadd_imm_s(i, lanes);
-        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, i, rest);
-        let values = state.values();
-        self.emit.b.ins().brif(more, body, &with(i, &values), after, &values);
+        self.groups(row, i, &state, [body, partial]);
 
-        let state = before.parameters(&mut self.emit, after);
+        let i = self.emit.b.append_block_param(partial, types::I64);
+        let state = before.parameters(&mut self.emit, partial);
         let done = before.parameters(&mut self.emit, row_end);
-        self.emit.b.switch_to_block(after);
-        let left = self.emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, rest, end);
-        self.emit.b.ins().brif(left, tail, &[], row_end, &state.values());
-
-        self.emit.b.switch_to_block(tail);
-        let state = Group::tail(&mut self.emit, row).run(state);
-        self.emit.b.ins().jump(row_end, &state.values());
+        self.emit.b.switch_to_block(partial);
+        let goes_on = self.emit.plan.is_masked();
+        let state = Group::partial(&mut self.emit, i, row).run(state);
+        if goes_on {
+            let again = self.emit.b.create_block();
+            let last = self.emit.b.ins().icmp(IntCC::SignedGreaterThanOrEqual, i, rest);
+            self.emit.b.ins().brif(last, row_end, &state.values(), again, &[]);
+            self.emit.b.switch_to_block(again);
+            let i = self.emit.b.ins().iadd_imm_s(i, lanes);
+            self.groups(row, i, &state, [body, partial]);
+        } else {
+            self.emit.b.ins().jump(row_end, &state.values());
+        }
 
         self.emit.b.switch_to_block(row_end);
-        let (used, dropped) = done.counts(count);
+        let count = self.emit.b.ins().iadd_imm_s(distance, 1);
+        let used = match done.unused {
+            Some(unused) => self.emit.b.ins().isub(count, unused),
+            None => count,
+        };
         self.emit.count = Some(used);
         self.emit.sums = done.sums.clone();
         self.emit.level(Level::RowEnd);
         let pixels = self.emit.b.ins().iadd(pixels, used);
-        let saturated = match dropped {
+        let saturated = match done.saturated {
             Some(dropped) => self.emit.b.ins().iadd(saturated, dropped),
             None => saturated,
         };
         self.emit.b.ins().jump(next, &[pixels.into(), saturated.into()]);
     }
 
+    /// Goes on with the group at pixel `i`: as a full one where it is not the row's last.
+    fn groups(&mut self, row: Row, i: ir::Value, state: &Running, [full, partial]: [Block; 2]) {
+        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, i, row.rest);
+        let values = with(i, &state.values());
+        self.emit.b.ins().brif(more, full, &values, partial, &values);
+    }
+
     /// First and last pixel of the row; jumps to `next` when there is none. The order of comparisons is the
-    /// interpreter's, so that NaN and infinities end the same way; conversions saturate, so that nothing traps.
+    /// interpreter's, so that NaN and infinities end the same way.
     fn range(&mut self, next: Block, counts: [ir::Value; 2]) -> (ir::Value, ir::Value) {
         let emit = &mut self.emit;
-        let width = emit.arg(types::I64, arg::WIDTH);
         let Some((lo, hi)) = emit.plan.program.pixel_set().bounds else {
+            let width = emit.arg(types::I64, arg::WIDTH);
             let zero = emit.integer(0);
             let last = emit.b.ins().iadd_imm_s(width, -1);
             return (zero, last);
         };
         let counts: [BlockArg; 2] = counts.map(BlockArg::from);
         let (lo, hi) = (emit.scalar(lo, Level::Row), emit.scalar(hi, Level::Row));
-        let x = emit.arg(types::I64, arg::X);
-        let first = emit.b.ins().fcvt_from_sint(types::F64, x);
-        let last = emit.b.ins().iadd(x, width);
-        let last = emit.b.ins().iadd_imm_s(last, -1);
-        let last = emit.b.ins().fcvt_from_sint(types::F64, last);
-
+        let [first, last] = emit.plan.columns.map(|slot| emit.load(types::F64, slot));
         let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
         emit.go_on_if(ordered, next, &counts);
         let inside = emit.b.ins().fcmp(FloatCC::GreaterThan, lo, first);
@@ -222,14 +242,17 @@ impl Nest<'_, '_> {
         let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
         emit.go_on_if(ordered, next, &counts);
 
+        // Both are inside of the window now: distances below 2³¹, which the addition of 1.5 · 2⁵² rounds to integers.
         let distance = emit.b.ins().fsub(lo, first);
-        let start = emit.b.ins().fcvt_to_sint_sat(types::I64, distance);
-        let floor = emit.b.ins().fcvt_from_sint(types::F64, start);
-        let above = emit.b.ins().fcmp(FloatCC::LessThan, floor, distance);
-        let above = emit.b.ins().uextend(types::I64, above);
-        let start = emit.b.ins().iadd(start, above);
+        let (near, start) = emit.nearest(distance);
+        let short = emit.b.ins().fcmp(FloatCC::LessThan, near, distance);
+        let short = emit.b.ins().uextend(types::I64, short);
+        let start = emit.b.ins().iadd(start, short);
         let distance = emit.b.ins().fsub(hi, first);
-        let end = emit.b.ins().fcvt_to_sint_sat(types::I64, distance);
+        let (near, end) = emit.nearest(distance);
+        let over = emit.b.ins().fcmp(FloatCC::GreaterThan, near, distance);
+        let over = emit.b.ins().uextend(types::I64, over);
+        let end = emit.b.ins().isub(end, over);
         let any = emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, start, end);
         emit.go_on_if(any, next, &counts);
         (start, end)

@@ -4,7 +4,7 @@ use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
 use isophote_symbolic::{Level, Op, Precision, Value};
 
 use super::Row;
-use super::emit::{Emitter, arg};
+use super::emit::{Emitter, MAGIC, arg};
 
 /// What one group hands to the next.
 #[derive(Clone)]
@@ -13,8 +13,8 @@ pub(super) struct Running {
     pub offsets: Vec<ir::Value>,
     /// Accumulators that are held in registers, by number.
     pub sums: Vec<Option<ir::Value>>,
-    /// Pixels used and pixels left out as saturated, where they have to be counted.
-    pub used: Option<ir::Value>,
+    /// Pixels left out, and those of them that are saturated, where they have to be counted.
+    pub unused: Option<ir::Value>,
     pub saturated: Option<ir::Value>,
 }
 
@@ -41,14 +41,14 @@ impl Running {
             }
         }
         let mut counter = |wanted: bool| wanted.then(|| emit.integer(0));
-        let used = counter(plan.is_masked());
+        let unused = counter(plan.is_masked());
         let saturated = counter(plan.program.pixel_set().saturated.is_some());
-        Running { offsets, sums, used, saturated }
+        Running { offsets, sums, unused, saturated }
     }
 
     fn each(&self) -> impl Iterator<Item = ir::Value> {
         let sums = self.sums.iter().copied().flatten();
-        self.offsets.iter().copied().chain(sums).chain(self.used).chain(self.saturated)
+        self.offsets.iter().copied().chain(sums).chain(self.unused).chain(self.saturated)
     }
 
     /// As arguments of a jump.
@@ -60,25 +60,19 @@ impl Running {
     pub fn parameters(&self, emit: &mut Emitter<'_, '_>, block: Block) -> Running {
         let mut state = self.clone();
         let fields = state.offsets.iter_mut().chain(state.sums.iter_mut().flatten());
-        for field in fields.chain(&mut state.used).chain(&mut state.saturated) {
+        for field in fields.chain(&mut state.unused).chain(&mut state.saturated) {
             let kind = emit.b.func.dfg.value_type(*field);
             *field = emit.b.append_block_param(block, kind);
         }
         state
-    }
-
-    /// Pixels used in the row, which has `count`, and those left out as saturated.
-    pub fn counts(&self, count: ir::Value) -> (ir::Value, Option<ir::Value>) {
-        (self.used.unwrap_or(count), self.saturated)
     }
 }
 
 /// `Op::Offset` before the first group: the running vector and the fraction.
 fn offset(emit: &mut Emitter<'_, '_>, c: Value, first: ir::Value) -> (ir::Value, ir::Value) {
     let c = emit.scalar(c, Level::Row);
-    let magic = emit.b.ins().f64const(1.5 * (1_u64 << 52) as f64);
-    let negative = emit.b.ins().fneg(c);
-    let n = emit.b.ins().fadd(negative, magic);
+    let magic = emit.b.ins().f64const(MAGIC);
+    let n = emit.b.ins().fsub(magic, c);
     let n = emit.b.ins().fsub(n, magic);
     let distance = emit.b.ins().fsub(first, n);
     let distance = emit.rounded(distance);

@@ -121,27 +121,24 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    /// The lanes of an accumulator, summed in f64: ((l0 + l1) + (l2 + l3)) or (l0 + l1).
+    /// The lanes of an accumulator, summed in f64: (l0 + l2) + (l1 + l3), or l0 + l1.
     fn row_total(&mut self, accumulator: usize) -> ir::Value {
         let slot = self.plan.accumulators[accumulator].slot;
-        let held = self.sums[accumulator];
-        let bytes = self.lane().bytes() as i32;
-        let mut lanes: Vec<ir::Value> = (0..self.lanes())
-            .map(|lane| {
-                let value = match held {
-                    Some(vector) => self.b.ins().extractlane(vector, lane as u8),
-                    None => self.load(self.lane(), crate::plan::Slot(slot.0 + bytes * lane as i32)),
-                };
-                match self.options.precision {
-                    Precision::F32 => self.b.ins().fpromote(types::F64, value),
-                    Precision::F64 => value,
-                }
-            })
-            .collect();
-        while lanes.len() > 1 {
-            lanes = lanes.chunks(2).map(|pair| self.b.ins().fadd(pair[0], pair[1])).collect();
-        }
-        lanes[0]
+        let lanes = match self.sums[accumulator] {
+            Some(held) => held,
+            None => self.load(self.number, slot),
+        };
+        let sums = match self.options.precision {
+            Precision::F32 => {
+                let low = self.b.ins().fvpromote_low(lanes);
+                let high = self.upper(lanes);
+                let high = self.b.ins().fvpromote_low(high);
+                self.b.ins().fadd(low, high)
+            }
+            Precision::F64 => lanes,
+        };
+        let [low, high] = [0, 1].map(|lane| self.b.ins().extractlane(sums, lane));
+        self.b.ins().fadd(low, high)
     }
 
     /// If pixels read the value: rounds it to the lane type, once, and spreads it over the lanes.
