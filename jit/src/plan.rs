@@ -7,9 +7,34 @@
 
 use isophote_symbolic::{Instruction, Level, Op, PixelSet, Program, Sink, Value};
 
-/// A byte offset in the record.
+/// Which part of the record.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct Slot(pub i32);
+pub(crate) enum Area {
+    /// What a pass keeps.
+    Pass,
+    /// What a row keeps; there are two of it, because a row is prepared while the one before is worked on.
+    Row,
+}
+
+/// A place in the record: a byte offset in its area.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Slot {
+    pub area: Area,
+    pub offset: i32,
+}
+
+/// Where the pixel loop finds the inner coordinate plus a row value.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Offset {
+    /// The `Op::Offset`.
+    pub value: Value,
+    /// The row value that is added.
+    pub term: Value,
+    /// The vector of the row's first group.
+    pub first: Slot,
+    /// The vector that is added to it.
+    pub fraction: Slot,
+}
 
 /// A vector that the loop reads or adds to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -33,12 +58,20 @@ pub(crate) struct Plan<'a> {
     pub accumulators: Vec<Home>,
     /// The f64 of each total.
     pub totals: Vec<Slot>,
+    /// The offsets, in the order of `pixels`.
+    pub offsets: Vec<Offset>,
+    /// The first and the last pixel of a row, relative to the window.
+    pub range: [Slot; 2],
+    /// The first pixel of the window in a row of each plane that is read, by channel; of the output plane.
+    pub rows: Vec<Option<Slot>>,
+    pub target: Slot,
     /// The window's first and last column, as f64.
     pub columns: [Slot; 2],
     /// Two vectors through which elementary functions take lanes.
     pub operands: [Slot; 2],
-    /// Bytes of the record.
-    pub record_bytes: u32,
+    /// Bytes of each area.
+    pub pass_bytes: u32,
+    pub row_bytes: u32,
 }
 
 /// Vector registers of x64. Sums get what a group leaves free of them, then operands, the most read first: within
@@ -47,20 +80,33 @@ const REGISTERS: usize = 16;
 
 #[derive(Default)]
 struct Record {
-    bytes: u32,
+    pass_bytes: u32,
+    row_bytes: u32,
 }
 
 impl Record {
-    fn take(&mut self, bytes: u32) -> Slot {
-        let at = self.bytes.next_multiple_of(bytes);
-        self.bytes = at + bytes;
-        Slot(at as i32)
+    fn take(&mut self, area: Area, bytes: u32) -> Slot {
+        let end = match area {
+            Area::Pass => &mut self.pass_bytes,
+            Area::Row => &mut self.row_bytes,
+        };
+        let at = end.next_multiple_of(bytes);
+        *end = at + bytes;
+        Slot { area, offset: at as i32 }
     }
-    fn scalar(&mut self) -> Slot {
-        self.take(8)
+    fn scalar(&mut self, area: Area) -> Slot {
+        self.take(area, 8)
     }
-    fn vector(&mut self) -> Slot {
-        self.take(16)
+    fn vector(&mut self, area: Area) -> Slot {
+        self.take(area, 16)
+    }
+}
+
+/// Where a pass or row value is kept.
+fn area(level: Level) -> Area {
+    match level {
+        Level::Row => Area::Row,
+        _ => Area::Pass,
     }
 }
 
@@ -76,7 +122,7 @@ impl<'a> Plan<'a> {
             let Instruction { level, op, .. } = *program.instruction(value);
             let constant = matches!(op, Op::Const(_));
             if level != reader && !constant && scalars[value.index()].is_none() {
-                scalars[value.index()] = Some(record.scalar());
+                scalars[value.index()] = Some(record.scalar(area(level)));
             }
         }
 
@@ -96,25 +142,56 @@ impl<'a> Plan<'a> {
         let calls = pixels.iter().any(|v| matches!(program.instruction(*v).op, Op::Call1(..) | Op::Call2(..)));
         let busy = if calls { REGISTERS } else { busy_registers(program, &pixels) };
         let mut free = REGISTERS.saturating_sub(busy);
-        let mut settle = |record: &mut Record| {
+        let mut settle = |record: &mut Record, area: Area| {
             let register = free > 0;
             free = free.saturating_sub(1);
-            Home { slot: record.vector(), register }
+            Home { slot: record.vector(area), register }
         };
-        let accumulators: Vec<Home> = (0..sums).map(|_| settle(&mut record)).collect();
+        let accumulators: Vec<Home> = (0..sums).map(|_| settle(&mut record, Area::Pass)).collect();
         let mut splats = vec![None; count];
         let mut by_reads: Vec<usize> = (0..count).filter(|i| reads[*i] > 0).collect();
         by_reads.sort_by_key(|i| std::cmp::Reverse(reads[*i]));
-        by_reads.into_iter().for_each(|i| splats[i] = Some(settle(&mut record)));
+        for i in by_reads {
+            splats[i] = Some(settle(&mut record, area(program.instructions()[i].level)));
+        }
 
         let totals = match program.sink() {
-            Sink::Sums { totals, .. } => totals.iter().map(|_| record.scalar()).collect(),
+            Sink::Sums { totals, .. } => totals.iter().map(|_| record.scalar(Area::Pass)).collect(),
             Sink::Plane(_) => Vec::new(),
         };
-        let columns = [record.scalar(), record.scalar()];
-        let operands = [record.vector(), record.vector()];
-        let record_bytes = record.bytes;
-        Plan { program, pixels, scalars, splats, accumulators, totals, columns, operands, record_bytes }
+        let mut offsets = Vec::new();
+        let mut rows = vec![None; program.channels()];
+        for value in &pixels {
+            match program.instruction(*value).op {
+                Op::Offset(term) => {
+                    let [first, fraction] = [record.vector(Area::Row), record.vector(Area::Row)];
+                    offsets.push(Offset { value: *value, term, first, fraction });
+                }
+                Op::Channel(channel) => rows[channel.index()] = Some(record.scalar(Area::Row)),
+                _ => {}
+            }
+        }
+        let range = [record.scalar(Area::Row), record.scalar(Area::Row)];
+        let target = record.scalar(Area::Row);
+        let columns = [record.scalar(Area::Pass), record.scalar(Area::Pass)];
+        let operands = [record.vector(Area::Pass), record.vector(Area::Pass)];
+        let [pass_bytes, row_bytes] = [record.pass_bytes, record.row_bytes].map(|bytes| bytes.next_multiple_of(16));
+        Plan {
+            program,
+            pixels,
+            scalars,
+            splats,
+            accumulators,
+            totals,
+            offsets,
+            range,
+            rows,
+            target,
+            columns,
+            operands,
+            pass_bytes,
+            row_bytes,
+        }
     }
 
     /// True when the program looks at each pixel before it takes it.

@@ -9,7 +9,7 @@ use cranelift_frontend::FunctionBuilder;
 use isophote_symbolic::{Level, Op, Precision, Value};
 
 use crate::kernel::KernelOptions;
-use crate::plan::{Plan, Slot};
+use crate::plan::{Area, Plan, Slot};
 
 /// Byte offsets of [`crate::abi::Args`].
 pub(super) mod arg {
@@ -52,10 +52,12 @@ pub(super) struct Emitter<'a, 'p> {
     pub count: Option<ir::Value>,
     /// Accumulators at the end of the row; `None` where the record has it.
     pub sums: Vec<Option<ir::Value>>,
-    /// Of the row, by channel: the window's first pixel and the pixel stride.
+    /// Of the row, by channel: the window's first pixel and, where pixels have gaps, the pixel stride.
     pub rows: Vec<Option<(ir::Value, ir::Value)>>,
     /// The row of the output plane.
     pub target: Option<ir::Value>,
+    /// The addresses of the row areas: of the row that is worked on, and of the one that is prepared.
+    pub areas: Option<[ir::Value; 2]>,
     record: StackSlot,
     /// The addresses of the record and of the argument block.
     bases: Option<[ir::Value; 2]>,
@@ -75,7 +77,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
         options: &'p KernelOptions,
         isa: &dyn TargetIsa,
     ) -> Self {
-        let slot = StackSlotData::new(StackSlotKind::ExplicitSlot, plan.record_bytes, 4);
+        let slot = StackSlotData::new(StackSlotKind::ExplicitSlot, plan.pass_bytes + 2 * plan.row_bytes, 4);
         let record = b.create_sized_stack_slot(slot);
         let (number, truth) = match options.precision {
             Precision::F32 => (types::F32X4, types::I32X4),
@@ -95,6 +97,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
             sums: Vec::new(),
             rows: vec![None; plan.program.channels()],
             target: None,
+            areas: None,
             record,
             bases: None,
             frontend: isa.frontend_config(),
@@ -113,11 +116,6 @@ impl<'a, 'p> Emitter<'a, 'p> {
 
     pub fn lanes(&self) -> usize {
         self.options.precision.lanes()
-    }
-
-    /// The type of one lane.
-    pub fn lane(&self) -> ir::Type {
-        self.number.lane_type()
     }
 
     pub fn integer(&mut self, value: i64) -> ir::Value {
@@ -146,20 +144,36 @@ impl<'a, 'p> Emitter<'a, 'p> {
         self.b.ins().store(RECORD, value, args, offset);
     }
 
-    pub fn address(&mut self, slot: Slot) -> ir::Value {
+    /// The addresses of the two row areas.
+    pub fn row_areas(&mut self) -> [ir::Value; 2] {
         let [record, _] = self.bases();
-        self.b.ins().iadd_imm_s(record, i64::from(slot.0))
+        let [first, second] = [0, 1].map(|n| i64::from(self.plan.pass_bytes + n * self.plan.row_bytes));
+        [self.b.ins().iadd_imm_s(record, first), self.b.ins().iadd_imm_s(record, second)]
+    }
+
+    /// The address to read a slot at, or to write it at.
+    fn base(&self, slot: Slot, access: Access) -> ir::Value {
+        match (slot.area, self.areas) {
+            (Area::Pass, _) => self.bases()[0],
+            (Area::Row, Some(areas)) => areas[access as usize],
+            (Area::Row, None) => unreachable!("rows come after `row_areas`"),
+        }
+    }
+
+    pub fn address(&mut self, slot: Slot) -> ir::Value {
+        let base = self.base(slot, Access::Read);
+        self.b.ins().iadd_imm_s(base, i64::from(slot.offset))
     }
 
     /// Reads the record. Emitted right before its reader the load becomes that instruction's memory operand.
     pub fn load(&mut self, kind: ir::Type, slot: Slot) -> ir::Value {
-        let [record, _] = self.bases();
-        self.b.ins().load(kind, RECORD, record, slot.0)
+        let base = self.base(slot, Access::Read);
+        self.b.ins().load(kind, RECORD, base, slot.offset)
     }
 
     pub fn store(&mut self, value: ir::Value, slot: Slot) {
-        let [record, _] = self.bases();
-        self.b.ins().store(RECORD, value, record, slot.0);
+        let base = self.base(slot, Access::Write);
+        self.b.ins().store(RECORD, value, base, slot.offset);
     }
 
     /// Goes on in a new block if `condition` holds, else jumps to `otherwise`.
@@ -172,7 +186,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
     /// A pass, row, row-end or pass-end value as f64 (or a truth value), read by `level`.
     pub fn scalar(&mut self, value: Value, level: Level) -> ir::Value {
         if let Op::Const(number) = self.plan.program.instruction(value).op {
-            return self.b.ins().f64const(number);
+            return self.constant(number);
         }
         if self.plan.program.instruction(value).level == level
             && let Some(result) = self.results[value.index()]
@@ -184,6 +198,14 @@ impl<'a, 'p> Emitter<'a, 'p> {
             Some(slot) => self.load(kind, slot),
             None => unreachable!("the plan gives a slot to every value that crosses levels"),
         }
+    }
+
+    /// A number from the constants behind the code, which costs one load; as an immediate it would take two instructions.
+    pub fn constant(&mut self, number: f64) -> ir::Value {
+        let bytes: Vec<u8> = [number; 2].iter().flat_map(|n| n.to_le_bytes()).collect();
+        let constant = self.b.func.dfg.constants.insert(bytes.into());
+        let pair = self.b.ins().vconst(types::F64X2, constant);
+        self.b.ins().extractlane(pair, 0)
     }
 
     /// The instructions of a level with their values.
@@ -223,7 +245,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
 
     /// The integer nearest to an f64 below 2⁵¹, ties to even: as f64 and as integer. Nothing that could trap.
     pub fn nearest(&mut self, x: ir::Value) -> (ir::Value, ir::Value) {
-        let magic = self.b.ins().f64const(MAGIC);
+        let magic = self.constant(MAGIC);
         let shifted = self.b.ins().fadd(x, magic);
         let bits = self.b.ins().bitcast(types::I64, MemFlagsData::new(), shifted);
         let integer = self.b.ins().ireduce(types::I32, bits);
@@ -238,6 +260,13 @@ impl<'a, 'p> Emitter<'a, 'p> {
         }
         self.b.ins().bitcast(kind, MemFlagsData::new().with_endianness(Endianness::Little), value)
     }
+}
+
+/// Rows are read in the area of the row that is worked on, and written in the area of the one that is prepared.
+#[derive(Clone, Copy)]
+enum Access {
+    Read,
+    Write,
 }
 
 /// How an elementary function is called, see [`crate::abi::Functions`].

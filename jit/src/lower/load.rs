@@ -1,7 +1,7 @@
 //! Reading raw planes, and adding to the output plane.
 
 use cranelift_codegen::ir::{self, InstBuilder, types};
-use isophote_symbolic::{Op, Precision, Sink};
+use isophote_symbolic::{Precision, Sink};
 use std::mem::offset_of;
 
 use super::emit::{Emitter, PIXELS, arg};
@@ -9,41 +9,53 @@ use crate::abi::PlaneArgs;
 use crate::plane::PixelFormat;
 
 impl Emitter<'_, '_> {
-    /// Computes what the loop needs of a row: the address of the first pixel of each plane that is read, its pixel stride,
-    /// and the row of the output plane. `at` is y, z, w as far as the program has them, relative to the window; `row` how
-    /// many rows came before.
-    pub fn open_row(&mut self, at: &[ir::Value], row: ir::Value) {
-        let program = self.plan.program;
-        let read = self.plan.pixels.iter().filter_map(|v| match program.instruction(*v).op {
-            Op::Channel(channel) => Some(channel.index()),
-            _ => None,
-        });
-        for channel in read {
+    /// Puts the addresses of the row that is prepared into the record: of the first pixel of each plane that is read, and
+    /// of the output plane's row. `at` is y, z, w as far as the program has them, relative to the window; `row` how many
+    /// rows came before.
+    pub fn prepare_row(&mut self, at: &[ir::Value], row: ir::Value) {
+        for (channel, slot) in self.plan.rows.iter().enumerate() {
+            let Some(slot) = slot else { continue };
             let planes = self.arg(types::I64, arg::PLANES);
-            let field = |offset: usize| (channel * size_of::<PlaneArgs>() + offset) as i32;
-            let base = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, first)));
+            let mut row = self.plane_field(planes, channel, offset_of!(PlaneArgs, first));
             let strides = [
                 offset_of!(PlaneArgs, row_stride),
                 offset_of!(PlaneArgs, slice_stride),
                 offset_of!(PlaneArgs, volume_stride),
             ];
-            let mut row = base;
             for (at, stride) in at.iter().zip(strides) {
-                let stride = self.b.ins().load(types::I64, PIXELS, planes, field(stride));
+                let stride = self.plane_field(planes, channel, stride);
                 let down = self.b.ins().imul(*at, stride);
                 row = self.b.ins().iadd(row, down);
             }
-            let stride = self.b.ins().load(types::I64, PIXELS, planes, field(offset_of!(PlaneArgs, pixel_stride)));
-            self.rows[channel] = Some((row, stride));
+            self.store(row, *slot);
         }
-        if let Sink::Plane(_) = program.sink() {
+        if let Sink::Plane(_) = self.plan.program.sink() {
             let target = self.arg(types::I64, arg::TARGET);
             let width = self.arg(types::I64, arg::WIDTH);
             let lanes = self.integer(self.lanes() as i64);
             let pitch = self.b.ins().smax(width, lanes);
             let pixels = self.b.ins().imul(row, pitch);
             let down = self.b.ins().ishl_imm_s(pixels, 2);
-            self.target = Some(self.b.ins().iadd(target, down));
+            let row = self.b.ins().iadd(target, down);
+            self.store(row, self.plan.target);
+        }
+    }
+
+    fn plane_field(&mut self, planes: ir::Value, channel: usize, offset: usize) -> ir::Value {
+        self.b.ins().load(types::I64, PIXELS, planes, (channel * size_of::<PlaneArgs>() + offset) as i32)
+    }
+
+    /// Fetches what [`Self::prepare_row`] left.
+    pub fn open_row(&mut self) {
+        for (channel, slot) in self.plan.rows.iter().enumerate() {
+            let Some(slot) = slot else { continue };
+            let row = self.load(types::I64, *slot);
+            let planes = self.arg(types::I64, arg::PLANES);
+            let stride = self.plane_field(planes, channel, offset_of!(PlaneArgs, pixel_stride));
+            self.rows[channel] = Some((row, stride));
+        }
+        if let Sink::Plane(_) = self.plan.program.sink() {
+            self.target = Some(self.load(types::I64, self.plan.target));
         }
     }
 

@@ -58,8 +58,7 @@ const COUNT: [i32; 3] = [arg::HEIGHT, arg::DEPTH, arg::LENGTH];
 /// A row while it is worked on; numbers of pixels, relative to the window.
 #[derive(Clone, Copy)]
 struct Row {
-    /// The first and the last pixel.
-    start: ir::Value,
+    /// The last pixel.
     end: ir::Value,
     /// The first pixel of the last group.
     rest: ir::Value,
@@ -74,35 +73,43 @@ impl Nest<'_, '_> {
         let blocks: [Block; 3] = std::array::from_fn(|_| self.emit.b.create_block());
         let [head, row, pass_end] = blocks;
         self.emit.enter();
-        let zero = self.emit.b.ins().f64const(0.0);
+        let zero = self.emit.constant(0.0);
         for slot in &self.emit.plan.totals {
             self.emit.store(zero, *slot);
         }
         self.emit.level(Level::Pass);
         self.columns();
-        let zero = self.emit.integer(0);
         let outer = self.emit.plan.program.coordinates().clamp(2, 4) - 1;
         // A picture's y counts its rows as well; a stack needs a counter beside y, z, w.
         let counters = if outer == 1 { 1 } else { outer + 1 };
-        self.emit.b.ins().jump(head, &vec![zero.into(); counters + 2]);
+        let [first, second] = self.emit.row_areas();
+        // The row before the first one has no pixels.
+        self.emit.areas = Some([second, first]);
+        self.empty_row();
+        let zero = self.emit.integer(0);
+        let start = [vec![zero.into(); counters + 2], vec![first.into(), second.into()]].concat();
+        self.emit.b.ins().jump(head, &start);
 
         let state: Vec<ir::Value> =
-            (0..counters + 2).map(|_| self.emit.b.append_block_param(head, types::I64)).collect();
-        let [pixels, saturated] = [state[counters], state[counters + 1]];
+            (0..counters + 4).map(|_| self.emit.b.append_block_param(head, types::I64)).collect();
+        let [pixels, saturated, current, ahead] = std::array::from_fn(|i| state[counters + i]);
         let place = Place { at: state[..outer].to_vec(), row: state[counters - 1] };
         self.emit.b.switch_to_block(head);
-        let last = self.emit.arg(types::I64, COUNT[outer - 1]);
-        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, place.at[outer - 1], last);
+        let rows = self.rows(outer);
+        let more = self.emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, place.row, rows);
         self.emit.b.ins().brif(more, row, &[], pass_end, &[]);
 
         self.emit.b.switch_to_block(row);
+        self.emit.areas = Some([current, ahead]);
+        self.prepare(&place);
         let next = self.emit.b.create_block();
         let counts = self.emit.parameters(next, [types::I64; 2]);
-        self.row(&place, next, [pixels, saturated]);
+        self.row(next, [pixels, saturated]);
 
         self.emit.b.switch_to_block(next);
-        let mut state: Vec<BlockArg> = self.after(&place).into_iter().map(BlockArg::from).collect();
-        state.extend(counts.map(BlockArg::from));
+        let after = self.after(&place);
+        let state: Vec<BlockArg> =
+            after.into_iter().chain(counts).chain([ahead, current]).map(BlockArg::from).collect();
         self.emit.b.ins().jump(head, &state);
 
         self.emit.b.switch_to_block(pass_end);
@@ -114,6 +121,42 @@ impl Nest<'_, '_> {
         self.emit.b.seal_all_blocks();
         let frontend = self.emit.frontend;
         self.emit.b.finalize(frontend);
+    }
+
+    /// How many rows the window has in all its slices.
+    fn rows(&mut self, outer: usize) -> ir::Value {
+        let mut rows = self.emit.arg(types::I64, COUNT[0]);
+        for count in &COUNT[1..outer] {
+            let count = self.emit.arg(types::I64, *count);
+            rows = self.emit.b.ins().imul(rows, count);
+        }
+        rows
+    }
+
+    /// Prepares a row: computes its values, its range, its offsets and addresses, and leaves them in the record. It is
+    /// done before the row above is worked on, so that the processor has both to do at once. Behind the last row a row that does not
+    /// exist is prepared; nothing reads it.
+    fn prepare(&mut self, place: &Place) {
+        for (axis, at) in place.at.iter().enumerate() {
+            let first = self.emit.arg(types::I64, FIRST[axis]);
+            let absolute = self.emit.b.ins().iadd(first, *at);
+            self.emit.outer[axis + 1] = Some(self.emit.b.ins().fcvt_from_sint(types::F64, absolute));
+        }
+        self.emit.level(Level::Row);
+        let start = self.range();
+        running::prepare(&mut self.emit, start);
+        self.emit.prepare_row(&place.at, place.row);
+    }
+
+    fn empty_row(&mut self) {
+        let range = [0, -1].map(|number| self.emit.integer(number));
+        self.set_range(range);
+    }
+
+    fn set_range(&mut self, range: [ir::Value; 2]) {
+        for (pixel, slot) in range.into_iter().zip(self.emit.plan.range) {
+            self.emit.store(pixel, slot);
+        }
     }
 
     /// Puts the first and the last column of the window into the record, as f64.
@@ -151,24 +194,20 @@ impl Nest<'_, '_> {
         numbers
     }
 
-    /// One row; ends in a jump to `next` with the pass' pixel counts.
-    fn row(&mut self, place: &Place, next: Block, [pixels, saturated]: [ir::Value; 2]) {
-        for (axis, at) in place.at.iter().enumerate() {
-            let first = self.emit.arg(types::I64, FIRST[axis]);
-            let absolute = self.emit.b.ins().iadd(first, *at);
-            self.emit.outer[axis + 1] = Some(self.emit.b.ins().fcvt_from_sint(types::F64, absolute));
-        }
-        self.emit.level(Level::Row);
-        let (start, end) = self.range(next, [pixels, saturated]);
+    /// One row, which was prepared before; ends in a jump to `next` with the pass' pixel counts.
+    fn row(&mut self, next: Block, [pixels, saturated]: [ir::Value; 2]) {
+        let [start, end] = self.emit.plan.range.map(|slot| self.emit.load(types::I64, slot));
+        let any = self.emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, start, end);
+        self.emit.go_on_if(any, next, &[pixels.into(), saturated.into()]);
         let lanes = self.emit.lanes() as i64;
         let distance = self.emit.b.ins().isub(end, start);
         let full = self.emit.b.ins().band_imm_s(distance, -lanes);
         let rest = self.emit.b.ins().iadd(start, full);
-        let row = Row { start, end, rest };
+        let row = Row { end, rest };
 
         self.emit.hold();
-        self.emit.open_row(&place.at, place.row);
-        let before = Running::start(&mut self.emit, row);
+        self.emit.open_row();
+        let before = Running::start(&mut self.emit);
         let [body, partial, row_end] = std::array::from_fn(|_| self.emit.b.create_block());
         self.groups(row, start, &before, [body, partial]);
 
@@ -220,29 +259,29 @@ impl Nest<'_, '_> {
         self.emit.b.ins().brif(more, full, &values, partial, &values);
     }
 
-    /// First and last pixel of the row; jumps to `next` when there is none. The order of comparisons is the
-    /// interpreter's, so that NaN and infinities end the same way.
-    fn range(&mut self, next: Block, counts: [ir::Value; 2]) -> (ir::Value, ir::Value) {
+    /// Leaves the first and the last pixel of the row in the record, and hands back the first; the last is before it
+    /// where there is none. The order of comparisons is the interpreter's, so that NaN and infinities end the same way.
+    fn range(&mut self) -> ir::Value {
         let emit = &mut self.emit;
         let Some((lo, hi)) = emit.plan.program.pixel_set().bounds else {
             let width = emit.arg(types::I64, arg::WIDTH);
             let zero = emit.integer(0);
             let last = emit.b.ins().iadd_imm_s(width, -1);
-            return (zero, last);
+            self.set_range([zero, last]);
+            return zero;
         };
-        let counts: [BlockArg; 2] = counts.map(BlockArg::from);
         let (lo, hi) = (emit.scalar(lo, Level::Row), emit.scalar(hi, Level::Row));
         let [first, last] = emit.plan.columns.map(|slot| emit.load(types::F64, slot));
         let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
-        emit.go_on_if(ordered, next, &counts);
-        let inside = emit.b.ins().fcmp(FloatCC::GreaterThan, lo, first);
+        let inside = emit.b.ins().fcmp(FloatCC::LessThan, first, lo);
         let lo = emit.b.ins().select(inside, lo, first);
         let inside = emit.b.ins().fcmp(FloatCC::LessThan, hi, last);
         let hi = emit.b.ins().select(inside, hi, last);
-        let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
-        emit.go_on_if(ordered, next, &counts);
+        let still = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
+        let any = emit.b.ins().band(ordered, still);
 
-        // Both are inside of the window now: distances below 2³¹, which the addition of 1.5 · 2⁵² rounds to integers.
+        // Where there are pixels, both are inside of the window: distances below 2³¹, which the addition of 1.5 · 2⁵²
+        // rounds to integers.
         let distance = emit.b.ins().fsub(lo, first);
         let (near, start) = emit.nearest(distance);
         let short = emit.b.ins().fcmp(FloatCC::LessThan, near, distance);
@@ -250,12 +289,14 @@ impl Nest<'_, '_> {
         let start = emit.b.ins().iadd(start, short);
         let distance = emit.b.ins().fsub(hi, first);
         let (near, end) = emit.nearest(distance);
-        let over = emit.b.ins().fcmp(FloatCC::GreaterThan, near, distance);
+        let over = emit.b.ins().fcmp(FloatCC::LessThan, distance, near);
         let over = emit.b.ins().uextend(types::I64, over);
         let end = emit.b.ins().isub(end, over);
-        let any = emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, start, end);
-        emit.go_on_if(any, next, &counts);
-        (start, end)
+        let [none_start, none_end] = [0, -1].map(|number| emit.integer(number));
+        let start = emit.b.ins().select(any, start, none_start);
+        let end = emit.b.ins().select(any, end, none_end);
+        self.set_range([start, end]);
+        start
     }
 }
 

@@ -1,9 +1,8 @@
 //! What runs along a row in registers: the offsets' vectors, some of the sums, the counts.
 
 use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
-use isophote_symbolic::{Level, Op, Precision, Value};
+use isophote_symbolic::{Level, Precision};
 
-use super::Row;
 use super::emit::{Emitter, MAGIC, arg};
 
 /// What one group hands to the next.
@@ -20,17 +19,12 @@ pub(super) struct Running {
 
 impl Running {
     /// Before the first group of a row. Leaves the fraction of each offset in `held`.
-    pub fn start(emit: &mut Emitter<'_, '_>, row: Row) -> Running {
+    pub fn start(emit: &mut Emitter<'_, '_>) -> Running {
         let plan = emit.plan;
-        let x = emit.arg(types::I64, arg::X);
-        let first = emit.b.ins().iadd(x, row.start);
-        let first = emit.b.ins().fcvt_from_sint(types::F64, first);
         let mut offsets = Vec::new();
-        for value in &plan.pixels {
-            let Op::Offset(c) = plan.program.instruction(*value).op else { continue };
-            let (running, fraction) = offset(emit, c, first);
-            emit.held[value.index()] = Some(fraction);
-            offsets.push(running);
+        for offset in &plan.offsets {
+            emit.held[offset.value.index()] = Some(emit.load(emit.number, offset.fraction));
+            offsets.push(emit.load(emit.number, offset.first));
         }
         let zero = vector(emit, |_| 0.0);
         let mut sums = Vec::new();
@@ -68,20 +62,31 @@ impl Running {
     }
 }
 
-/// `Op::Offset` before the first group: the running vector and the fraction.
-fn offset(emit: &mut Emitter<'_, '_>, c: Value, first: ir::Value) -> (ir::Value, ir::Value) {
-    let c = emit.scalar(c, Level::Row);
-    let magic = emit.b.ins().f64const(MAGIC);
-    let n = emit.b.ins().fsub(magic, c);
-    let n = emit.b.ins().fsub(n, magic);
-    let distance = emit.b.ins().fsub(first, n);
-    let distance = emit.rounded(distance);
-    let distance = emit.b.ins().splat(emit.number, distance);
-    let steps = vector(emit, |lane| lane as f64);
-    let fraction = emit.b.ins().fadd(c, n);
-    let fraction = emit.rounded(fraction);
-    let fraction = emit.b.ins().splat(emit.number, fraction);
-    (emit.b.ins().fadd(distance, steps), fraction)
+/// Puts the offsets of the row that is prepared into the record; `start` is its first pixel, relative to the window.
+pub(super) fn prepare(emit: &mut Emitter<'_, '_>, start: ir::Value) {
+    let plan = emit.plan;
+    if plan.offsets.is_empty() {
+        return;
+    }
+    let x = emit.arg(types::I64, arg::X);
+    let x = emit.b.ins().iadd(x, start);
+    let x = emit.b.ins().fcvt_from_sint(types::F64, x);
+    for offset in &plan.offsets {
+        let c = emit.scalar(offset.term, Level::Row);
+        let magic = emit.constant(MAGIC);
+        let n = emit.b.ins().fsub(magic, c);
+        let n = emit.b.ins().fsub(n, magic);
+        let distance = emit.b.ins().fsub(x, n);
+        let distance = emit.rounded(distance);
+        let distance = emit.b.ins().splat(emit.number, distance);
+        let steps = vector(emit, |lane| lane as f64);
+        let first = emit.b.ins().fadd(distance, steps);
+        emit.store(first, offset.first);
+        let fraction = emit.b.ins().fadd(c, n);
+        let fraction = emit.rounded(fraction);
+        let fraction = emit.b.ins().splat(emit.number, fraction);
+        emit.store(fraction, offset.fraction);
+    }
 }
 
 /// A constant vector.

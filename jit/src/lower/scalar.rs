@@ -39,7 +39,7 @@ impl<'p> Emitter<'_, 'p> {
             if let Some(slot) = self.plan.scalars[value.index()] {
                 self.store(result, slot);
             }
-            self.splat(value, result, level);
+            self.splat(value, result);
             for i in std::mem::take(&mut wanted[value.index()]) {
                 self.end(i, result, base);
             }
@@ -76,10 +76,11 @@ impl<'p> Emitter<'_, 'p> {
     }
 
     fn scalar_op(&mut self, op: Op, level: Level) -> ir::Value {
+        let op = self.commuted(op, level);
         let operands: Vec<ir::Value> = op.operands().map(|v| self.scalar(v, level)).collect();
         let at = |i: usize| operands[i];
         match op {
-            Op::Const(x) => self.b.ins().f64const(x),
+            Op::Const(x) => self.constant(x),
             Op::Neg(_) => self.b.ins().fneg(at(0)),
             Op::Abs(_) => self.b.ins().fabs(at(0)),
             Op::Sqrt(_) => self.b.ins().sqrt(at(0)),
@@ -106,6 +107,19 @@ impl<'p> Emitter<'_, 'p> {
                 self.b.ins().fcvt_from_sint(types::F64, count)
             }
             Op::Input(_) | Op::Offset(_) | Op::Channel(_) => unreachable!("the check refuses them at this level"),
+        }
+    }
+
+    /// Sums and products with what comes from memory as the second operand: that is the one an instruction may fetch.
+    fn commuted(&self, op: Op, level: Level) -> Op {
+        let fetched = |v: Value| {
+            let instruction = self.plan.program.instruction(v);
+            instruction.level != level || matches!(instruction.op, Op::Const(_))
+        };
+        match op {
+            Op::Add(a, b) if fetched(a) && !fetched(b) => Op::Add(b, a),
+            Op::Mul(a, b) if fetched(a) && !fetched(b) => Op::Mul(b, a),
+            op => op,
         }
     }
 
@@ -142,27 +156,20 @@ impl<'p> Emitter<'_, 'p> {
     }
 
     /// If pixels read the value: rounds it to the lane type, once, and spreads it over the lanes.
-    fn splat(&mut self, value: Value, scalar: ir::Value, level: Level) {
-        let Some(Home { slot, register }) = self.plan.splats[value.index()] else { return };
-        let vector = self.spread(value, scalar);
-        if level == Level::Row && register {
-            self.held[value.index()] = Some(vector);
-        } else {
+    fn splat(&mut self, value: Value, scalar: ir::Value) {
+        if let Some(Home { slot, .. }) = self.plan.splats[value.index()] {
+            let vector = self.spread(value, scalar);
             self.store(vector, slot);
         }
     }
 
-    /// Fetches the vectors of the pass that stay in registers during the row.
+    /// Fetches the vectors that stay in registers during the row.
     pub fn hold(&mut self) {
         let plan = self.plan;
         for (i, home) in plan.splats.iter().enumerate() {
-            let value = Value(i as u32);
-            match home {
-                Some(home) if home.register && plan.program.instruction(value).level == Level::Pass => {
-                    let kind = if plan.program.is_truth(value) { self.truth } else { self.number };
-                    self.held[i] = Some(self.load(kind, home.slot));
-                }
-                _ => {}
+            if let Some(home) = home.filter(|home| home.register) {
+                let truth = plan.program.is_truth(Value(i as u32));
+                self.held[i] = Some(self.load(if truth { self.truth } else { self.number }, home.slot));
             }
         }
     }
