@@ -181,7 +181,7 @@ impl Emitter<'_, '_> {
     }
 
     /// The low two f32 of each.
-    fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
+    pub fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
         let bytes: Vec<u8> = (0..8).chain(16..24).collect();
         let mask = self.b.func.dfg.immediates.push(bytes.into());
         let low = self.cast(types::I8X16, low);

@@ -9,6 +9,7 @@
 //! `loop` takes full groups of lanes; `tail` takes the last pixels of a row, with the dead lanes reading the row's last
 //! pixel again.
 
+mod elementary;
 mod emit;
 mod group;
 mod load;
