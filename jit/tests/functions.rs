@@ -86,7 +86,7 @@ fn compare(formula: &str, fma: bool, precision: Precision, many: bool, seed: u64
     for y in 0..ROWS {
         for (x, width) in [(0, lanes), (lanes, 1)] {
             let window = Window { x, y, width, height: 1, slices: Slices::ONE };
-            let context = format!("{formula} of {:e?}, fused {fma}, many {many}, seed {seed}", numbers[y][x / lanes]);
+            let context = format!("{formula} of {:?}, fused {fma}, many {many}, seed {seed}", numbers[y][x / lanes]);
             agree_with(&kernel, &bindings, &image, window, &context);
         }
     }
