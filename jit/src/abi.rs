@@ -3,6 +3,7 @@
 //! Native code has one argument, a pointer to [`Args`]. It imports nothing by name: the elementary functions are called
 //! through [`Functions`], whose slots are numbered as `Function1` and `Function2` are.
 
+use isophote_symbolic::elementary::{Accuracy, Plain};
 use isophote_symbolic::{Function1, Function2, Precision};
 
 /// A plane as native code sees it.
@@ -60,15 +61,16 @@ type Scalar2 = extern "C" fn(f64, f64) -> f64;
 type Lanes1<T, const L: usize> = extern "C" fn(&mut [T; L]);
 type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
 
-/// Code addresses of the elementary functions. The forms for lanes overwrite their first operand with the result.
+/// Code addresses of the elementary functions. The forms for lanes overwrite their first operand with the result; of each
+/// there is one that rounds after every operation, and one that multiplies and adds with one rounding.
 #[repr(C)]
 pub(crate) struct Functions {
     scalar1: [Scalar1; 12],
     scalar2: [Scalar2; 2],
-    single1: [Lanes1<f32, 4>; 12],
-    single2: [Lanes2<f32, 4>; 2],
-    double1: [Lanes1<f64, 2>; 12],
-    double2: [Lanes2<f64, 2>; 2],
+    single1: [[Lanes1<f32, 4>; 12]; 2],
+    single2: [[Lanes2<f32, 4>; 2]; 2],
+    double1: [[Lanes1<f64, 2>; 12]; 2],
+    double2: [[Lanes2<f64, 2>; 2]; 2],
 }
 
 impl Functions {
@@ -82,21 +84,23 @@ impl Functions {
     pub fn scalar2(function: Function2) -> i32 {
         (std::mem::offset_of!(Functions, scalar2) + function as usize * Self::SLOT) as i32
     }
-    /// The byte offset of a function's form for lanes.
-    pub fn lanes1(precision: Precision, function: Function1) -> i32 {
+    /// The byte offset of a function's form for lanes on that machine.
+    pub fn lanes1(precision: Precision, machine: Plain, function: Function1) -> i32 {
         let table = match precision {
             Precision::F32 => std::mem::offset_of!(Functions, single1),
             Precision::F64 => std::mem::offset_of!(Functions, double1),
         };
-        (table + function as usize * Self::SLOT) as i32
+        let at = usize::from(machine.fused) * Function1::ALL.len() + function as usize;
+        (table + at * Self::SLOT) as i32
     }
-    /// The byte offset of a function's form for lanes.
-    pub fn lanes2(precision: Precision, function: Function2) -> i32 {
+    /// The byte offset of a function's form for lanes on that machine.
+    pub fn lanes2(precision: Precision, machine: Plain, function: Function2) -> i32 {
         let table = match precision {
             Precision::F32 => std::mem::offset_of!(Functions, single2),
             Precision::F64 => std::mem::offset_of!(Functions, double2),
         };
-        (table + function as usize * Self::SLOT) as i32
+        let at = usize::from(machine.fused) * Function2::ALL.len() + function as usize;
+        (table + at * Self::SLOT) as i32
     }
 }
 
@@ -106,26 +110,43 @@ extern "C" fn scalar1<const F: usize>(x: f64) -> f64 {
 extern "C" fn scalar2<const F: usize>(x: f64, y: f64) -> f64 {
     Function2::ALL[F].value(x, y)
 }
-extern "C" fn single1<const F: usize>(lanes: &mut [f32; 4]) {
-    *lanes = lanes.map(|x| Function1::ALL[F].value(f64::from(x)) as f32);
+extern "C" fn single1<const F: usize, const FUSED: bool>(lanes: &mut [f32; 4]) {
+    let machine = Plain { fused: FUSED };
+    *lanes = lanes.map(|x| Function1::ALL[F].value_with(machine, Accuracy::Single, f64::from(x)) as f32);
 }
-extern "C" fn single2<const F: usize>(lanes: &mut [f32; 4], others: &[f32; 4]) {
+extern "C" fn single2<const F: usize, const FUSED: bool>(lanes: &mut [f32; 4], others: &[f32; 4]) {
+    let machine = Plain { fused: FUSED };
     for (x, y) in lanes.iter_mut().zip(others) {
-        *x = Function2::ALL[F].value(f64::from(*x), f64::from(*y)) as f32;
+        *x = Function2::ALL[F].value_with(machine, Accuracy::Single, f64::from(*x), f64::from(*y)) as f32;
     }
 }
-extern "C" fn double1<const F: usize>(lanes: &mut [f64; 2]) {
-    *lanes = lanes.map(|x| Function1::ALL[F].value(x));
+extern "C" fn double1<const F: usize, const FUSED: bool>(lanes: &mut [f64; 2]) {
+    let machine = Plain { fused: FUSED };
+    *lanes = lanes.map(|x| Function1::ALL[F].value_with(machine, Accuracy::Double, x));
 }
-extern "C" fn double2<const F: usize>(lanes: &mut [f64; 2], others: &[f64; 2]) {
+extern "C" fn double2<const F: usize, const FUSED: bool>(lanes: &mut [f64; 2], others: &[f64; 2]) {
+    let machine = Plain { fused: FUSED };
     for (x, y) in lanes.iter_mut().zip(others) {
-        *x = Function2::ALL[F].value(*x, *y);
+        *x = Function2::ALL[F].value_with(machine, Accuracy::Double, *x, *y);
     }
 }
 
 macro_rules! twelve {
-    ($f:ident) => {
-        [$f::<0>, $f::<1>, $f::<2>, $f::<3>, $f::<4>, $f::<5>, $f::<6>, $f::<7>, $f::<8>, $f::<9>, $f::<10>, $f::<11>]
+    ($f:ident $(, $fused:literal)?) => {
+        [
+            $f::<0 $(, $fused)?>,
+            $f::<1 $(, $fused)?>,
+            $f::<2 $(, $fused)?>,
+            $f::<3 $(, $fused)?>,
+            $f::<4 $(, $fused)?>,
+            $f::<5 $(, $fused)?>,
+            $f::<6 $(, $fused)?>,
+            $f::<7 $(, $fused)?>,
+            $f::<8 $(, $fused)?>,
+            $f::<9 $(, $fused)?>,
+            $f::<10 $(, $fused)?>,
+            $f::<11 $(, $fused)?>,
+        ]
     };
 }
 
@@ -133,10 +154,10 @@ macro_rules! twelve {
 pub(crate) static FUNCTIONS: Functions = Functions {
     scalar1: twelve!(scalar1),
     scalar2: [scalar2::<0>, scalar2::<1>],
-    single1: twelve!(single1),
-    single2: [single2::<0>, single2::<1>],
-    double1: twelve!(double1),
-    double2: [double2::<0>, double2::<1>],
+    single1: [twelve!(single1, false), twelve!(single1, true)],
+    single2: [[single2::<0, false>, single2::<1, false>], [single2::<0, true>, single2::<1, true>]],
+    double1: [twelve!(double1, false), twelve!(double1, true)],
+    double2: [[double2::<0, false>, double2::<1, false>], [double2::<0, true>, double2::<1, true>]],
 };
 
 #[cfg(test)]

@@ -50,6 +50,7 @@ fn allowed(opcode: Opcode) -> bool {
             | Isub
             | Imul
             | Ishl
+            | Ushr
             | Icmp
             | Smin
             | Smax

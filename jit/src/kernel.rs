@@ -143,7 +143,9 @@ pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), Co
     if renders && any {
         return Err(CompileError::Malformed("a program that renders reads a channel".into()));
     }
-    if program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..))) && !crate::has_fma() {
+    // Elementary functions of a fused program multiply and add with one rounding, too.
+    let fused = program.is_fused() || program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..)));
+    if fused && !crate::has_fma() {
         return Err(CompileError::NoFma);
     }
     Parts::of(program).check().map_err(CompileError::Malformed)

@@ -99,6 +99,7 @@ impl Model {
             pixel_set: PixelSet::default(),
             sink,
             names,
+            fused: false,
         };
         // Orders the instructions by level; without FMA it finds nothing else to do.
         crate::peephole::improve(&mut program, false);

@@ -67,6 +67,11 @@ impl DoubleDouble {
         self.hi
     }
 
+    /// hi and lo.
+    pub(crate) fn parts(self) -> [f64; 2] {
+        [self.hi, self.lo]
+    }
+
     pub(crate) fn is_nan(self) -> bool {
         self.hi.is_nan()
     }
@@ -95,7 +100,9 @@ impl DoubleDouble {
 
     /// x · 2^k, exactly as far as the range goes.
     fn scaled(self, k: i32) -> Self {
-        Self::quick(libm::ldexp(self.hi, k), libm::ldexp(self.lo, k))
+        let hi = libm::ldexp(self.hi, k);
+        // Of what is too large the low part may be infinite as well, of the other sign.
+        if hi.is_finite() { Self::quick(hi, libm::ldexp(self.lo, k)) } else { hi.into() }
     }
 
     /// x − k · c.
@@ -148,13 +155,19 @@ impl DoubleDouble {
         Self::ZERO.reduced(f64::from(-k), LN_2) + total
     }
 
-    /// (sin x, cos x). Arguments beyond 2⁴⁰ have lost their digits before they came here: f64 serves them.
+    /// (sin x, cos x). From 2⁴⁰ on only the first part counts.
     fn sin_cos(self) -> (Self, Self) {
-        if self.is_nan() || self.hi.abs() >= (1_u64 << 40) as f64 {
-            return (libm::sin(self.hi).into(), libm::cos(self.hi).into());
+        if !self.is_finite() {
+            return (f64::NAN.into(), f64::NAN.into());
         }
-        let k = (self.hi / HALF_PI[0]).round();
-        let r = self.reduced(k, HALF_PI);
+        let (r, k) = if self.hi.abs() < (1_u64 << 40) as f64 {
+            let k = (self.hi / HALF_PI[0]).round();
+            (self.reduced(k, HALF_PI), k)
+        } else {
+            let ([hi, lo], k) = crate::elementary::reduced(self.hi.abs());
+            let (r, k) = (Self { hi, lo }, (k % 4) as f64);
+            if self.is_negative() { (-r, -k) } else { (r, k) }
+        };
         let square = -(r * r);
         let sin = Self::series(r, |n| square / (2.0 * n * (2.0 * n + 1.0)).into());
         let cos = Self::series(Self::ONE, |n| square / (2.0 * n * (2.0 * n - 1.0)).into());

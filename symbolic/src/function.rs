@@ -1,7 +1,9 @@
 //! Elementary functions: the one table of their names and values.
 //!
-//! What comes in: a number. What goes out: the value that interpreter and native code share bit for bit: f64 by the
-//! portable `libm`; f32 by computing in f64 and rounding once.
+//! What comes in: a number. What goes out: the value that interpreter and native code share bit for bit. The algorithms
+//! are in [`crate::elementary`]; lanes of f32 compute in f64 and round once.
+
+use crate::elementary::{self, Accuracy, Plain};
 
 /// Functions of one argument.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -63,22 +65,15 @@ impl Function1 {
         Function1::ALL.into_iter().find(|f| f.name() == name)
     }
 
-    /// The value in f64.
+    /// The value in f64, as every level but the pixel's computes it: no operation is fused.
     pub fn value(self, x: f64) -> f64 {
-        match self {
-            Function1::Exp => libm::exp(x),
-            Function1::Log => libm::log(x),
-            Function1::Sin => libm::sin(x),
-            Function1::Cos => libm::cos(x),
-            Function1::Tan => libm::tan(x),
-            Function1::Asin => libm::asin(x),
-            Function1::Acos => libm::acos(x),
-            Function1::Atan => libm::atan(x),
-            Function1::Sinh => libm::sinh(x),
-            Function1::Cosh => libm::cosh(x),
-            Function1::Tanh => libm::tanh(x),
-            Function1::Erf => libm::erf(x),
-        }
+        self.value_with(Plain { fused: false }, Accuracy::Double, x)
+    }
+
+    /// The value on a machine. Of [`Accuracy::Single`] it means something for arguments that are f32, once it is rounded
+    /// to f32.
+    pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64) -> f64 {
+        elementary::call1(&machine, self, accuracy, x)
     }
 }
 
@@ -94,11 +89,13 @@ impl Function2 {
         }
     }
 
-    /// The value in f64.
+    /// The value in f64, as [`Function1::value`] has it.
     pub fn value(self, x: f64, y: f64) -> f64 {
-        match self {
-            Function2::Atan2 => libm::atan2(x, y),
-            Function2::Pow => libm::pow(x, y),
-        }
+        self.value_with(Plain { fused: false }, Accuracy::Double, x, y)
+    }
+
+    /// The value on a machine, see [`Function1::value_with`].
+    pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64, y: f64) -> f64 {
+        elementary::call2(&machine, self, accuracy, x, y)
     }
 }

@@ -1,6 +1,7 @@
 //! The meaning of a [`Program`]: what comes in is a program, numbers and pixels; what goes out are the sums that native
 //! code must equal bit for bit. It is written to be read, not to be fast.
 
+use crate::elementary::{Accuracy, Plain};
 use crate::evaluate::holds;
 use crate::program::{Bindings, Instruction, Level, Op, Precision, Program, Sink, Value};
 
@@ -65,6 +66,8 @@ pub fn nearest(x: f64) -> f64 {
 
 /// The arithmetic of one lane.
 trait Lane: Copy {
+    /// How exact elementary functions are before they are rounded.
+    const ACCURACY: Accuracy;
     fn from_f64(x: f64) -> Self;
     fn to_f64(self) -> f64;
     fn add(self, b: Self) -> Self;
@@ -78,8 +81,9 @@ trait Lane: Copy {
 }
 
 macro_rules! lane {
-    ($type:ty) => {
+    ($type:ty, $accuracy:expr) => {
         impl Lane for $type {
+            const ACCURACY: Accuracy = $accuracy;
             fn from_f64(x: f64) -> Self {
                 x as $type
             }
@@ -113,8 +117,8 @@ macro_rules! lane {
         }
     };
 }
-lane!(f32);
-lane!(f64);
+lane!(f32, Accuracy::Single);
+lane!(f64, Accuracy::Double);
 
 /// A value: a number or a truth value.
 #[derive(Clone, Copy)]
@@ -135,8 +139,8 @@ impl<T: Lane> Cell<T> {
     }
 }
 
-/// An operation that reads only values.
-fn apply<T: Lane>(op: Op, at: impl Fn(Value) -> Cell<T>) -> Cell<T> {
+/// An operation that reads only values; elementary functions compute on `machine`.
+fn apply<T: Lane>(op: Op, machine: Plain, at: impl Fn(Value) -> Cell<T>) -> Cell<T> {
     let n = |v: Value| at(v).number();
     Cell::Number(match op {
         Op::Const(x) => T::from_f64(x),
@@ -148,8 +152,10 @@ fn apply<T: Lane>(op: Op, at: impl Fn(Value) -> Cell<T>) -> Cell<T> {
         Op::Mul(a, b) => n(a).mul(n(b)),
         Op::Div(a, b) => n(a).div(n(b)),
         Op::Fma(a, b, c) => n(a).fma(n(b), n(c)),
-        Op::Call1(f, a) => T::from_f64(f.value(n(a).to_f64())),
-        Op::Call2(f, a, b) => T::from_f64(f.value(n(a).to_f64(), n(b).to_f64())),
+        Op::Call1(f, a) => T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64())),
+        Op::Call2(f, a, b) => {
+            T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64(), n(b).to_f64()))
+        }
         Op::Compare(c, a, b) => return Cell::Truth(holds(c, n(a).to_f64(), n(b).to_f64())),
         Op::And(a, b) => return Cell::Truth(at(a).truth() && at(b).truth()),
         Op::Or(a, b) => return Cell::Truth(at(a).truth() || at(b).truth()),
@@ -189,7 +195,7 @@ impl Scalars<'_> {
             self.cells[i] = match (*op, leaf(*op)) {
                 (Op::Input(input), _) => Cell::Number(self.inputs[input.index()]),
                 (_, Some(value)) => Cell::Number(value),
-                (op, None) => apply(op, |v| self.cells[v.index()]),
+                (op, None) => apply(op, Plain { fused: false }, |v| self.cells[v.index()]),
             };
         }
     }
@@ -228,6 +234,7 @@ fn run_lanes<T: Lane, const L: usize>(
     mut plane: Option<&mut [f32]>,
 ) -> Outcome {
     let count = program.instructions.len();
+    let machine = Plain { fused: program.fused };
     let mut scalars = Scalars { program, inputs: program.gather(bindings), cells: vec![Cell::Number(0.0); count] };
     let (accumulators, totals, outputs) = match &program.sink {
         Sink::Sums { accumulators, totals, outputs } => {
@@ -289,7 +296,7 @@ fn run_lanes<T: Lane, const L: usize>(
                         let x = window.x + (group + l).min(window.width - 1);
                         Cell::Number(T::from_f64(pixels.at_place(c.index(), [x, y, z, w])))
                     }),
-                    op => std::array::from_fn(|l| apply(op, |v| lanes[v.index()][l])),
+                    op => std::array::from_fn(|l| apply(op, machine, |v| lanes[v.index()][l])),
                 };
             }
             let alive = if is_last { rest..=end } else { group..=end };

@@ -27,6 +27,7 @@ mod double_double;
 #[cfg(test)]
 mod duals_tests;
 mod elaborate;
+pub mod elementary;
 mod evaluate;
 mod explain;
 mod formulas;

@@ -222,6 +222,7 @@ pub struct Program {
     pub(crate) pixel_set: PixelSet,
     pub(crate) sink: Sink,
     pub(crate) names: Names,
+    pub(crate) fused: bool,
 }
 
 /// Names for the text form.
@@ -324,6 +325,10 @@ impl Program {
     /// Names for printing.
     pub fn names(&self) -> &Names {
         &self.names
+    }
+    /// Whether elementary functions of the pixel level multiply and add with one rounding; no other level's do.
+    pub fn is_fused(&self) -> bool {
+        self.fused
     }
     /// The instruction that makes `value`.
     pub fn instruction(&self, value: Value) -> &Instruction {

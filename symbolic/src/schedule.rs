@@ -339,6 +339,7 @@ impl<'g> Builder<'g> {
             pixel_set: set,
             sink,
             names,
+            fused: lowering.fma,
         };
         crate::peephole::improve(&mut program, lowering.fma);
         program

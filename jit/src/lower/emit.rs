@@ -8,6 +8,7 @@ use cranelift_codegen::isa::{TargetFrontendConfig, TargetIsa};
 use cranelift_frontend::FunctionBuilder;
 use isophote_symbolic::{Level, Op, Precision, Value};
 
+use super::elementary;
 use crate::kernel::KernelOptions;
 use crate::plan::{Area, Plan, Slot};
 
@@ -62,6 +63,8 @@ pub(super) struct Emitter<'a, 'p> {
     /// The addresses of the record and of the argument block.
     bases: Option<[ir::Value; 2]>,
     pub frontend: TargetFrontendConfig,
+    /// Whether elementary functions of the pixel level become vector code here; else they are called.
+    pub inlined: bool,
     signatures: [Option<SigRef>; 4],
 }
 
@@ -101,6 +104,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
             record,
             bases: None,
             frontend: isa.frontend_config(),
+            inlined: elementary::inlined(plan, options.precision),
             signatures: [None; 4],
         }
     }

@@ -4,11 +4,10 @@ use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
 use isophote_symbolic::{Level, Op, PixelSet, Precision, Sink, Value};
 
-use super::emit::{Emitter, Form, arg};
+use super::emit::{Emitter, arg};
 use super::running::{Running, vector};
 use super::scalar::condition;
 use super::{Row, with};
-use crate::abi::Functions;
 
 /// One group while it is emitted.
 pub(super) struct Group<'e, 'a, 'p> {
@@ -170,20 +169,10 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 let condition = emit.cast(kind, at(0));
                 emit.b.ins().bitselect(condition, at(1), at(2))
             }
-            Op::Call1(f, _) => self.call(Functions::lanes1(self.emit.options.precision, f), Form::Lanes1, &operands),
-            Op::Call2(f, ..) => self.call(Functions::lanes2(self.emit.options.precision, f), Form::Lanes2, &operands),
+            Op::Call1(f, _) => emit.function1(f, at(0)),
+            Op::Call2(f, ..) => emit.function2(f, at(0), at(1)),
             _ => unreachable!("the check refuses scalar instructions at the pixel level"),
         }
-    }
-
-    /// An elementary function takes its lanes through the record.
-    fn call(&mut self, offset: i32, form: Form, operands: &[ir::Value]) -> ir::Value {
-        let emit = &mut *self.emit;
-        let slots = emit.plan.operands;
-        operands.iter().zip(slots).for_each(|(value, slot)| emit.store(*value, slot));
-        let addresses: Vec<ir::Value> = slots[..operands.len()].iter().map(|slot| emit.address(*slot)).collect();
-        emit.call(offset, form, &addresses);
-        emit.load(emit.number, slots[0])
     }
 
     /// The lanes that take part, as a vector like the numbers; `None`: all. `before` is the state that the block began with.

@@ -175,7 +175,7 @@ impl Emitter<'_, '_> {
     }
 
     /// The low two f32 of each.
-    fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
+    pub fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
         let bytes: Vec<u8> = (0..8).chain(16..24).collect();
         self.shuffled(low, high, bytes)
     }

@@ -11,6 +11,7 @@
 //! those where the pixel set leaves a pixel out, after which the loop goes on. The last group ends at the window's
 //! edge at the latest, so that every group reads its pixels at once and inside of the window.
 
+mod elementary;
 mod emit;
 mod group;
 mod load;

@@ -1,0 +1,215 @@
+//! Elementary functions of the pixel level: vector code, or calls where that would be too much code.
+//!
+//! The algorithms are those of [`isophote_symbolic::elementary`], written once over a [`Machine`]; this machine emits an
+//! instruction for each operation, 2 × f64 at a time. Lanes of f32 are widened in two halves and rounded once.
+
+use std::cell::RefCell;
+
+use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
+use cranelift_codegen::ir::{self, BlockArg, InstBuilder, types};
+use isophote_symbolic::elementary::{self, Accuracy, Counter, Machine, Plain};
+use isophote_symbolic::{Function1, Function2, Op, Precision};
+
+use super::emit::{Emitter, Form};
+use crate::abi::Functions;
+use crate::plan::Plan;
+
+/// Instructions of all elementary functions of a group, up to which they become vector code. Compile time grows with
+/// them; a document may have thousands of calls.
+const INLINED_MAX: usize = 3000;
+
+/// Whether the functions of the pixel level become vector code.
+pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
+    let counter = Counter::new(plan.program.is_fused());
+    let accuracy = accuracy(precision);
+    let mut halves = plan.pixels.iter().map(|v| match plan.program.instruction(*v).op {
+        Op::Call1(f, _) => elementary::call1(&counter, f, accuracy, ()),
+        Op::Call2(f, ..) => elementary::call2(&counter, f, accuracy, (), ()),
+        _ => {}
+    });
+    // An instruction of the program is a few dozen operations at most, so that the sum stays small.
+    halves.all(|()| counter.count() * precision.lanes() / 2 <= INLINED_MAX)
+}
+
+fn accuracy(precision: Precision) -> Accuracy {
+    match precision {
+        Precision::F32 => Accuracy::Single,
+        Precision::F64 => Accuracy::Double,
+    }
+}
+
+impl Emitter<'_, '_> {
+    /// A function of each lane.
+    pub fn function1(&mut self, function: Function1, x: ir::Value) -> ir::Value {
+        let machine = Plain { fused: self.plan.program.is_fused() };
+        if !self.inlined {
+            let offset = Functions::lanes1(self.options.precision, machine, function);
+            return self.call_lanes(self.number, offset, Form::Lanes1, &[x]);
+        }
+        let accuracy = accuracy(self.options.precision);
+        self.wide([x], |lanes, [x]| elementary::call1(lanes, function, accuracy, x))
+    }
+
+    /// A function of each pair of lanes.
+    pub fn function2(&mut self, function: Function2, a: ir::Value, b: ir::Value) -> ir::Value {
+        let machine = Plain { fused: self.plan.program.is_fused() };
+        if !self.inlined {
+            let offset = Functions::lanes2(self.options.precision, machine, function);
+            return self.call_lanes(self.number, offset, Form::Lanes2, &[a, b]);
+        }
+        let accuracy = accuracy(self.options.precision);
+        self.wide([a, b], |lanes, [a, b]| elementary::call2(lanes, function, accuracy, a, b))
+    }
+
+    /// A called function takes its lanes, and leaves its result, in the record.
+    fn call_lanes(&mut self, kind: ir::Type, offset: i32, form: Form, operands: &[ir::Value]) -> ir::Value {
+        let slots = self.plan.operands;
+        operands.iter().zip(slots).for_each(|(value, slot)| self.store(*value, slot));
+        let addresses: Vec<ir::Value> = slots[..operands.len()].iter().map(|slot| self.address(*slot)).collect();
+        self.call(offset, form, &addresses);
+        self.load(kind, slots[0])
+    }
+
+    /// `f` of 2 × f64: of the lanes as they are, or of both halves of 4 × f32.
+    fn wide<const N: usize>(
+        &mut self,
+        operands: [ir::Value; N],
+        f: impl Fn(&Lanes<'_, '_, '_>, [ir::Value; N]) -> ir::Value,
+    ) -> ir::Value {
+        let fused = self.plan.program.is_fused();
+        let emit = |emit: &mut Self, operands| f(&Lanes { emit: RefCell::new(emit), fused }, operands);
+        if self.options.precision == Precision::F64 {
+            return emit(self, operands);
+        }
+        let low = operands.map(|x| self.b.ins().fvpromote_low(x));
+        let low = emit(self, low);
+        let high = operands.map(|x| {
+            let bytes: Vec<u8> = (8..16).chain(8..16).collect();
+            let mask = self.b.func.dfg.immediates.push(bytes.into());
+            let x = self.cast(types::I8X16, x);
+            let high = self.b.ins().shuffle(x, x, mask);
+            let high = self.cast(types::F32X4, high);
+            self.b.ins().fvpromote_low(high)
+        });
+        let high = emit(self, high);
+        let [low, high] = [low, high].map(|x| self.b.ins().fvdemote(x));
+        self.low_halves(low, high)
+    }
+}
+
+/// The machine that emits vector code: numbers are F64X2, truth values and bits I64X2.
+struct Lanes<'m, 'a, 'p> {
+    emit: RefCell<&'m mut Emitter<'a, 'p>>,
+    fused: bool,
+}
+
+impl Lanes<'_, '_, '_> {
+    /// A constant is fetched anew for each reader: it becomes that instruction's memory operand.
+    fn vector(&self, kind: ir::Type, bits: u64) -> ir::Value {
+        let emit = &mut *self.emit.borrow_mut();
+        let bytes: Vec<u8> = [bits; 2].into_iter().flat_map(u64::to_le_bytes).collect();
+        let constant = emit.b.func.dfg.constants.insert(bytes.into());
+        emit.b.ins().vconst(kind, constant)
+    }
+
+    fn cast(&self, kind: ir::Type, value: ir::Value) -> ir::Value {
+        self.emit.borrow_mut().cast(kind, value)
+    }
+}
+
+/// Operations that are one instruction.
+macro_rules! instructions {
+    ($($name:ident($($operand:ident),*) = $instruction:ident;)*) => {
+        $(fn $name(&self, $($operand: ir::Value),*) -> ir::Value {
+            self.emit.borrow_mut().b.ins().$instruction($($operand),*)
+        })*
+    };
+}
+
+impl Machine for Lanes<'_, '_, '_> {
+    type Number = ir::Value;
+    type Truth = ir::Value;
+    type Bits = ir::Value;
+
+    instructions! {
+        add(a, b) = fadd;
+        sub(a, b) = fsub;
+        mul(a, b) = fmul;
+        div(a, b) = fdiv;
+        sqrt(a) = sqrt;
+        abs(a) = fabs;
+        neg(a) = fneg;
+        and(a, b) = band;
+        or(a, b) = bor;
+        not(a) = bnot;
+        bits_add(a, b) = iadd;
+        bits_and(a, b) = band;
+        bits_or(a, b) = bor;
+        bits_xor(a, b) = bxor;
+    }
+
+    fn is_fused(&self) -> bool {
+        self.fused
+    }
+    fn constant(&self, x: f64) -> ir::Value {
+        self.vector(types::F64X2, x.to_bits())
+    }
+    fn pattern(&self, bits: u64) -> ir::Value {
+        self.vector(types::I64X2, bits)
+    }
+    fn mul_add(&self, a: ir::Value, b: ir::Value, c: ir::Value) -> ir::Value {
+        if self.fused {
+            return self.emit.borrow_mut().b.ins().fma(a, b, c);
+        }
+        self.add(self.mul(a, b), c)
+    }
+    fn less(&self, a: ir::Value, b: ir::Value) -> ir::Value {
+        self.emit.borrow_mut().b.ins().fcmp(FloatCC::LessThan, a, b)
+    }
+    fn equal(&self, a: ir::Value, b: ir::Value) -> ir::Value {
+        self.emit.borrow_mut().b.ins().fcmp(FloatCC::Equal, a, b)
+    }
+    fn bits_equal(&self, a: ir::Value, b: ir::Value) -> ir::Value {
+        self.emit.borrow_mut().b.ins().icmp(IntCC::Equal, a, b)
+    }
+    /// Of integers, so that the compiler sees the comparison and picks a blend.
+    fn select(&self, truth: ir::Value, a: ir::Value, b: ir::Value) -> ir::Value {
+        let (a, b) = (self.bits(a), self.bits(b));
+        let picked = self.emit.borrow_mut().b.ins().bitselect(truth, a, b);
+        self.number(picked)
+    }
+    fn bits(&self, a: ir::Value) -> ir::Value {
+        self.cast(types::I64X2, a)
+    }
+    fn number(&self, a: ir::Value) -> ir::Value {
+        self.cast(types::F64X2, a)
+    }
+    fn shift_left(&self, a: ir::Value, by: u8) -> ir::Value {
+        let emit = &mut *self.emit.borrow_mut();
+        let by = emit.b.ins().iconst(types::I32, i64::from(by));
+        emit.b.ins().ishl(a, by)
+    }
+    fn shift_right(&self, a: ir::Value, by: u8) -> ir::Value {
+        let emit = &mut *self.emit.borrow_mut();
+        let by = emit.b.ins().iconst(types::I32, i64::from(by));
+        emit.b.ins().ushr(a, by)
+    }
+
+    /// A call in a block of its own, which is left out while no lane asks for it.
+    fn elsewhere(&self, truth: ir::Value, usual: ir::Value, function: Function1, x: ir::Value) -> ir::Value {
+        let emit = &mut *self.emit.borrow_mut();
+        let (rare, after) = (emit.b.create_block(), emit.b.create_block());
+        emit.b.set_cold_block(rare);
+        let value = emit.b.append_block_param(after, types::F64X2);
+        let any = emit.b.ins().vhigh_bits(types::I32, truth);
+        emit.b.ins().brif(any, rare, &[], after, &[BlockArg::from(usual)]);
+        emit.b.switch_to_block(rare);
+        let offset = Functions::lanes1(Precision::F64, Plain { fused: false }, function);
+        let called = emit.call_lanes(types::F64X2, offset, Form::Lanes1, &[x]);
+        let truth = emit.cast(types::F64X2, truth);
+        let picked = emit.b.ins().bitselect(truth, called, usual);
+        emit.b.ins().jump(after, &[BlockArg::from(picked)]);
+        emit.b.switch_to_block(after);
+        value
+    }
+}

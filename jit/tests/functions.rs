@@ -1,0 +1,134 @@
+//! Elementary functions, native against interpreter, bit for bit: every function over special values and random bit
+//! patterns, in f32 and f64, fused and not, as vector code and through the table.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Image, Random, agree_with, document};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, Window, explain, has_fma};
+use isophote_symbolic::{Bindings, Function1, Function2, Lowering, Method, Model, ParameterId, Precision, Program};
+
+/// So many tangents that no function of the loop becomes vector code.
+const MANY: &str = "v1 * sum(tan((x + i) / 50), i, 1, 40)";
+
+/// The pixel's function value is one of the outputs: dF/dv0 of one pixel at v0 = v1 = 0 is minus it.
+fn model(formula: &str, many: bool) -> Model {
+    let rest = if many { MANY } else { "v1 * x" };
+    document(&format!(
+        r#"
+        name = "one-function"
+        coordinates = ["x", "y"]
+        channels = ["r", "g"]
+        [parameters]
+        v0 = {{ start = 0.0 }}
+        v1 = {{ start = 0.0 }}
+        [model]
+        observed = "{formula}"
+        intensity = "v0 + {rest}"
+        "#
+    ))
+}
+
+fn formulas() -> Vec<String> {
+    let one = Function1::ALL.iter().map(|f| format!("{}(r)", f.name()));
+    let two = Function2::ALL.iter().map(|f| match f {
+        Function2::Atan2 => "atan2(r, g)".to_owned(),
+        Function2::Pow => "r^g".to_owned(),
+    });
+    one.chain(two).collect()
+}
+
+fn program(model: &Model, fma: bool) -> Program {
+    let all = [ParameterId(0), ParameterId(1)];
+    let objective = model.objective(&all, Method::GaussNewton).unwrap();
+    objective.program(Lowering { fma, drop_saturated: false }).unwrap()
+}
+
+/// Numbers at which functions change their ways.
+const SPECIAL: [f64; 40] = [
+    0.0, 1.0, 0.5, 2.0, 3.0, 0.75, 2.5, 6.0, 1e-8, 1e-20, 1e-45, 1e-40, 1e-310, 5e-324, 709.7, 709.8, 710.5, 745.0,
+    746.0, 88.7, 88.8, 103.9, 104.1, 0.785398, 1.5707963267948966, 3.141592653589793, 1048575.5, 1048576.5, 2e6, 1e10,
+    1e22, 3e38, 1e300, 4503599627370497.0, 9007199254740993.0, 0.7071067811865476, 1.4142135623730951, f64::MAX,
+    f64::INFINITY, f64::NAN,
+];
+
+fn argument(random: &mut Random, precision: Precision) -> f64 {
+    let size = match random.below(4) {
+        0 => *random.pick(&SPECIAL),
+        1 => random.between(-40.0, 40.0),
+        2 => random.between(-1.1, 1.1),
+        _ if precision == Precision::F32 => f64::from(f32::from_bits(random.next() as u32)),
+        _ => f64::from_bits(random.next()),
+    };
+    if random.below(2) == 0 { size } else { -size }
+}
+
+const ROWS: usize = 1500;
+
+/// Each row has two pixels of its own: groups with all lanes alike, so that their sum is exact, and a last group of one.
+fn compare(formula: &str, fma: bool, precision: Precision, many: bool, seed: u64) {
+    let model = model(formula, many);
+    let program = program(&model, fma);
+    let formats = vec![PixelFormat::F64; 2];
+    let kernel = Kernel::compile(&program, &KernelOptions { precision, formats, packed: true }).unwrap();
+    let mut random = Random(seed);
+    let lanes = precision.lanes();
+    let mut numbers = vec![[[0.0; 2]; 2]; ROWS];
+    numbers.iter_mut().flatten().flatten().for_each(|number| *number = argument(&mut random, precision));
+    // Special values meet each other.
+    for (i, row) in numbers.iter_mut().enumerate().take(SPECIAL.len()) {
+        let pair = [SPECIAL[i], SPECIAL[(7 * i + seed as usize) % SPECIAL.len()]];
+        *row = [pair, pair.map(|x| -x)];
+    }
+    let value = |channel: usize, x: usize, y: usize| numbers[y][x / lanes][channel];
+    let image = Image::new(PixelFormat::F64, [lanes + 1, ROWS], 2, [0, 0], value);
+    let bindings = Bindings { parameters: &[0.0, 0.0], entry: &[0.0, 0.0], ..Bindings::default() };
+    for y in 0..ROWS {
+        for (x, width) in [(0, lanes), (lanes, 1)] {
+            let window = Window { x, y, width, height: 1, slices: Slices::ONE };
+            let context = format!("{formula} of {:?}, fused {fma}, many {many}, seed {seed}", numbers[y][x / lanes]);
+            agree_with(&kernel, &bindings, &image, window, &context);
+        }
+    }
+}
+
+#[test]
+fn vector_code_is_the_interpreter_s() {
+    for (seed, formula) in formulas().iter().enumerate() {
+        for precision in [Precision::F32, Precision::F64] {
+            for fma in [false, true].into_iter().filter(|fma| !fma || has_fma()) {
+                compare(formula, fma, precision, false, seed as u64);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_table_is_the_interpreter_s() {
+    for (seed, formula) in formulas().iter().enumerate() {
+        for precision in [Precision::F32, Precision::F64] {
+            for fma in [false, true].into_iter().filter(|fma| !fma || has_fma()) {
+                compare(formula, fma, precision, true, seed as u64);
+            }
+        }
+    }
+}
+
+fn calls(formula: &str, precision: Precision, many: bool) -> usize {
+    let program = program(&model(formula, many), false);
+    let options = KernelOptions { precision, formats: vec![PixelFormat::F64; 2], packed: true };
+    explain(&program, &options).unwrap().clif.matches("call_indirect").count()
+}
+
+#[test]
+fn few_functions_are_vector_code_and_many_are_called() {
+    for precision in [Precision::F32, Precision::F64] {
+        for formula in ["exp(r)", "log(r)", "atan2(r, g)", "erf(r)", "r^g", "asin(r) + tanh(r)"] {
+            assert_eq!(calls(formula, precision, false), 0, "{formula}");
+            // In the loop and in the row's last group.
+            assert!(calls(formula, precision, true) >= 2 * 41, "{formula}");
+        }
+        // Two halves of f32 in two groups: calls for large arguments.
+        assert_eq!(calls("sin(r)", precision, false), precision.lanes(), "{precision:?}");
+    }
+}

@@ -1,0 +1,137 @@
+//! The worst error of every elementary function, in units of the last place: f32 over all arguments, f64 over samples.
+//!
+//! `RUSTFLAGS="-C target-cpu=native" cargo run --release -p isophote-symbolic --example elementary -- [stride] [samples]`:
+//! a stride of 1 takes each of the 2³² f32; without hardware that multiplies and adds with one rounding it takes hours.
+#![allow(clippy::print_stdout)]
+
+use isophote_symbolic::elementary::ulps::{error_double, error_single, exact1, exact2};
+use isophote_symbolic::elementary::{Accuracy, Plain};
+use isophote_symbolic::{Function1, Function2};
+
+const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
+const THREADS: u64 = 2;
+
+/// The worst error so far and its arguments, unfused and fused.
+type Worst = [(f64, [f64; 2]); 2];
+
+fn note(worst: &mut (f64, [f64; 2]), error: f64, at: [f64; 2]) {
+    if error > worst.0 {
+        *worst = (error, at);
+    }
+}
+
+/// Shares the work among threads.
+fn shared(work: impl Fn(u64) -> Worst + Sync) -> Worst {
+    std::thread::scope(|scope| {
+        let work = &work;
+        let threads: Vec<_> = (0..THREADS).map(|thread| scope.spawn(move || work(thread))).collect();
+        let mut all = Worst::default();
+        for thread in threads {
+            let Ok(worst) = thread.join() else { panic!("a thread has ended badly") };
+            all.iter_mut().zip(worst).for_each(|(all, one)| note(all, one.0, one.1));
+        }
+        all
+    })
+}
+
+fn reference(function: Function1, x: f64) -> f64 {
+    match function {
+        Function1::Exp => libm::exp(x),
+        Function1::Log => libm::log(x),
+        Function1::Sin => libm::sin(x),
+        Function1::Cos => libm::cos(x),
+        Function1::Tan => libm::tan(x),
+        Function1::Asin => libm::asin(x),
+        Function1::Acos => libm::acos(x),
+        Function1::Atan => libm::atan(x),
+        Function1::Sinh => libm::sinh(x),
+        Function1::Cosh => libm::cosh(x),
+        Function1::Tanh => libm::tanh(x),
+        Function1::Erf => libm::erf(x),
+    }
+}
+
+fn singles(function: Function1, stride: u64) -> Worst {
+    shared(|thread| {
+        let mut worst = Worst::default();
+        let mut bits = thread * stride;
+        while bits < 1 << 32 {
+            let x = f64::from(f32::from_bits(bits as u32));
+            let exact = [reference(function, x), 0.0];
+            for (worst, machine) in worst.iter_mut().zip(MACHINES) {
+                let value = function.value_with(machine, Accuracy::Single, x) as f32;
+                note(worst, error_single(value, exact), [x, 0.0]);
+            }
+            bits += THREADS * stride;
+        }
+        worst
+    })
+}
+
+/// SplitMix64.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Any bits, or a number of a size that models have, or one in (−1, 1), or one near 1.
+    fn argument(&mut self) -> f64 {
+        let unit = (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0;
+        match self.next() % 8 {
+            0 | 1 => f64::from_bits(self.next()),
+            2 => unit * 800.0,
+            3 => unit * 30.0,
+            4 => unit * 4.0,
+            5 => unit,
+            6 => 1.0 + unit * 0.5,
+            _ => unit * 2.0_f64.powi((self.next() % 64) as i32 - 32),
+        }
+    }
+}
+
+fn doubles(samples: u64, value: impl Fn(Plain, [f64; 2]) -> (f64, [f64; 2]) + Sync) -> Worst {
+    shared(|thread| {
+        let mut random = Random(thread);
+        let mut worst = Worst::default();
+        for _ in 0..samples / THREADS {
+            let at = [random.argument(), random.argument()];
+            let (unfused, exact) = value(MACHINES[0], at);
+            note(&mut worst[0], error_double(unfused, exact), at);
+            let (fused, _) = value(MACHINES[1], [at[0], at[1]]);
+            note(&mut worst[1], error_double(fused, exact), at);
+        }
+        worst
+    })
+}
+
+fn row(name: &str, single: Option<Worst>, double: Worst) {
+    let text = |(error, at): (f64, [f64; 2])| format!("{error:.4} at {:e}, {:e}", at[0], at[1]);
+    let [a, b] = single.unwrap_or_default().map(text);
+    let [c, d] = double.map(text);
+    println!("{name:6} f32 {a} | fused {b}\n       f64 {c} | fused {d}");
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1).map(|text| text.parse::<u64>().ok());
+    let stride = arguments.next().flatten().unwrap_or(1).max(1);
+    let samples = arguments.next().flatten().unwrap_or(10_000_000);
+    for function in Function1::ALL {
+        let double = doubles(samples, |machine, [x, _]| {
+            let exact = if machine.fused { [0.0; 2] } else { exact1(function, x) };
+            (function.value_with(machine, Accuracy::Double, x), exact)
+        });
+        row(function.name(), Some(singles(function, stride)), double);
+    }
+    for function in Function2::ALL {
+        let double = doubles(samples, |machine, [a, b]| {
+            let exact = if machine.fused { [0.0; 2] } else { exact2(function, a, b) };
+            (function.value_with(machine, Accuracy::Double, a, b), exact)
+        });
+        row(function.name(), None, double);
+    }
+}

@@ -1,0 +1,108 @@
+//! What several functions are made of: polynomials, numbers in two parts, signs, powers of two.
+
+use super::Accuracy;
+use super::machine::Machine;
+
+/// 1.5 · 2⁵²: x + MAGIC has the integer nearest to x, |x| < 2⁵¹, in its low bits.
+pub(super) const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
+pub(super) const SIGN: u64 = 1 << 63;
+/// 2²⁷ + 1, which splits a number into halves whose products are exact.
+const SPLITTER: f64 = 134_217_729.0;
+
+impl Accuracy {
+    /// The coefficients that suffice.
+    pub(super) fn pick<'a>(self, single: &'a [f64], double: &'a [f64]) -> &'a [f64] {
+        match self {
+            Accuracy::Single => single,
+            Accuracy::Double => double,
+        }
+    }
+}
+
+/// c₀ + x (c₁ + x (c₂ + …)), lowest power first.
+#[inline(always)]
+pub(super) fn polynomial<M: Machine>(m: &M, coefficients: &[f64], x: M::Number) -> M::Number {
+    let mut powers = coefficients.iter().rev();
+    let mut value = m.constant(powers.next().copied().unwrap_or(0.0));
+    for c in powers {
+        let c = m.constant(*c);
+        value = m.mul_add(value, x, c);
+    }
+    value
+}
+
+/// x + x (z P(z)), the form of the odd functions.
+#[inline(always)]
+pub(super) fn odd<M: Machine>(m: &M, coefficients: &[f64], x: M::Number, z: M::Number) -> M::Number {
+    let p = polynomial(m, coefficients, z);
+    m.mul_add(m.mul(x, z), p, x)
+}
+
+/// A number with its rounding error.
+pub(super) type Two<N> = [N; 2];
+
+/// a + b = s + e, exactly.
+#[inline(always)]
+pub(super) fn two_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::Number> {
+    let s = m.add(a, b);
+    let t = m.sub(s, a);
+    let e = m.add(m.sub(a, m.sub(s, t)), m.sub(b, t));
+    [s, e]
+}
+
+/// a + b = s + e, exactly, for |a| ≥ |b|.
+#[inline(always)]
+pub(super) fn quick_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::Number> {
+    let s = m.add(a, b);
+    [s, m.sub(b, m.sub(s, a))]
+}
+
+/// a · b = p + e, exactly (Dekker 1971 where nothing is fused), for |a|, |b| < 2⁹⁹⁵ and p no subnormal.
+#[inline(always)]
+pub(super) fn two_product<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::Number> {
+    let p = m.mul(a, b);
+    if m.is_fused() {
+        return [p, m.mul_add(a, b, m.neg(p))];
+    }
+    let split = |x: M::Number| {
+        let c = m.mul(m.constant(SPLITTER), x);
+        let high = m.sub(c, m.sub(c, x));
+        [high, m.sub(x, high)]
+    };
+    let [a, a_low] = split(a);
+    let [b, b_low] = split(b);
+    let e = m.sub(m.mul(a, b), p);
+    let e = m.add(m.add(e, m.mul(a, b_low)), m.mul(a_low, b));
+    [p, m.add(e, m.mul(a_low, b_low))]
+}
+
+/// The product of two numbers in two parts, to some 2⁻¹⁰⁰ of it.
+#[inline(always)]
+pub(super) fn product<M: Machine>(m: &M, a: Two<M::Number>, b: Two<M::Number>) -> Two<M::Number> {
+    let [p, e] = two_product(m, a[0], b[0]);
+    let e = m.mul_add(a[0], b[1], e);
+    let e = m.mul_add(a[1], b[0], e);
+    quick_sum(m, p, e)
+}
+
+/// `y` with the sign of `x` multiplied in; y ≥ 0 or NaN becomes a value of the sign of x.
+#[inline(always)]
+pub(super) fn signed<M: Machine>(m: &M, y: M::Number, x: M::Number) -> M::Number {
+    let sign = m.bits_and(m.bits(x), m.pattern(SIGN));
+    m.number(m.bits_xor(m.bits(y), sign))
+}
+
+/// x, or the bound that it exceeds; NaN stays.
+#[inline(always)]
+pub(super) fn clamped<M: Machine>(m: &M, x: M::Number, low: f64, high: f64) -> M::Number {
+    let (low, high) = (m.constant(low), m.constant(high));
+    let x = m.select(m.less(x, low), low, x);
+    m.select(m.less(high, x), high, x)
+}
+
+/// 2^k of a k that was rounded by adding [`MAGIC`], −1022 ≤ k ≤ 1023.
+#[inline(always)]
+pub(super) fn power_of_two<M: Machine>(m: &M, rounded: M::Number) -> M::Number {
+    let k = m.shift_left(m.bits(rounded), 52);
+    m.number(m.bits_add(k, m.pattern(1.0_f64.to_bits())))
+}

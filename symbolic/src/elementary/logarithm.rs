@@ -1,0 +1,92 @@
+//! ln x = k ln 2 + ln m, ½√2 ≤ m < √2, ln m by a polynomial in s = (m − 1)/(m + 1).
+
+use super::Accuracy;
+use super::arithmetic::{Two, polynomial, product, quick_sum, two_product, two_sum};
+use super::coefficients::{LN_2, LN_2_DOUBLE, LOG_DOUBLE, LOG_SINGLE, POWER_DOUBLE, TWO_THIRDS};
+use super::machine::Machine;
+
+/// The bits of ½√2, rounded to a multiple of 2⁻²⁰.
+const ROOT_HALF: u64 = 0x3fe6_a09e_0000_0000;
+const FRACTION: u64 = (1 << 52) - 1;
+
+/// k and m − 1 of x > 0.
+#[inline(always)]
+fn taken_apart<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> [M::Number; 2] {
+    let (mut x, mut bias) = (x, m.constant((1_u64 << 52) as f64 + 1023.0));
+    if accuracy == Accuracy::Double {
+        let subnormal = m.less(x, m.constant(f64::MIN_POSITIVE));
+        x = m.select(subnormal, m.mul(x, m.constant((1_u64 << 54) as f64)), x);
+        bias = m.select(subnormal, m.constant((1_u64 << 52) as f64 + 1077.0), bias);
+    }
+    let bits = m.bits_add(m.bits(x), m.pattern(1.0_f64.to_bits() - ROOT_HALF));
+    // The exponent as the fraction of a number in [2⁵², 2⁵³).
+    let exponent = m.bits_or(m.shift_right(bits, 52), m.pattern(((1_u64 << 52) as f64).to_bits()));
+    let k = m.sub(m.number(exponent), bias);
+    let fraction = m.bits_add(m.bits_and(bits, m.pattern(FRACTION)), m.pattern(ROOT_HALF));
+    [k, m.sub(m.number(fraction), m.constant(1.0))]
+}
+
+/// ln x
+#[inline(always)]
+pub(super) fn log<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Number {
+    let [k, f] = taken_apart(m, accuracy, x);
+    let s = m.div(f, m.add(f, m.constant(2.0)));
+    let z = m.mul(s, s);
+    let value = match accuracy {
+        Accuracy::Single => {
+            let p = polynomial(m, &LOG_SINGLE, z);
+            let fraction = m.mul_add(m.mul(s, z), p, m.add(s, s));
+            m.mul_add(k, m.constant(std::f64::consts::LN_2), fraction)
+        }
+        Accuracy::Double => {
+            // ln(1 + f) = f − (f²/2 − s (f²/2 + z P)): f is exact.
+            let half = m.mul(m.mul(f, f), m.constant(0.5));
+            let p = m.mul_add(z, polynomial(m, &LOG_DOUBLE, z), half);
+            let small = m.mul_add(s, p, m.mul(k, m.constant(LN_2[1])));
+            let [high, low] = two_sum(m, m.mul(k, m.constant(LN_2[0])), f);
+            m.add(high, m.add(low, m.sub(small, half)))
+        }
+    };
+    special(m, x, value)
+}
+
+/// `value`, or what the logarithm of 0, of negative numbers, of infinity and of NaN is.
+#[inline(always)]
+fn special<M: Machine>(m: &M, x: M::Number, value: M::Number) -> M::Number {
+    let (zero, infinity) = (m.constant(0.0), m.constant(f64::INFINITY));
+    let ordinary = m.and(m.less(zero, x), m.less(x, infinity));
+    let nan = m.constant(f64::NAN);
+    // ∞ is its own logarithm.
+    let other = m.select(m.equal(x, infinity), x, nan);
+    let other = m.select(m.equal(x, zero), m.constant(f64::NEG_INFINITY), other);
+    m.select(ordinary, value, other)
+}
+
+/// ln x of x ≥ 0 to 2⁻⁶⁵ of itself; infinite, or NaN, in the first part alone.
+#[inline(always)]
+pub(super) fn log_in_two<M: Machine>(m: &M, x: M::Number) -> Two<M::Number> {
+    let [k, f] = taken_apart(m, Accuracy::Double, x);
+    // s = f / (2 + f) in two parts; f is exact and 2 + f has an error of its own.
+    let [d, d_low] = quick_sum(m, m.constant(2.0), f);
+    let s = m.div(f, d);
+    let [p, e] = two_product(m, s, d);
+    let rest = m.sub(m.sub(f, p), e);
+    let rest = m.sub(rest, m.mul(s, d_low));
+    let s = quick_sum(m, s, m.div(rest, d));
+    let z = product(m, s, s);
+    // ⅔ s z in two parts, too; what follows is small enough for one.
+    let thirds = [m.constant(TWO_THIRDS[0]), m.constant(TWO_THIRDS[1])];
+    let cubic = product(m, product(m, s, z), thirds);
+    let higher = m.mul(m.mul(s[0], m.mul(z[0], z[0])), polynomial(m, &POWER_DOUBLE, z[0]));
+    let two = m.constant(2.0);
+    let [sum, low] = quick_sum(m, m.mul(two, s[0]), cubic[0]);
+    let low = m.add(m.add(low, m.mul_add(two, s[1], cubic[1])), higher);
+    // k · LN_2_DOUBLE[0] and [1] are exact.
+    let [high, rest] = two_sum(m, m.mul(k, m.constant(LN_2_DOUBLE[0])), sum);
+    let [second, rest_of_second] = two_sum(m, m.mul(k, m.constant(LN_2_DOUBLE[1])), rest);
+    let low = m.add(low, m.mul_add(k, m.constant(LN_2_DOUBLE[2]), rest_of_second));
+    let [high, second] = quick_sum(m, high, second);
+    let [high, low] = quick_sum(m, high, m.add(second, low));
+    let value = special(m, x, high);
+    [value, low]
+}

@@ -1,0 +1,56 @@
+//! How far a value is from the exact one, in units of its last place: what the tests and examples/elementary.rs measure.
+
+use crate::double_double::DoubleDouble;
+use crate::function::{Function1, Function2};
+
+/// The exact value, as a sum of two numbers, to some 28 digits.
+pub fn exact1(function: Function1, x: f64) -> [f64; 2] {
+    DoubleDouble::from(x).call1(function).parts()
+}
+
+/// The exact value of a function of two arguments.
+pub fn exact2(function: Function2, a: f64, b: f64) -> [f64; 2] {
+    DoubleDouble::from(a).call2(function, b.into()).parts()
+}
+
+/// 2^(⌊log₂ |x|⌋ − digits), at least the smallest there is.
+fn unit(x: f64, digits: i32, lowest: i32) -> f64 {
+    let exponent = (x.to_bits() >> 52 & 0x7ff) as i32 - 1023;
+    libm::ldexp(1.0, (exponent - digits).max(lowest))
+}
+
+/// The error of an f32: 0 for the right NaN, infinity or sign of zero, infinite for a wrong one.
+pub fn error_single(value: f32, exact: [f64; 2]) -> f64 {
+    let rounded = (exact[0] + exact[1]) as f32;
+    match special(f64::from(value), f64::from(rounded)) {
+        Some(error) => error,
+        None => ((f64::from(value) - exact[0]) - exact[1]).abs() / unit(exact[0], 23, -149),
+    }
+}
+
+/// The error of an f64.
+pub fn error_double(value: f64, exact: [f64; 2]) -> f64 {
+    match special(value, exact[0]) {
+        Some(error) => error,
+        None => {
+            // The smallest unit would make the quotient of two subnormals; scaled, both are ordinary.
+            let scale = if exact[0].abs() < 1e-200 { libm::ldexp(1.0, 400) } else { 1.0 };
+            let difference = (value * scale - exact[0] * scale) - exact[1] * scale;
+            difference.abs() / (unit(exact[0], 52, -1074) * scale)
+        }
+    }
+}
+
+fn special(value: f64, exact: f64) -> Option<f64> {
+    let wrong = |right: bool| Some(if right { 0.0 } else { f64::INFINITY });
+    if exact.is_nan() || value.is_nan() {
+        return wrong(exact.is_nan() && value.is_nan());
+    }
+    if exact.is_infinite() || value.is_infinite() {
+        return wrong(exact == value);
+    }
+    if exact == 0.0 && value == 0.0 {
+        return wrong(exact.is_sign_negative() == value.is_sign_negative());
+    }
+    None
+}
