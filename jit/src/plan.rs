@@ -56,6 +56,10 @@ pub(crate) struct Plan<'a> {
     pub splats: Vec<Option<Home>>,
     /// The vector of each accumulator.
     pub accumulators: Vec<Home>,
+    /// For each accumulator: the factors that are multiplied and added at once.
+    pub contractions: Vec<Option<(Value, Value)>>,
+    /// Whether a value is such a product, which is not computed by itself; by value.
+    pub is_contracted: Vec<bool>,
     /// The f64 of each total.
     pub totals: Vec<Slot>,
     /// The offsets, in the order of `pixels`.
@@ -139,6 +143,12 @@ impl<'a> Plan<'a> {
             Sink::Sums { accumulators, .. } => accumulators.len(),
             Sink::Plane(_) => 0,
         };
+        let contractions = program.contractions();
+        let mut is_contracted = vec![false; count];
+        if let Sink::Sums { accumulators, .. } = program.sink() {
+            let products = accumulators.iter().zip(&contractions).filter(|(_, factors)| factors.is_some());
+            products.for_each(|(v, _)| is_contracted[v.index()] = true);
+        }
         let calls = pixels.iter().any(|v| matches!(program.instruction(*v).op, Op::Call1(..) | Op::Call2(..)));
         let busy = if calls { REGISTERS } else { busy_registers(program, &pixels) };
         let mut free = REGISTERS.saturating_sub(busy);
@@ -182,6 +192,8 @@ impl<'a> Plan<'a> {
             scalars,
             splats,
             accumulators,
+            contractions,
+            is_contracted,
             totals,
             offsets,
             range,

@@ -153,9 +153,7 @@ fn apply<T: Lane>(op: Op, machine: Plain, at: impl Fn(Value) -> Cell<T>) -> Cell
         Op::Div(a, b) => n(a).div(n(b)),
         Op::Fma(a, b, c) => n(a).fma(n(b), n(c)),
         Op::Call1(f, a) => T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64())),
-        Op::Call2(f, a, b) => {
-            T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64(), n(b).to_f64()))
-        }
+        Op::Call2(f, a, b) => T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64(), n(b).to_f64())),
         Op::Compare(c, a, b) => return Cell::Truth(holds(c, n(a).to_f64(), n(b).to_f64())),
         Op::And(a, b) => return Cell::Truth(at(a).truth() && at(b).truth()),
         Op::Or(a, b) => return Cell::Truth(at(a).truth() || at(b).truth()),
@@ -242,6 +240,7 @@ fn run_lanes<T: Lane, const L: usize>(
         }
         Sink::Plane(_) => (&[][..], &[][..], &[][..]),
     };
+    let contractions = program.contractions();
     let mut outcome = Outcome::default();
     let mut pass_totals = vec![0.0_f64; totals.len()];
     scalars.execute(Level::Pass, &|_| None);
@@ -310,8 +309,12 @@ fn run_lanes<T: Lane, const L: usize>(
                     continue;
                 }
                 used_in_row += 1;
-                for (sum, value) in sums.iter_mut().zip(accumulators) {
-                    sum[l] = sum[l].add(lanes[value.index()][l].number());
+                for ((sum, value), factors) in sums.iter_mut().zip(accumulators).zip(&contractions) {
+                    let number = |v: Value| lanes[v.index()][l].number();
+                    sum[l] = match *factors {
+                        Some((a, b)) => number(a).fma(number(b), sum[l]),
+                        None => sum[l].add(number(*value)),
+                    };
                 }
                 if let (Sink::Plane(value), Some(plane)) = (&program.sink, plane.as_deref_mut()) {
                     plane[row * window.width + group + l] += lanes[value.index()][l].number().to_f64() as f32;

@@ -326,13 +326,30 @@ impl Program {
     pub fn names(&self) -> &Names {
         &self.names
     }
-    /// Whether elementary functions of the pixel level multiply and add with one rounding; no other level's do.
+    /// Whether the pixel level multiplies and adds with one rounding where it can: in elementary functions and in
+    /// [`Self::contractions`]. No other level does.
     pub fn is_fused(&self) -> bool {
         self.fused
     }
     /// The instruction that makes `value`.
     pub fn instruction(&self, value: Value) -> &Instruction {
         &self.instructions[value.index()]
+    }
+    /// For each accumulator of a fused program: the factors of its pixel value, if that is a product which nothing else
+    /// reads. It is added with one rounding.
+    pub fn contractions(&self) -> Vec<Option<(Value, Value)>> {
+        let Sink::Sums { accumulators, .. } = &self.sink else { return Vec::new() };
+        let mut reads = vec![0_u32; self.instructions.len()];
+        let set = self.pixel_set.mask.into_iter().chain(self.pixel_set.saturated);
+        let operands = self.instructions.iter().flat_map(|i| i.op.operands());
+        operands.chain(set).chain(accumulators.iter().copied()).for_each(|v| reads[v.index()] += 1);
+        let factors = |v: &Value| match *self.instruction(*v) {
+            Instruction { op: Op::Mul(a, b), level: Level::Pixel, .. } if self.fused && reads[v.index()] == 1 => {
+                Some((a, b))
+            }
+            _ => None,
+        };
+        accumulators.iter().map(factors).collect()
     }
     /// True when `value` is a truth value.
     pub fn is_truth(&self, value: Value) -> bool {

@@ -83,6 +83,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
         let mut running = 0;
         for (at, value) in plan.pixels.iter().enumerate() {
+            // Nothing reads it, so it comes after what decides on the pixel set.
+            if plan.is_contracted[value.index()] {
+                self.sink(Some(*value), used, &mut state);
+                continue;
+            }
             let result = match plan.program.instruction(*value).op {
                 Op::Offset(_) => {
                     let (t, next) = self.step(state.offsets[running], *value);
@@ -248,21 +253,38 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     fn accumulate(&mut self, i: usize, value: Value, used: Option<ir::Value>, state: &mut Running) {
-        let mut term = self.operand(value);
-        if let Some(used) = used {
-            term = self.emit.b.ins().band(term, used);
-        }
+        let plan = self.emit.plan;
+        let slot = plan.accumulators[i].slot;
+        let term = match plan.contractions[i] {
+            Some((a, b)) => Term::Product(self.operand(a), self.operand(b)),
+            None => Term::Value(self.operand(value)),
+        };
         let emit = &mut *self.emit;
-        match &mut state.sums[i] {
-            Some(sum) => *sum = emit.b.ins().fadd(*sum, term),
-            None => {
-                let slot = emit.plan.accumulators[i].slot;
-                let sum = emit.load(emit.number, slot);
-                let sum = emit.b.ins().fadd(term, sum);
-                emit.store(sum, slot);
+        let old = state.sums[i].unwrap_or_else(|| emit.load(emit.number, slot));
+        let new = match (term, used) {
+            (Term::Value(value), None) => emit.b.ins().fadd(old, value),
+            (Term::Value(value), Some(used)) => {
+                let value = emit.b.ins().band(value, used);
+                emit.b.ins().fadd(old, value)
             }
+            (Term::Product(a, b), None) => emit.b.ins().fma(a, b, old),
+            (Term::Product(a, b), Some(used)) => {
+                let new = emit.b.ins().fma(a, b, old);
+                emit.b.ins().bitselect(used, new, old)
+            }
+        };
+        match &mut state.sums[i] {
+            Some(sum) => *sum = new,
+            None => emit.store(new, slot),
         }
     }
+}
+
+/// What is added to an accumulator.
+enum Term {
+    Value(ir::Value),
+    /// Multiplied and added with one rounding.
+    Product(ir::Value, ir::Value),
 }
 
 /// A small integer in every lane of truth values' type.
