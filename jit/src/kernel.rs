@@ -1,6 +1,7 @@
 //! `Kernel`: a program as native code, ready to run over the pixels of a window.
 
 use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
+use smallvec::SmallVec;
 
 use crate::check::Parts;
 use crate::compile;
@@ -83,7 +84,8 @@ impl Kernel {
         let Sink::Sums { outputs, .. } = self.program.sink() else { return Err(RunError::Sink { renders: true }) };
         let regions = self.regions(planes, window)?;
         let mut outputs = vec![0.0; outputs.len()];
-        let counts = self.code.sums(&self.program.gather(bindings), &mut outputs, &regions, window);
+        let inputs: SmallVec<[f64; 32]> = self.program.gather(bindings).collect();
+        let counts = self.code.sums(&inputs, &mut outputs, &regions, window);
         Ok(Sums { outputs, pixels: counts.pixels, saturated: counts.saturated })
     }
 
@@ -99,7 +101,8 @@ impl Kernel {
         if window.pixels() != plane.len() {
             return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
         }
-        self.code.render(&self.program.gather(bindings), window, plane);
+        let inputs: SmallVec<[f64; 32]> = self.program.gather(bindings).collect();
+        self.code.render(&inputs, window, plane);
         Ok(())
     }
 
@@ -112,22 +115,23 @@ impl Kernel {
         }
     }
 
-    fn regions<'a>(&self, planes: &[PlaneView<'a>], window: Window) -> Result<Vec<Region<'a>>, RunError> {
+    fn regions<'a>(&self, planes: &'a [PlaneView<'a>], window: Window) -> Result<SmallVec<[Region<'a>; 1]>, RunError> {
         let formats = &self.options.formats;
         if planes.len() != formats.len() {
             return Err(RunError::Planes { channels: formats.len(), planes: planes.len() });
         }
-        let region = |(channel, (plane, expected)): (usize, (&PlaneView<'a>, &PixelFormat))| {
+        self.check_slices(window)?;
+        let mut regions = SmallVec::new();
+        for (channel, (plane, expected)) in planes.iter().zip(formats).enumerate() {
             if plane.format() != *expected {
                 return Err(RunError::Format { channel, expected: *expected, given: plane.format() });
             }
             if self.options.packed && !plane.is_packed() {
                 return Err(RunError::Packing { channel, stride: plane.pixel_stride() });
             }
-            plane.region(window).ok_or(RunError::Window { window, size: plane.size() })
-        };
-        self.check_slices(window)?;
-        planes.iter().zip(formats).enumerate().map(region).collect()
+            regions.push(plane.region(window).ok_or(RunError::Window { window, size: plane.size() })?);
+        }
+        Ok(regions)
     }
 }
 

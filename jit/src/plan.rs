@@ -12,15 +12,17 @@ use isophote_symbolic::{Instruction, Level, Op, PixelSet, Program, Sink, Value};
 pub(crate) enum Area {
     /// What a pass keeps.
     Pass,
-    /// What a row keeps; there are two of it, because a row is prepared while the one before is worked on.
-    Row,
+    /// What two rows keep, each slot twice; there are two of it, because two rows are prepared while the two before are
+    /// worked on.
+    Rows,
 }
 
-/// A place in the record: a byte offset in its area.
+/// A place in the record: a byte offset in its area, and its size.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Slot {
     pub area: Area,
     pub offset: i32,
+    pub bytes: i32,
 }
 
 /// Where the pixel loop finds the inner coordinate plus a row value.
@@ -52,6 +54,8 @@ pub(crate) struct Plan<'a> {
     pub pixels: Vec<Value>,
     /// Pass and row values that another level reads as f64: their slot, by value.
     pub scalars: Vec<Option<Slot>>,
+    /// Pass values that rows read, for two rows at once: their slot, by value.
+    pub pairs: Vec<Option<Slot>>,
     /// Pass and row values that pixel instructions read: their vector, by value.
     pub splats: Vec<Option<Home>>,
     /// The vector of each accumulator.
@@ -64,18 +68,20 @@ pub(crate) struct Plan<'a> {
     pub totals: Vec<Slot>,
     /// The offsets, in the order of `pixels`.
     pub offsets: Vec<Offset>,
-    /// The first and the last pixel of a row, relative to the window.
+    /// The first and the last pixel of a row, relative to the window; 64-bit integers.
     pub range: [Slot; 2],
     /// The first pixel of the window in a row of each plane that is read, by channel; of the output plane.
     pub rows: Vec<Option<Slot>>,
     pub target: Slot,
-    /// The window's first and last column, as f64.
+    /// Where the last group of a row begins at the latest, relative to the window; a 64-bit integer.
+    pub furthest: Slot,
+    /// The window's first and last column, as two f64 each.
     pub columns: [Slot; 2],
     /// Two vectors through which elementary functions take lanes.
     pub operands: [Slot; 2],
     /// Bytes of each area.
     pub pass_bytes: u32,
-    pub row_bytes: u32,
+    pub rows_bytes: u32,
 }
 
 /// Vector registers of x64. Sums get what a group leaves free of them, then operands, the most read first: within
@@ -85,18 +91,18 @@ const REGISTERS: usize = 16;
 #[derive(Default)]
 struct Record {
     pass_bytes: u32,
-    row_bytes: u32,
+    rows_bytes: u32,
 }
 
 impl Record {
     fn take(&mut self, area: Area, bytes: u32) -> Slot {
-        let end = match area {
-            Area::Pass => &mut self.pass_bytes,
-            Area::Row => &mut self.row_bytes,
+        let (end, count) = match area {
+            Area::Pass => (&mut self.pass_bytes, 1),
+            Area::Rows => (&mut self.rows_bytes, 2),
         };
-        let at = end.next_multiple_of(bytes);
-        *end = at + bytes;
-        Slot { area, offset: at as i32 }
+        let at = end.next_multiple_of(count * bytes);
+        *end = at + count * bytes;
+        Slot { area, offset: at as i32, bytes: bytes as i32 }
     }
     fn scalar(&mut self, area: Area) -> Slot {
         self.take(area, 8)
@@ -109,7 +115,7 @@ impl Record {
 /// Where a pass or row value is kept.
 fn area(level: Level) -> Area {
     match level {
-        Level::Row => Area::Row,
+        Level::Row => Area::Rows,
         _ => Area::Pass,
     }
 }
@@ -122,10 +128,15 @@ impl<'a> Plan<'a> {
         let mut record = Record::default();
 
         let mut scalars = vec![None; count];
+        let mut pairs = vec![None; count];
         for (reader, value) in scalar_reads(program) {
             let Instruction { level, op, .. } = *program.instruction(value);
             let constant = matches!(op, Op::Const(_));
-            if level != reader && !constant && scalars[value.index()].is_none() {
+            if reader == Level::Row {
+                if level == Level::Pass && !constant && pairs[value.index()].is_none() {
+                    pairs[value.index()] = Some(record.vector(Area::Pass));
+                }
+            } else if level != reader && !constant && scalars[value.index()].is_none() {
                 scalars[value.index()] = Some(record.scalar(area(level)));
             }
         }
@@ -174,22 +185,24 @@ impl<'a> Plan<'a> {
         for value in &pixels {
             match program.instruction(*value).op {
                 Op::Offset(term) => {
-                    let [first, fraction] = [record.vector(Area::Row), record.vector(Area::Row)];
+                    let [first, fraction] = [record.vector(Area::Rows), record.vector(Area::Rows)];
                     offsets.push(Offset { value: *value, term, first, fraction });
                 }
-                Op::Channel(channel) => rows[channel.index()] = Some(record.scalar(Area::Row)),
+                Op::Channel(channel) => rows[channel.index()] = Some(record.scalar(Area::Rows)),
                 _ => {}
             }
         }
-        let range = [record.scalar(Area::Row), record.scalar(Area::Row)];
-        let target = record.scalar(Area::Row);
-        let columns = [record.scalar(Area::Pass), record.scalar(Area::Pass)];
+        let range = [record.scalar(Area::Rows), record.scalar(Area::Rows)];
+        let target = record.scalar(Area::Rows);
+        let furthest = record.scalar(Area::Pass);
+        let columns = [record.vector(Area::Pass), record.vector(Area::Pass)];
         let operands = [record.vector(Area::Pass), record.vector(Area::Pass)];
-        let [pass_bytes, row_bytes] = [record.pass_bytes, record.row_bytes].map(|bytes| bytes.next_multiple_of(16));
+        let [pass_bytes, rows_bytes] = [record.pass_bytes, record.rows_bytes].map(|bytes| bytes.next_multiple_of(32));
         Plan {
             program,
             pixels,
             scalars,
+            pairs,
             splats,
             accumulators,
             contractions,
@@ -199,10 +212,11 @@ impl<'a> Plan<'a> {
             range,
             rows,
             target,
+            furthest,
             columns,
             operands,
             pass_bytes,
-            row_bytes,
+            rows_bytes,
         }
     }
 

@@ -171,26 +171,26 @@ impl<'a> PlaneView<'a> {
     }
 
     /// The part of the plane under `window`; `None` where the window leaves the plane or is empty.
-    pub(crate) fn region(&self, window: Window) -> Option<Region<'a>> {
+    pub(crate) fn region(&self, window: Window) -> Option<Region<'_>> {
         if window.clipped_to(self.size)? != window {
             return None;
         }
         let first: usize = window.first().iter().zip(self.strides).map(|(at, stride)| at * stride).sum();
-        Some(Region { plane: *self, first: &self.bytes[first..], window })
+        Some(Region { plane: self, first: &self.bytes[first..], window })
     }
 }
 
 /// A window that lies inside its plane, by construction.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Region<'a> {
-    plane: PlaneView<'a>,
+    plane: &'a PlaneView<'a>,
     first: &'a [u8],
     window: Window,
 }
 
 impl<'a> Region<'a> {
     pub fn plane(&self) -> &PlaneView<'a> {
-        &self.plane
+        self.plane
     }
     pub fn window(&self) -> Window {
         self.window

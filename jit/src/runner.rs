@@ -7,6 +7,7 @@ use std::ptr;
 use cranelift_codegen::ir::{AbiParam, types};
 use cranelift_jit::{JITBuilder, JITModule};
 use cranelift_module::{Module, default_libcall_names};
+use smallvec::SmallVec;
 
 use crate::abi::{Args, FUNCTIONS, PlaneArgs};
 use crate::compile::Native;
@@ -124,10 +125,13 @@ impl Code {
         }
         let narrow = window.width < self.shape.lanes;
         let padded: Vec<Padded> = regions.iter().filter(|_| narrow).map(|r| r.padded(self.shape.lanes)).collect();
-        let planes: Vec<PlaneArgs> = match narrow {
-            true => padded.iter().map(|padded| plane_args(padded.bytes(), padded.strides())).collect(),
-            false => regions.iter().map(|region| plane_args(region.first(), region.plane().strides())).collect(),
-        };
+        let mut planes: SmallVec<[PlaneArgs; 2]> = SmallVec::new();
+        for (channel, region) in regions.iter().enumerate() {
+            planes.push(match padded.get(channel) {
+                Some(padded) => plane_args(padded.bytes(), padded.strides()),
+                None => plane_args(region.first(), region.plane().strides()),
+            });
+        }
         let mut args = Args {
             inputs: inputs.as_ptr(),
             outputs: outputs.as_mut_ptr(),

@@ -101,7 +101,7 @@ pub(crate) fn evaluate<N: Number>(
     window: crate::interpreter::Window,
 ) -> Vec<N> {
     let sample = Sample {
-        inputs: program.gather(bindings).into_iter().map(N::from).collect(),
+        inputs: program.gather(bindings).map(N::from).collect(),
         columns: (window.x..window.x + window.width).map(|x| N::from(x as f64)).collect(),
         rows: (window.y..window.y + window.height).map(|y| vec![N::from(y as f64)]).collect(),
         pixel: &|channel, column, row| pixels.at(channel, window.x + column, window.y + row).into(),

@@ -233,7 +233,8 @@ fn run_lanes<T: Lane, const L: usize>(
 ) -> Outcome {
     let count = program.instructions.len();
     let machine = Plain { fused: program.fused };
-    let mut scalars = Scalars { program, inputs: program.gather(bindings), cells: vec![Cell::Number(0.0); count] };
+    let mut scalars =
+        Scalars { program, inputs: program.gather(bindings).collect(), cells: vec![Cell::Number(0.0); count] };
     let (accumulators, totals, outputs) = match &program.sink {
         Sink::Sums { accumulators, totals, outputs } => {
             (accumulators.as_slice(), totals.as_slice(), outputs.as_slice())

@@ -361,16 +361,16 @@ impl Program {
     }
     /// The numbers for [`Program::inputs`], in order. A missing shift is 0; any other missing slot is a bug of the caller
     /// and reads NaN.
-    pub fn gather(&self, bindings: &Bindings) -> Vec<f64> {
+    pub fn gather(&self, bindings: &Bindings) -> impl Iterator<Item = f64> {
         let at = |slice: &[f64], i: usize| slice.get(i).copied().unwrap_or(f64::NAN);
-        let number = |input: &Input| match *input {
+        let number = move |input: &Input| match *input {
             Input::Parameter(p) => at(bindings.parameters, p.index()),
             Input::Entry(p) => at(bindings.entry, p.index()),
             Input::Constant(c) => at(bindings.constants, c.index()),
             Input::Saturation(c) => at(bindings.saturation, c.index()),
             Input::Shift(c) => bindings.shift.get(c.index()).copied().unwrap_or(0.0),
         };
-        self.inputs.iter().map(number).collect()
+        self.inputs.iter().map(number)
     }
 
     /// Counts what the program does; F itself is part of the count when the program sums it.

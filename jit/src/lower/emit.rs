@@ -1,5 +1,6 @@
 //! `Emitter`: the function under construction, the record, and access to both.
 
+use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{
     self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, StackSlot, StackSlotData, StackSlotKind,
     types,
@@ -47,8 +48,6 @@ pub(super) struct Emitter<'a, 'p> {
     pub results: Vec<Option<ir::Value>>,
     /// What stays in registers during a row's loop, by value.
     pub held: Vec<Option<ir::Value>>,
-    /// The outer coordinates of the row, by their position; the inner one has none.
-    pub outer: [Option<ir::Value>; 4],
     /// Pixels of the row, at its end, or of the pass, at its end.
     pub count: Option<ir::Value>,
     /// Accumulators at the end of the row; `None` where the record has it.
@@ -57,8 +56,8 @@ pub(super) struct Emitter<'a, 'p> {
     pub rows: Vec<Option<(ir::Value, ir::Value)>>,
     /// The row of the output plane.
     pub target: Option<ir::Value>,
-    /// The addresses of the row areas: of the row that is worked on, and of the one that is prepared.
-    pub areas: Option<[ir::Value; 2]>,
+    /// The addresses of the rows' areas.
+    pub areas: Option<Areas>,
     record: StackSlot,
     /// The addresses of the record and of the argument block.
     bases: Option<[ir::Value; 2]>,
@@ -80,7 +79,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
         options: &'p KernelOptions,
         isa: &dyn TargetIsa,
     ) -> Self {
-        let slot = StackSlotData::new(StackSlotKind::ExplicitSlot, plan.pass_bytes + 2 * plan.row_bytes, 4);
+        let slot = StackSlotData::new(StackSlotKind::ExplicitSlot, plan.pass_bytes + 2 * plan.rows_bytes, 4);
         let record = b.create_sized_stack_slot(slot);
         let (number, truth) = match options.precision {
             Precision::F32 => (types::F32X4, types::I32X4),
@@ -95,7 +94,6 @@ impl<'a, 'p> Emitter<'a, 'p> {
             truth,
             results: vec![None; count],
             held: vec![None; count],
-            outer: [None; 4],
             count: None,
             sums: Vec::new(),
             rows: vec![None; plan.program.channels()],
@@ -148,36 +146,53 @@ impl<'a, 'p> Emitter<'a, 'p> {
         self.b.ins().store(RECORD, value, args, offset);
     }
 
-    /// The addresses of the two row areas.
+    /// The addresses of the two areas for rows.
     pub fn row_areas(&mut self) -> [ir::Value; 2] {
         let [record, _] = self.bases();
-        let [first, second] = [0, 1].map(|n| i64::from(self.plan.pass_bytes + n * self.plan.row_bytes));
+        let [first, second] = [0, 1].map(|n| i64::from(self.plan.pass_bytes + n * self.plan.rows_bytes));
         [self.b.ins().iadd_imm_s(record, first), self.b.ins().iadd_imm_s(record, second)]
     }
 
-    /// The address to read a slot at, or to write it at.
-    fn base(&self, slot: Slot, access: Access) -> ir::Value {
-        match (slot.area, self.areas) {
-            (Area::Pass, _) => self.bases()[0],
-            (Area::Row, Some(areas)) => areas[access as usize],
-            (Area::Row, None) => unreachable!("rows come after `row_areas`"),
+    fn areas(&self) -> Areas {
+        match self.areas {
+            Some(areas) => areas,
+            None => unreachable!("rows come after `row_areas`"),
         }
     }
 
+    /// The address to read a slot at.
+    fn base(&self, slot: Slot) -> ir::Value {
+        match (slot.area, slot.bytes) {
+            (Area::Pass, _) => self.bases()[0],
+            (Area::Rows, 8) => self.areas().scalars,
+            (Area::Rows, _) => self.areas().vectors,
+        }
+    }
+
+    /// The address of a pass' slot.
     pub fn address(&mut self, slot: Slot) -> ir::Value {
-        let base = self.base(slot, Access::Read);
+        let base = self.base(slot);
         self.b.ins().iadd_imm_s(base, i64::from(slot.offset))
     }
 
     /// Reads the record. Emitted right before its reader the load becomes that instruction's memory operand.
     pub fn load(&mut self, kind: ir::Type, slot: Slot) -> ir::Value {
-        let base = self.base(slot, Access::Read);
+        let base = self.base(slot);
         self.b.ins().load(kind, RECORD, base, slot.offset)
     }
 
+    /// Writes a slot: of the pass, or of the first of the two rows that are prepared.
     pub fn store(&mut self, value: ir::Value, slot: Slot) {
-        let base = self.base(slot, Access::Write);
-        self.b.ins().store(RECORD, value, base, slot.offset);
+        self.store_of(value, slot, 0);
+    }
+
+    /// Writes a slot of one of the two rows that are prepared. A vector in a scalar slot is for both.
+    pub fn store_of(&mut self, value: ir::Value, slot: Slot, row: i32) {
+        let base = match slot.area {
+            Area::Pass => self.bases()[0],
+            Area::Rows => self.areas().ahead,
+        };
+        self.b.ins().store(RECORD, value, base, slot.offset + row * slot.bytes);
     }
 
     /// Goes on in a new block if `condition` holds, else jumps to `otherwise`.
@@ -197,19 +212,28 @@ impl<'a, 'p> Emitter<'a, 'p> {
         {
             return result;
         }
-        let kind = if self.plan.program.is_truth(value) { types::I8 } else { types::F64 };
+        let is_truth = self.plan.program.is_truth(value);
         match self.plan.scalars[value.index()] {
-            Some(slot) => self.load(kind, slot),
+            Some(slot) if is_truth && slot.area == Area::Rows => {
+                let mask = self.load(types::I64, slot);
+                self.b.ins().icmp_imm_s(IntCC::NotEqual, mask, 0)
+            }
+            Some(slot) => self.load(if is_truth { types::I8 } else { types::F64 }, slot),
             None => unreachable!("the plan gives a slot to every value that crosses levels"),
         }
     }
 
     /// A number from the constants behind the code, which costs one load; as an immediate it would take two instructions.
     pub fn constant(&mut self, number: f64) -> ir::Value {
+        let pair = self.pair(number);
+        self.b.ins().extractlane(pair, 0)
+    }
+
+    /// The same number twice.
+    pub fn pair(&mut self, number: f64) -> ir::Value {
         let bytes: Vec<u8> = [number; 2].iter().flat_map(|n| n.to_le_bytes()).collect();
         let constant = self.b.func.dfg.constants.insert(bytes.into());
-        let pair = self.b.ins().vconst(types::F64X2, constant);
-        self.b.ins().extractlane(pair, 0)
+        self.b.ins().vconst(types::F64X2, constant)
     }
 
     /// The instructions of a level with their values.
@@ -247,16 +271,6 @@ impl<'a, 'p> Emitter<'a, 'p> {
         signature
     }
 
-    /// The integer nearest to an f64 below 2⁵¹, ties to even: as f64 and as integer. Nothing that could trap.
-    pub fn nearest(&mut self, x: ir::Value) -> (ir::Value, ir::Value) {
-        let magic = self.constant(MAGIC);
-        let shifted = self.b.ins().fadd(x, magic);
-        let bits = self.b.ins().bitcast(types::I64, MemFlagsData::new(), shifted);
-        let integer = self.b.ins().ireduce(types::I32, bits);
-        let integer = self.b.ins().sextend(types::I64, integer);
-        (self.b.ins().fsub(shifted, magic), integer)
-    }
-
     /// The same bits as another vector type.
     pub fn cast(&mut self, kind: ir::Type, value: ir::Value) -> ir::Value {
         if self.b.func.dfg.value_type(value) == kind {
@@ -266,11 +280,15 @@ impl<'a, 'p> Emitter<'a, 'p> {
     }
 }
 
-/// Rows are read in the area of the row that is worked on, and written in the area of the one that is prepared.
+/// Where rows keep what they need.
 #[derive(Clone, Copy)]
-enum Access {
-    Read,
-    Write,
+pub(super) struct Areas {
+    /// Of the row that is worked on: what slots of 8 bytes are relative to, …
+    pub scalars: ir::Value,
+    /// … and slots of 16.
+    pub vectors: ir::Value,
+    /// Of the two rows that are prepared.
+    pub ahead: ir::Value,
 }
 
 /// How an elementary function is called, see [`crate::abi::Functions`].

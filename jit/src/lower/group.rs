@@ -4,7 +4,7 @@ use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
 use isophote_symbolic::{Level, Op, PixelSet, Precision, Sink, Value};
 
-use super::emit::{Emitter, arg};
+use super::emit::Emitter;
 use super::running::{Running, vector};
 use super::scalar::condition;
 use super::{Row, with};
@@ -25,8 +25,8 @@ enum Kind {
     Partial {
         /// Truth values of the lanes that belong to the group.
         live: ir::Value,
-        /// What the offsets lack, because the group begins left of its first pixel.
-        shift: ir::Value,
+        /// By how many pixels the group begins left of its first one.
+        surplus: ir::Value,
     },
 }
 
@@ -38,14 +38,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
 
     /// The pixels from `pixel` on, as far as the row goes. Begins so far left that it ends inside of the window.
     pub fn partial(emit: &'e mut Emitter<'a, 'p>, pixel: ir::Value, row: Row) -> Self {
-        let lanes = emit.lanes();
-        let width = emit.arg(types::I64, arg::WIDTH);
-        let lane_count = emit.integer(lanes as i64);
-        let pitch = emit.b.ins().smax(width, lane_count);
-        let furthest = emit.b.ins().iadd_imm_s(pitch, -(lanes as i64));
+        let furthest = emit.load(types::I64, emit.plan.furthest);
         let first = emit.b.ins().smin(pixel, furthest);
-        let shift = emit.b.ins().isub(first, pixel);
-        let ahead = emit.b.ins().isub(row.end, first);
+        let before = emit.b.ins().isub(pixel, first);
+        let until = emit.b.ins().isub(row.end, first);
+        let until = emit.b.ins().iadd_imm_s(until, 1);
 
         let bytes: Vec<u8> = match emit.options.precision {
             Precision::F32 => (0..4_i32).flat_map(i32::to_le_bytes).collect(),
@@ -53,20 +50,12 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         };
         let constant = emit.b.func.dfg.constants.insert(bytes.into());
         let steps = emit.b.ins().vconst(emit.truth, constant);
-        let ahead = spread(emit, ahead);
-        let reached = emit.b.ins().icmp(IntCC::SignedGreaterThanOrEqual, ahead, steps);
-        // −shift ≤ lane, that is 0 ≤ lane + shift.
-        let lanes_shift = spread(emit, shift);
-        let place = emit.b.ins().iadd(steps, lanes_shift);
-        let minus_one = emit.b.ins().iconst(types::I64, -1);
-        let minus_one = spread(emit, minus_one);
-        let begun = emit.b.ins().icmp(IntCC::SignedGreaterThan, place, minus_one);
-        let live = emit.b.ins().band(reached, begun);
-
-        let shift = emit.b.ins().fcvt_from_sint(types::F64, shift);
-        let shift = emit.rounded(shift);
-        let shift = emit.b.ins().splat(emit.number, shift);
-        Group { emit, first, kind: Kind::Partial { live, shift } }
+        let [before, until] = [before, until].map(|number| spread(emit, number));
+        let early = emit.b.ins().icmp(IntCC::SignedGreaterThan, before, steps);
+        let reached = emit.b.ins().icmp(IntCC::SignedGreaterThan, until, steps);
+        let live = emit.b.ins().band_not(reached, early);
+        let surplus = emit.b.ins().fcvt_from_sint(emit.number, before);
+        Group { emit, first, kind: Kind::Partial { live, surplus } }
     }
 
     /// Emits the group: pixel set, then every value, which is summed as soon as it is there.
@@ -117,7 +106,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let fraction = self.operand_held(value);
         let here = match self.kind {
             Kind::Full { .. } => running,
-            Kind::Partial { shift, .. } => self.emit.b.ins().fadd(running, shift),
+            Kind::Partial { surplus, .. } => self.emit.b.ins().fsub(running, surplus),
         };
         let result = self.emit.b.ins().fadd(here, fraction);
         let step = vector(self.emit, |_| lanes);

@@ -9,10 +9,10 @@ use crate::abi::PlaneArgs;
 use crate::plane::PixelFormat;
 
 impl Emitter<'_, '_> {
-    /// Puts the addresses of the row that is prepared into the record: of the first pixel of each plane that is read, and
+    /// Puts the addresses of a row that is prepared into the record: of the first pixel of each plane that is read, and
     /// of the output plane's row. `at` is y, z, w as far as the program has them, relative to the window; `row` how many
-    /// rows came before.
-    pub fn prepare_row(&mut self, at: &[ir::Value], row: ir::Value) {
+    /// rows came before; `which` of the two it is.
+    pub fn prepare_row(&mut self, at: &[ir::Value], row: ir::Value, which: i32) {
         for (channel, slot) in self.plan.rows.iter().enumerate() {
             let Some(slot) = slot else { continue };
             let planes = self.arg(types::I64, arg::PLANES);
@@ -27,7 +27,7 @@ impl Emitter<'_, '_> {
                 let down = self.b.ins().imul(*at, stride);
                 row = self.b.ins().iadd(row, down);
             }
-            self.store(row, *slot);
+            self.store_of(row, *slot, which);
         }
         if let Sink::Plane(_) = self.plan.program.sink() {
             let target = self.arg(types::I64, arg::TARGET);
@@ -37,7 +37,7 @@ impl Emitter<'_, '_> {
             let pixels = self.b.ins().imul(row, pitch);
             let down = self.b.ins().ishl_imm_s(pixels, 2);
             let row = self.b.ins().iadd(target, down);
-            self.store(row, self.plan.target);
+            self.store_of(row, self.plan.target, which);
         }
     }
 
@@ -185,7 +185,7 @@ impl Emitter<'_, '_> {
         self.shuffled(lanes, lanes, (8..16).chain(8..16).collect())
     }
 
-    fn shuffled(&mut self, low: ir::Value, high: ir::Value, bytes: Vec<u8>) -> ir::Value {
+    pub fn shuffled(&mut self, low: ir::Value, high: ir::Value, bytes: Vec<u8>) -> ir::Value {
         let mask = self.b.func.dfg.immediates.push(bytes.into());
         let low = self.cast(types::I8X16, low);
         let high = self.cast(types::I8X16, high);

@@ -15,16 +15,17 @@ mod elementary;
 mod emit;
 mod group;
 mod load;
+mod rows;
 mod running;
 mod scalar;
 
-use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
+use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{self, Block, BlockArg, Function, InstBuilder, Signature, UserFuncName, types};
 use cranelift_codegen::isa::TargetIsa;
 use cranelift_frontend::{FunctionBuilder, FunctionBuilderContext};
 use isophote_symbolic::{Level, Program};
 
-use self::emit::{Emitter, arg};
+use self::emit::{Areas, Emitter, arg};
 use self::group::Group;
 use self::running::Running;
 use crate::kernel::KernelOptions;
@@ -71,8 +72,7 @@ struct Nest<'a, 'p> {
 
 impl Nest<'_, '_> {
     fn build(mut self) {
-        let blocks: [Block; 3] = std::array::from_fn(|_| self.emit.b.create_block());
-        let [head, row, pass_end] = blocks;
+        let [head, pair, row, pass_end] = std::array::from_fn(|_| self.emit.b.create_block());
         self.emit.enter();
         let zero = self.emit.constant(0.0);
         for slot in &self.emit.plan.totals {
@@ -84,35 +84,63 @@ impl Nest<'_, '_> {
         // A picture's y counts its rows as well; a stack needs a counter beside y, z, w.
         let counters = if outer == 1 { 1 } else { outer + 1 };
         let [first, second] = self.emit.row_areas();
-        // The row before the first one has no pixels.
-        self.emit.areas = Some([second, first]);
-        self.empty_row();
+        // The two rows before the first ones have no pixels.
+        self.emit.areas = Some(Areas { scalars: first, vectors: first, ahead: first });
+        self.emit.prepare_empty();
         let zero = self.emit.integer(0);
         let start = [vec![zero.into(); counters + 2], vec![first.into(), second.into()]].concat();
         self.emit.b.ins().jump(head, &start);
 
+        // `place` is the first of the two rows that are prepared, so the row that is worked on is two before it.
         let state: Vec<ir::Value> =
             (0..counters + 4).map(|_| self.emit.b.append_block_param(head, types::I64)).collect();
         let [pixels, saturated, current, ahead] = std::array::from_fn(|i| state[counters + i]);
+        let totals = [pixels, saturated];
         let place = Place { at: state[..outer].to_vec(), row: state[counters - 1] };
         self.emit.b.switch_to_block(head);
         let rows = self.rows(outer);
-        let more = self.emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, place.row, rows);
-        self.emit.b.ins().brif(more, row, &[], pass_end, &[]);
+        let last = self.emit.b.ins().iadd_imm_s(rows, 2);
+        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, place.row, last);
+        self.emit.b.ins().brif(more, pair, &[], pass_end, &[]);
 
+        self.emit.b.switch_to_block(pair);
+        self.emit.areas = Some(Areas { scalars: current, vectors: current, ahead });
+        let second = self.after(&place);
+        self.prepare([&place, &second]);
+        let zero = self.emit.integer(0);
+        self.emit.b.ins().jump(row, &[zero.into(), pixels.into(), saturated.into()]);
+
+        let [which, pixels, saturated] = self.emit.parameters(row, [types::I64; 3]);
         self.emit.b.switch_to_block(row);
-        self.emit.areas = Some([current, ahead]);
-        self.prepare(&place);
+        let across = self.emit.b.ins().ishl_imm_s(which, 3);
+        let scalars = self.emit.b.ins().iadd(current, across);
+        let vectors = self.emit.b.ins().iadd(scalars, across);
+        self.emit.areas = Some(Areas { scalars, vectors, ahead });
         let next = self.emit.b.create_block();
         let counts = self.emit.parameters(next, [types::I64; 2]);
         self.row(next, [pixels, saturated]);
 
         self.emit.b.switch_to_block(next);
-        let after = self.after(&place);
-        let state: Vec<BlockArg> =
-            after.into_iter().chain(counts).chain([ahead, current]).map(BlockArg::from).collect();
+        let [again, done] = std::array::from_fn(|_| self.emit.b.create_block());
+        // The second of the two, if there is one.
+        let row_after = self.emit.b.ins().iadd_imm_s(place.row, -1);
+        let rows = self.rows(outer);
+        let exists = self.emit.b.ins().icmp(IntCC::SignedLessThan, row_after, rows);
+        let is_first = self.emit.b.ins().icmp_imm_s(IntCC::Equal, which, 0);
+        let more = self.emit.b.ins().band(is_first, exists);
+        self.emit.b.ins().brif(more, again, &[], done, &[]);
+        self.emit.b.switch_to_block(again);
+        let one = self.emit.integer(1);
+        self.emit.b.ins().jump(row, &[one.into(), counts[0].into(), counts[1].into()]);
+        self.emit.b.switch_to_block(done);
+        let Place { mut at, row } = self.after(&second);
+        if outer > 1 {
+            at.push(row);
+        }
+        let state: Vec<BlockArg> = at.into_iter().chain(counts).chain([ahead, current]).map(BlockArg::from).collect();
         self.emit.b.ins().jump(head, &state);
 
+        let [pixels, saturated] = totals;
         self.emit.b.switch_to_block(pass_end);
         self.emit.count = Some(pixels);
         self.emit.level(Level::PassEnd);
@@ -134,50 +162,44 @@ impl Nest<'_, '_> {
         rows
     }
 
-    /// Prepares a row: computes its values, its range, its offsets and addresses, and leaves them in the record. It is
-    /// done before the row above is worked on, so that the processor has both to do at once. Behind the last row a row that does not
-    /// exist is prepared; nothing reads it.
-    fn prepare(&mut self, place: &Place) {
-        for (axis, at) in place.at.iter().enumerate() {
-            let first = self.emit.arg(types::I64, FIRST[axis]);
-            let absolute = self.emit.b.ins().iadd(first, *at);
-            self.emit.outer[axis + 1] = Some(self.emit.b.ins().fcvt_from_sint(types::F64, absolute));
+    /// Prepares two rows: leaves their values, ranges, offsets and addresses in the record. It is done before the two rows
+    /// above are worked on, so that the processor has both to do at once. Behind the last row, rows that do not exist are
+    /// prepared; nothing reads them.
+    fn prepare(&mut self, places: [&Place; 2]) {
+        let mut outer = Vec::new();
+        for (axis, field) in FIRST.iter().enumerate().take(places[0].at.len()) {
+            let first = self.emit.arg(types::I64, *field);
+            let numbers = places.map(|place| self.emit.b.ins().iadd(first, place.at[axis]));
+            outer.push(self.emit.outer_pair(numbers));
         }
-        self.emit.level(Level::Row);
-        let start = self.range();
-        running::prepare(&mut self.emit, start);
-        self.emit.prepare_row(&place.at, place.row);
-    }
-
-    fn empty_row(&mut self) {
-        let range = [0, -1].map(|number| self.emit.integer(number));
-        self.set_range(range);
-    }
-
-    fn set_range(&mut self, range: [ir::Value; 2]) {
-        for (pixel, slot) in range.into_iter().zip(self.emit.plan.range) {
-            self.emit.store(pixel, slot);
+        self.emit.prepare(&outer);
+        for (which, place) in places.into_iter().enumerate() {
+            self.emit.prepare_row(&place.at, place.row, which as i32);
         }
     }
 
-    /// Puts the first and the last column of the window into the record, as f64.
+    /// Puts what rows need of the window into the record: its first and last column, and where the last group begins at
+    /// the latest.
     fn columns(&mut self) {
-        if self.emit.plan.program.pixel_set().bounds.is_none() {
-            return;
-        }
         let first = self.emit.arg(types::I64, arg::X);
         let width = self.emit.arg(types::I64, arg::WIDTH);
         let last = self.emit.b.ins().iadd(first, width);
         let last = self.emit.b.ins().iadd_imm_s(last, -1);
         for (column, slot) in [first, last].into_iter().zip(self.emit.plan.columns) {
             let column = self.emit.b.ins().fcvt_from_sint(types::F64, column);
+            let column = self.emit.b.ins().splat(types::F64X2, column);
             self.emit.store(column, slot);
         }
+        let lanes = self.emit.lanes() as i64;
+        let furthest = self.emit.b.ins().iadd_imm_s(width, -lanes);
+        let zero = self.emit.integer(0);
+        let furthest = self.emit.b.ins().smax(furthest, zero);
+        self.emit.store(furthest, self.emit.plan.furthest);
     }
 
     /// The numbers of the row that follows: y counts up, and each coordinate that has come to its end begins again and
     /// moves the next one on.
-    fn after(&mut self, place: &Place) -> Vec<ir::Value> {
+    fn after(&mut self, place: &Place) -> Place {
         let emit = &mut self.emit;
         let outer = place.at.len();
         let mut numbers = vec![emit.b.ins().iadd_imm_s(place.at[0], 1)];
@@ -189,10 +211,8 @@ impl Nest<'_, '_> {
             let carried = emit.b.ins().uextend(types::I64, ends);
             numbers.push(emit.b.ins().iadd(place.at[axis], carried));
         }
-        if outer > 1 {
-            numbers.push(emit.b.ins().iadd_imm_s(place.row, 1));
-        }
-        numbers
+        let row = if outer > 1 { emit.b.ins().iadd_imm_s(place.row, 1) } else { numbers[0] };
+        Place { at: numbers, row }
     }
 
     /// One row, which was prepared before; ends in a jump to `next` with the pass' pixel counts.
@@ -258,46 +278,6 @@ impl Nest<'_, '_> {
         let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, i, row.rest);
         let values = with(i, &state.values());
         self.emit.b.ins().brif(more, full, &values, partial, &values);
-    }
-
-    /// Leaves the first and the last pixel of the row in the record, and hands back the first; the last is before it
-    /// where there is none. The order of comparisons is the interpreter's, so that NaN and infinities end the same way.
-    fn range(&mut self) -> ir::Value {
-        let emit = &mut self.emit;
-        let Some((lo, hi)) = emit.plan.program.pixel_set().bounds else {
-            let width = emit.arg(types::I64, arg::WIDTH);
-            let zero = emit.integer(0);
-            let last = emit.b.ins().iadd_imm_s(width, -1);
-            self.set_range([zero, last]);
-            return zero;
-        };
-        let (lo, hi) = (emit.scalar(lo, Level::Row), emit.scalar(hi, Level::Row));
-        let [first, last] = emit.plan.columns.map(|slot| emit.load(types::F64, slot));
-        let ordered = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
-        let inside = emit.b.ins().fcmp(FloatCC::LessThan, first, lo);
-        let lo = emit.b.ins().select(inside, lo, first);
-        let inside = emit.b.ins().fcmp(FloatCC::LessThan, hi, last);
-        let hi = emit.b.ins().select(inside, hi, last);
-        let still = emit.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
-        let any = emit.b.ins().band(ordered, still);
-
-        // Where there are pixels, both are inside of the window: distances below 2³¹, which the addition of 1.5 · 2⁵²
-        // rounds to integers.
-        let distance = emit.b.ins().fsub(lo, first);
-        let (near, start) = emit.nearest(distance);
-        let short = emit.b.ins().fcmp(FloatCC::LessThan, near, distance);
-        let short = emit.b.ins().uextend(types::I64, short);
-        let start = emit.b.ins().iadd(start, short);
-        let distance = emit.b.ins().fsub(hi, first);
-        let (near, end) = emit.nearest(distance);
-        let over = emit.b.ins().fcmp(FloatCC::LessThan, distance, near);
-        let over = emit.b.ins().uextend(types::I64, over);
-        let end = emit.b.ins().isub(end, over);
-        let [none_start, none_end] = [0, -1].map(|number| emit.integer(number));
-        let start = emit.b.ins().select(any, start, none_start);
-        let end = emit.b.ins().select(any, end, none_end);
-        self.set_range([start, end]);
-        start
     }
 }
 

@@ -1,9 +1,9 @@
 //! What runs along a row in registers: the offsets' vectors, some of the sums, the counts.
 
-use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
-use isophote_symbolic::{Level, Precision};
+use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder};
+use isophote_symbolic::Precision;
 
-use super::emit::{Emitter, MAGIC, arg};
+use super::emit::Emitter;
 
 /// What one group hands to the next.
 #[derive(Clone)]
@@ -59,33 +59,6 @@ impl Running {
             *field = emit.b.append_block_param(block, kind);
         }
         state
-    }
-}
-
-/// Puts the offsets of the row that is prepared into the record; `start` is its first pixel, relative to the window.
-pub(super) fn prepare(emit: &mut Emitter<'_, '_>, start: ir::Value) {
-    let plan = emit.plan;
-    if plan.offsets.is_empty() {
-        return;
-    }
-    let x = emit.arg(types::I64, arg::X);
-    let x = emit.b.ins().iadd(x, start);
-    let x = emit.b.ins().fcvt_from_sint(types::F64, x);
-    for offset in &plan.offsets {
-        let c = emit.scalar(offset.term, Level::Row);
-        let magic = emit.constant(MAGIC);
-        let n = emit.b.ins().fsub(magic, c);
-        let n = emit.b.ins().fsub(n, magic);
-        let distance = emit.b.ins().fsub(x, n);
-        let distance = emit.rounded(distance);
-        let distance = emit.b.ins().splat(emit.number, distance);
-        let steps = vector(emit, |lane| lane as f64);
-        let first = emit.b.ins().fadd(distance, steps);
-        emit.store(first, offset.first);
-        let fraction = emit.b.ins().fadd(c, n);
-        let fraction = emit.rounded(fraction);
-        let fraction = emit.b.ins().splat(emit.number, fraction);
-        emit.store(fraction, offset.fraction);
     }
 }
 

@@ -1,4 +1,4 @@
-//! Pass and row level: f64, one value at a time.
+//! Pass level, and the ends of rows and passes: f64, one value at a time.
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, types};
@@ -19,7 +19,7 @@ pub(super) fn condition(comparison: Comparison) -> FloatCC {
 }
 
 impl<'p> Emitter<'_, 'p> {
-    /// Emits every instruction of a level other than the pixel's. Each result goes to all who want it (the record, the
+    /// Emits every instruction of a level other than the pixel's and the row's. Each result goes to all who want it (the record, the
     /// lanes, a total, an output) as soon as it is there, so that few values are alive at once.
     pub fn level(&mut self, level: Level) {
         let base = match level {
@@ -38,6 +38,10 @@ impl<'p> Emitter<'_, 'p> {
             self.results[value.index()] = Some(result);
             if let Some(slot) = self.plan.scalars[value.index()] {
                 self.store(result, slot);
+            }
+            if let Some(slot) = self.plan.pairs[value.index()] {
+                let pair = self.spread_pair(value, result);
+                self.store(pair, slot);
             }
             self.splat(value, result);
             for i in std::mem::take(&mut wanted[value.index()]) {
@@ -96,7 +100,6 @@ impl<'p> Emitter<'_, 'p> {
             Op::Select(..) => self.b.ins().select(at(0), at(1), at(2)),
             Op::Call1(f, _) => self.call_scalar(Functions::scalar1(f), Form::Scalar1, &operands),
             Op::Call2(f, ..) => self.call_scalar(Functions::scalar2(f), Form::Scalar2, &operands),
-            Op::Outer(coordinate) => self.known(self.outer[coordinate.index()]),
             Op::RowTotal(accumulator) => self.row_total(accumulator.index()),
             Op::PassTotal(total) => {
                 let slot = self.plan.totals[total.index()];
@@ -106,12 +109,14 @@ impl<'p> Emitter<'_, 'p> {
                 let count = self.known(self.count);
                 self.b.ins().fcvt_from_sint(types::F64, count)
             }
-            Op::Input(_) | Op::Offset(_) | Op::Channel(_) => unreachable!("the check refuses them at this level"),
+            Op::Input(_) | Op::Outer(_) | Op::Offset(_) | Op::Channel(_) => {
+                unreachable!("the check refuses them at this level")
+            }
         }
     }
 
     /// Sums and products with what comes from memory as the second operand: that is the one an instruction may fetch.
-    fn commuted(&self, op: Op, level: Level) -> Op {
+    pub fn commuted(&self, op: Op, level: Level) -> Op {
         let fetched = |v: Value| {
             let instruction = self.plan.program.instruction(v);
             instruction.level != level || matches!(instruction.op, Op::Const(_))
@@ -123,7 +128,7 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    fn call_scalar(&mut self, offset: i32, form: Form, arguments: &[ir::Value]) -> ir::Value {
+    pub fn call_scalar(&mut self, offset: i32, form: Form, arguments: &[ir::Value]) -> ir::Value {
         let result = self.call(offset, form, arguments);
         self.known(result)
     }
@@ -172,6 +177,15 @@ impl<'p> Emitter<'_, 'p> {
                 self.held[i] = Some(self.load(if truth { self.truth } else { self.number }, home.slot));
             }
         }
+    }
+
+    /// A pass value for two rows; truth values as masks.
+    fn spread_pair(&mut self, value: Value, scalar: ir::Value) -> ir::Value {
+        if self.plan.program.is_truth(value) {
+            let mask = self.b.ins().bmask(types::I64, scalar);
+            return self.b.ins().splat(types::I64X2, mask);
+        }
+        self.b.ins().splat(types::F64X2, scalar)
     }
 
     fn spread(&mut self, value: Value, scalar: ir::Value) -> ir::Value {
