@@ -121,11 +121,14 @@ fn main() {
     let stride = arguments.next().flatten().unwrap_or(1).max(1);
     let samples = arguments.next().flatten().unwrap_or(10_000_000);
     for function in Function1::ALL {
+        let start = std::time::Instant::now();
         let double = doubles(samples, |machine, [x, _]| {
             let exact = if machine.fused { [0.0; 2] } else { exact1(function, x) };
             (function.value_with(machine, Accuracy::Double, x), exact)
         });
+        let middle = start.elapsed();
         row(function.name(), Some(singles(function, stride)), double);
+        println!("{middle:?} {:?}", start.elapsed());
     }
     for function in Function2::ALL {
         let double = doubles(samples, |machine, [a, b]| {

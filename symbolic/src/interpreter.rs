@@ -153,9 +153,7 @@ fn apply<T: Lane>(op: Op, machine: Plain, at: impl Fn(Value) -> Cell<T>) -> Cell
         Op::Div(a, b) => n(a).div(n(b)),
         Op::Fma(a, b, c) => n(a).fma(n(b), n(c)),
         Op::Call1(f, a) => T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64())),
-        Op::Call2(f, a, b) => {
-            T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64(), n(b).to_f64()))
-        }
+        Op::Call2(f, a, b) => T::from_f64(f.value_with(machine, T::ACCURACY, n(a).to_f64(), n(b).to_f64())),
         Op::Compare(c, a, b) => return Cell::Truth(holds(c, n(a).to_f64(), n(b).to_f64())),
         Op::And(a, b) => return Cell::Truth(at(a).truth() && at(b).truth()),
         Op::Or(a, b) => return Cell::Truth(at(a).truth() || at(b).truth()),

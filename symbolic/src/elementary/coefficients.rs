@@ -29,11 +29,7 @@ pub(super) const EXP_DOUBLE: [f64; 11] = [
 ];
 
 /// ln((1 + s)/(1 − s)) = 2s + s z P(z), z = s²; argument in [1e-30, 0.02947], relative error 2^-28.5.
-pub(super) const LOG_SINGLE: [f64; 3] = [
-    0.6666668509542907,
-    0.39988757716604845,
-    0.29580985929974424,
-];
+pub(super) const LOG_SINGLE: [f64; 3] = [0.6666668509542907, 0.39988757716604845, 0.29580985929974424];
 
 /// ln((1 + s)/(1 − s)) = 2s + s z P(z), z = s²; argument in [1e-30, 0.02947], relative error 2^-57.7.
 pub(super) const LOG_DOUBLE: [f64; 7] = [
@@ -60,12 +56,8 @@ pub(super) const POWER_DOUBLE: [f64; 9] = [
 ];
 
 /// sin r = r + r z P(z), z = r²; argument in [1e-30, 0.6175], relative error 2^-35.7.
-pub(super) const SIN_SINGLE: [f64; 4] = [
-    -0.16666666663844049,
-    0.008333331870341349,
-    -0.00019840084376422702,
-    2.724962008007533e-06,
-];
+pub(super) const SIN_SINGLE: [f64; 4] =
+    [-0.16666666663844049, 0.008333331870341349, -0.00019840084376422702, 2.724962008007533e-06];
 
 /// sin r = r + r z P(z), z = r²; argument in [1e-30, 0.6175], relative error 2^-57.1.
 pub(super) const SIN_DOUBLE: [f64; 7] = [
@@ -79,11 +71,7 @@ pub(super) const SIN_DOUBLE: [f64; 7] = [
 ];
 
 /// cos r = 1 − z/2 + z² P(z), z = r²; argument in [1e-20, 0.6175], relative error 2^-29.8.
-pub(super) const COS_SINGLE: [f64; 3] = [
-    0.04166666465348879,
-    -0.001388830186756237,
-    2.454768977246003e-05,
-];
+pub(super) const COS_SINGLE: [f64; 3] = [0.04166666465348879, -0.001388830186756237, 2.454768977246003e-05];
 
 /// cos r = 1 − z/2 + z² P(z), z = r²; argument in [1e-20, 0.6175], relative error 2^-59.6.
 pub(super) const COS_DOUBLE: [f64; 6] = [
@@ -167,12 +155,8 @@ pub(super) const ASIN_DOUBLE: [f64; 14] = [
 ];
 
 /// sinh x = x + x z P(z), z = x²; argument in [1e-30, 1.0], relative error 2^-32.5.
-pub(super) const SINH_SINGLE: [f64; 4] = [
-    0.16666666646842135,
-    0.00833333967591706,
-    0.00019838101968683888,
-    2.8062802582276946e-06,
-];
+pub(super) const SINH_SINGLE: [f64; 4] =
+    [0.16666666646842135, 0.00833333967591706, 0.00019838101968683888, 2.8062802582276946e-06];
 
 /// sinh x = x + x z P(z), z = x²; argument in [1e-30, 1.0], relative error 2^-56.8.
 pub(super) const SINH_DOUBLE: [f64; 8] = [
@@ -288,7 +272,8 @@ pub(super) const LN_2: [f64; 2] = [0.6931471803691238, 1.9082149292705877e-10];
 pub(super) const LN_2_DOUBLE: [f64; 3] = [0.6931471805598903, 5.49792301870721e-14, 1.1612227229362532e-26];
 
 /// π/2, in parts of (33, 33, 33, 53) bits.
-pub(super) const HALF_PI: [f64; 4] = [1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21, 8.4784276603689e-32];
+pub(super) const HALF_PI: [f64; 4] =
+    [1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21, 8.4784276603689e-32];
 
 /// π/2, in parts of (33, 53) bits.
 pub(super) const HALF_PI_SHORT: [f64; 2] = [1.5707963267341256, 6.077100506506192e-11];

@@ -53,7 +53,8 @@ pub(crate) fn reduced(x: f64) -> (Two<f64>, u64) {
     let digits = digits | (u128::from(rest) << shift >> 64);
     let unit = |exponent: i64| f64::from_bits(((1023 + exponent) as u64) << 52);
     let lowest = -126 - i64::from(shift);
-    let quarters = [(digits >> 75) as f64 * unit(lowest + 75), (digits >> 22 & ((1 << 53) - 1)) as f64 * unit(lowest + 22)];
+    let quarters =
+        [(digits >> 75) as f64 * unit(lowest + 75), (digits >> 22 & ((1 << 53) - 1)) as f64 * unit(lowest + 22)];
     let [r, rest] = product(&UNFUSED, quarters, HALF_PI_DOUBLE);
     match negative {
         true => ([-r, -rest], quadrant + 1),
