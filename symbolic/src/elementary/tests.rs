@@ -43,8 +43,19 @@ fn worst(errors: impl Iterator<Item = Worst>) -> Worst {
 
 /// The worst error of an f32 function over bit patterns that many apart.
 fn worst_single(function: Function1, value: impl Fn(f64) -> f64, stride: usize) -> Worst {
-    let special =
-        [0.0_f32, 0.5, 0.75, 1.0, 6.0, 88.72, 103.97, 0.785_398, 1_048_576.0, f32::INFINITY, f32::MIN_POSITIVE];
+    let special = [
+        0.0_f32,
+        0.5,
+        0.75,
+        1.0,
+        6.0,
+        88.72,
+        103.97,
+        std::f32::consts::FRAC_PI_4,
+        1_048_576.0,
+        f32::INFINITY,
+        f32::MIN_POSITIVE,
+    ];
     let near = special.iter().flat_map(|x| (0..9).map(|i| x.to_bits().wrapping_add(i).wrapping_sub(4)));
     let near = near.flat_map(|bits| [bits, bits | 1 << 31]);
     let all = (0..=u32::MAX).step_by(stride).chain(near);
