@@ -69,9 +69,9 @@ const SPECIAL: [f64; 40] = [
     88.8,
     103.9,
     104.1,
-    0.785398,
-    1.5707963267948966,
-    3.141592653589793,
+    std::f64::consts::FRAC_PI_4,
+    std::f64::consts::FRAC_PI_2,
+    std::f64::consts::PI,
     1048575.5,
     1048576.5,
     2e6,
@@ -81,8 +81,8 @@ const SPECIAL: [f64; 40] = [
     1e300,
     4503599627370497.0,
     9007199254740993.0,
-    0.7071067811865476,
-    1.4142135623730951,
+    std::f64::consts::FRAC_1_SQRT_2,
+    std::f64::consts::SQRT_2,
     f64::MAX,
     f64::INFINITY,
     f64::NAN,
@@ -119,10 +119,10 @@ fn compare(formula: &str, fma: bool, precision: Precision, many: bool, seed: u64
     let value = |channel: usize, x: usize, y: usize| numbers[y][x / lanes][channel];
     let image = Image::new(PixelFormat::F64, [lanes + 1, ROWS], 2, [0, 0], value);
     let bindings = Bindings { parameters: &[0.0, 0.0], entry: &[0.0, 0.0], ..Bindings::default() };
-    for y in 0..ROWS {
+    for (y, row) in numbers.iter().enumerate() {
         for (x, width) in [(0, lanes), (lanes, 1)] {
             let window = Window { x, y, width, height: 1, slices: Slices::ONE };
-            let context = format!("{formula} of {:?}, fused {fma}, many {many}, seed {seed}", numbers[y][x / lanes]);
+            let context = format!("{formula} of {:?}, fused {fma}, many {many}, seed {seed}", row[x / lanes]);
             agree_with(&kernel, &bindings, &image, window, &context);
         }
     }

@@ -98,10 +98,9 @@ impl DoubleDouble {
         Self::quick(root, rest.hi / (2.0 * root))
     }
 
-    /// x · 2^k, exactly as far as the range goes.
+    /// x · 2^k, exactly as far as the range goes; ∞ has no low part (which may be −∞).
     fn scaled(self, k: i32) -> Self {
         let hi = libm::ldexp(self.hi, k);
-        // Of what is too large the low part may be infinite as well, of the other sign.
         if hi.is_finite() { Self::quick(hi, libm::ldexp(self.lo, k)) } else { hi.into() }
     }
 
@@ -157,9 +156,6 @@ impl DoubleDouble {
 
     /// (sin x, cos x). From 2⁴⁰ on only the first part counts.
     fn sin_cos(self) -> (Self, Self) {
-        if !self.is_finite() {
-            return (f64::NAN.into(), f64::NAN.into());
-        }
         let (r, k) = if self.hi.abs() < (1_u64 << 40) as f64 {
             let k = (self.hi / HALF_PI[0]).round();
             (self.reduced(k, HALF_PI), k)

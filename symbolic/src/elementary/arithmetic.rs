@@ -19,14 +19,33 @@ impl Accuracy {
     }
 }
 
-/// c₀ + x (c₁ + x (c₂ + …)), lowest power first.
+/// Longer polynomials are cut into blocks that do not wait for each other.
+const BLOCK: usize = 8;
+
+/// c₀ + c₁ x + c₂ x² + …, lowest power first.
 #[inline(always)]
 pub(super) fn polynomial<M: Machine>(m: &M, coefficients: &[f64], x: M::Number) -> M::Number {
+    let mut blocks = coefficients.chunks(BLOCK).rev();
+    let mut value = horner(m, blocks.next().unwrap_or(&[]), x);
+    if coefficients.len() <= BLOCK {
+        return value;
+    }
+    let second = m.mul(x, x);
+    let fourth = m.mul(second, second);
+    let eighth = m.mul(fourth, fourth);
+    for block in blocks {
+        value = m.mul_add(value, eighth, horner(m, block, x));
+    }
+    value
+}
+
+/// c₀ + x (c₁ + x (c₂ + …))
+#[inline(always)]
+fn horner<M: Machine>(m: &M, coefficients: &[f64], x: M::Number) -> M::Number {
     let mut powers = coefficients.iter().rev();
     let mut value = m.constant(powers.next().copied().unwrap_or(0.0));
     for c in powers {
-        let c = m.constant(*c);
-        value = m.mul_add(value, x, c);
+        value = m.mul_add(value, x, m.constant(*c));
     }
     value
 }

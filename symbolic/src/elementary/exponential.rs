@@ -34,8 +34,11 @@ pub(super) fn scaled<M: Machine>(m: &M, accuracy: Accuracy, x: Two<M::Number>, s
     let [r, rest] = quick_sum(m, first, m.mul(k, m.constant(-LN_2[1])));
     let rest = m.add(rest, x[1]);
     let p = polynomial(m, &EXP_DOUBLE, r);
-    let tail = m.mul_add(m.mul(r, r), p, rest);
-    let e = m.add(m.constant(1.0), m.add(r, tail));
+    let one = m.constant(1.0);
+    let tail = m.mul(m.mul(r, r), p);
+    // e^(r + rest) = e^r + rest e^r.
+    let tail = m.mul_add(rest, m.add(one, m.add(r, tail)), tail);
+    let e = m.add(one, m.add(r, tail));
     // Two factors, so that subnormal results are rounded once and the largest do not overflow before their time.
     let half = m.mul_add(k, m.constant(0.5), m.constant(MAGIC));
     let other = m.sub(k, m.sub(half, m.constant(MAGIC)));

@@ -11,9 +11,6 @@ const UNFUSED: Plain = Plain { fused: false };
 
 /// The value of sin, cos or tan at |x| ≥ 2²⁰; NaN for infinities.
 pub(super) fn value(function: Function1, x: f64) -> f64 {
-    if !x.is_finite() {
-        return f64::NAN;
-    }
     let (r, quadrant) = reduced(x.abs());
     let sign = 1.0_f64.copysign(x);
     match function {
@@ -30,8 +27,11 @@ fn window(first: i64) -> u128 {
     pair >> (64 - at % 64) & u128::from(u64::MAX)
 }
 
-/// x = k π/2 + r for x ≥ 2²⁰, finite: r in two parts, and k up to multiples of 4.
+/// x = k π/2 + r for x ≥ 2²⁰: r in two parts, NaN for what is not finite, and k up to multiples of 4.
 pub(crate) fn reduced(x: f64) -> (Two<f64>, u64) {
+    if !x.is_finite() {
+        return ([f64::NAN; 2], 0);
+    }
     // x = mantissa · 2^exponent; bits of 2/π that make multiples of 4 are left out.
     let mantissa = u128::from(x.to_bits() & ((1 << 52) - 1) | 1 << 52);
     let first = (x.to_bits() >> 52) as i64 - 1075 - 1;

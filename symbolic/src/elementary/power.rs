@@ -1,7 +1,7 @@
 //! x^y = e^(y ln |x|), the logarithm and its product with y in two parts, and the many special values of C99's Annex F.
 
 use super::Accuracy;
-use super::arithmetic::{SIGN, two_product};
+use super::arithmetic::{SIGN, clamped, two_product};
 use super::exponential::scaled;
 use super::logarithm::{log, log_in_two};
 use super::machine::Machine;
@@ -30,10 +30,8 @@ fn magnitude<M: Machine>(m: &M, accuracy: Accuracy, a: M::Number, y: M::Number) 
         return scaled(m, accuracy, [product, zero], 0.0);
     }
     let [high, low] = log_in_two(m, a);
-    // Beyond 2⁹⁰⁰ splitting y would overflow; the result is 0, 1 or infinite long before.
-    let bound = m.constant(2.0_f64.powi(900));
-    let y = m.select(m.less(bound, y), m.constant(f64::INFINITY), y);
-    let y = m.select(m.less(y, m.neg(bound)), m.constant(f64::NEG_INFINITY), y);
+    // Splitting a larger y would overflow; the result is 0, 1 or infinite long before.
+    let y = clamped(m, y, -1e270, 1e270);
     let [product, error] = two_product(m, y, high);
     let rest = m.mul_add(y, low, error);
     let ordinary = m.less(m.abs(product), m.constant(1000.0));
