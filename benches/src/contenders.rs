@@ -37,7 +37,8 @@ const RUST: [&str; 9] = [
     "-Adead_code",
     "-Anon_snake_case",
 ];
-const C: [&str; 6] = ["cc", "-std=c99", "-O3", "-ffast-math", "-shared", "-fPIC"];
+/// With NaN as it is: rows outside of the domain have NaN for bounds, and with `-ffinite-math-only` they would not be left out.
+const C: [&str; 7] = ["cc", "-std=c99", "-O3", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC"];
 
 fn with(command: &[&'static str], more: &[&'static str]) -> Vec<&'static str> {
     [command, more].concat()
