@@ -59,6 +59,8 @@ pub fn ways() -> Vec<Way> {
             128,
             with(&C, &["-march=x86-64-v3", "-mprefer-vector-width=128"]),
         ),
+        way("same program, Rust, 128-bit vectors", Language::Rust, 4, false, 128, with(&RUST, &[v3])),
+        way("same program, Rust, 256-bit vectors", Language::Rust, 8, false, 256, with(&RUST, &[v3])),
         way(
             "unfactored, C, 128 bits",
             Language::C,
@@ -77,6 +79,14 @@ pub fn ways() -> Vec<Way> {
         ),
     ];
     if wide {
+        ways.push(way(
+            "same program, Rust, 512-bit vectors",
+            Language::Rust,
+            16,
+            false,
+            512,
+            with(&RUST, &["-Ctarget-cpu=native"]),
+        ));
         ways.push(way(
             "unfactored, C, 512 bits",
             Language::C,

@@ -16,6 +16,7 @@ mod lanes;
 mod names;
 mod rust;
 mod spelling;
+mod vectors;
 
 use thiserror::Error;
 
