@@ -4,8 +4,10 @@
 //! [docs/flops.md](../../docs/flops.md), whose counts a test compares with the page.
 #![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
 
+pub mod contenders;
 pub mod counts;
 pub mod figure;
+pub mod foreign;
 pub mod page;
 
 use std::time::Instant;

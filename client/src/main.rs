@@ -1,9 +1,10 @@
 //! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
-//! `fit`, `render`, `model check` and `model explain` work alone; `serve` is the service; the others are its clients.
+//! `fit`, `render`, `model check`, `model explain` and `model export` work alone; `serve` is the service; the others are its clients.
 
 mod arguments;
+mod export;
 mod failure;
 mod fit;
 mod http;
@@ -53,6 +54,7 @@ enum Command {
 enum ModelCommand {
     Check(model_files::CheckArgs),
     Explain(model_files::ExplainArgs),
+    Export(export::ExportArgs),
     Push(models::PushArgs),
     List(models::ListArgs),
     Show(models::NameArgs),
@@ -91,6 +93,7 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
         Command::Serve(args) => serve::run(args),
         Command::Model(ModelCommand::Check(args)) => model_files::check(args, out),
         Command::Model(ModelCommand::Explain(args)) => model_files::explain(args, out),
+        Command::Model(ModelCommand::Export(args)) => export::run(args, out),
         Command::Model(ModelCommand::Push(args)) => models::push(args, out),
         Command::Model(ModelCommand::List(args)) => models::list(args, out),
         Command::Model(ModelCommand::Show(args)) => models::show(args, out),

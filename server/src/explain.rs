@@ -82,7 +82,7 @@ pub fn report(compiled: &Compiled) -> Result<ModelReport, CompileFailure> {
     compiled.report(&monotonic_ns)
 }
 
-fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterId>, ExplainError> {
+pub(crate) fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterId>, ExplainError> {
     let unknown = |name: &str| {
         let all: Vec<&str> = model.parameters().iter().map(|p| p.name.as_str()).collect();
         ExplainError::Question(format!(
@@ -102,7 +102,7 @@ fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterId>, Explain
     Ok(subset)
 }
 
-fn named_method(name: &str) -> Result<Method, ExplainError> {
+pub(crate) fn named_method(name: &str) -> Result<Method, ExplainError> {
     let all = [Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt];
     let found = all.into_iter().find(|method| method.name() == name);
     let names = || all.map(Method::name).join(", ");

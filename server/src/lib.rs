@@ -15,6 +15,7 @@
 
 pub mod clock;
 pub mod explain;
+pub mod export;
 pub mod wire;
 
 #[cfg(feature = "http")]

@@ -107,6 +107,39 @@ impl Model {
     }
 }
 
+impl Program {
+    /// The same sums over the pixels of another program's set, to compare the two: [`Model::plain_program`] looks at no
+    /// domain. Inputs of the other program come after those of this one.
+    pub fn over_pixels_of(&self, other: &Program) -> Program {
+        let mut program = self.clone();
+        let moved = |v: Value| Value(v.0 + self.instructions.len() as u32);
+        for instruction in &other.instructions {
+            let op = match crate::peephole::renamed(instruction.op, &moved) {
+                Op::Input(input) => {
+                    let wanted = other.inputs[input.index()];
+                    let known = program.inputs.iter().position(|input| *input == wanted);
+                    let index = known.unwrap_or_else(|| {
+                        program.inputs.push(wanted);
+                        program.inputs.len() - 1
+                    });
+                    Op::Input(InputId(index as u32))
+                }
+                op => op,
+            };
+            program.instructions.push(Instruction { op, ..*instruction });
+        }
+        let set = other.pixel_set;
+        program.pixel_set = PixelSet {
+            bounds: set.bounds.map(|(lo, hi)| (moved(lo), moved(hi))),
+            mask: set.mask.map(moved),
+            saturated: set.saturated.map(moved),
+        };
+        // What only the other program's sums read is dropped here.
+        crate::peephole::improve(&mut program, false);
+        program
+    }
+}
+
 /// The flops of the loop body when nothing leaves it.
 fn whole_body(program: &Program) -> u32 {
     let body = program.instructions.iter().filter(|i| i.level <= Level::Pixel);

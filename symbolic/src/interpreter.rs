@@ -172,9 +172,36 @@ pub fn run(
     window: Window,
     plane: Option<&mut [f32]>,
 ) -> Outcome {
-    match precision {
-        Precision::F32 => run_lanes::<f32, 4>(program, bindings, pixels, window, plane),
-        Precision::F64 => run_lanes::<f64, 2>(program, bindings, pixels, window, plane),
+    run_in_lanes(program, precision, precision.lanes(), bindings, pixels, window, plane).unwrap_or_default()
+}
+
+/// The same with another number of lanes, which exported source may have: 1, 2, 4, 8 or 16; `None` for any other.
+pub fn run_in_lanes(
+    program: &Program,
+    precision: Precision,
+    lanes: usize,
+    bindings: &Bindings<'_>,
+    pixels: &dyn Pixels,
+    window: Window,
+    plane: Option<&mut [f32]>,
+) -> Option<Outcome> {
+    macro_rules! of {
+        ($lane:ty, $count:literal) => {
+            Some(run_lanes::<$lane, $count>(program, bindings, pixels, window, plane))
+        };
+    }
+    match (precision, lanes) {
+        (Precision::F32, 1) => of!(f32, 1),
+        (Precision::F32, 2) => of!(f32, 2),
+        (Precision::F32, 4) => of!(f32, 4),
+        (Precision::F32, 8) => of!(f32, 8),
+        (Precision::F32, 16) => of!(f32, 16),
+        (Precision::F64, 1) => of!(f64, 1),
+        (Precision::F64, 2) => of!(f64, 2),
+        (Precision::F64, 4) => of!(f64, 4),
+        (Precision::F64, 8) => of!(f64, 8),
+        (Precision::F64, 16) => of!(f64, 16),
+        _ => None,
     }
 }
 

@@ -1,6 +1,6 @@
 //! What the service answers.
 
-use isophote_symbolic::Diagnostic;
+use isophote_symbolic::{Diagnostic, Method};
 pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
 use serde::{Deserialize, Serialize};
 
@@ -82,6 +82,23 @@ pub struct Explanation {
     #[serde(flatten)]
     pub stage: StageReport,
     /// The text.
+    pub text: String,
+}
+
+/// What `model export --json` prints.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+pub struct Exported {
+    /// The document's name.
+    pub model: String,
+    /// `sha256:…` of the canonical document.
+    pub digest: String,
+    /// The free parameters.
+    pub parameters: Vec<String>,
+    /// The method whose derivatives are summed.
+    pub method: Method,
+    /// `c` or `rust`.
+    pub language: String,
+    /// The source.
     pub text: String,
 }
 

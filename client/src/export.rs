@@ -1,0 +1,127 @@
+//! `isophote model export`: the pixel loop of a model as source, for machines where no JIT may run. It needs no service.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isophote_server::explain::ExplainError;
+use isophote_server::export::{self, Question};
+use isophote_symbolic::{ExportOptions, Language, Lowering, PixelType};
+
+use crate::arguments::PrecisionArgument;
+use crate::failure::Failure;
+use crate::{model_files, output};
+
+/// Write the pixel loop of a model as source text
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExportArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "FILE")]
+    pub model: PathBuf,
+    /// The free parameters [default: those of the last stage]
+    #[arg(long, value_name = "bx,by", value_delimiter = ',')]
+    pub parameters: Vec<String>,
+    /// The language
+    #[arg(long, value_name = "LANGUAGE")]
+    pub lang: LanguageArgument,
+    /// The method whose derivatives are summed
+    #[arg(long, value_name = "METHOD", default_value = "newton",
+          value_parser = ["newton", "gauss-newton", "levenberg-marquardt"])]
+    pub method: String,
+    /// drop: leave out and count pixels at or above their channel's limit
+    #[arg(long, value_name = "WHAT", value_parser = ["drop"])]
+    pub saturation: Option<String>,
+    /// How pixels are stored: one for all channels, or one each
+    #[arg(long, value_name = "TYPE,…", value_delimiter = ',', default_value = "u8")]
+    pub pixels: Vec<PixelArgument>,
+    /// Pixels of a row follow each other without gaps
+    #[arg(long)]
+    pub packed: bool,
+    /// Arithmetic of the pixel loop
+    #[arg(long, default_value = "f32")]
+    pub precision: PrecisionArgument,
+    /// Contract a * b + c into fused multiply-adds: fast only where the processor has them
+    #[arg(long)]
+    pub fma: bool,
+    /// Pixels at a time: more than one is Rust with the vectors of x86-64 (4: AVX2 and FMA, 8: the same, 16: AVX-512)
+    #[arg(long, value_name = "1|4|8|16", default_value = "1", value_parser = ["1", "4", "8", "16"])]
+    pub lanes: String,
+    /// The function's name [default: isophote_ and the model's]
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+    /// Write the text to a file [default: standard output]
+    #[arg(long, value_name = "PATH")]
+    pub out: Option<PathBuf>,
+    /// One JSON object, the text in it
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// In which language.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LanguageArgument {
+    /// C99
+    C,
+    /// Rust, edition 2021
+    Rust,
+}
+
+/// How a pixel is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum PixelArgument {
+    /// 0 … 255
+    U8,
+    /// 0 … 65535
+    U16,
+    /// IEEE 754 single
+    F32,
+}
+
+impl From<PixelArgument> for PixelType {
+    fn from(argument: PixelArgument) -> PixelType {
+        match argument {
+            PixelArgument::U8 => PixelType::U8,
+            PixelArgument::U16 => PixelType::U16,
+            PixelArgument::F32 => PixelType::F32,
+        }
+    }
+}
+
+/// `isophote model export`.
+pub fn run(args: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = model_files::read(&args.model)?;
+    let names: Vec<&str> = args.parameters.iter().map(|name| name.trim()).filter(|name| !name.is_empty()).collect();
+    let mut pixels: Vec<PixelType> = args.pixels.iter().map(|pixel| PixelType::from(*pixel)).collect();
+    if pixels.len() == 1 {
+        pixels.resize(model.channels().len(), pixels[0]);
+    }
+    let language = match args.lang {
+        LanguageArgument::C => Language::C,
+        LanguageArgument::Rust => Language::Rust,
+    };
+    let lanes: usize = args.lanes.parse().map_err(|_| Failure::Usage("--lanes is a number".into()))?;
+    let options = ExportOptions {
+        language,
+        precision: args.precision.into(),
+        pixels,
+        packed: args.packed,
+        lanes,
+        name: args.name.clone(),
+    };
+    // Vectors are written for processors that have fused multiply-adds.
+    let lowering = Lowering { fma: args.fma || lanes > 1, drop_saturated: args.saturation.is_some() };
+    let question = Question { subset: Some(&names), method: Some(&args.method), lowering };
+    let exported = export::export(&model, question, &options).map_err(|error| match error {
+        ExplainError::Question(message) => Failure::Usage(message),
+        ExplainError::Model(diagnostics) => Failure::model(&args.model.display().to_string(), &diagnostics),
+        other => Failure::Other(other.to_string()),
+    })?;
+    if let Some(path) = &args.out {
+        let unwritten = |error| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
+        std::fs::write(path, &exported.text).map_err(unwritten)?;
+    }
+    match (args.json, &args.out) {
+        (true, _) => output::json(out, &exported),
+        (false, None) => out.write_all(exported.text.as_bytes()).map_err(Failure::output),
+        (false, Some(_)) => Ok(()),
+    }
+}

@@ -1,0 +1,223 @@
+//! What is exported: a program of a shipped model, how it is to be written, and the pixels that it runs over.
+
+use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
+use isophote_symbolic::{
+    Bindings, Estimator, ExportOptions, Language, Lowering, Method, Model, Op, ParameterId, PixelType, Precision,
+    Program, Sink, Start,
+};
+use isophote_tests::repository;
+
+/// Pixels of a plane along each coordinate.
+pub const SIZE: [usize; 4] = [29, 23, 4, 3];
+/// The window: the first pixel along each coordinate, and how many.
+pub const FIRST: [usize; 4] = [1, 2, 1, 1];
+/// See [`FIRST`].
+pub const COUNT: [usize; 4] = [27, 19, 2, 2];
+/// The value from which on a pixel is saturated.
+const LIMIT: f64 = 200.0;
+
+/// One exported function and what it is called with.
+pub struct Case {
+    pub model: Model,
+    pub program: Program,
+    pub precision: Precision,
+    pub pixel: PixelType,
+    pub packed: bool,
+    pub lanes: usize,
+    /// A fault to write into the text.
+    pub planted: Option<(&'static str, &'static str)>,
+    pub name: String,
+}
+
+/// What a run gives: outputs, or all pixels of a rendering.
+#[derive(Debug)]
+pub struct Outcome {
+    pub numbers: Vec<f64>,
+    /// Used, and left out as saturated.
+    pub counts: [u64; 2],
+}
+
+fn model(name: &str) -> Model {
+    Model::from_toml(&std::fs::read_to_string(repository().join(format!("models/{name}.toml"))).unwrap()).unwrap()
+}
+
+fn objective(model: &Model, names: &str, lowering: Lowering) -> Program {
+    let ids: Vec<ParameterId> = match names {
+        "" => model.stages().last().unwrap().parameters.clone(),
+        _ => names.split(',').map(|name| model.parameter(name).unwrap()).collect(),
+    };
+    let program = model.objective(&ids, Method::Newton).unwrap().program(lowering).unwrap();
+    program
+}
+
+/// Models and subsets; an empty subset is that of the last stage.
+const SUBSETS: [(&str, &str); 13] = [
+    ("thesis-spot", "bx,by"),
+    ("thesis-spot", "a1,a2,a3"),
+    ("spot", ""),
+    ("rational-spot", ""),
+    ("ring", ""),
+    ("dark-disc", ""),
+    ("moffat", ""),
+    ("gaussian", ""),
+    ("gaussian-pixel", ""),
+    ("three-spots", "xr,yr"),
+    ("profile-1d", ""),
+    ("blob-3d", ""),
+    ("blob-4d", ""),
+];
+
+/// Each with and without fused multiply-adds and saturation, over pixels of all types, in both precisions.
+pub fn one_lane() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for (i, (name, subset)) in SUBSETS.into_iter().enumerate() {
+        for (j, precision) in [Precision::F32, Precision::F64].into_iter().enumerate() {
+            let model = model(name);
+            let lowering = Lowering { fma: (i + j) % 2 == 0, drop_saturated: (i + j) % 3 != 1 };
+            let program = objective(&model, subset, lowering);
+            let pixel = [PixelType::F32, PixelType::U8, PixelType::U16][(i + j) % 3];
+            let name = format!("case{}", cases.len());
+            cases.push(Case { model, program, precision, pixel, packed: i % 2 == 1, lanes: 1, planted: None, name });
+        }
+    }
+    for name in ["thesis-spot", "blob-3d"] {
+        let model = model(name);
+        let program = model.rendering(Lowering::default()).unwrap();
+        let name = format!("case{}", cases.len());
+        let (precision, pixel) = (Precision::F32, PixelType::U8);
+        cases.push(Case { model, program, precision, pixel, packed: true, lanes: 1, planted: None, name });
+    }
+    cases
+}
+
+/// With vectors, as wide as this machine has them.
+pub fn several_lanes() -> Vec<Case> {
+    let widest = if std::is_x86_feature_detected!("avx512dq") { 16 } else { 8 };
+    let mut cases = Vec::new();
+    for (i, (name, subset)) in SUBSETS.into_iter().enumerate() {
+        for lanes in [4, 8, 16].into_iter().filter(|lanes| *lanes <= widest) {
+            let model = model(name);
+            let program = objective(&model, subset, Lowering { fma: true, drop_saturated: (i + lanes / 4) % 2 == 0 });
+            let pixel = [PixelType::F32, PixelType::U8, PixelType::U16][(i + lanes / 4) % 3];
+            let name = format!("wide{}", cases.len());
+            let precision = Precision::F32;
+            let case = Case { model, program, precision, pixel, packed: i % 2 == 1, lanes, planted: None, name };
+            if !case.calls() {
+                cases.push(case);
+            }
+        }
+    }
+    assert!(cases.len() > 10);
+    cases
+}
+
+impl Case {
+    pub fn title(&self) -> String {
+        let Case { precision, pixel, packed, lanes, .. } = self;
+        format!("{} as {}: {precision:?} {pixel:?} {packed} {lanes}", self.model.name(), self.name)
+    }
+
+    /// True when it calls elementary functions.
+    pub fn calls(&self) -> bool {
+        self.program.instructions().iter().any(|x| matches!(x.op, Op::Call1(..) | Op::Call2(..)))
+    }
+
+    pub fn renders(&self) -> bool {
+        matches!(self.program.sink(), Sink::Plane(_))
+    }
+
+    pub fn text(&self, language: Language) -> String {
+        let options = ExportOptions {
+            precision: self.precision,
+            pixels: vec![self.pixel; self.model.channels().len()],
+            packed: self.packed,
+            lanes: self.lanes,
+            name: Some(self.name.clone()),
+            ..ExportOptions::new(language, 0)
+        };
+        let text = self.model.export(&self.program, &options).unwrap();
+        self.planted.map_or(text.clone(), |(from, to)| text.replacen(from, to, 1))
+    }
+
+    pub fn dimensions(&self) -> usize {
+        self.program.coordinates().max(2)
+    }
+
+    /// Pixels from one to the next along each coordinate.
+    pub fn strides(&self) -> [usize; 4] {
+        let across = if self.packed { 1 } else { 2 };
+        let down = SIZE[0] * across + 3;
+        [across, down, down * SIZE[1], down * SIZE[1] * SIZE[2]]
+    }
+
+    /// Numbers for the program's inputs.
+    pub fn inputs(&self) -> Vec<f64> {
+        let (parameters, entry) = self.parameters();
+        self.program.gather(&self.bindings(&parameters, &entry, &self.constants(), &[LIMIT; 8])).collect()
+    }
+
+    fn bindings<'a>(&self, p: &'a [f64], entry: &'a [f64], constants: &'a [f64], limits: &'a [f64]) -> Bindings<'a> {
+        Bindings {
+            parameters: p,
+            entry,
+            constants,
+            saturation: &limits[..self.model.channels().len()],
+            shift: &[0.25, -0.5],
+        }
+    }
+
+    fn constants(&self) -> Vec<f64> {
+        self.model.constants().iter().map(|constant| constant.value).collect()
+    }
+
+    /// At this evaluation, and when the pass was entered.
+    fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        let start = |start: Start| match start {
+            Start::Number(number) => number,
+            Start::Estimator(Estimator::Centroid(axis)) => SIZE[axis] as f64 / 2.0 + 0.3,
+            Start::Estimator(Estimator::Extent(i, j)) if i == j => 0.012,
+            Start::Estimator(Estimator::Extent(..)) => 0.001,
+            Start::Estimator(Estimator::Size(_)) => 8.5,
+            Start::Estimator(Estimator::Background) => 20.5,
+            Start::Estimator(Estimator::Amplitude) => 150.25,
+        };
+        let entry: Vec<f64> = self.model.parameters().iter().map(|parameter| start(parameter.start)).collect();
+        (entry.iter().map(|value| value * 1.01).collect(), entry)
+    }
+
+    pub fn interpreted(&self) -> Outcome {
+        let (parameters, entry) = self.parameters();
+        let constants = self.constants();
+        let bindings = self.bindings(&parameters, &entry, &constants, &[LIMIT; 8]);
+        let window = Window {
+            x: FIRST[0],
+            y: FIRST[1],
+            width: COUNT[0],
+            height: COUNT[1],
+            slices: Slices { first: [FIRST[2], FIRST[3]], count: [COUNT[2], COUNT[3]] },
+        };
+        let mut plane = vec![0.0_f32; COUNT[..self.dimensions()].iter().product()];
+        let out = self.renders().then_some(&mut plane[..]);
+        let outcome =
+            interpreter::run_in_lanes(&self.program, self.precision, self.lanes, &bindings, self, window, out).unwrap();
+        let numbers = if self.renders() { plane.into_iter().map(f64::from).collect() } else { outcome.outputs };
+        Outcome { numbers, counts: [outcome.pixels, outcome.saturated] }
+    }
+}
+
+/// The pixel that every run has at a place of a plane's memory.
+pub fn stored(channel: usize, place: usize) -> usize {
+    (place * 7919 + channel * 131) % 251
+}
+
+impl Pixels for Case {
+    fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
+        self.at_place(channel, [x, y, 0, 0])
+    }
+
+    fn at_place(&self, channel: usize, place: [usize; 4]) -> f64 {
+        let used = place.into_iter().zip(self.strides()).take(self.dimensions());
+        let value = stored(channel, used.map(|(at, stride)| at * stride).sum()) as f64;
+        if self.pixel == PixelType::F32 { value + 0.25 } else { value }
+    }
+}
