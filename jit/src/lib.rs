@@ -45,6 +45,7 @@ mod audit;
 mod check;
 mod compile;
 mod error;
+mod explain;
 mod host;
 mod kernel;
 mod lower;
@@ -52,8 +53,8 @@ mod plan;
 mod plane;
 mod runner;
 
-pub use compile::{Explained, explain};
 pub use error::{CompileError, RunError};
+pub use explain::{Explained, Line, explain};
 pub use host::has_fma;
 pub use kernel::{Kernel, KernelOptions, Sums};
 pub use plane::{PixelFormat, PlaneError, PlaneView, Slices, Window};

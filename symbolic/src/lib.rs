@@ -46,6 +46,7 @@ mod monomial;
 mod objective;
 mod parser;
 mod peephole;
+mod places;
 mod points;
 mod polynomials;
 mod print;

@@ -62,6 +62,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
         let mut running = 0;
         for (at, value) in plan.pixels.iter().enumerate() {
+            self.emit.speak_for(Some(*value));
             let result = match plan.program.instruction(*value).op {
                 Op::Offset(_) => {
                     let (t, next) = self.step(state.offsets[running], *value);
@@ -82,6 +83,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 _ => self.sink(Some(*value), used, &mut state),
             }
         }
+        self.emit.speak_for(None);
         state
     }
 
@@ -165,10 +167,12 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let PixelSet { mask, saturated, .. } = *self.emit.plan.program.pixel_set();
         let mut used = self.live;
         if let Some(mask) = mask {
+            self.emit.speak_for(Some(mask));
             let mask = self.operand(mask);
             used = Some(used.map_or(mask, |used| self.emit.b.ins().band(used, mask)));
         }
         if let Some(saturated) = saturated {
+            self.emit.speak_for(Some(saturated));
             let over = self.operand(saturated);
             let dropped = used.map_or(over, |used| self.emit.b.ins().band(used, over));
             state.saturated = state.saturated.map(|count| self.add_count(count, dropped));
@@ -180,6 +184,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         if let Some(used) = used {
             state.used = state.used.map(|count| self.add_count(count, used));
         }
+        self.emit.speak_for(None);
         used.map(|used| self.emit.cast(self.emit.number, used))
     }
 
@@ -205,6 +210,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 }
             }
             Sink::Plane(v) if meant(v) => {
+                self.emit.speak_for(Some(*v));
                 let value = self.operand(*v);
                 self.emit.write(value, used, self.first, &self.reach);
             }
@@ -213,6 +219,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     fn accumulate(&mut self, i: usize, value: Value, used: Option<ir::Value>, state: &mut Running) {
+        self.emit.speak_for(Some(value));
         let mut term = self.operand(value);
         if let Some(used) = used {
             term = self.emit.b.ins().band(term, used);
