@@ -9,7 +9,7 @@ use crate::plane::{PixelFormat, PlaneView, Region, Window};
 use crate::runner::{Code, Shape};
 
 /// What a kernel is compiled for besides its program.
-#[derive(Clone, PartialEq, Eq, Hash, Debug)]
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct KernelOptions {
     /// The arithmetic of the pixel loop.
     pub precision: Precision,

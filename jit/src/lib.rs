@@ -4,6 +4,7 @@
 //! [`Kernel`] that runs the whole loop nest in one call and equals the interpreter bit for bit.
 //! ```text
 //! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► runner (executable memory) ─► Kernel
+//! Program ─► KernelCache ─────────────────────────────────────────────────────► Arc<Kernel>, shared
 //! bytes ─► PlaneView ─► Region (window inside plane) ─────────────────────────────────────► Sums
 //! ```
 //! Native code imports no names, has no instruction that traps and is freed when its kernel is dropped. Every address
@@ -42,6 +43,7 @@
 
 mod abi;
 mod audit;
+mod cache;
 mod check;
 mod compile;
 mod error;
@@ -53,6 +55,7 @@ mod plan;
 mod plane;
 mod runner;
 
+pub use cache::{CacheCounts, KernelCache};
 pub use error::{CompileError, RunError};
 pub use explain::{Explained, Line, explain};
 pub use host::has_fma;
