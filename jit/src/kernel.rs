@@ -2,7 +2,6 @@
 
 use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
 
-use crate::check::Parts;
 use crate::compile;
 use crate::error::{CompileError, RunError};
 use crate::plane::{PixelFormat, PlaneView, Region, Window};
@@ -145,5 +144,5 @@ pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), Co
     if program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..))) && !crate::has_fma() {
         return Err(CompileError::NoFma);
     }
-    Parts::of(program).check().map_err(CompileError::Malformed)
+    program.check().map_err(CompileError::Malformed)
 }

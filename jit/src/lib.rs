@@ -44,7 +44,6 @@
 mod abi;
 mod audit;
 mod cache;
-mod check;
 mod compile;
 mod error;
 mod explain;

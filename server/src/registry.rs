@@ -258,3 +258,32 @@ fn report(what: &str, faults: &Diagnostics) {
     let first = faults.first().map(|fault| format!("{} ({}:{})", fault.message, fault.line, fault.column));
     eprintln!("isophote: {what} is refused: {}", first.unwrap_or_default());
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use isophote_jit::PixelFormat;
+
+    #[test]
+    fn a_second_session_and_a_model_sent_again_compile_nothing() {
+        let registry = Registry::open(None).unwrap();
+        let warm = |entry: &Entry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8).unwrap();
+        let spot = registry.get("spot").unwrap();
+        warm(&spot);
+        let first = registry.cache().counts();
+        assert!(first.misses > 0 && first.kernels > 0);
+
+        warm(&registry.get("thesis-spot").unwrap()); // swap away, and back
+        let between = registry.cache().counts();
+        assert!(between.misses > first.misses);
+        warm(&spot);
+        let text = format!("# the same again\n{}", spot.text);
+        let model = Model::from_toml(&text).unwrap();
+        let again = Entry::new(spot.name.clone(), 2, model, Media::Toml, &text, registry.cache().clone());
+        warm(&again);
+        let last = registry.cache().counts();
+        assert_eq!(last.misses, between.misses, "compiled again");
+        assert!(last.hits >= between.hits + 2 * first.misses, "{last:?}");
+    }
+}

@@ -18,6 +18,7 @@ mod absorb;
 mod bodies;
 mod calculus;
 mod calls;
+mod check;
 mod cuts;
 mod derivation;
 mod diagnostic;
@@ -64,6 +65,7 @@ mod tree;
 mod weighed;
 
 pub use bodies::{BodyFlops, Part};
+pub use check::ProgramParts;
 pub use diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use explain::Show;
 pub use formulas::Formula;

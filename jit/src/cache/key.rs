@@ -3,7 +3,7 @@
 //! Spans and names are left out, numbers are taken by their bits (so that 0 and −0 differ and a NaN equals itself). A key
 //! is compared as a whole; there is no hash that two programs could share.
 
-use isophote_symbolic::{Input, Instruction, Op, Program, Sink, Value};
+use isophote_symbolic::{Input, Instruction, Op, Program, Sink};
 
 use crate::kernel::KernelOptions;
 
@@ -27,15 +27,15 @@ impl Key {
         let set = program.pixel_set();
         let (lo, hi) = set.bounds.unzip();
         words.extend([lo, hi, set.mask, set.saturated].map(|value| value.map_or(u32::MAX, |value| value.0)));
-        let mut list = |values: &[Value]| {
-            words.push(values.len() as u32);
-            words.extend(values.iter().map(|value| value.0));
-        };
         match program.sink() {
-            Sink::Sums { accumulators, totals, outputs } => [accumulators, totals, outputs].map(|all| list(all)),
-            Sink::Plane(value) => [&[][..], &[][..], &[*value, *value][..]].map(list),
-        };
-        words.push(u32::from(matches!(program.sink(), Sink::Plane(_))));
+            Sink::Sums { accumulators, totals, outputs } => {
+                for values in [accumulators, totals, outputs] {
+                    words.push(values.len() as u32);
+                    words.extend(values.iter().map(|value| value.0));
+                }
+            }
+            Sink::Plane(value) => words.extend([u32::MAX, value.0]), // no list is that long
+        }
         program.instructions().iter().for_each(|instruction| push(&mut words, instruction));
         Key { options: options.clone(), words: words.into() }
     }
