@@ -7,7 +7,7 @@ use isophote_symbolic::Program;
 
 use crate::audit;
 use crate::error::CompileError;
-use crate::host::{self, Allocator};
+use crate::host::{self, Allocator, Processor};
 use crate::kernel::KernelOptions;
 use crate::lower::lower;
 
@@ -18,16 +18,20 @@ pub(crate) struct Native {
 }
 
 /// Machine code of a program that [`check`](crate::kernel::check) has passed.
-pub(crate) fn native(program: &Program, options: &KernelOptions) -> Result<Native, CompileError> {
-    let (function, allocator) = audited(program, options)?;
+pub(crate) fn native(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
+    let (function, allocator) = audited(program, options, processor)?;
     let mut context = Context::for_function(function);
-    let compiled = translate(&mut context, allocator)?;
+    let compiled = translate(&mut context, processor, allocator)?;
     Ok(Native { bytes: compiled.code_buffer().to_vec(), alignment: u64::from(compiled.buffer.alignment) })
 }
 
 /// The program in the compiler's own form, and which register allocator it gets.
-pub(crate) fn audited(program: &Program, options: &KernelOptions) -> Result<(Function, Allocator), CompileError> {
-    let isa = host::isa(Allocator::Backtracking)?;
+pub(crate) fn audited(
+    program: &Program,
+    options: &KernelOptions,
+    processor: Processor,
+) -> Result<(Function, Allocator), CompileError> {
+    let isa = host::isa(processor, Allocator::Backtracking)?;
     let function = lower(program, options, &*isa);
     verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
     audit::function(&function).map_err(CompileError::Audit)?;
@@ -36,8 +40,12 @@ pub(crate) fn audited(program: &Program, options: &KernelOptions) -> Result<(Fun
 }
 
 /// Machine code of the function in `context`.
-pub(crate) fn translate(context: &mut Context, allocator: Allocator) -> Result<&CompiledCode, CompileError> {
-    let isa = host::isa(allocator)?;
+pub(crate) fn translate(
+    context: &mut Context,
+    processor: Processor,
+    allocator: Allocator,
+) -> Result<&CompiledCode, CompileError> {
+    let isa = host::isa(processor, allocator)?;
     let compiled = context
         .compile(&*isa, &mut ControlPlane::default())
         .map_err(|error| CompileError::Compiler(format!("{:?}", error.inner)))?;

@@ -10,6 +10,7 @@ use isophote_symbolic::{Program, Span, Value};
 
 use crate::compile::{audited, translate};
 use crate::error::CompileError;
+use crate::host::Processor;
 use crate::kernel::{KernelOptions, check};
 
 /// One line of text.
@@ -37,12 +38,12 @@ pub struct Explained {
 /// # Errors
 /// Those of [`crate::Kernel::compile`].
 pub fn explain(program: &Program, options: &KernelOptions) -> Result<Explained, CompileError> {
-    check(program, options)?;
-    let (function, allocator) = audited(program, options)?;
+    check(program, options, Processor::Host)?;
+    let (function, allocator) = audited(program, options, Processor::Host)?;
     let clif = function.display().to_string();
     let mut context = Context::for_function(function);
     context.set_disasm(!cfg!(target_arch = "x86_64"));
-    let compiled = translate(&mut context, allocator)?;
+    let compiled = translate(&mut context, Processor::Host, allocator)?;
     let mut sources = Vec::new();
     for place in compiled.buffer.get_srclocs_sorted().iter().filter(|place| !place.loc.is_default()) {
         sources.push(Source { start: place.start as usize, end: place.end as usize, value: value(place.loc) });

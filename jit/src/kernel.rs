@@ -4,6 +4,7 @@ use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
 
 use crate::compile;
 use crate::error::{CompileError, RunError};
+use crate::host::Processor;
 use crate::plane::{PixelFormat, PlaneView, Region, Window};
 use crate::runner::{Code, Shape};
 
@@ -43,8 +44,17 @@ impl Kernel {
 
     /// Compiles a program.
     pub fn compile(program: &Program, options: &KernelOptions) -> Result<Kernel, CompileError> {
-        check(program, options)?;
-        let compiled = compile::native(program, options)?;
+        Kernel::compile_for(Processor::Host, program, options)
+    }
+
+    /// Compiles a program with no more than `processor` offers: what machines without this one's extensions will run.
+    pub fn compile_for(
+        processor: Processor,
+        program: &Program,
+        options: &KernelOptions,
+    ) -> Result<Kernel, CompileError> {
+        check(program, options, processor)?;
+        let compiled = compile::native(program, options, processor)?;
         if compiled.bytes.len() > Self::CODE_BYTES_MAX {
             return Err(CompileError::TooLarge { bytes: compiled.bytes.len() });
         }
@@ -130,7 +140,7 @@ impl Kernel {
 }
 
 /// What [`compile::native`] takes for granted.
-pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), CompileError> {
+pub(crate) fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
     let reads = |op: &Op| matches!(op, Op::Channel(_));
     let any = program.instructions().iter().any(|i| reads(&i.op));
     let (channels, formats) = (program.channels(), options.formats.len());
@@ -141,7 +151,7 @@ pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), Co
     if renders && any {
         return Err(CompileError::Malformed("a program that renders reads a channel".into()));
     }
-    if program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..))) && !crate::has_fma() {
+    if program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..))) && !processor.has_fma() {
         return Err(CompileError::NoFma);
     }
     program.check().map_err(CompileError::Malformed)

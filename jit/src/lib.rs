@@ -57,6 +57,6 @@ mod runner;
 pub use cache::{CacheCounts, KernelCache};
 pub use error::{CompileError, RunError};
 pub use explain::{Explained, Line, explain};
-pub use host::has_fma;
+pub use host::{Processor, has_fma};
 pub use kernel::{Kernel, KernelOptions, Sums};
 pub use plane::{PixelFormat, PlaneError, PlaneView, Slices, Window};

@@ -4,11 +4,14 @@
 
 mod common;
 
+use std::collections::HashSet;
+use std::mem::discriminant;
+
 use common::Random;
 use common::differential::{Case, Stage, agree, first_difference};
 use common::fault::planted;
 use common::generate::{Variety, program};
-use isophote_jit::{Kernel, has_fma};
+use isophote_jit::{Kernel, Processor};
 use isophote_symbolic::{Precision, Program};
 
 const PROGRAMS: u64 = 2000;
@@ -26,9 +29,9 @@ struct Subject {
 }
 
 impl Subject {
-    fn new(seed: u64) -> Subject {
+    fn new(processor: Processor, seed: u64) -> Subject {
         let mut random = Random(seed);
-        let variety = Variety { fma: has_fma() && random.below(2) == 0, calls: random.below(3) == 0 };
+        let variety = Variety { fma: processor.has_fma() && random.below(2) == 0, calls: random.below(3) == 0 };
         let renders = random.below(8) == 0;
         let program = program(&mut random, variety, renders);
         let precision = *random.pick(&[Precision::F32, Precision::F64]);
@@ -50,18 +53,19 @@ impl Subject {
         }
     }
 
-    fn kernel(&self, seed: u64) -> Kernel {
-        let kernel = Kernel::compile(&self.program, &self.stage.options(self.precision));
+    fn kernel(&self, processor: Processor, seed: u64) -> Kernel {
+        let kernel = Kernel::compile_for(processor, &self.program, &self.stage.options(self.precision));
         kernel.unwrap_or_else(|error| panic!("seed {seed}: {error}"))
     }
 }
 
-#[test]
-fn a_million_cases_agree() {
+/// Panics where native code for `processor` and the interpreter differ.
+fn programs_agree(processor: Processor, seeds: std::ops::Range<u64>) {
+    let programs = seeds.end - seeds.start;
     let (mut cases, mut telling) = (0, 0);
-    for seed in 0..PROGRAMS {
-        let mut subject = Subject::new(seed);
-        let kernel = subject.kernel(seed);
+    for seed in seeds {
+        let mut subject = Subject::new(processor, seed);
+        let kernel = subject.kernel(processor, seed);
         subject.windows(WINDOWS, |subject, case| {
             let Subject { program, precision, stage, .. } = subject;
             let (native, expected) = (case.native(&kernel, stage), case.interpreted(program, *precision, stage));
@@ -77,17 +81,28 @@ fn a_million_cases_agree() {
             true
         });
     }
-    assert_eq!(cases, PROGRAMS * WINDOWS as u64);
+    assert_eq!(cases, programs * WINDOWS as u64);
     assert!(telling * 10 > cases * 7, "only {telling} of {cases} cases have a result that says anything");
+}
+
+#[test]
+fn a_million_cases_agree() {
+    programs_agree(Processor::Host, 0..PROGRAMS);
+}
+
+#[test]
+fn processors_without_extensions_agree() {
+    programs_agree(Processor::Baseline, PROGRAMS..PROGRAMS + PROGRAMS / 4);
 }
 
 #[test]
 fn planted_faults_are_noticed() {
     let (mut matter, mut noticed, mut missed) = (0, 0, Vec::new());
     for seed in 0..400 {
-        let mut subject = Subject::new(seed);
-        let kernel = subject.kernel(seed);
-        let Some((what, wrong)) = planted(&subject.program, &mut subject.random) else { continue };
+        let mut subject = Subject::new(Processor::Host, seed);
+        let kernel = subject.kernel(Processor::Host, seed);
+        let mut try_one = |_| planted(&subject.program, &mut subject.random);
+        let Some((what, wrong)) = (0..20).find_map(&mut try_one) else { continue };
         // A change that shows nowhere in four times as many windows does not matter: dead code, or the same in disguise.
         let (mut seen, mut first) = (0, None);
         subject.windows(4 * WINDOWS, |subject, case| {
@@ -105,6 +120,19 @@ fn planted_faults_are_noticed() {
             None => {}
         }
     }
-    assert!(matter > 150, "only {matter} faults matter");
+    assert!(matter > 250, "only {matter} faults matter");
     assert!(noticed * 100 >= matter * 99, "{noticed} of {matter} faults are noticed\n{}", missed.join("\n"));
+}
+
+#[test]
+fn the_generator_knows_every_operation_at_every_level() {
+    let mut met = HashSet::new();
+    for seed in 0..PROGRAMS {
+        let Subject { program, .. } = Subject::new(Processor::Host, seed);
+        met.extend(program.instructions().iter().map(|i| (discriminant(&i.op), i.level)));
+    }
+    // 16 operations are at home at each of five levels, 8 at one: input, outer and inner coordinate, channel, and the
+    // totals and counts of row and pass.
+    let everywhere = if Processor::Host.has_fma() { 16 } else { 15 };
+    assert_eq!(met.len(), 5 * everywhere + 8);
 }

@@ -51,7 +51,7 @@ impl Draft<'_> {
     /// What reads no value.
     fn leaf(&mut self, level: Level) -> Op {
         let [coordinates, channels, inputs, accumulators, totals] = self.sizes;
-        let number = self.random.number();
+        let number = if self.random.below(20) == 0 { self.random.special() } else { self.random.ordinary() };
         let mut below = |n: usize| self.random.below(n.max(1)) as u32;
         match (level, below(4)) {
             (_, 0) => Op::Const(number),

@@ -69,10 +69,6 @@ impl Random {
             _ => self.between(-20.0, 300.0),
         }
     }
-    /// One or the other.
-    pub fn number(&mut self) -> f64 {
-        if self.below(6) == 0 { self.special() } else { self.ordinary() }
-    }
     pub fn pick<'a, T>(&mut self, all: &'a [T]) -> &'a T {
         &all[self.below(all.len())]
     }
