@@ -5,6 +5,7 @@
 pub mod differential;
 pub mod fault;
 pub mod generate;
+pub mod soak;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
 use isophote_symbolic::interpreter::{self, Outcome, Pixels};
