@@ -5,6 +5,7 @@ use cranelift_codegen::ir::Function;
 use cranelift_codegen::{CompiledCode, Context, verify_function};
 use isophote_symbolic::Program;
 
+use crate::addresses::{Extent, addresses};
 use crate::audit;
 use crate::error::CompileError;
 use crate::host::{self, Allocator, Processor};
@@ -35,6 +36,7 @@ pub(crate) fn audited(
     let function = lower(program, options, &*isa);
     verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
     audit::function(&function).map_err(CompileError::Audit)?;
+    addresses(&function, Extent::of(program)).map_err(CompileError::Audit)?;
     let allocator = Allocator::for_size(function.dfg.num_insts());
     Ok((function, allocator))
 }

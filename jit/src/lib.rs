@@ -42,6 +42,7 @@
 #![deny(unsafe_code)]
 
 mod abi;
+mod addresses;
 mod audit;
 mod cache;
 mod compile;

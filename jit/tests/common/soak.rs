@@ -137,25 +137,20 @@ fn text((_, letters, term): Family, terms: usize, noisy: bool) -> String {
     )
 }
 
-/// The largest document of each family, without and with noise, that is admitted with all its parameters free by Newton.
-pub fn largest() -> Vec<(String, Subject)> {
-    let mut found = Vec::new();
-    for family in FAMILIES {
-        for noisy in [false, true] {
-            let admitted = |terms: usize| {
-                let model = document(&text(family, terms, noisy));
-                let all: Vec<ParameterId> = (0..model.parameters().len()).map(|i| ParameterId(i as u32)).collect();
-                let lowering = Lowering { fma: isophote_jit::has_fma(), drop_saturated: true };
-                let program = model.objective(&all, Method::Newton).and_then(|objective| objective.program(lowering));
-                program.ok().map(|program| Subject::new(&model, program))
-            };
-            let most = LIMITS.parameters / family.1;
-            let largest = (1..=most).rev().find_map(|terms| Some((terms, admitted(terms)?)));
-            if let Some((terms, subject)) = largest {
-                let noise = if noisy { ", with noise" } else { "" };
-                found.push((format!("{terms} {}{noise}", family.0), subject));
-            }
-        }
-    }
-    found
+/// The documents of each family, without and with noise, that are admitted with all their parameters free by Newton: the
+/// family's name, and its members by their number of terms, the largest last.
+pub fn admitted() -> Vec<(String, Vec<(usize, Subject)>)> {
+    let families = FAMILIES.into_iter().flat_map(|family| [(family, false), (family, true)]);
+    let members = |(family, noisy): (Family, bool)| {
+        let member = |terms: usize| {
+            let model = document(&text(family, terms, noisy));
+            let all: Vec<ParameterId> = (0..model.parameters().len()).map(|i| ParameterId(i as u32)).collect();
+            let lowering = Lowering { fma: isophote_jit::has_fma(), drop_saturated: true };
+            let program = model.objective(&all, Method::Newton).and_then(|objective| objective.program(lowering));
+            Some((terms, Subject::new(&model, program.ok()?)))
+        };
+        let noise = if noisy { ", with noise" } else { "" };
+        (format!("{}{noise}", family.0), (1..=LIMITS.parameters / family.1).filter_map(member).collect())
+    };
+    families.map(members).collect()
 }
