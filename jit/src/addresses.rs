@@ -14,6 +14,7 @@
 //! ```
 //! That pixels' distances stay inside the window is the lowering's proof; here it is certain that nothing else is touched.
 
+use std::collections::BTreeMap;
 use std::mem::offset_of;
 
 use cranelift_codegen::entity::SecondaryMap;
@@ -93,7 +94,7 @@ impl Origin {
 
 /// Checks a function before compilation; says which instruction goes astray.
 pub(crate) fn addresses(function: &Function, extent: Extent) -> Result<(), String> {
-    let mut origins = Origins { function, known: SecondaryMap::new(), kept: Vec::new() };
+    let mut origins = Origins { function, known: SecondaryMap::new(), kept: BTreeMap::new() };
     if let Some(entry) = function.layout.entry_block() {
         let parameters = function.dfg.block_params(entry).iter();
         parameters.for_each(|value| origins.known[*value] = Some(Origin::At(Base::Args, 0)));
@@ -114,9 +115,12 @@ struct Origins<'a> {
     function: &'a Function,
     /// `None`: not reached yet.
     known: SecondaryMap<Value, Option<Origin>>,
-    /// Integers that were stored in the record: slot, offset, bytes, what they are.
-    kept: Vec<(StackSlot, i64, i64, Origin)>,
+    /// What is stored in the record: slot, offset, bytes.
+    kept: BTreeMap<(StackSlot, i64, i64), Origin>,
 }
+
+/// No store is longer.
+const STORE_BYTES_MAX: i64 = 64;
 
 impl Origins<'_> {
     fn of(&self, value: Value) -> Option<Origin> {
@@ -203,11 +207,10 @@ impl Origins<'_> {
             }
             Base::Functions => Origin::Callee,
             Base::Record(slot) => {
-                let over =
-                    |kept: &&(StackSlot, i64, i64, Origin)| kept.0 == slot && kept.1 < at + 8 && at < kept.1 + kept.2;
-                let found = self.kept.iter().filter(over);
+                let near = self.kept.range((slot, at - STORE_BYTES_MAX, 0)..(slot, at + 8, 0));
+                let over = near.filter(|((_, from, bytes), _)| from + bytes > at);
                 let found =
-                    found.map(|(_, from, bytes, origin)| if (*from, *bytes) == (at, 8) { *origin } else { NUMBER });
+                    over.map(|((_, from, bytes), origin)| if (*from, *bytes) == (at, 8) { *origin } else { NUMBER });
                 found.reduce(Origin::or).unwrap_or(NUMBER)
             }
             _ => NUMBER,
@@ -223,12 +226,11 @@ impl Origins<'_> {
         let (Some(Origin::At(Base::Record(slot), at)), Some(origin)) = (self.of(address), self.of(value)) else {
             return false;
         };
-        let kept = (slot, at + i64::from(i32::from(offset)), i64::from(dfg.value_type(value).bytes()), origin);
-        let is_new = !self.kept.contains(&kept);
-        if is_new {
-            self.kept.push(kept);
-        }
-        is_new
+        let place = (slot, at + i64::from(i32::from(offset)), i64::from(dfg.value_type(value).bytes()));
+        let before = self.kept.get(&place).copied();
+        let joined = before.map_or(origin, |before| before.or(origin));
+        self.kept.insert(place, joined);
+        before != Some(joined)
     }
 
     fn is_allowed(&self, instruction: Inst, extent: Extent) -> bool {
