@@ -11,7 +11,7 @@ mod key;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-use isophote_symbolic::{Input, Program, Sink, Value};
+use isophote_symbolic::{Program, Sink, Value};
 
 use self::key::Key;
 use crate::error::CompileError;
@@ -191,7 +191,7 @@ fn memory_bytes(kernel: &Kernel) -> usize {
         + MODULE_BYTES
         + kernel.code_bytes().next_multiple_of(PAGE_BYTES)
         + size_of_val(program.instructions())
-        + size_of::<Input>() * program.inputs().len()
+        + size_of_val(program.inputs())
         + size_of::<Value>() * values
         + text
 }

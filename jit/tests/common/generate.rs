@@ -13,6 +13,10 @@ use isophote_symbolic::{
 pub struct Variety {
     pub fma: bool,
     pub calls: bool,
+    /// Instructions of pass, row and pixel.
+    pub lengths: [usize; 3],
+    /// Sums, at most.
+    pub sums: usize,
 }
 
 const LEVELS: [Level; 5] = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd, Level::PassEnd];
@@ -106,8 +110,8 @@ impl Draft<'_> {
     }
 
     /// A few instructions of a level; at least one number that it can read.
-    fn level(&mut self, level: Level, most: usize) {
-        for _ in 0..1 + self.random.below(most) {
+    fn level(&mut self, level: Level, count: usize) {
+        for _ in 0..count {
             self.instruction(level);
         }
         let leaf = self.leaf(level);
@@ -131,9 +135,8 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
     };
     let inputs: Vec<Input> = (0..sizes[2]).map(|i| input(random, i)).collect();
     let mut draft = Draft { random, variety, sizes, instructions: Vec::new(), kinds: Vec::new() };
-    let longest = *draft.random.pick(&[4, 10, 30, 60]);
-    for (level, most) in LEVELS.into_iter().zip([longest, longest / 2, longest]) {
-        draft.level(level, most);
+    for (level, count) in LEVELS.into_iter().zip(variety.lengths) {
+        draft.level(level, count);
     }
     let often = |draft: &mut Draft<'_>| draft.random.below(3) == 0;
     let truth = |draft: &mut Draft<'_>| often(draft).then(|| draft.value(Level::Pixel, true)).flatten();
@@ -146,14 +149,16 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
         Sink::Plane(draft.value(Level::Pixel, false).unwrap())
     } else {
         // Every sum is handed back as it is, besides what is made of it: else one NaN hides them all.
-        let accumulators = draft.several(Level::Pixel, 9);
+        let accumulators = draft.several(Level::Pixel, variety.sums);
         draft.sizes[3] = accumulators.len();
-        draft.level(Level::RowEnd, 8);
+        let count = 1 + draft.random.below(8);
+        draft.level(Level::RowEnd, count);
         let mut totals = draft.several(Level::RowEnd, 3);
         let all = (0..draft.sizes[3] as u32).map(|i| Op::RowTotal(AccumulatorId(i)));
         totals.extend(all.map(|op| draft.push(Level::RowEnd, op, false)));
         draft.sizes[4] = totals.len();
-        draft.level(Level::PassEnd, 8);
+        let count = 1 + draft.random.below(8);
+        draft.level(Level::PassEnd, count);
         let mut outputs = draft.several(Level::PassEnd, 5);
         let all = (0..draft.sizes[4] as u32).map(|i| Op::PassTotal(TotalId(i)));
         outputs.extend(all.map(|op| draft.push(Level::PassEnd, op, false)));
