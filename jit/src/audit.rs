@@ -105,7 +105,7 @@ fn allowed(opcode: Opcode) -> bool {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::function as audit;
-    use crate::host::{self, Allocator};
+    use crate::host::{self, Allocator, Processor};
     use cranelift_codegen::ir::{self, Function, InstBuilder, MemFlagsData, types};
     use cranelift_frontend::{FunctionBuilder, FunctionBuilderContext};
 
@@ -118,7 +118,7 @@ mod tests {
         body(&mut builder);
         builder.ins().return_(&[]);
         builder.seal_all_blocks();
-        builder.finalize(host::isa(Allocator::Backtracking).unwrap().frontend_config());
+        builder.finalize(host::isa(Processor::Host, Allocator::Backtracking).unwrap().frontend_config());
         function
     }
 

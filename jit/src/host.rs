@@ -27,18 +27,23 @@ impl Allocator {
     }
 }
 
-/// The target of native code on this machine.
-pub(crate) fn isa(allocator: Allocator) -> Result<Arc<dyn TargetIsa>, CompileError> {
-    static BACKTRACKING: OnceLock<Result<OwnedTargetIsa, String>> = OnceLock::new();
-    static SINGLE_PASS: OnceLock<Result<OwnedTargetIsa, String>> = OnceLock::new();
-    let cell = match allocator {
-        Allocator::Backtracking => &BACKTRACKING,
-        Allocator::SinglePass => &SINGLE_PASS,
-    };
-    cell.get_or_init(|| build(allocator)).clone().map_err(CompileError::Host)
+/// For which processor code is made; on this machine either runs.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Processor {
+    /// This one, with all that it offers.
+    Host,
+    /// The oldest of its kind: on x86-64 no more than SSE2. No fused multiply-add there.
+    Baseline,
 }
 
-fn build(allocator: Allocator) -> Result<OwnedTargetIsa, String> {
+/// The target of native code.
+pub(crate) fn isa(processor: Processor, allocator: Allocator) -> Result<Arc<dyn TargetIsa>, CompileError> {
+    static CELLS: [OnceLock<Result<OwnedTargetIsa, String>>; 4] = [const { OnceLock::new() }; 4];
+    let cell = &CELLS[2 * processor as usize + allocator as usize];
+    cell.get_or_init(|| build(processor, allocator)).clone().map_err(CompileError::Host)
+}
+
+fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, String> {
     let algorithm = match allocator {
         Allocator::Backtracking => "backtracking",
         Allocator::SinglePass => "single_pass",
@@ -60,19 +65,47 @@ fn build(allocator: Allocator) -> Result<OwnedTargetIsa, String> {
     for (name, value) in flags {
         builder.set(name, value).map_err(|e| format!("{name}: {e}"))?;
     }
-    let host = cranelift_native::builder().map_err(str::to_owned)?;
-    host.finish(settings::Flags::new(builder)).map_err(|e| e.to_string())
+    let target = match processor {
+        Processor::Host => cranelift_native::builder(),
+        Processor::Baseline => cranelift_native::builder_with_options(false),
+    };
+    let target = target.map_err(str::to_owned)?;
+    target.finish(settings::Flags::new(builder)).map_err(|e| e.to_string())
 }
 
-/// Whether this processor multiplies and adds with one rounding. Only then may a program with `Op::Fma` be compiled.
+impl Processor {
+    /// Whether it multiplies and adds with one rounding. Only then may a program with `Op::Fma` be compiled for it.
+    pub fn has_fma(self) -> bool {
+        match isa(self, Allocator::Backtracking) {
+            Ok(isa) if cfg!(target_arch = "x86_64") => isa
+                .isa_flags()
+                .iter()
+                .filter(|flag| flag.name == "has_fma" || flag.name == "has_avx")
+                .all(|flag| flag.as_bool() == Some(true)),
+            Ok(_) => true,
+            Err(_) => false,
+        }
+    }
+}
+
+/// Whether this machine's processor multiplies and adds with one rounding.
 pub fn has_fma() -> bool {
-    match isa(Allocator::Backtracking) {
-        Ok(isa) if cfg!(target_arch = "x86_64") => isa
-            .isa_flags()
-            .iter()
-            .filter(|flag| flag.name == "has_fma" || flag.name == "has_avx")
-            .all(|flag| flag.as_bool() == Some(true)),
-        Ok(_) => true,
-        Err(_) => false,
+    Processor::Host.has_fma()
+}
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_baseline_has_no_extension() {
+        for allocator in [Allocator::Backtracking, Allocator::SinglePass] {
+            let isa = isa(Processor::Baseline, allocator).unwrap();
+            let has = isa.isa_flags().into_iter().filter(|flag| flag.name.starts_with("has_"));
+            let has: Vec<_> = has.map(|flag| (flag.name, flag.as_bool())).collect();
+            assert!(has.len() > 5 && has.iter().all(|(_, has)| *has == Some(false)), "{has:?}");
+        }
+        assert!(!Processor::Baseline.has_fma());
     }
 }

@@ -3,14 +3,14 @@
 use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
 use smallvec::SmallVec;
 
-use crate::check::Parts;
 use crate::compile;
 use crate::error::{CompileError, RunError};
+use crate::host::Processor;
 use crate::plane::{PixelFormat, PlaneView, Region, Window};
 use crate::runner::{Code, Shape};
 
 /// What a kernel is compiled for besides its program.
-#[derive(Clone, PartialEq, Eq, Hash, Debug)]
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct KernelOptions {
     /// The arithmetic of the pixel loop.
     pub precision: Precision,
@@ -45,8 +45,17 @@ impl Kernel {
 
     /// Compiles a program.
     pub fn compile(program: &Program, options: &KernelOptions) -> Result<Kernel, CompileError> {
-        check(program, options)?;
-        let compiled = compile::native(program, options)?;
+        Kernel::compile_for(Processor::Host, program, options)
+    }
+
+    /// Compiles a program with no more than `processor` offers: what machines without this one's extensions will run.
+    pub fn compile_for(
+        processor: Processor,
+        program: &Program,
+        options: &KernelOptions,
+    ) -> Result<Kernel, CompileError> {
+        check(program, options, processor)?;
+        let compiled = compile::native(program, options, processor)?;
         if compiled.bytes.len() > Self::CODE_BYTES_MAX {
             return Err(CompileError::TooLarge { bytes: compiled.bytes.len() });
         }
@@ -136,7 +145,7 @@ impl Kernel {
 }
 
 /// What [`compile::native`] takes for granted.
-pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), CompileError> {
+pub(crate) fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
     let reads = |op: &Op| matches!(op, Op::Channel(_));
     let any = program.instructions().iter().any(|i| reads(&i.op));
     let (channels, formats) = (program.channels(), options.formats.len());
@@ -149,8 +158,8 @@ pub(crate) fn check(program: &Program, options: &KernelOptions) -> Result<(), Co
     }
     // Elementary functions of a fused program multiply and add with one rounding, too.
     let fused = program.is_fused() || program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..)));
-    if fused && !crate::has_fma() {
+    if fused && !processor.has_fma() {
         return Err(CompileError::NoFma);
     }
-    Parts::of(program).check().map_err(CompileError::Malformed)
+    program.check().map_err(CompileError::Malformed)
 }

@@ -4,6 +4,7 @@
 //! [`Kernel`] that runs the whole loop nest in one call and equals the interpreter bit for bit.
 //! ```text
 //! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► runner (executable memory) ─► Kernel
+//! Program ─► KernelCache ─────────────────────────────────────────────────────► Arc<Kernel>, shared
 //! bytes ─► PlaneView ─► Region (window inside plane) ─────────────────────────────────────► Sums
 //! ```
 //! Native code imports no names, has no instruction that traps and is freed when its kernel is dropped. Every address
@@ -41,10 +42,12 @@
 #![deny(unsafe_code)]
 
 mod abi;
+mod addresses;
 mod audit;
-mod check;
+mod cache;
 mod compile;
 mod error;
+mod explain;
 mod host;
 mod kernel;
 mod lower;
@@ -52,8 +55,9 @@ mod plan;
 mod plane;
 mod runner;
 
-pub use compile::{Explained, explain};
+pub use cache::{CacheCounts, KernelCache};
 pub use error::{CompileError, RunError};
-pub use host::has_fma;
+pub use explain::{Explained, Line, explain};
+pub use host::{Processor, has_fma};
 pub use kernel::{Kernel, KernelOptions, Sums};
 pub use plane::{PixelFormat, PlaneError, PlaneView, Slices, Window};

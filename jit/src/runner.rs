@@ -11,7 +11,7 @@ use smallvec::SmallVec;
 
 use crate::abi::{Args, FUNCTIONS, PlaneArgs};
 use crate::compile::Native;
-use crate::host::{self, Allocator};
+use crate::host::{self, Allocator, Processor};
 use crate::plane::{Padded, PixelFormat, Region, Window};
 
 /// What the code expects of its arguments.
@@ -63,7 +63,7 @@ impl Drop for Code {
 impl Code {
     /// Puts code into memory of its own, which is writable first and executable afterwards, never both.
     pub fn load(native: &Native, shape: Shape) -> Result<Code, String> {
-        let isa = host::isa(Allocator::Backtracking).map_err(|e| e.to_string())?;
+        let isa = host::isa(Processor::Host, Allocator::Backtracking).map_err(|e| e.to_string())?;
         let mut module = ManuallyDrop::new(JITModule::new(JITBuilder::with_isa(isa, default_libcall_names())));
         match define(&mut module, native) {
             Ok(entry) => Ok(Code { module, entry, bytes: native.bytes.len(), shape }),

@@ -6,7 +6,7 @@
 mod common;
 
 use common::{Random, parameters, programs, shipped};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, explain};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Lowering, Precision};
 
 /// Anonymous maps that are executable, and all that are writable as well.
@@ -64,8 +64,4 @@ fn code_lives_as_long_as_its_kernel() {
         compile();
     }
     assert_eq!(executable_maps(), (before, 0), "code that outlives its kernel");
-
-    let explained = explain(&program, &options).unwrap();
-    assert!(explained.clif.contains("fadd") && explained.clif.contains("f32x4"), "{}", explained.clif);
-    assert!(explained.disassembly.lines().count() > 100, "{}", explained.disassembly);
 }

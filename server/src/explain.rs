@@ -3,8 +3,10 @@
 
 use std::sync::Arc;
 
-use isophote_jit::{CompileError, Kernel, KernelOptions, PixelFormat, has_fma};
-use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Show, Span};
+use isophote_jit::{CompileError, Kernel, KernelOptions, Line, PixelFormat, has_fma};
+use isophote_symbolic::{
+    Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Show, Span,
+};
 use isophote_tracker::{CompileFailure, Compiled};
 
 use crate::clock::{elapsed_ms, monotonic_ns};
@@ -66,8 +68,8 @@ pub fn explain(
     let text = match show {
         "sums" => objective.explain(Show::Sums),
         "program" => program.to_string(),
-        "clif" => isophote_jit::explain(&program, &options)?.clif,
-        "asm" => isophote_jit::explain(&program, &options)?.disassembly,
+        "clif" => annotated(model, &program, &isophote_jit::explain(&program, &options)?.clif),
+        "asm" => annotated(model, &program, &isophote_jit::explain(&program, &options)?.machine),
         "latex" => objective.explain(Show::Latex),
         "mathml" => objective.explain(Show::MathMl),
         _ => objective.explain(Show::Derivative),
@@ -75,6 +77,38 @@ pub fn explain(
     let stage = StageReport::of(model, &objective, method, lowering, compile_ms)?;
     let (name, digest) = (model.name().to_string(), model.digest().to_string());
     Ok(Explanation { model: name, digest, show: show.to_string(), stage, text })
+}
+
+/// Characters of a formula beside an instruction.
+const EXCERPT_CHARACTERS: usize = 60;
+/// Characters of an instruction, beyond which its comment moves to the right.
+const COLUMN_MAX: usize = 64;
+
+/// Lines of code, each with the value that it computes and the formula that asked for it.
+fn annotated(model: &Model, program: &Program, lines: &[Line]) -> String {
+    let width = lines.iter().map(|line| line.text.chars().count()).filter(|width| *width <= COLUMN_MAX).max();
+    let mut text =
+        String::from("; beside an instruction: what it computes (see `program`), and the formula behind it\n");
+    for line in lines {
+        let comment = line.value.map(|value| {
+            let formula = line.span.and_then(|span| model.quote(span));
+            let formula = formula.map(|(key, words)| format!("  {key}: {}", excerpt(words))).unwrap_or_default();
+            format!("; v{} = {}{formula}", value.0, program.operation_text(value))
+        });
+        let (code, comment) = (&line.text, comment.unwrap_or_default());
+        text += format!("{code:<width$}  {comment}", width = width.unwrap_or(0)).trim_end();
+        text.push('\n');
+    }
+    text
+}
+
+/// Words of a formula on one line, cut where they are many.
+fn excerpt(words: &str) -> String {
+    let line = words.split_whitespace().collect::<Vec<_>>().join(" ");
+    match line.char_indices().nth(EXCERPT_CHARACTERS) {
+        Some(_) => line.chars().take(EXCERPT_CHARACTERS - 1).chain(['…']).collect(),
+        None => line,
+    }
 }
 
 /// What `model check --json` prints, compile times included.
@@ -129,5 +163,59 @@ pub(crate) fn problem(error: ExplainError) -> crate::problem::Problem {
         ExplainError::Question(_) => Problem::bad_request(error.to_string()),
         ExplainError::Model(diagnostics) => Problem::wrong_document(diagnostics),
         ExplainError::Kernel(_) => Problem::bug(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn shown(show: &str) -> String {
+        let model = Model::from_toml(include_str!("../../models/thesis-spot.toml")).unwrap();
+        explain(&Arc::new(model), Some(&["bx", "by"]), None, show).unwrap().text
+    }
+
+    /// How many lines with an instruction that `is_meant` there are, and how many of them name a formula.
+    fn named(text: &str, is_meant: impl Fn(&str) -> bool) -> (usize, usize) {
+        let lines: Vec<(&str, &str)> = text
+            .lines()
+            .map(|line| line.split_once(';').unwrap_or((line, "")))
+            .filter(|(code, _)| is_meant(code))
+            .collect();
+        (lines.len(), lines.iter().filter(|(_, comment)| comment.contains(": ")).count())
+    }
+
+    #[test]
+    #[cfg(target_arch = "x86_64")]
+    fn machine_code_names_the_formulas_behind_it() {
+        let text = shown("asm");
+        let arithmetic = ["add", "sub", "mul", "div", "sqrt", "fmadd", "fmsub", "fnmadd"];
+        let (all, with_formula) = named(&text, |code| {
+            let word = code.split_whitespace().nth(1).unwrap_or_default();
+            word.contains("ps") && arithmetic.iter().any(|stem| word.trim_start_matches('v').starts_with(stem))
+        });
+        assert!(all > 20 && with_formula * 10 >= all * 9, "{with_formula} of {all} name a formula:\n{text}");
+        for formula in ["definitions.s: X' * A * X", "model.intensity: v0 + v1 * f"] {
+            assert!(text.contains(formula), "{formula} is missing:\n{text}");
+        }
+        let (code, constants) = text.split_once("  data ").unwrap();
+        assert!(constants.lines().skip(1).all(|line| line.contains("  data ")), "code behind the constants:\n{text}");
+        assert!(!code.contains("(bad)"), "a constant shown as an instruction:\n{text}");
+    }
+
+    #[test]
+    fn the_compilers_form_names_the_formulas_behind_it() {
+        let text = shown("clif");
+        let (all, with_formula) =
+            named(&text, |code| [" = fadd", " = fmul", " = fsub", " = fma"].iter().any(|op| code.contains(op)));
+        assert!(all > 50 && with_formula * 10 >= all * 9, "{with_formula} of {all} name a formula:\n{text}");
+    }
+
+    #[test]
+    fn a_long_formula_is_cut() {
+        assert_eq!(excerpt("a\n  +  b"), "a + b");
+        assert_eq!(excerpt(&"é".repeat(61)).chars().count(), EXCERPT_CHARACTERS);
+        assert_eq!(excerpt(&"é".repeat(60)), "é".repeat(60));
     }
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
+use isophote_jit::KernelCache;
 use isophote_symbolic::{Diagnostics, Model, Precision};
 use isophote_tracker::Compiled;
 
@@ -47,14 +48,15 @@ pub struct Entry {
     pub media: Media,
     /// As it was sent, comments and all.
     pub text: Arc<str>,
-    kernels: Mutex<[Option<Arc<Compiled>>; 2]>,
+    cache: Arc<KernelCache>,
+    programs: Mutex<[Option<Compiled>; 2]>,
 }
 
 impl Entry {
-    /// A document that has no kernels yet.
-    pub fn new(name: Name, version: u64, model: Model, media: Media, text: &str) -> Entry {
+    /// A document that has no kernels yet; they will be in `cache`.
+    pub fn new(name: Name, version: u64, model: Model, media: Media, text: &str, cache: Arc<KernelCache>) -> Entry {
         let (model, text) = (Arc::new(model), text.into());
-        Entry { name, version, model, media, text, kernels: Mutex::default() }
+        Entry { name, version, model, media, text, cache, programs: Mutex::default() }
     }
 
     /// `name@sha256:…`.
@@ -69,15 +71,18 @@ impl Entry {
         format!("{}-{}", self.version, &digest[..digest.len().min(12)])
     }
 
-    /// The kernels; made at the first call. Only from the compile thread.
+    /// Kernels for one session, or for a report; its programs are derived at the first call, its kernels are those of the
+    /// cache, where they are free to go when the session is done. Only from the compile thread.
     pub fn kernels(&self, precision: Precision) -> Result<Arc<Compiled>, Problem> {
         let slot = usize::from(precision == Precision::F64);
-        let lock = || self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kernels) = &lock()[slot] {
-            return Ok(kernels.clone());
+        let lock = || self.programs.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(programs) = &lock()[slot] {
+            return Ok(Arc::new(programs.share()));
         }
-        let kernels = Arc::new(Compiled::new(self.model.clone(), precision).map_err(compile_problem)?);
-        lock()[slot] = Some(kernels.clone());
+        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone());
+        let programs = programs.map_err(compile_problem)?;
+        let kernels = Arc::new(programs.share());
+        lock()[slot] = Some(programs);
         Ok(kernels)
     }
 
@@ -135,6 +140,8 @@ impl Expected {
 
 /// All models.
 pub struct Registry {
+    /// The kernels of all models and sessions.
+    cache: Arc<KernelCache>,
     models: RwLock<BTreeMap<Name, Arc<Entry>>>,
     store: Option<Store>,
 }
@@ -161,12 +168,14 @@ impl Registry {
     /// The shipped models, and those of the folder over them. A stored document that this build refuses is reported and
     /// left where it is.
     pub fn open(data: Option<&Path>) -> Result<Registry, StoreError> {
+        let cache: Arc<KernelCache> = Arc::default();
         let mut models = BTreeMap::new();
         for text in SHIPPED {
             match Model::from_toml(text) {
                 Ok(model) => {
                     if let Some(name) = Name::parse(model.name()) {
-                        models.insert(name.clone(), Arc::new(Entry::new(name, 1, model, Media::Toml, text)));
+                        let entry = Entry::new(name.clone(), 1, model, Media::Toml, text, cache.clone());
+                        models.insert(name, Arc::new(entry));
                     }
                 }
                 Err(faults) => report("a shipped model", &faults),
@@ -176,13 +185,19 @@ impl Registry {
         for (name, stored) in store.as_ref().map(Store::load).transpose()?.unwrap_or_default() {
             match stored.media.model(&stored.text) {
                 Ok(model) => {
-                    let entry = Entry::new(name.clone(), stored.version, model, stored.media, &stored.text);
+                    let entry =
+                        Entry::new(name.clone(), stored.version, model, stored.media, &stored.text, cache.clone());
                     models.insert(name, Arc::new(entry));
                 }
                 Err(faults) => report(&format!("the stored model `{name}`"), &faults),
             }
         }
-        Ok(Registry { models: RwLock::new(models), store })
+        Ok(Registry { cache, models: RwLock::new(models), store })
+    }
+
+    /// The kernels of all models and sessions.
+    pub fn cache(&self) -> &Arc<KernelCache> {
+        &self.cache
     }
 
     /// The document of that name.
@@ -242,4 +257,33 @@ impl Registry {
 fn report(what: &str, faults: &Diagnostics) {
     let first = faults.first().map(|fault| format!("{} ({}:{})", fault.message, fault.line, fault.column));
     eprintln!("isophote: {what} is refused: {}", first.unwrap_or_default());
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use isophote_jit::PixelFormat;
+
+    #[test]
+    fn a_second_session_and_a_model_sent_again_compile_nothing() {
+        let registry = Registry::open(None).unwrap();
+        let warm = |entry: &Entry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8).unwrap();
+        let spot = registry.get("spot").unwrap();
+        warm(&spot);
+        let first = registry.cache().counts();
+        assert!(first.misses > 0 && first.kernels > 0);
+
+        warm(&registry.get("thesis-spot").unwrap()); // swap away, and back
+        let between = registry.cache().counts();
+        assert!(between.misses > first.misses);
+        warm(&spot);
+        let text = format!("# the same again\n{}", spot.text);
+        let model = Model::from_toml(&text).unwrap();
+        let again = Entry::new(spot.name.clone(), 2, model, Media::Toml, &text, registry.cache().clone());
+        warm(&again);
+        let last = registry.cache().counts();
+        assert_eq!(last.misses, between.misses, "compiled again");
+        assert!(last.hits >= between.hits + 2 * first.misses, "{last:?}");
+    }
 }

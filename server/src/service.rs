@@ -113,7 +113,7 @@ impl Service {
     /// Parses, compiles and reports a document; nothing is kept. Only from the compile thread.
     pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(Entry, ModelAnswer), Problem> {
         let model = media.model(text).map_err(Problem::wrong_document)?;
-        let entry = Entry::new(name.clone(), 0, model, media, text);
+        let entry = Entry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
         let report = explain::report(&*entry.kernels(Precision::F32)?).map_err(explain::compile_problem)?;
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
     }

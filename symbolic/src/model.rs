@@ -198,6 +198,7 @@ pub struct Model {
     pub(crate) name: String,
     pub(crate) description: String,
     pub(crate) text: Arc<str>,
+    pub(crate) places: crate::places::Places,
     pub(crate) coordinates: Vec<String>,
     pub(crate) channels: Vec<String>,
     pub(crate) parameters: Vec<Parameter>,

@@ -43,6 +43,13 @@ impl std::fmt::Display for Program {
     }
 }
 
+impl Program {
+    /// What `value` is computed from, as in the program's text: `fma(v1, v2, v3)`.
+    pub fn operation_text(&self, value: Value) -> String {
+        operation(self, self.instruction(value).op)
+    }
+}
+
 fn list(values: &[Value]) -> String {
     values.iter().map(|v| format!("v{}", v.0)).collect::<Vec<_>>().join(" ")
 }

@@ -101,6 +101,7 @@ pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Resul
             constants,
             roles,
             stages,
+            places: crate::places::places(&root),
             document,
             digest,
             formulas,

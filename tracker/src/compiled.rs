@@ -5,8 +5,8 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use isophote_jit::{CompileError, Kernel, KernelOptions, PixelFormat, PlaneView, has_fma};
-use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
+use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, PlaneView, has_fma};
+use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Stage, ValueKind};
 
 use crate::frame::Frame;
 use crate::trust::Curvature;
@@ -79,56 +79,45 @@ struct Ready {
     kernel: Arc<Kernel>,
 }
 
-/// A model's kernels for all stages. Cheap to share; threads may use it at the same time.
+/// A model's kernels for all stages. Cheap to share; threads may use it at the same time. The kernels that it handed out
+/// stay for as long as it lives; the cache behind it may keep them for longer.
 pub struct Compiled {
     model: Arc<Model>,
     precision: Precision,
-    pairs: Vec<Pair>,
+    pairs: Arc<Vec<Pair>>,
+    cache: Arc<KernelCache>,
     ready: Mutex<Vec<Ready>>,
 }
 
-/// Kernels kept; beyond, the oldest is dropped (an unusual mixture of pixel formats, or a hostile one).
+/// Kernels held; beyond, the oldest is let go (an unusual mixture of pixel formats, or a hostile one).
 const KERNELS_MAX: usize = 64;
 
 impl Compiled {
-    /// Derives all programs of the model's stages. Kernels follow when a pixel layout is known.
+    /// Derives all programs of the model's stages, with a cache of its own. Kernels follow when a pixel layout is known.
     ///
     /// # Errors
     /// When the document asks for what this build cannot do.
     pub fn new(model: Arc<Model>, precision: Precision) -> Result<Compiled, CompileFailure> {
-        let mut compiled = Compiled { model, precision, pairs: Vec::new(), ready: Mutex::new(Vec::new()) };
-        for (index, stage) in compiled.model.clone().stages().iter().enumerate() {
-            compiled.derive(Job::Stage(index), &stage.parameters, stage.method)?;
-        }
-        if compiled.last_curvature() == Curvature::Full {
-            let last = compiled.last_parameters().to_vec();
-            compiled.derive(Job::Covariance, &last, Method::GaussNewton)?;
-        }
-        compiled.derive_value(Job::Value, ValueKind::Entry)?;
-        if compiled.model.has_noise() {
-            compiled.derive_value(Job::Report, ValueKind::Full)?;
-        }
-        Ok(compiled)
+        Compiled::with_cache(model, precision, Arc::default())
     }
 
-    fn derive(&mut self, job: Job, parameters: &[ParameterId], method: Method) -> Result<(), CompileFailure> {
-        let objective = self.model.objective(parameters, method).map_err(CompileFailure::Model)?;
-        self.push(job, |lowering| objective.program(lowering))
+    /// The same with a cache that other models share, so that a kernel that one of them has is not compiled again.
+    ///
+    /// # Errors
+    /// When the document asks for what this build cannot do.
+    pub fn with_cache(
+        model: Arc<Model>,
+        precision: Precision,
+        cache: Arc<KernelCache>,
+    ) -> Result<Compiled, CompileFailure> {
+        let pairs = Arc::new(pairs(&model)?);
+        Ok(Compiled { model, precision, pairs, cache, ready: Mutex::default() })
     }
 
-    fn derive_value(&mut self, job: Job, kind: ValueKind) -> Result<(), CompileFailure> {
-        let objective = self.model.value_objective(kind).map_err(CompileFailure::Model)?;
-        self.push(job, |lowering| objective.program(lowering))
-    }
-
-    fn push(
-        &mut self,
-        job: Job,
-        program: impl Fn(Lowering) -> Result<Program, Diagnostics>,
-    ) -> Result<(), CompileFailure> {
-        let lowered = |control| program(lowering(control)).map_err(CompileFailure::Model);
-        self.pairs.push(Pair { job, plain: lowered(Control::Plain)?, dropping: lowered(Control::Dropping)? });
-        Ok(())
+    /// The same programs and cache, holding no kernel yet: for one who gives his kernels back when he is done.
+    pub fn share(&self) -> Compiled {
+        let (model, pairs, cache) = (self.model.clone(), self.pairs.clone(), self.cache.clone());
+        Compiled { model, precision: self.precision, pairs, cache, ready: Mutex::default() }
     }
 
     /// The model.
@@ -144,10 +133,6 @@ impl Compiled {
     /// Free parameters of the last stage.
     pub(crate) fn last_parameters(&self) -> &[ParameterId] {
         self.model.stages().last().map_or(&[], |stage| &stage.parameters)
-    }
-
-    fn last_curvature(&self) -> Curvature {
-        self.model.stages().last().map_or(Curvature::GaussNewton, |stage| curvature(stage.method))
     }
 
     /// Compiles every kernel for frames whose planes all have this format: packed when there is one, else interleaved.
@@ -169,7 +154,7 @@ impl Compiled {
     }
 
     fn warm_layout(&self, layout: &Layout) -> Result<(), CompileFailure> {
-        for pair in &self.pairs {
+        for pair in self.pairs.iter() {
             for control in [Control::Plain, Control::Dropping] {
                 self.kernel(pair.job, control, layout)?;
             }
@@ -193,25 +178,53 @@ impl Compiled {
         if let Some(kernel) = find(&self.ready.lock().unwrap_or_else(PoisonError::into_inner)) {
             return Ok(kernel);
         }
-        // Compiled outside the lock: two threads may do the same work once, none waits.
+        // Outside of the lock: it may take milliseconds.
         let program = match control {
             Control::Plain => &self.pairs[index].plain,
             Control::Dropping => &self.pairs[index].dropping,
         };
         let options =
             KernelOptions { precision: self.precision, formats: layout.formats.clone(), packed: layout.packed };
-        let kernel = Kernel::compile(program, &options).map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
-        let kernel = Arc::new(kernel);
+        let kernel = self.cache.get_or_compile(program, &options);
+        let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
         let mut ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(other) = find(&ready) {
-            return Ok(other);
+        if find(&ready).is_none() {
+            if ready.len() == KERNELS_MAX {
+                ready.remove(0);
+            }
+            ready.push(Ready { pair: index, control, layout: layout.clone(), kernel: kernel.clone() });
         }
-        if ready.len() == KERNELS_MAX {
-            ready.remove(0);
-        }
-        ready.push(Ready { pair: index, control, layout: layout.clone(), kernel: kernel.clone() });
         Ok(kernel)
     }
+}
+
+/// Every job of a model and its programs.
+fn pairs(model: &Model) -> Result<Vec<Pair>, CompileFailure> {
+    let stage = |job, parameters: &[ParameterId], method| {
+        let objective = model.objective(parameters, method).map_err(CompileFailure::Model)?;
+        pair(job, |lowering| objective.program(lowering))
+    };
+    let value = |job, kind| {
+        let objective = model.value_objective(kind).map_err(CompileFailure::Model)?;
+        pair(job, |lowering| objective.program(lowering))
+    };
+    let mut pairs = Vec::new();
+    for (index, Stage { parameters, method, .. }) in model.stages().iter().enumerate() {
+        pairs.push(stage(Job::Stage(index), parameters, *method)?);
+    }
+    if let Some(last) = model.stages().last().filter(|last| curvature(last.method) == Curvature::Full) {
+        pairs.push(stage(Job::Covariance, &last.parameters, Method::GaussNewton)?);
+    }
+    pairs.push(value(Job::Value, ValueKind::Entry)?);
+    if model.has_noise() {
+        pairs.push(value(Job::Report, ValueKind::Full)?);
+    }
+    Ok(pairs)
+}
+
+fn pair(job: Job, program: impl Fn(Lowering) -> Result<Program, Diagnostics>) -> Result<Pair, CompileFailure> {
+    let lowered = |control| program(lowering(control)).map_err(CompileFailure::Model);
+    Ok(Pair { job, plain: lowered(Control::Plain)?, dropping: lowered(Control::Dropping)? })
 }
 
 /// How programs are lowered on this machine.

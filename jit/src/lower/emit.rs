@@ -2,8 +2,8 @@
 
 use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{
-    self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, StackSlot, StackSlotData, StackSlotKind,
-    types,
+    self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, SourceLoc, StackSlot, StackSlotData,
+    StackSlotKind, types,
 };
 use cranelift_codegen::isa::{TargetFrontendConfig, TargetIsa};
 use cranelift_frontend::FunctionBuilder;
@@ -112,8 +112,16 @@ impl<'a, 'p> Emitter<'a, 'p> {
         let entry = self.b.create_block();
         self.b.append_block_params_for_function_params(entry);
         self.b.switch_to_block(entry);
+        // Places are kept relative to the first; from 0 on none of them looks like "no place".
+        self.b.func.params.ensure_base_srcloc(SourceLoc::new(0));
         let record = self.b.ins().stack_addr(types::I64, self.record, 0);
         self.bases = Some([record, self.b.block_params(entry)[0]]);
+    }
+
+    /// What is emitted from here on belongs to `value`, or to the loop itself; see [`crate::explain`].
+    pub fn speak_for(&mut self, value: Option<Value>) {
+        let number = value.map_or(SourceLoc::default(), |value| SourceLoc::new(value.0));
+        self.b.set_srcloc(number);
     }
 
     pub fn lanes(&self) -> usize {

@@ -77,6 +77,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 self.sink(Some(*value), used, &mut state);
                 continue;
             }
+            self.emit.speak_for(Some(*value));
             let result = match plan.program.instruction(*value).op {
                 Op::Offset(_) => {
                     let (t, next) = self.step(state.offsets[running], *value);
@@ -97,6 +98,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 _ => self.sink(Some(*value), used, &mut state),
             }
         }
+        self.emit.speak_for(None);
         state
     }
 
@@ -172,9 +174,10 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     /// The lanes that take part, as a vector like the numbers; `None`: all. `before` is the state that the block began with.
     fn decide(&mut self, before: &Running, state: &mut Running) -> Option<ir::Value> {
         let PixelSet { mask, saturated, .. } = *self.emit.plan.program.pixel_set();
+        self.emit.speak_for(mask.or(saturated));
         let mask = mask.map(|mask| self.operand(mask));
         let over = saturated.map(|saturated| self.operand(saturated));
-        match self.kind {
+        let used = match self.kind {
             Kind::Full { otherwise, pixel } => {
                 if mask.is_some() || over.is_some() {
                     self.leave(mask, over, otherwise, &with(pixel, &before.values()));
@@ -194,7 +197,9 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 }
                 Some(self.emit.cast(self.emit.number, used))
             }
-        }
+        };
+        self.emit.speak_for(None);
+        used
     }
 
     /// `count` plus the lanes that hold.
@@ -234,6 +239,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 }
             }
             Sink::Plane(v) if meant(v) => {
+                self.emit.speak_for(Some(*v));
                 let value = self.operand(*v);
                 self.emit.write(value, used, self.first);
             }
@@ -242,6 +248,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     fn accumulate(&mut self, i: usize, value: Value, used: Option<ir::Value>, state: &mut Running) {
+        self.emit.speak_for(Some(value));
         let plan = self.emit.plan;
         let slot = plan.accumulators[i].slot;
         let term = match plan.contractions[i] {

@@ -112,9 +112,10 @@ impl Nest<'_, '_> {
 
         let [which, pixels, saturated] = self.emit.parameters(row, [types::I64; 3]);
         self.emit.b.switch_to_block(row);
-        let across = self.emit.b.ins().ishl_imm_s(which, 3);
-        let scalars = self.emit.b.ins().iadd(current, across);
-        let vectors = self.emit.b.ins().iadd(scalars, across);
+        let [scalars, vectors] = [3, 4].map(|bits| {
+            let across = self.emit.b.ins().ishl_imm_s(which, bits);
+            self.emit.b.ins().iadd(current, across)
+        });
         self.emit.areas = Some(Areas { scalars, vectors, ahead });
         let next = self.emit.b.create_block();
         let counts = self.emit.parameters(next, [types::I64; 2]);

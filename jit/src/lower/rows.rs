@@ -17,6 +17,7 @@ impl Emitter<'_, '_> {
     /// Prepares two rows; `outer` has their outer coordinates, y first, as f64.
     pub fn prepare(&mut self, outer: &[ir::Value]) {
         for (value, op) in self.instructions(Level::Row) {
+            self.speak_for(Some(value));
             let result = match op {
                 Op::Outer(coordinate) => outer[coordinate.index() - 1],
                 op => self.pair_op(op),
@@ -31,6 +32,7 @@ impl Emitter<'_, '_> {
                 (0..2).for_each(|row| self.store_of(lanes[row], slot, row as i32));
             }
         }
+        self.speak_for(None);
         let first = self.range();
         self.offsets(first);
     }

@@ -31,6 +31,7 @@ impl<'p> Emitter<'_, 'p> {
         let ends = self.ends(level);
         ends.iter().enumerate().for_each(|(i, value)| wanted[value.index()].push(i));
         for (value, op) in self.instructions(level) {
+            self.speak_for(Some(value));
             let result = match (op, base) {
                 (Op::Input(input), Some(inputs)) => self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32),
                 _ => self.scalar_op(op, level),
@@ -49,9 +50,11 @@ impl<'p> Emitter<'_, 'p> {
             }
         }
         for (i, value) in ends.iter().enumerate().filter(|(_, value)| !wanted[value.index()].is_empty()) {
+            self.speak_for(Some(*value));
             let result = self.scalar(*value, level);
             self.end(i, result, base);
         }
+        self.speak_for(None);
     }
 
     /// Totals at the end of a row, outputs at the end of a pass.

@@ -2,6 +2,11 @@
 //! kernel with the interpreter.
 #![allow(dead_code, clippy::unwrap_used)] // each test file uses its part
 
+pub mod differential;
+pub mod fault;
+pub mod generate;
+pub mod soak;
+
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
 use isophote_symbolic::interpreter::{self, Outcome, Pixels};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
@@ -25,6 +30,45 @@ impl Random {
     }
     pub fn between(&mut self, lo: f64, hi: f64) -> f64 {
         lo + (hi - lo) * self.unit()
+    }
+    /// A number that breaks careless code.
+    pub fn special(&mut self) -> f64 {
+        let single = |x: f32| f64::from(x);
+        let magnitudes = [
+            f64::NAN,
+            f64::INFINITY,
+            0.0,
+            f64::from_bits(1),
+            f64::MIN_POSITIVE / 3.0,
+            f64::MIN_POSITIVE,
+            single(f32::from_bits(1)),
+            single(f32::MIN_POSITIVE) / 3.0,
+            single(f32::MIN_POSITIVE),
+            single(f32::MAX),
+            f64::MAX,
+            1e-200,
+            1e-20,
+            1e20,
+            1e200,
+            255.0,
+            65535.0,
+            16_777_217.0,
+            2_147_483_648.0,
+            4_503_599_627_370_497.5,
+            9_007_199_254_740_993.0,
+            9_223_372_036_854_775_808.0,
+        ];
+        let magnitude = *self.pick(&magnitudes);
+        if self.below(2) == 0 { magnitude } else { -magnitude }
+    }
+    /// An ordinary number: about the size of coordinates, with and without a fraction.
+    pub fn ordinary(&mut self) -> f64 {
+        match self.below(4) {
+            0 => self.below(12) as f64,
+            1 => self.below(40) as f64 / 4.0 - 4.0,
+            2 => self.between(-2.0, 2.0),
+            _ => self.between(-20.0, 300.0),
+        }
     }
     pub fn pick<'a, T>(&mut self, all: &'a [T]) -> &'a T {
         &all[self.below(all.len())]

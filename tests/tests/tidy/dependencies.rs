@@ -97,6 +97,7 @@ fn unexplained(path: &str, text: &str) -> Vec<String> {
             inside = line.contains("dependencies");
         }
         let versioned = inside
+            && !line.starts_with('[')
             && line.contains("= ")
             && line.contains('"')
             && !line.contains("workspace = true")
@@ -136,6 +137,9 @@ fn planted_faults_are_caught() {
     assert!(caught("isophote-capture", "[target.'cfg(unix)'.dependencies]\naxum = \"1\" # why\n").contains("sockets"));
     assert!(caught("isophote-server", "[build-dependencies]\nnalgebra = \"1\" # why\n").contains("mathematics"));
     assert!(caught("isophote-jit", "[dependencies]\nregion = \"3\"\n").contains("does not say why"));
+    let of_a_processor = "[target.'cfg(target_arch = \"x86_64\")'.dependencies]\nregion = \"3\"";
+    assert!(caught("isophote-jit", of_a_processor).contains("does not say why"));
+    assert_eq!(caught("isophote-jit", &format!("{of_a_processor} # why\n")), "");
     assert!(caught("isophote-new", "").contains("no row"));
     assert_eq!(
         caught(

@@ -1,35 +1,72 @@
-//! Is this a program? The lowering takes for granted what is checked here, so that a bug upstream is an error of
-//! [`crate::Kernel::compile`] and never a panic or wrong code.
+//! Is this a program? What comes in: instructions and what is done with them. What goes out: nothing, or what is wrong.
 //!
+//! Who lowers or runs a program takes for granted what is checked here, so that a bug upstream is an error of
+//! [`Program::check`] and never a panic or wrong code.
 //! Checked: operands come first and are readable at their reader's level; each operation stands at a level that has it;
 //! numbers and truth values are not mixed up; every index (input, channel, accumulator, total, coordinate) exists.
 
-use isophote_symbolic::{Instruction, Level, Op, PixelSet, Program, Sink, Value};
+use crate::program::{Input, Instruction, Level, Names, Op, PixelSet, Program, Sink, Value};
 
-/// The parts of a program.
-pub(crate) struct Parts<'a> {
-    pub instructions: &'a [Instruction],
+/// A program that was not derived from a document.
+#[derive(Clone, PartialEq, Debug)]
+pub struct ProgramParts {
+    /// Number of coordinates, the inner one included.
+    pub coordinates: u32,
+    /// Number of raw planes.
+    pub channels: u32,
+    /// What it reads besides pixels.
+    pub inputs: Vec<Input>,
+    /// Ordered by level, operands first.
+    pub instructions: Vec<Instruction>,
+    /// Which pixels take part.
     pub pixel_set: PixelSet,
-    pub sink: &'a Sink,
-    pub inputs: usize,
-    pub channels: usize,
-    pub coordinates: usize,
+    /// What becomes of them.
+    pub sink: Sink,
+    /// See [`Program::is_fused`].
+    pub fused: bool,
 }
 
-impl<'a> Parts<'a> {
-    pub fn of(program: &'a Program) -> Parts<'a> {
-        Parts {
-            instructions: program.instructions(),
-            pixel_set: *program.pixel_set(),
-            sink: program.sink(),
-            inputs: program.inputs().len(),
-            channels: program.channels(),
-            coordinates: program.coordinates(),
-        }
+impl Program {
+    /// A program from its parts, without names.
+    ///
+    /// # Errors
+    /// A sentence when they are no program.
+    pub fn from_parts(parts: ProgramParts) -> Result<Program, String> {
+        let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
+        let names = Names::default();
+        let program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
+        program.check().map(|()| program)
     }
 
-    /// Nothing, or what is wrong.
+    /// Nothing, or what is wrong with the program; only a bug could be.
+    ///
+    /// # Errors
+    /// A sentence.
     pub fn check(&self) -> Result<(), String> {
+        Parts {
+            instructions: &self.instructions,
+            pixel_set: self.pixel_set,
+            sink: &self.sink,
+            inputs: self.inputs.len(),
+            channels: self.channels(),
+            coordinates: self.coordinates(),
+        }
+        .check()
+    }
+}
+
+/// The parts of a program.
+struct Parts<'a> {
+    instructions: &'a [Instruction],
+    pixel_set: PixelSet,
+    sink: &'a Sink,
+    inputs: usize,
+    channels: usize,
+    coordinates: usize,
+}
+
+impl Parts<'_> {
+    fn check(&self) -> Result<(), String> {
         let mut truths = Vec::with_capacity(self.instructions.len());
         for (at, instruction) in self.instructions.iter().enumerate() {
             let truth = self.instruction(at, instruction, &truths)?;
@@ -122,7 +159,7 @@ fn readable(from: Level, at: Level) -> bool {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use isophote_symbolic::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, TotalId};
+    use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, TotalId};
 
     fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet) -> Result<(), String> {
         let instructions: Vec<Instruction> =

@@ -1,0 +1,197 @@
+//! `KernelCache`: one kernel for each program, shared by all who need it.
+//!
+//! What comes in: a [`Program`] and options. What goes out: the kernel that is there, or a new one. Two programs are the
+//! same when their machine code must be: names and spans do not count. It never knows models, sessions or time.
+//!
+//! Kernels that someone holds stay; of the others the least recently used leave when the budget is exceeded. No lock is
+//! held while a kernel is compiled; who asks for one that is being compiled waits for it, since that is sooner there.
+
+mod key;
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use isophote_symbolic::{Program, Sink, Value};
+
+use self::key::Key;
+use crate::error::CompileError;
+use crate::kernel::{Kernel, KernelOptions};
+
+/// What a cache did and what it holds.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct CacheCounts {
+    /// Kernels that were there.
+    pub hits: u64,
+    /// Kernels that were compiled, or failed to.
+    pub misses: u64,
+    /// Kernels that left for want of room.
+    pub evictions: u64,
+    /// Kernels in the cache, used or not.
+    pub kernels: usize,
+    /// Their memory, estimated: code, program, bookkeeping.
+    pub bytes: usize,
+}
+
+/// Kernels by content. Threads may use it at the same time.
+#[derive(Debug)]
+pub struct KernelCache {
+    budget_bytes: usize,
+    shelf: Mutex<Shelf>,
+    /// A compilation ended, well or not.
+    ended: Condvar,
+}
+
+#[derive(Default, Debug)]
+struct Shelf {
+    slots: BTreeMap<Key, Slot>,
+    /// Counts requests; the age of a slot is when it was asked for last.
+    request: u64,
+    counts: CacheCounts,
+}
+
+#[derive(Debug)]
+enum Slot {
+    /// Someone is at it.
+    Compiling,
+    Ready {
+        kernel: Arc<Kernel>,
+        bytes: usize,
+        last_request: u64,
+    },
+}
+
+impl Default for KernelCache {
+    /// A cache of [`KernelCache::BUDGET_BYTES`].
+    fn default() -> KernelCache {
+        KernelCache::new(KernelCache::BUDGET_BYTES)
+    }
+}
+
+impl KernelCache {
+    /// The kernels of some hundred models.
+    pub const BUDGET_BYTES: usize = 64 << 20;
+
+    /// A cache that lets unused kernels go when all together need more than `budget_bytes`.
+    pub fn new(budget_bytes: usize) -> KernelCache {
+        KernelCache { budget_bytes, shelf: Mutex::default(), ended: Condvar::new() }
+    }
+
+    /// What it did so far and what it holds.
+    pub fn counts(&self) -> CacheCounts {
+        self.lock().counts
+    }
+
+    /// The kernel of `program`, compiled now if need be. Its program may have another's names and spans.
+    ///
+    /// # Errors
+    /// Those of [`Kernel::compile`]. A failure is not kept: the next request tries again.
+    pub fn get_or_compile(&self, program: &Program, options: &KernelOptions) -> Result<Arc<Kernel>, CompileError> {
+        let key = Key::new(program, options);
+        let mut shelf = self.lock();
+        loop {
+            shelf.request += 1;
+            let request = shelf.request;
+            match shelf.slots.get_mut(&key) {
+                Some(Slot::Ready { kernel, last_request, .. }) => {
+                    *last_request = request;
+                    let kernel = kernel.clone();
+                    shelf.counts.hits += 1;
+                    return Ok(kernel);
+                }
+                Some(Slot::Compiling) => {
+                    shelf = self.ended.wait(shelf).unwrap_or_else(PoisonError::into_inner);
+                }
+                None => break,
+            }
+        }
+        shelf.counts.misses += 1;
+        shelf.slots.insert(key.clone(), Slot::Compiling);
+        drop(shelf);
+        let claim = Claim { cache: self, key };
+        let kernel = Arc::new(Kernel::compile(program, options)?);
+        claim.fulfil(&kernel);
+        Ok(kernel)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shelf> {
+        self.shelf.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The right to compile the kernel of a key. Given up without a kernel, it frees the place for the next who asks.
+struct Claim<'a> {
+    cache: &'a KernelCache,
+    key: Key,
+}
+
+impl Claim<'_> {
+    fn fulfil(self, kernel: &Arc<Kernel>) {
+        let bytes = memory_bytes(kernel) + 2 * self.key.bytes();
+        let mut shelf = self.cache.lock();
+        let slot = Slot::Ready { kernel: kernel.clone(), bytes, last_request: shelf.request };
+        shelf.slots.insert(self.key.clone(), slot);
+        shelf.counts.bytes += bytes;
+        shelf.counts.kernels += 1;
+        let gone = shelf.make_room(self.cache.budget_bytes);
+        drop(shelf);
+        drop(gone); // unmaps memory: not under the lock
+    }
+}
+
+impl Drop for Claim<'_> {
+    fn drop(&mut self) {
+        let mut shelf = self.cache.lock();
+        if let Some(Slot::Compiling) = shelf.slots.get(&self.key) {
+            shelf.slots.remove(&self.key);
+        }
+        drop(shelf);
+        self.cache.ended.notify_all();
+    }
+}
+
+impl Shelf {
+    /// Takes out kernels that nobody holds, the least recently used first, until the rest fits the budget.
+    fn make_room(&mut self, budget_bytes: usize) -> Vec<Arc<Kernel>> {
+        let mut gone = Vec::new();
+        while self.counts.bytes > budget_bytes {
+            let unused = self.slots.iter().filter_map(|(key, slot)| match slot {
+                // Only this map could lend it again, and the map is locked.
+                Slot::Ready { kernel, last_request, .. } if Arc::strong_count(kernel) == 1 => Some((last_request, key)),
+                _ => None,
+            });
+            let Some(key) = unused.min_by_key(|(last_request, _)| **last_request).map(|(_, key)| key.clone()) else {
+                break;
+            };
+            let Some(Slot::Ready { kernel, bytes, .. }) = self.slots.remove(&key) else { break };
+            self.counts.bytes -= bytes;
+            self.counts.kernels -= 1;
+            self.counts.evictions += 1;
+            gone.push(kernel);
+        }
+        gone
+    }
+}
+
+/// What the system rounds code up to.
+const PAGE_BYTES: usize = 4096;
+/// Of a module that holds one function, beside its pages.
+const MODULE_BYTES: usize = 4096;
+
+/// Memory of a kernel: pages of code, the program with its names, the module around the code.
+fn memory_bytes(kernel: &Kernel) -> usize {
+    let program = kernel.program();
+    let values = match program.sink() {
+        Sink::Sums { accumulators, totals, outputs } => accumulators.len() + totals.len() + outputs.len(),
+        Sink::Plane(_) => 0,
+    };
+    let names = program.names();
+    let lists = [&names.coordinates, &names.channels, &names.parameters, &names.constants, &names.outputs];
+    let text: usize = lists.iter().flat_map(|list| list.iter()).map(|name| size_of::<String>() + name.len()).sum();
+    size_of::<Kernel>()
+        + MODULE_BYTES
+        + kernel.code_bytes().next_multiple_of(PAGE_BYTES)
+        + size_of_val(program.instructions())
+        + size_of_val(program.inputs())
+        + size_of::<Value>() * values
+        + text
+}

@@ -1,0 +1,120 @@
+//! The cache hands out one kernel for each program, keeps what is in use, and stays inside its budget.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::sync::{Arc, Barrier};
+
+use common::{document, programs, shipped};
+use isophote_jit::{CompileError, KernelCache, KernelOptions, PixelFormat};
+use isophote_symbolic::{
+    Instruction, Level, Lowering, Op, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
+};
+
+const PLAIN: Lowering = Lowering { fma: false, drop_saturated: false };
+
+fn options(precision: Precision) -> KernelOptions {
+    KernelOptions { precision, formats: vec![PixelFormat::U8], packed: true }
+}
+
+/// Hands back a number.
+fn constant(number: f64) -> Program {
+    let at = |level, op| Instruction { op, level, span: None };
+    Program::from_parts(ProgramParts {
+        coordinates: 2,
+        channels: 1,
+        inputs: Vec::new(),
+        instructions: vec![at(Level::Pass, Op::Const(number)), at(Level::PassEnd, Op::PassTotal(TotalId(0)))],
+        pixel_set: PixelSet::default(),
+        sink: Sink::Sums { accumulators: Vec::new(), totals: vec![Value(0)], outputs: vec![Value(0), Value(1)] },
+        fused: false,
+    })
+    .unwrap()
+}
+
+#[test]
+fn a_document_that_only_looks_different_has_the_same_kernels() {
+    let text = |name: &str, before: &str| {
+        format!(
+            "{before}name = \"{name}\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n\
+             {name} = {{ start = 1.0 }}\n[model]\nintensity = \"{name} * x + y\"\n"
+        )
+    };
+    let cache = KernelCache::default();
+    let first = programs(&document(&text("a", "")), PLAIN);
+    let second = programs(&document(&text("bb", "# moves every span\n")), PLAIN);
+    assert_ne!(first[2].1, second[2].1, "names and spans differ");
+    for (a, b) in first.iter().zip(&second) {
+        let kernels = [a, b].map(|(_, program)| cache.get_or_compile(program, &options(Precision::F32)).unwrap());
+        assert!(Arc::ptr_eq(&kernels[0], &kernels[1]));
+    }
+    let counts = cache.counts();
+    assert_eq!(counts.hits + counts.misses, 2 * first.len() as u64);
+    assert!(counts.hits >= first.len() as u64 && counts.kernels as u64 == counts.misses, "{counts:?}");
+}
+
+#[test]
+fn what_differs_in_one_bit_or_one_option_has_a_kernel_of_its_own() {
+    let cache = KernelCache::default();
+    let numbers = [0.0, -0.0, 1.0, 1.0 + f64::EPSILON, f64::NAN, -f64::NAN];
+    for number in numbers {
+        for precision in [Precision::F32, Precision::F64] {
+            let kernel = cache.get_or_compile(&constant(number), &options(precision)).unwrap();
+            let Op::Const(of_kernel) = kernel.program().instruction(Value(0)).op else { panic!("another program") };
+            assert_eq!((of_kernel.to_bits(), kernel.options().precision), (number.to_bits(), precision));
+        }
+    }
+    assert_eq!((cache.counts().kernels, cache.counts().hits), (2 * numbers.len(), 0));
+    cache.get_or_compile(&constant(f64::NAN), &options(Precision::F32)).unwrap();
+    assert_eq!(cache.counts().hits, 1, "a NaN equals itself");
+}
+
+#[test]
+fn unused_kernels_leave_the_oldest_first_and_used_ones_stay() {
+    let cache = KernelCache::new(1);
+    let held: Vec<_> =
+        (0..4).map(|i| cache.get_or_compile(&constant(f64::from(i)), &options(Precision::F32)).unwrap()).collect();
+    assert_eq!((cache.counts().kernels, cache.counts().evictions), (4, 0), "kernels in use stay");
+    let one = cache.counts().bytes / 4;
+    assert!(held[0].code_bytes() < one && one < 64 * 1024, "{one} bytes for {} of code", held[0].code_bytes());
+
+    let cache = KernelCache::new(4 * one + one / 2);
+    let ask = |number: u32| drop(cache.get_or_compile(&constant(number.into()), &options(Precision::F32)).unwrap());
+    (0..4).for_each(ask);
+    ask(0); // now 1 is the oldest
+    ask(4);
+    assert_eq!((cache.counts().kernels, cache.counts().evictions), (4, 1));
+    let before = cache.counts().misses;
+    [0, 2, 3, 4].into_iter().for_each(ask);
+    assert_eq!(cache.counts().misses, before, "the wrong one left");
+    ask(1);
+    assert_eq!(cache.counts().misses, before + 1);
+    assert!(cache.counts().bytes <= 4 * one + one / 2);
+}
+
+#[test]
+fn threads_that_ask_at_once_share_one_compilation() {
+    let program = programs(&shipped("spot"), PLAIN).swap_remove(2).1;
+    let (cache, barrier) = (KernelCache::default(), Barrier::new(4));
+    let kernels: Vec<_> = std::thread::scope(|scope| {
+        let ask = || {
+            barrier.wait();
+            cache.get_or_compile(&program, &options(Precision::F32)).unwrap()
+        };
+        let threads: Vec<_> = (0..4).map(|_| scope.spawn(ask)).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    assert!(kernels.iter().all(|kernel| Arc::ptr_eq(kernel, &kernels[0])));
+    assert_eq!((cache.counts().misses, cache.counts().hits, cache.counts().kernels), (1, 3, 1));
+}
+
+#[test]
+fn a_failure_is_told_to_each_who_asks_and_leaves_nothing_behind() {
+    let cache = KernelCache::default();
+    let wrong = KernelOptions { precision: Precision::F32, formats: Vec::new(), packed: true };
+    for asked in 1..3 {
+        let error = cache.get_or_compile(&constant(1.0), &wrong).unwrap_err();
+        assert_eq!(error, CompileError::Formats { channels: 1, formats: 0 });
+        assert_eq!((cache.counts().kernels, cache.counts().bytes, cache.counts().misses), (0, 0, asked));
+    }
+}

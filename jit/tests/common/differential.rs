@@ -1,0 +1,150 @@
+//! The oracle of random programs: native code and the interpreter on the same pixels and numbers, bit for bit. A NaN equals
+//! a NaN whatever its payload (processors and libraries choose it freely); 0 and −0 differ.
+#![allow(dead_code, clippy::unwrap_used)]
+
+use super::{Image, Planes, Random, same};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, Window};
+use isophote_symbolic::interpreter::{self, Outcome};
+use isophote_symbolic::{
+    AccumulatorId, Bindings, Instruction, Level, Op, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
+};
+
+/// Planes that a program is run on, each with a format and gaps of its own.
+pub struct Stage {
+    images: Vec<Image>,
+    size: [usize; 4],
+}
+
+impl Stage {
+    /// Formats and gaps by `random`; half of all stages are packed.
+    pub fn new(random: &mut Random, program: &Program) -> Stage {
+        let mut size = [13, 4, 1, 1];
+        (2..program.coordinates()).for_each(|axis| size[axis] = 3);
+        let is_packed = random.below(2) == 0;
+        let image = |random: &mut Random| {
+            let gap = if is_packed { 0 } else { random.below(10) };
+            let gaps = [gap, random.below(6), random.below(3), random.below(3)];
+            let format = *random.pick(&PixelFormat::ALL);
+            Image::stack(format, size, 1, gaps, |_, _| 0.0)
+        };
+        Stage { images: (0..program.channels()).map(|_| image(random)).collect(), size }
+    }
+
+    pub fn options(&self, precision: Precision) -> KernelOptions {
+        let packed = self.images.iter().all(|image| image.strides[0] == image.format.bytes_per_pixel());
+        KernelOptions { precision, formats: self.images.iter().map(|image| image.format).collect(), packed }
+    }
+
+    /// New pixels; one of `odds` is special, none for 0.
+    pub fn draw(&mut self, random: &mut Random, odds: usize) {
+        for image in &mut self.images {
+            let gaps = std::array::from_fn(|axis| match axis {
+                0 => image.strides[0] - image.format.bytes_per_pixel(),
+                axis => image.strides[axis] - image.size[axis - 1] * image.strides[axis - 1],
+            });
+            *image = Image::stack(image.format, self.size, 1, gaps, |_, _| drawn(random, odds));
+        }
+    }
+
+    fn views(&self) -> Vec<PlaneView<'_>> {
+        self.images.iter().flat_map(Image::views).collect()
+    }
+}
+
+fn drawn(random: &mut Random, odds: usize) -> f64 {
+    if odds > 0 && random.below(odds) == 0 { random.special() } else { random.ordinary() }
+}
+
+/// What is bound to a program, and where it runs.
+#[derive(Clone, Debug)]
+pub struct Case {
+    numbers: [Vec<f64>; 5],
+    window: Window,
+    /// What the output plane holds before.
+    plane: Vec<f32>,
+}
+
+impl Case {
+    /// A window of 1 to 9 pixels somewhere on the stage.
+    pub fn new(random: &mut Random, stage: &Stage, odds: usize) -> Case {
+        let mut left = 9;
+        let sides: Vec<(usize, usize)> = stage
+            .size
+            .iter()
+            .map(|side| {
+                let count = 1 + random.below(left.min(*side));
+                left /= count;
+                (random.below(side - count + 1), count)
+            })
+            .collect();
+        let [(x, width), (y, height), (z, depth), (w, length)] = sides[..] else { unreachable!() };
+        let window = Window { x, y, width, height, slices: Slices { first: [z, w], count: [depth, length] } };
+        let numbers = std::array::from_fn(|_| (0..6).map(|_| drawn(random, odds)).collect());
+        let plane = (0..window.pixels()).map(|_| drawn(random, odds) as f32).collect();
+        Case { numbers, window, plane }
+    }
+
+    fn bindings(&self) -> Bindings<'_> {
+        let [parameters, entry, constants, saturation, shift] = &self.numbers;
+        Bindings { parameters, entry, constants, saturation, shift }
+    }
+
+    pub fn native(&self, kernel: &Kernel, stage: &Stage) -> (Outcome, Vec<f32>) {
+        let mut plane = self.plane.clone();
+        if let Sink::Plane(_) = kernel.program().sink() {
+            kernel.render(&self.bindings(), self.window, &mut plane).unwrap();
+            return (Outcome::default(), plane);
+        }
+        let sums = kernel.sums(&self.bindings(), &stage.views(), self.window).unwrap();
+        (Outcome { outputs: sums.outputs, pixels: sums.pixels, saturated: sums.saturated }, plane)
+    }
+
+    pub fn interpreted(&self, program: &Program, precision: Precision, stage: &Stage) -> (Outcome, Vec<f32>) {
+        let mut plane = self.plane.clone();
+        let (bindings, planes) = (self.bindings(), Planes(stage.views()));
+        let outcome = interpreter::run(program, precision, &bindings, &planes, self.window.into(), Some(&mut plane));
+        match program.sink() {
+            Sink::Plane(_) => (Outcome::default(), plane),
+            Sink::Sums { .. } => (outcome, plane),
+        }
+    }
+}
+
+/// Whether two runs say the same.
+pub fn agree(a: &(Outcome, Vec<f32>), b: &(Outcome, Vec<f32>)) -> bool {
+    let numbers = |(outcome, plane): &(Outcome, Vec<f32>)| -> Vec<f64> {
+        outcome.outputs.iter().copied().chain(plane.iter().map(|x| f64::from(*x))).collect()
+    };
+    let (x, y) = (numbers(a), numbers(b));
+    let counts = (a.0.pixels, a.0.saturated) == (b.0.pixels, b.0.saturated);
+    counts && x.len() == y.len() && x.iter().zip(&y).all(|(x, y)| same(*x, *y))
+}
+
+/// The first pixel value in which native code and the interpreter differ, for a message.
+pub fn first_difference(program: &Program, precision: Precision, stage: &Stage, case: &Case) -> String {
+    let pixel = |i: &usize| program.instructions()[*i].level == Level::Pixel && !program.is_truth(Value(*i as u32));
+    for i in (0..program.instructions().len()).filter(pixel) {
+        let mut instructions = program.instructions()[..=i].to_vec();
+        let (value, next) = (Value(i as u32), i as u32 + 1);
+        let at = |level, op| Instruction { op, level, span: None };
+        instructions.push(at(Level::RowEnd, Op::RowTotal(AccumulatorId(0))));
+        instructions.push(at(Level::PassEnd, Op::PassTotal(TotalId(0))));
+        let one = Program::from_parts(ProgramParts {
+            coordinates: program.coordinates() as u32,
+            channels: program.channels() as u32,
+            inputs: program.inputs().to_vec(),
+            instructions,
+            pixel_set: PixelSet::default(),
+            sink: Sink::Sums { accumulators: vec![value], totals: vec![Value(next)], outputs: vec![Value(next + 1)] },
+            fused: program.is_fused(),
+        });
+        let Ok(one) = one else { continue };
+        let Ok(kernel) = Kernel::compile(&one, &stage.options(precision)) else { continue };
+        let (native, expected) = (case.native(&kernel, stage).0, case.interpreted(&one, precision, stage).0);
+        if !same(native.outputs[0], expected.outputs[0]) {
+            let text = program.operation_text(value);
+            return format!("v{i} = {text} is the first: {:?}, not {:?}", native.outputs[0], expected.outputs[0]);
+        }
+    }
+    "no pixel value differs: look at the rows, the pixel set or the sums".into()
+}

@@ -1,0 +1,172 @@
+//! Random programs: every operation at every level that has it, by the rules of `Program::check` and nothing else. It
+//! knows neither what a program means nor how it is compiled.
+#![allow(dead_code, clippy::unwrap_used)]
+
+use super::Random;
+use isophote_symbolic::{
+    AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Function1, Function2, Input, InputId, Instruction,
+    Level, Op, ParameterId, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
+};
+
+/// What a program may hold.
+#[derive(Clone, Copy)]
+pub struct Variety {
+    pub fma: bool,
+    pub calls: bool,
+    /// Instructions of pass, row and pixel.
+    pub lengths: [usize; 3],
+    /// Sums, at most.
+    pub sums: usize,
+}
+
+const LEVELS: [Level; 5] = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd, Level::PassEnd];
+
+/// A program under construction: numbers and truth values by level.
+struct Draft<'r> {
+    random: &'r mut Random,
+    variety: Variety,
+    /// Coordinates, channels, inputs; accumulators and totals once they are chosen.
+    sizes: [usize; 5],
+    instructions: Vec<Instruction>,
+    kinds: Vec<bool>,
+}
+
+impl Draft<'_> {
+    fn push(&mut self, level: Level, op: Op, truth: bool) -> Value {
+        self.instructions.push(Instruction { op, level, span: None });
+        self.kinds.push(truth);
+        Value(self.kinds.len() as u32 - 1)
+    }
+
+    /// Some value that `level` may read, most often a late one.
+    fn value(&mut self, level: Level, truth: bool) -> Option<Value> {
+        let readable = |from: Level| match from {
+            Level::Pass => true,
+            Level::Row => !matches!(level, Level::Pass | Level::PassEnd),
+            from => from == level,
+        };
+        let fits = |i: &usize| readable(self.instructions[*i].level) && self.kinds[*i] == truth;
+        let all: Vec<usize> = (0..self.kinds.len()).filter(fits).collect();
+        let recent = if self.random.below(3) > 0 { all.len().saturating_sub(8) } else { 0 };
+        let at = recent + self.random.below((all.len() - recent).max(1));
+        all.get(at).map(|i| Value(*i as u32))
+    }
+
+    /// What reads no value.
+    fn leaf(&mut self, level: Level) -> Op {
+        let [coordinates, channels, inputs, accumulators, totals] = self.sizes;
+        let number = if self.random.below(20) == 0 { self.random.special() } else { self.random.ordinary() };
+        let mut below = |n: usize| self.random.below(n.max(1)) as u32;
+        match (level, below(4)) {
+            (_, 0) => Op::Const(number),
+            (Level::Pass, _) if inputs > 0 => Op::Input(InputId(below(inputs))),
+            (Level::Row, _) => Op::Outer(CoordinateId(1 + below(coordinates.max(2) - 1))),
+            (Level::Pixel, _) if channels > 0 => Op::Channel(ChannelId(below(channels))),
+            (Level::RowEnd, 1..=2) if accumulators > 0 => Op::RowTotal(AccumulatorId(below(accumulators))),
+            (Level::RowEnd, _) => Op::RowCount,
+            (Level::PassEnd, 1..=2) if totals > 0 => Op::PassTotal(TotalId(below(totals))),
+            (Level::PassEnd, _) => Op::PassCount,
+            _ => Op::Const(number),
+        }
+    }
+
+    fn instruction(&mut self, level: Level) {
+        let wants_truth = self.random.below(5) == 0;
+        let number = |draft: &mut Self| draft.value(level, false);
+        let (Some(a), Some(b), Some(c)) = (number(self), number(self), number(self)) else {
+            let leaf = self.leaf(level);
+            self.push(level, leaf, false);
+            return;
+        };
+        let (p, q, r) = (self.value(level, true), self.value(level, true), self.value(level, true));
+        let kind = self.random.below(if wants_truth { 6 } else { 22 });
+        let (op, truth) = match (wants_truth, kind, p, q, r) {
+            (true, 3, Some(p), Some(q), _) => (Op::And(p, q), true),
+            (true, 4, Some(p), Some(q), _) => (Op::Or(p, q), true),
+            (true, 5, Some(p), Some(q), Some(r)) => (*self.random.pick(&[Op::Not(p), Op::Select(p, q, r)]), true),
+            (true, ..) => {
+                let all = [Comparison::Lt, Comparison::Le, Comparison::Eq, Comparison::Ne];
+                (Op::Compare(*self.random.pick(&all), a, b), true)
+            }
+            (false, 0..=3, ..) => (self.leaf(level), false),
+            (false, 4 | 5, ..) if level == Level::Pixel => match self.value(Level::Row, false) {
+                Some(offset) => (Op::Offset(offset), false),
+                None => (Op::Neg(a), false),
+            },
+            (false, 6, ..) => (*self.random.pick(&[Op::Neg(a), Op::Abs(a)]), false),
+            (false, 7, ..) => (Op::Sqrt(a), false),
+            (false, 8, ..) => (Op::Div(a, b), false),
+            (false, 9 | 10, ..) => (Op::Sub(a, b), false),
+            (false, 11 | 12, ..) => (Op::Mul(a, b), false),
+            (false, 13 | 14, ..) if self.variety.fma => (Op::Fma(a, b, c), false),
+            (false, 15 | 16, Some(p), ..) => (Op::Select(p, a, b), false),
+            (false, 17, ..) if self.variety.calls => (Op::Call1(*self.random.pick(&Function1::ALL), a), false),
+            (false, 18, ..) if self.variety.calls && self.random.below(3) == 0 => {
+                (Op::Call2(*self.random.pick(&Function2::ALL), a, b), false)
+            }
+            _ => (Op::Add(a, b), false),
+        };
+        self.push(level, op, truth);
+    }
+
+    /// A few instructions of a level; at least one number that it can read.
+    fn level(&mut self, level: Level, count: usize) {
+        for _ in 0..count {
+            self.instruction(level);
+        }
+        let leaf = self.leaf(level);
+        self.push(level, leaf, false);
+    }
+
+    fn several(&mut self, level: Level, most: usize) -> Vec<Value> {
+        (0..self.random.below(most + 1)).filter_map(|_| self.value(level, false)).collect()
+    }
+}
+
+/// A program; `renders`: into a plane.
+pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program {
+    let sizes = [1 + random.below(4), if renders { 0 } else { random.below(3) }, random.below(6), 0, 0];
+    let input = |random: &mut Random, i: usize| match random.below(5) {
+        0 | 1 => Input::Parameter(ParameterId(i as u32)),
+        2 => Input::Entry(ParameterId(i as u32)),
+        3 => Input::Constant(ConstantId(i as u32)),
+        _ if sizes[1] > 0 => Input::Saturation(ChannelId((i % sizes[1]) as u32)),
+        _ => Input::Shift(CoordinateId((i % sizes[0]) as u32)),
+    };
+    let inputs: Vec<Input> = (0..sizes[2]).map(|i| input(random, i)).collect();
+    let mut draft = Draft { random, variety, sizes, instructions: Vec::new(), kinds: Vec::new() };
+    for (level, count) in LEVELS.into_iter().zip(variety.lengths) {
+        draft.level(level, count);
+    }
+    let often = |draft: &mut Draft<'_>| draft.random.below(3) == 0;
+    let truth = |draft: &mut Draft<'_>| often(draft).then(|| draft.value(Level::Pixel, true)).flatten();
+    let (mask, saturated) = (truth(&mut draft), truth(&mut draft));
+    let bounds = match draft.random.below(3) {
+        0 => draft.value(Level::Row, false).zip(draft.value(Level::Row, false)),
+        _ => None,
+    };
+    let sink = if renders {
+        Sink::Plane(draft.value(Level::Pixel, false).unwrap())
+    } else {
+        // Every sum is handed back as it is, besides what is made of it: else one NaN hides them all.
+        let accumulators = draft.several(Level::Pixel, variety.sums);
+        draft.sizes[3] = accumulators.len();
+        let count = 1 + draft.random.below(8);
+        draft.level(Level::RowEnd, count);
+        let mut totals = draft.several(Level::RowEnd, 3);
+        let all = (0..draft.sizes[3] as u32).map(|i| Op::RowTotal(AccumulatorId(i)));
+        totals.extend(all.map(|op| draft.push(Level::RowEnd, op, false)));
+        draft.sizes[4] = totals.len();
+        let count = 1 + draft.random.below(8);
+        draft.level(Level::PassEnd, count);
+        let mut outputs = draft.several(Level::PassEnd, 5);
+        let all = (0..draft.sizes[4] as u32).map(|i| Op::PassTotal(TotalId(i)));
+        outputs.extend(all.map(|op| draft.push(Level::PassEnd, op, false)));
+        Sink::Sums { accumulators, totals, outputs }
+    };
+    let instructions = draft.instructions;
+    let [coordinates, channels, ..] = sizes.map(|n| n as u32);
+    let pixel_set = PixelSet { bounds, mask, saturated };
+    let fused = variety.fma;
+    Program::from_parts(ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused }).unwrap()
+}

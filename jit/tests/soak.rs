@@ -1,0 +1,32 @@
+//! The short form of `examples/soak.rs`: memory is given back, and swapping disturbs nobody. Alone in its file: it measures
+//! the memory of the process.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::soak::{cycles, resident_kib, subjects, swapping};
+
+#[test]
+fn kernels_come_and_go_without_a_trace() {
+    let subjects = subjects();
+    assert_eq!(cycles(&subjects, 100), 0, "wrong answers");
+    let before = resident_kib();
+    assert_eq!(cycles(&subjects, 300), 0, "wrong answers");
+    let growth = resident_kib().saturating_sub(before);
+    // One page of code that stays behind in each cycle would be 1,200 KiB.
+    assert!(growth < 600, "300 cycles grew by {growth} KiB");
+
+    // The planted fault: kernels that are kept are seen.
+    let before = resident_kib();
+    let kept: Vec<_> = (0..300).map(|i| subjects[i % subjects.len()].compile()).collect();
+    assert!(resident_kib() - before > 600, "{} kernels that nobody dropped are not seen", kept.len());
+    drop(kept);
+
+    let mut expected: Vec<_> = subjects.iter().map(|subject| subject.run(&subject.compile())).collect();
+    let seen = swapping(&subjects, &expected, 200);
+    assert!(seen.wrong == 0 && seen.fewest > 0, "{seen:?}");
+    expected[1] = expected[0].clone();
+    let seen = swapping(&subjects, &expected, 20);
+    assert!(seen.wrong > 0, "a planted wrong expectation is not seen: {seen:?}");
+}
