@@ -66,7 +66,11 @@ fn compile(model: &Model, cases: &[Case], way: &Way) -> Compiled {
     let source = contenders::source(model, way, &functions);
     let extension = if way.command[0] == "cc" { "c" } else { "rs" };
     let file = format!("{}.{extension}", way.name.replace([',', ' '], "_"));
-    Compiled::new(&contenders::folder(), &file, &source, &way.command).unwrap()
+    let made = Compiled::new(&contenders::folder(), &file, &source, &way.command).unwrap();
+    if way.command[0] == "cc" {
+        assert_eq!(made.loops_with_vectors(way.bits), cases.len(), "{}: pixel loops with vectors", way.name);
+    }
+    made
 }
 
 /// All subsets.
