@@ -5,7 +5,7 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use std::hint::black_box;
-use std::process::{Command, ExitCode};
+use std::process::ExitCode;
 
 use isophote_benches::{counts, page, shipped, text, time};
 use isophote_symbolic::{Lowering, Method, Model, Objective, ParameterId};
@@ -23,8 +23,10 @@ fn milliseconds(f: impl FnMut()) -> String {
 }
 
 fn times() -> String {
-    let mut table =
-        format!("{}\n\n| from | to | ms: median (min – max) of {RUNS} runs |\n|---|---|---|\n", provenance());
+    let mut table = format!(
+        "{}\n\n| from | to | ms: median (min – max) of {RUNS} runs |\n|---|---|---|\n",
+        page::provenance("flops", &["../symbolic", "../models"])
+    );
     let thesis = text("thesis-spot");
     let all = |text: &str| {
         let model = Model::from_toml(text).unwrap();
@@ -50,25 +52,6 @@ fn times() -> String {
         row(&format!("{name}, text"), &to, milliseconds(|| all(&text)));
     }
     table
-}
-
-/// On which machine, by which command, at which commit.
-fn provenance() -> String {
-    let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = cpu.lines().find(|line| line.starts_with("model name")).and_then(|line| line.split(": ").nth(1));
-    let cores = std::thread::available_parallelism().map_or(0, usize::from);
-    let git = |arguments: &[&str]| {
-        let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
-        Some(String::from_utf8_lossy(&output.stdout).trim().to_string())
-    };
-    let commit = git(&["rev-parse", "--short", "HEAD"]).unwrap_or_else(|| "unknown".into());
-    let changed =
-        git(&["status", "--porcelain", "--", "../symbolic", "../models"]).is_none_or(|files| !files.is_empty());
-    format!(
-        "{}, {cores} cores, one thread; `cargo bench -p isophote-benches --bench flops`; commit {commit}{}.",
-        model.unwrap_or("an unnamed processor"),
-        if changed { " with changes" } else { "" }
-    )
 }
 
 fn main() -> ExitCode {

@@ -38,7 +38,8 @@ const RUST: [&str; 9] = [
     "-Anon_snake_case",
 ];
 /// With NaN as it is: rows outside of the domain have NaN for bounds, and with `-ffinite-math-only` they would not be left out.
-const C: [&str; 7] = ["cc", "-std=c99", "-O3", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC"];
+pub(crate) const C: [&str; 8] =
+    ["cc", "-fopt-info-vec-optimized", "-std=c99", "-O3", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC"];
 
 fn with(command: &[&'static str], more: &[&'static str]) -> Vec<&'static str> {
     [command, more].concat()

@@ -17,6 +17,8 @@ type Call = unsafe extern "C" fn(*const u8, *const usize, *const usize, *const f
 pub struct Compiled {
     library: Library,
     path: PathBuf,
+    /// What the compiler said.
+    said: String,
 }
 
 /// One of its functions.
@@ -56,7 +58,12 @@ impl Compiled {
         }
         // SAFETY: the file was made just now of exported text, which has no code that runs when it is loaded.
         let library = unsafe { Library::new(path.as_path()) }.map_err(|error| error.to_string())?;
-        Ok(Compiled { library, path })
+        Ok(Compiled { library, path, said: String::from_utf8_lossy(&made.stderr).into_owned() })
+    }
+
+    /// How many loops the compiler says that it made with vectors of so many bits.
+    pub fn loops_with_vectors(&self, bits: usize) -> usize {
+        self.said.matches(&format!("loop vectorized using {} byte vectors", bits / 8)).count()
     }
 
     /// A function of [`Call`]'s shape.

@@ -1,14 +1,21 @@
 //! What the benchmarks share; they stand in `benches/`.
 //!
 //! What comes in: shipped models and frames made here. What goes out: tables on standard output, and those of
-//! [docs/flops.md](../../docs/flops.md), whose counts a test compares with the page.
+//! [docs/flops.md](../../docs/flops.md), whose counts a test compares with the page, and of [docs/speed.md](../../docs/speed.md).
 #![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
 
+pub mod against;
+pub mod appendix;
+pub mod compile_time;
 pub mod contenders;
 pub mod counts;
 pub mod figure;
 pub mod foreign;
+pub mod frame;
 pub mod page;
+pub mod race;
+pub mod speed;
+pub mod windows;
 
 use std::time::Instant;
 

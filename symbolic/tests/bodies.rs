@@ -111,3 +111,26 @@ fn a_loop_for_each_entry_would_take_far_more_than_the_thesis_counts() {
     let subsets = ["bx,by", "a1,a2,a3", "bx,by,a1,a2,a3", "bx,by,a1,a2,a3,v0,v1"];
     assert_eq!(subsets.map(each), [265, 452, 1111, 1555]);
 }
+
+#[test]
+fn plain_sums_over_another_programs_pixels() {
+    let model = model("thesis-spot");
+    let centre = [model.parameter("bx").unwrap(), model.parameter("by").unwrap()];
+    let optimised = model.objective(&centre, Method::Newton).unwrap().program(Lowering::default()).unwrap();
+    let plain = model.plain_program(&centre, Method::Newton, Part::Both).unwrap();
+    let over = plain.over_pixels_of(&optimised);
+    // A small spot, so that most of the window is outside of the domain.
+    let parameters = [5.3, 3.7, 0.1, 0.02, 0.15, -0.5, -0.3, 20.0, 150.0];
+    let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
+    let window = Window { x: 0, y: 0, width: 12, height: 8, slices: Slices::ONE };
+    let [all, some, ours] =
+        [&plain, &over, &optimised].map(|program| run(program, Precision::F64, &bindings, &Picture, window, None));
+    assert!(all.pixels == 96 && some.pixels == ours.pixels && ours.pixels < 40, "{} {}", some.pixels, ours.pixels);
+    for (a, b) in some.outputs.iter().zip(&ours.outputs[1..]) {
+        assert!((a - b).abs() <= 1e-9 * a.abs(), "{a} {b}");
+    }
+    assert!(
+        (all.outputs[0] - some.outputs[0]).abs() > 1e-3 * some.outputs[0].abs(),
+        "the other pixels are not noticed"
+    );
+}

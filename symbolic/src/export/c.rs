@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::export::body::{Body, Statements};
+use crate::export::lines::File;
 use crate::export::{PixelType, Source, header};
 use crate::program::{Level, Op, Sink};
 
@@ -226,36 +227,4 @@ fn pixel_end(file: &mut File, statements: &Statements<'_>) {
         }
     }
     (0..open).for_each(|_| file.close("}"));
-}
-
-/// Lines with their indentation.
-#[derive(Default)]
-pub(super) struct File {
-    pub text: String,
-    depth: usize,
-}
-
-impl File {
-    pub fn line(&mut self, line: &str) {
-        if !line.is_empty() {
-            self.text += &"    ".repeat(self.depth);
-            self.text += line;
-        }
-        self.text.push('\n');
-    }
-    pub fn lines(&mut self, lines: &[String]) {
-        lines.iter().for_each(|line| self.line(line));
-    }
-    pub fn open(&mut self, line: &str) {
-        self.line(line);
-        self.depth += 1;
-    }
-    pub fn turn(&mut self, line: &str) {
-        self.depth -= 1;
-        self.open(line);
-    }
-    pub fn close(&mut self, line: &str) {
-        self.depth -= 1;
-        self.line(line);
-    }
 }

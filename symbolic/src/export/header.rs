@@ -70,8 +70,8 @@ fn arithmetic(source: &Source<'_>) -> Vec<String> {
             "Arithmetic: {pixel}, {} pixel(s) at a time. It is the interpreter's, bit for bit{calls},",
             options.lanes
         ),
-        "as long as the compiler neither contracts a * b + c (-ffp-contract=off) nor reorders sums (no -ffast-math)."
-            .into(),
+        "as long as the compiler neither contracts a * b + c (-ffp-contract=off) nor reorders sums; -ffast-math would besides lose".into(),
+        "the test that leaves out rows without pixels, whose bounds are NaN: add -fno-finite-math-only to it".into(),
     ]
 }
 

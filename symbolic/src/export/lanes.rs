@@ -2,7 +2,7 @@
 //! last pixel take no part. Rows and passes are those of one lane.
 
 use crate::export::body::{Body, Statements};
-use crate::export::c::File;
+use crate::export::lines::File;
 use crate::export::vectors::Vectors;
 use crate::export::{ExportError, Source, rust};
 use crate::program::{Level, Op, Sink, Value};

@@ -7,12 +7,13 @@
 //! It must never know: how a frame lies in memory; an exported function is told by strides, counted in pixels.
 //!
 //! `names` finds words for values, `body` writes the statements of each level, `c` and `rust` what stands around them, `spelling`
-//! is the table of how each language spells an operation, and `lanes` writes the pixel loop with vectors.
+//! is the table of how each language spells an operation; `lanes` writes the pixel loop with vectors, whose table is `vectors`.
 
 mod body;
 mod c;
 mod header;
 mod lanes;
+mod lines;
 mod names;
 mod rust;
 mod spelling;

@@ -1,7 +1,7 @@
 //! The file around the statements, in Rust.
 
 use crate::export::body::{Body, Statements};
-use crate::export::c::File;
+use crate::export::lines::File;
 use crate::export::{Source, header};
 use crate::function::Function1;
 use crate::program::{Level, Op, Precision, Sink};

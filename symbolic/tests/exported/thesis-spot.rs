@@ -30,7 +30,8 @@
 //   `x`, `y`; a plane has size and strides along 2 of them, counted in pixels
 //
 // Arithmetic: f32 a pixel; f64 for rows and passes, 1 pixel(s) at a time. It is the interpreter's, bit for bit,
-// as long as the compiler neither contracts a * b + c (-ffp-contract=off) nor reorders sums (no -ffast-math).
+// as long as the compiler neither contracts a * b + c (-ffp-contract=off) nor reorders sums; -ffast-math would besides lose
+// the test that leaves out rows without pixels, whose bounds are NaN: add -fno-finite-math-only to it
 //
 // `None` for a window that is empty or leaves a plane, and for a plane whose slice is too short.
 

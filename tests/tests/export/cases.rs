@@ -46,8 +46,7 @@ fn objective(model: &Model, names: &str, lowering: Lowering) -> Program {
         "" => model.stages().last().unwrap().parameters.clone(),
         _ => names.split(',').map(|name| model.parameter(name).unwrap()).collect(),
     };
-    let program = model.objective(&ids, Method::Newton).unwrap().program(lowering).unwrap();
-    program
+    model.objective(&ids, Method::Newton).unwrap().program(lowering).unwrap()
 }
 
 /// Models and subsets; an empty subset is that of the last stage.

@@ -86,7 +86,7 @@ fn c(cases: &[Case]) -> String {
             PixelType::F32 => "float",
         };
         let fraction = if case.pixel == PixelType::F32 { " + 0.25f" } else { "" };
-        write!(main, "    run_{name}();\n").unwrap();
+        writeln!(main, "    run_{name}();").unwrap();
         writeln!(text, "static void run_{name}(void) {{").unwrap();
         writeln!(text, "    const uint64_t bits[] = {{ {inputs} }};").unwrap();
         writeln!(text, "    double inputs[sizeof bits / sizeof bits[0]];").unwrap();
