@@ -1,7 +1,8 @@
 //! The worst error of every elementary function, in units of the last place: f32 over all arguments, f64 over samples.
 //!
-//! `RUSTFLAGS="-C target-cpu=native" cargo run --release -p isophote-symbolic --example elementary -- [stride] [samples]`:
-//! a stride of 1 takes each of the 2³² f32; without hardware that multiplies and adds with one rounding it takes hours.
+//! `RUSTFLAGS="-C target-cpu=native" cargo run --release -p isophote-symbolic --example elementary -- [stride]
+//! [samples] [function …]`: a stride of 1 takes each of the 2³² f32. Without hardware that multiplies and adds with one
+//! rounding it takes hours.
 #![allow(clippy::print_stdout)]
 
 use isophote_symbolic::elementary::ulps::{error_double, error_single, exact1, exact2};
@@ -144,20 +145,18 @@ fn row(name: &str, single: Option<Worst>, double: Worst) {
 }
 
 fn main() {
-    let mut arguments = std::env::args().skip(1).map(|text| text.parse::<u64>().ok());
-    let stride = arguments.next().flatten().unwrap_or(1).max(1);
-    let samples = arguments.next().flatten().unwrap_or(10_000_000);
-    for function in Function1::ALL {
-        let start = std::time::Instant::now();
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let number = |at: usize| arguments.get(at).and_then(|text| text.parse::<u64>().ok());
+    let (stride, samples) = (number(0).unwrap_or(1).max(1), number(1).unwrap_or(10_000_000));
+    let wanted = |name: &str| arguments.len() < 3 || arguments[2..].iter().any(|one| one == name);
+    for function in Function1::ALL.into_iter().filter(|f| wanted(f.name())) {
         let double = doubles(samples, |machine, [x, _]| {
             let exact = if machine.fused { [0.0; 2] } else { exact1(function, x) };
             (function.value_with(machine, Accuracy::Double, x), exact)
         });
-        let middle = start.elapsed();
         row(function.name(), Some(ALL[function as usize](stride)), double);
-        println!("{middle:?} {:?}", start.elapsed());
     }
-    for function in Function2::ALL {
+    for function in Function2::ALL.into_iter().filter(|f| wanted(f.name())) {
         let double = doubles(samples, |machine, [a, b]| {
             let exact = if machine.fused { [0.0; 2] } else { exact2(function, a, b) };
             (function.value_with(machine, Accuracy::Double, a, b), exact)
