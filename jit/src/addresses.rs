@@ -165,13 +165,17 @@ impl Origin {
 
 /// Checks a function before compilation; says which instruction goes astray.
 pub(crate) fn addresses(function: &Function, extent: Extent) -> Result<(), String> {
-    let mut origins = Origins { function, known: SecondaryMap::new(), kept: BTreeMap::new() };
+    let mut origins = Origins { function, known: SecondaryMap::new(), kept: BTreeMap::new(), is_all_kept: false };
     if let Some(entry) = function.layout.entry_block() {
         let parameters = function.dfg.block_params(entry).iter();
         parameters.for_each(|value| origins.known[*value] = Some(Origin::at(Base::Args, 0)));
     }
-    // What is known of a value only grows, from nothing over a few numbers to any: the rounds end.
-    while origins.round() {}
+    // What is known of a value only grows, from nothing over a few numbers to any: the rounds end. Pointers are found
+    // first; then what was read where none was kept is a number.
+    let relevant = relevant(function);
+    while origins.round(&relevant) {}
+    origins.is_all_kept = true;
+    while origins.round(&relevant) {}
     for block in function.layout.blocks() {
         for instruction in function.layout.block_insts(block) {
             if !origins.is_allowed(instruction, extent) {
@@ -182,16 +186,30 @@ pub(crate) fn addresses(function: &Function, extent: Extent) -> Result<(), Strin
     Ok(())
 }
 
-struct Origins<'a> {
-    function: &'a Function,
-    /// `None`: not reached yet.
-    known: SecondaryMap<Value, Option<Origin>>,
-    /// What is stored in the record: slot, offset, bytes.
-    kept: BTreeMap<(StackSlot, i64, i64), Origin>,
+/// The instructions that make, keep or hand on what may be an address: 64-bit integers.
+fn relevant(function: &Function) -> Vec<Inst> {
+    let dfg = &function.dfg;
+    let wide = |value: Value| dfg.value_type(value) == types::I64;
+    let is_relevant = |instruction: &Inst| match dfg.insts[*instruction] {
+        InstructionData::Store { args: [value, _], .. } => wide(value),
+        _ => dfg.inst_results(*instruction).iter().any(|v| wide(*v)) || dfg.insts[*instruction].opcode().is_branch(),
+    };
+    let all = function.layout.blocks().flat_map(|block| function.layout.block_insts(block));
+    all.filter(is_relevant).collect()
 }
 
-/// No store is longer.
-const STORE_BYTES_MAX: i64 = 64;
+struct Origins<'a> {
+    function: &'a Function,
+    /// Of 64-bit integers; `None`: not reached yet.
+    known: SecondaryMap<Value, Option<Origin>>,
+    /// What 64-bit integers are stored in the record, by slot and offset.
+    kept: BTreeMap<(StackSlot, i64), Origin>,
+    /// Whether `kept` has every pointer, so that anything else is a number.
+    is_all_kept: bool,
+}
+
+/// The size of an address.
+const ADDRESS_BYTES: i64 = 8;
 
 impl Origins<'_> {
     fn of(&self, value: Value) -> Option<Origin> {
@@ -209,27 +227,28 @@ impl Origins<'_> {
     }
 
     /// Walks over the function once; true when something new came out.
-    fn round(&mut self) -> bool {
+    fn round(&mut self, relevant: &[Inst]) -> bool {
         let function = self.function;
         let mut news = false;
-        for block in function.layout.blocks() {
-            for instruction in function.layout.block_insts(block) {
-                if let [result] = function.dfg.inst_results(instruction) {
-                    let origin = self.result(instruction, *result);
-                    news |= self.learn(*result, origin);
-                }
-                news |= self.keep(instruction);
-                let data = &function.dfg.insts[instruction];
-                for call in data.branch_destination(&function.dfg.jump_tables, &function.dfg.exception_tables) {
-                    let target = call.block(&function.dfg.value_lists);
-                    let parameters = function.dfg.block_params(target);
-                    for (parameter, argument) in parameters.iter().zip(call.args(&function.dfg.value_lists)) {
-                        let origin = match argument {
-                            BlockArg::Value(value) => self.of(value),
-                            _ => Some(NUMBER),
-                        };
-                        news |= self.learn(*parameter, origin);
+        for instruction in relevant {
+            if let [result] = function.dfg.inst_results(*instruction) {
+                let origin = self.result(*instruction, *result);
+                news |= self.learn(*result, origin);
+            }
+            news |= self.keep(*instruction);
+            let data = &function.dfg.insts[*instruction];
+            for call in data.branch_destination(&function.dfg.jump_tables, &function.dfg.exception_tables) {
+                let target = call.block(&function.dfg.value_lists);
+                let parameters = function.dfg.block_params(target);
+                for (parameter, argument) in parameters.iter().zip(call.args(&function.dfg.value_lists)) {
+                    if function.dfg.value_type(*parameter) != types::I64 {
+                        continue;
                     }
+                    let origin = match argument {
+                        BlockArg::Value(value) => self.of(value),
+                        _ => Some(NUMBER),
+                    };
+                    news |= self.learn(*parameter, origin);
                 }
             }
         }
@@ -284,14 +303,18 @@ impl Origins<'_> {
             Base::Planes if at.rem_euclid(planes) == offset_of!(PlaneArgs, first) as i64 => Origin::at(Base::Pixels, 0),
             Base::Functions => Origin::Callee,
             Base::Record(slot) => {
-                let near = self.kept.range((slot, at - STORE_BYTES_MAX, 0)..(slot, at + 8, 0));
-                let over = near.filter(|((_, from, bytes), _)| from + bytes > at);
-                let found = over
-                    .map(|((_, from, bytes), origin)| if (*from, *bytes) == (at, 8) { origin.clone() } else { NUMBER });
-                return found.reduce(|a, b| a.or(&b));
+                let found = self.overlapping(slot, at, ADDRESS_BYTES);
+                let found = found.map(|(from, origin)| if from == at { origin.clone() } else { NUMBER });
+                return found.reduce(|a, b| a.or(&b)).or(self.is_all_kept.then_some(NUMBER));
             }
             _ => NUMBER,
         })
+    }
+
+    /// What is kept somewhere in so many bytes of the record, with its offset.
+    fn overlapping(&self, slot: StackSlot, at: i64, bytes: i64) -> impl Iterator<Item = (i64, &Origin)> {
+        let near = self.kept.range((slot, at - ADDRESS_BYTES + 1)..(slot, at + bytes));
+        near.map(|((_, from), origin)| (*from, origin))
     }
 
     /// Notes what a store leaves in the record; true when that is news.
@@ -305,16 +328,24 @@ impl Origins<'_> {
         else {
             return false;
         };
-        let bytes = i64::from(dfg.value_type(value).bytes());
+        if dfg.value_type(value) != types::I64 {
+            return false;
+        }
         let mut news = false;
         for at in places {
-            let place = (slot, at + i64::from(i32::from(offset)), bytes);
+            let place = (slot, at + i64::from(i32::from(offset)));
             let before = self.kept.get(&place);
             let joined = before.map_or_else(|| origin.clone(), |before| before.or(&origin));
             news |= before != Some(&joined);
             self.kept.insert(place, joined);
         }
         news
+    }
+
+    /// Whether a store writes a 64-bit integer.
+    fn is_integer(&self, instruction: Inst) -> bool {
+        let dfg = &self.function.dfg;
+        matches!(dfg.insts[instruction], InstructionData::Store { args: [value, _], .. } if dfg.value_type(value) == types::I64)
     }
 
     fn is_allowed(&self, instruction: Inst, extent: Extent) -> bool {
@@ -344,7 +375,16 @@ impl Origins<'_> {
         let (offset, bytes) = (i64::from(i32::from(offset)), i64::from(bytes));
         let starts = || at.0.iter().flatten().map(|at| at + offset);
         let counts = offset_of!(Args, pixels) as i64;
+        let is_pointer = |origin: &Origin| !matches!(origin, Origin::Number(_));
         let size = match base {
+            // Nothing but an address may be written over a part of one.
+            Base::Record(slot)
+                if writes
+                    && (bytes != ADDRESS_BYTES || !self.is_integer(instruction))
+                    && starts().any(|start| self.overlapping(slot, start, bytes).any(|(_, kept)| is_pointer(kept))) =>
+            {
+                return false;
+            }
             Base::Record(slot) => self.function.sized_stack_slots[slot].size as usize,
             Base::Args if writes && starts().any(|start| start < counts) => return false,
             Base::Args => size_of::<Args>(),
@@ -425,7 +465,7 @@ mod tests {
     #[test]
     fn planted_addresses_are_refused() {
         type Plant = fn(&mut FunctionBuilder<'_>, Value, Value);
-        let plants: [(&str, Plant); 11] = [
+        let plants: [(&str, Plant); 12] = [
             ("a constant address", |b, _, _| {
                 let address = b.ins().iconst(types::I64, 4096);
                 b.ins().load(types::F64, FLAGS, address, 0);
@@ -459,6 +499,14 @@ mod tests {
             ("a number as an address", |b, args, _| {
                 let width = pointer(b, args, offset_of!(Args, width));
                 b.ins().load(types::F64, FLAGS, width, 0);
+            }),
+            ("half of a pointer overwritten", |b, args, record| {
+                let inputs = pointer(b, args, offset_of!(Args, inputs));
+                b.ins().store(FLAGS, inputs, record, 8);
+                let number = b.ins().f64const(0.0);
+                b.ins().store(FLAGS, number, record, 12);
+                let inputs = b.ins().load(types::I64, FLAGS, record, 8);
+                b.ins().load(types::F64, FLAGS, inputs, 0);
             }),
             ("a pointer that may be another", |b, args, record| {
                 let either = b.ins().select(args, args, record);
