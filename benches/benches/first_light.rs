@@ -9,7 +9,7 @@ use std::time::Instant;
 use isophote_benches::{text, time};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Precision};
-use isophote_tracker::{Compiled, Frame, Plane, Tracker, TrackerOptions};
+use isophote_tracker::{Compiled, Frame, InTurn, Plane, Tracker, TrackerOptions};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -92,7 +92,7 @@ fn compile() {
         let text = text(name);
         let build = || {
             let compiled = Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap();
-            compiled.warm(PixelFormat::U8).unwrap();
+            compiled.warm(PixelFormat::U8, &InTurn).unwrap();
         };
         let start = Instant::now();
         build();

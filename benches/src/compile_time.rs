@@ -6,8 +6,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, has_fma};
+use isophote_server::Threads;
 use isophote_symbolic::{Lowering, Model, Precision};
-use isophote_tracker::Compiled;
+use isophote_tracker::{Compiled, InTurn, Workers};
 
 use crate::text;
 
@@ -34,9 +35,10 @@ impl Took {
     }
 }
 
-fn all(document: &str) {
-    let compiled = Compiled::new(Arc::new(Model::from_toml(document).unwrap()), Precision::F32).unwrap();
-    compiled.warm(PixelFormat::U8).unwrap();
+fn all(document: &str, workers: &dyn Workers) {
+    let model = Arc::new(Model::from_toml(document).unwrap());
+    let compiled = Compiled::with_cache(model, Precision::F32, Arc::default(), workers).unwrap();
+    compiled.warm(PixelFormat::U8, workers).unwrap();
     black_box(compiled);
 }
 
@@ -49,7 +51,7 @@ fn milliseconds(f: impl FnOnce()) -> f64 {
 /// Text to all kernels, for the first time in this process, in ms.
 pub fn cold_here() -> f64 {
     let document = text("thesis-spot");
-    milliseconds(|| all(&document))
+    milliseconds(|| all(&document, &Threads))
 }
 
 /// The same, each time in a fresh process of this program.
@@ -75,18 +77,20 @@ pub fn warm() -> Vec<(&'static str, Took)> {
             black_box(Kernel::compile(&program, &options).unwrap());
         }
     };
-    let mut rows: [Vec<f64>; 5] = Default::default();
-    all(&document);
+    let mut rows: [Vec<f64>; 6] = Default::default();
+    all(&document, &Threads);
     for _ in 0..RUNS {
-        rows[0].push(milliseconds(|| all(&document)));
-        rows[1].push(milliseconds(|| drop(black_box(Model::from_toml(&document).unwrap()))));
+        rows[0].push(milliseconds(|| all(&document, &Threads)));
+        rows[1].push(milliseconds(|| all(&document, &InTurn)));
+        rows[2].push(milliseconds(|| drop(black_box(Model::from_toml(&document).unwrap()))));
         let mut compiled = None;
-        rows[2].push(milliseconds(|| compiled = Some(Compiled::new(model.clone(), Precision::F32).unwrap())));
-        rows[3].push(milliseconds(|| compiled.unwrap().warm(PixelFormat::U8).unwrap()));
-        rows[4].push(milliseconds(plain));
+        rows[3].push(milliseconds(|| compiled = Some(Compiled::new(model.clone(), Precision::F32).unwrap())));
+        rows[4].push(milliseconds(|| compiled.unwrap().warm(PixelFormat::U8, &InTurn).unwrap()));
+        rows[5].push(milliseconds(plain));
     }
     let names = [
-        "model text to all kernels, with and without saturation",
+        "model text to all kernels, with and without saturation, as the service does it: on two threads",
+        "the same on one thread",
         "of which reading the text",
         "of which deriving, checking and lowering all programs",
         "of which compiling all kernels",

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use isophote_capture::encode::encode_png_rgb;
 use isophote_capture::{Captured, FrameSource, Recording};
 use isophote_jit::Window;
-use isophote_server::wire;
+use isophote_server::{Threads, wire};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Camera, Compiled, Estimate, TrackState, Tracker, TrackerOptions, contours};
 
@@ -100,7 +100,7 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
     if let Some(path) = &args.target {
         let _kept: serde_json::Map<String, serde_json::Value> = json(path, "a target document (a JSON object)")?;
     }
-    let compiled = Compiled::new(model.clone(), precision).map_err(|failure| {
+    let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads).map_err(|failure| {
         Failure::model(&args.model.display().to_string(), &isophote_server::explain::diagnostics(&failure))
     })?;
     Tracker::new(Arc::new(compiled), options).map_err(|error| Failure::Usage(error.to_string()))

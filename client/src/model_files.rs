@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use isophote_server::Threads;
 use isophote_server::explain::{self, ExplainError};
 use isophote_server::wire::{ModelReport, StageReport};
 use isophote_symbolic::{Diagnostics, Form, LIMITS, Model, Precision, Proof};
@@ -48,7 +49,8 @@ pub struct ExplainArgs {
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = read(&args.model)?;
     let refused = |diagnostics: &Diagnostics| Failure::model(&args.model.display().to_string(), diagnostics);
-    let report = Compiled::new(model, Precision::F32).and_then(|compiled| explain::report(&compiled));
+    let report = Compiled::with_cache(model, Precision::F32, Arc::default(), &Threads)
+        .and_then(|compiled| explain::report(&compiled));
     let report = report.map_err(|error| refused(&explain::diagnostics(&error)))?;
     let text = if args.json { json(&report)? } else { table(&report) };
     writeln!(out, "{text}").map_err(Failure::output)

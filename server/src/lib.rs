@@ -16,6 +16,7 @@
 pub mod clock;
 pub mod explain;
 pub mod export;
+mod threads;
 pub mod wire;
 
 #[cfg(feature = "http")]
@@ -50,6 +51,8 @@ mod source;
 mod store;
 #[cfg(feature = "http")]
 mod streams;
+
+pub use threads::Threads;
 
 #[cfg(feature = "http")]
 pub use listener::{Options, Server, StartError};

@@ -13,6 +13,7 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::store::{Store, StoreError, Stored};
+use crate::threads::Threads;
 use crate::wire::{ModelItem, ModelView, model_id};
 
 /// How a document was sent.
@@ -79,7 +80,7 @@ impl Entry {
         if let Some(programs) = &lock()[slot] {
             return Ok(Arc::new(programs.share()));
         }
-        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone());
+        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), &Threads);
         let programs = programs.map_err(compile_problem)?;
         let kernels = Arc::new(programs.share());
         lock()[slot] = Some(programs);
@@ -268,7 +269,7 @@ mod tests {
     #[test]
     fn a_second_session_and_a_model_sent_again_compile_nothing() {
         let registry = Registry::open(None).unwrap();
-        let warm = |entry: &Entry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8).unwrap();
+        let warm = |entry: &Entry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8, &Threads).unwrap();
         let spot = registry.get("spot").unwrap();
         warm(&spot);
         let first = registry.cache().counts();

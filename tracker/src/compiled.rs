@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, PlaneView, has_fma};
 use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Stage, ValueKind};
 
-use crate::frame::Frame;
 use crate::trust::Curvature;
+use crate::workers::{InTurn, Workers};
 
 /// Why a model cannot run here.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -98,10 +98,11 @@ impl Compiled {
     /// # Errors
     /// When the document asks for what this build cannot do.
     pub fn new(model: Arc<Model>, precision: Precision) -> Result<Compiled, CompileFailure> {
-        Compiled::with_cache(model, precision, Arc::default())
+        Compiled::with_cache(model, precision, Arc::default(), &InTurn)
     }
 
-    /// The same with a cache that other models share, so that a kernel that one of them has is not compiled again.
+    /// The same with a cache that other models share, so that a kernel that one of them has is not compiled again, and with
+    /// the stages derived by `workers`.
     ///
     /// # Errors
     /// When the document asks for what this build cannot do.
@@ -109,8 +110,9 @@ impl Compiled {
         model: Arc<Model>,
         precision: Precision,
         cache: Arc<KernelCache>,
+        workers: &dyn Workers,
     ) -> Result<Compiled, CompileFailure> {
-        let pairs = Arc::new(pairs(&model)?);
+        let pairs = Arc::new(pairs(&model, workers)?);
         Ok(Compiled { model, precision, pairs, cache, ready: Mutex::default() })
     }
 
@@ -139,27 +141,16 @@ impl Compiled {
     ///
     /// # Errors
     /// When a kernel cannot be made.
-    pub fn warm(&self, format: PixelFormat) -> Result<(), CompileFailure> {
+    pub fn warm(&self, format: PixelFormat, workers: &dyn Workers) -> Result<(), CompileFailure> {
         let channels = self.model.channels().len();
-        self.warm_layout(&Layout { formats: vec![format; channels], packed: channels == 1 })
-    }
-
-    /// Compiles every kernel for frames like this one.
-    ///
-    /// # Errors
-    /// When a kernel cannot be made.
-    pub fn warm_for(&self, frame: &Frame) -> Result<(), CompileFailure> {
-        let planes: Vec<PlaneView> = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
-        self.warm_layout(&Layout::of(&planes))
-    }
-
-    fn warm_layout(&self, layout: &Layout) -> Result<(), CompileFailure> {
-        for pair in self.pairs.iter() {
-            for control in [Control::Plain, Control::Dropping] {
-                self.kernel(pair.job, control, layout)?;
-            }
-        }
-        Ok(())
+        let layout = Layout { formats: vec![format; channels], packed: channels == 1 };
+        let both = |pair: &Pair| [Control::Plain, Control::Dropping].map(|control| (pair.job, control));
+        let variants: Vec<(Job, Control)> = self.pairs.iter().flat_map(both).collect();
+        let compiled = all(variants.len(), workers, &|i| {
+            let (job, control) = variants[i];
+            self.kernel(job, control, &layout).map(drop)
+        });
+        compiled.map(drop)
     }
 
     /// The kernel for a job, compiled now if need be.
@@ -198,28 +189,58 @@ impl Compiled {
     }
 }
 
+/// What each number gives, or the first fault.
+fn all<T: Send + Sync>(
+    count: usize,
+    workers: &dyn Workers,
+    make: &(dyn Fn(usize) -> Result<T, CompileFailure> + Sync),
+) -> Result<Vec<T>, CompileFailure> {
+    let made: Vec<Mutex<Option<Result<T, CompileFailure>>>> = (0..count).map(|_| Mutex::default()).collect();
+    // The last stage has the most parameters: it is begun first, so that nobody waits for it alone.
+    workers.each(count, &|i| {
+        let i = count - 1 - i;
+        *made[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(make(i));
+    });
+    // Whom the workers left out is done here.
+    let each = made.into_iter().enumerate();
+    each.map(|(i, one)| one.into_inner().unwrap_or_else(PoisonError::into_inner).unwrap_or_else(|| make(i))).collect()
+}
+
 /// Every job of a model and its programs.
-fn pairs(model: &Model) -> Result<Vec<Pair>, CompileFailure> {
-    let stage = |job, parameters: &[ParameterId], method| {
-        let objective = model.objective(parameters, method).map_err(CompileFailure::Model)?;
-        pair(job, |lowering| objective.program(lowering))
-    };
-    let value = |job, kind| {
-        let objective = model.value_objective(kind).map_err(CompileFailure::Model)?;
-        pair(job, |lowering| objective.program(lowering))
-    };
-    let mut pairs = Vec::new();
-    for (index, Stage { parameters, method, .. }) in model.stages().iter().enumerate() {
-        pairs.push(stage(Job::Stage(index), parameters, *method)?);
+fn pairs(model: &Model, workers: &dyn Workers) -> Result<Vec<Pair>, CompileFailure> {
+    let stages = model.stages().iter().enumerate();
+    let mut jobs: Vec<Job> = stages.map(|(index, _)| Job::Stage(index)).collect();
+    if model.stages().last().is_some_and(|last| curvature(last.method) == Curvature::Full) {
+        jobs.push(Job::Covariance);
     }
-    if let Some(last) = model.stages().last().filter(|last| curvature(last.method) == Curvature::Full) {
-        pairs.push(stage(Job::Covariance, &last.parameters, Method::GaussNewton)?);
-    }
-    pairs.push(value(Job::Value, ValueKind::Entry)?);
+    jobs.push(Job::Value);
     if model.has_noise() {
-        pairs.push(value(Job::Report, ValueKind::Full)?);
+        jobs.push(Job::Report);
     }
-    Ok(pairs)
+    all(jobs.len(), workers, &|i| programs(model, jobs[i]))
+}
+
+/// The programs of a job.
+fn programs(model: &Model, job: Job) -> Result<Pair, CompileFailure> {
+    let objective = match job {
+        Job::Stage(index) => {
+            let Stage { parameters, method, .. } = &model.stages()[index];
+            model.objective(parameters, *method)
+        }
+        Job::Covariance => {
+            let last = model.stages().last().map_or(&[][..], |stage| &stage.parameters);
+            model.objective(last, Method::GaussNewton)
+        }
+        Job::Value => return value(model, job, ValueKind::Entry),
+        Job::Report => return value(model, job, ValueKind::Full),
+    };
+    let objective = objective.map_err(CompileFailure::Model)?;
+    pair(job, |lowering| objective.program(lowering))
+}
+
+fn value(model: &Model, job: Job, kind: ValueKind) -> Result<Pair, CompileFailure> {
+    let objective = model.value_objective(kind).map_err(CompileFailure::Model)?;
+    pair(job, |lowering| objective.program(lowering))
 }
 
 fn pair(job: Job, program: impl Fn(Lowering) -> Result<Program, Diagnostics>) -> Result<Pair, CompileFailure> {

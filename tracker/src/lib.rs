@@ -28,6 +28,7 @@ mod stage;
 mod start;
 mod tracker;
 mod trust;
+mod workers;
 
 pub use camera::{Camera, Distortion, Intrinsics};
 pub use compiled::{CompileFailure, Compiled};
@@ -37,3 +38,4 @@ pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{TrackError, TrackerOptions};
 pub use report::{CheckReport, StageCost};
 pub use tracker::{Carried, Tracker};
+pub use workers::{InTurn, Workers};

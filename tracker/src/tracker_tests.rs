@@ -2,6 +2,7 @@
 use super::*;
 use crate::frame::Plane;
 use crate::picture::{Picture, Profile, Spot};
+use crate::workers::InTurn;
 use isophote_jit::{PixelFormat, Slices};
 use isophote_symbolic::{Model, Precision};
 
@@ -237,7 +238,7 @@ fn the_report_of_every_shipped_model() {
 #[test]
 fn kernels_are_shared_between_threads() {
     let compiled = compiled(SPOT, Precision::F32);
-    compiled.warm(PixelFormat::U8).unwrap();
+    compiled.warm(PixelFormat::U8, &InTurn).unwrap();
     let truth = spot(70.0, 60.0, [20.0, 14.0], 0.2, 150.0);
     let frame = Picture { noise: 1.0, ..Picture::new(160, 120, vec![truth]) }.frame();
     let estimates: Vec<Estimate> = std::thread::scope(|scope| {

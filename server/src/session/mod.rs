@@ -18,6 +18,7 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::Entry;
 use crate::source::{Shape, Source};
+use crate::threads::Threads;
 use crate::wire::{SessionDocument, SessionView};
 use fit::Fitter;
 use inbox::Inbox;
@@ -69,7 +70,7 @@ impl Session {
         camera.saturation = camera.saturation.or(source.source.shape().saturation);
         let compiled = entry.kernels(document.options.precision)?;
         if let Some(format) = source.source.shape().format {
-            compiled.warm(format).map_err(compile_problem)?;
+            compiled.warm(format, &Threads).map_err(compile_problem)?;
         }
         let options = swap::options(&document, &camera, &entry.model, false);
         let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
@@ -146,7 +147,7 @@ impl Session {
         let start_ns = monotonic_ns();
         let compiled = entry.kernels(self.document.options.precision)?;
         if let Some(format) = shape.format {
-            compiled.warm(format).map_err(compile_problem)?;
+            compiled.warm(format, &Threads).map_err(compile_problem)?;
         }
         let compile_ms = elapsed_ms(start_ns);
         let options = swap::options(&self.document, &self.camera, &entry.model, true);
