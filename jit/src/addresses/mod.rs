@@ -14,13 +14,18 @@
 //! ```
 //! That pixels' distances stay inside the window is the lowering's proof; here it is certain that nothing else is touched.
 
+mod origin;
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 use std::mem::offset_of;
 
 use cranelift_codegen::entity::SecondaryMap;
 use cranelift_codegen::ir::{BlockArg, Function, Inst, InstructionData, Opcode, StackSlot, Value, types};
 use isophote_symbolic::{Program, Sink};
-use smallvec::SmallVec;
+
+use self::origin::{Base, NUMBER, Numbers, Origin};
 
 use crate::abi::{Args, Functions, PlaneArgs};
 
@@ -42,123 +47,6 @@ impl Extent {
             inputs: size_of::<f64>() * program.inputs().len(),
             outputs: size_of::<f64>() * outputs,
             planes: size_of::<PlaneArgs>() * program.channels(),
-        }
-    }
-}
-
-/// A place that an address may come from.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Base {
-    Record(StackSlot),
-    Args,
-    Inputs,
-    Outputs,
-    Functions,
-    Planes,
-    /// Of a raw plane; without a known distance.
-    Pixels,
-    /// Of the output plane; without a known distance.
-    Target,
-}
-
-/// The numbers that a value may be; `None`: any. Few at a time: rows use two areas of the record by turns.
-#[derive(Clone, PartialEq, Eq, Debug)]
-struct Numbers(Option<SmallVec<[i64; NUMBERS_MAX]>>);
-
-/// More numbers than these are taken for any.
-const NUMBERS_MAX: usize = 8;
-
-impl Numbers {
-    const ANY: Numbers = Numbers(None);
-
-    fn one(number: i64) -> Numbers {
-        Numbers(Some(SmallVec::from_slice(&[number])))
-    }
-
-    fn of(numbers: impl Iterator<Item = Option<i64>>) -> Numbers {
-        let mut all = SmallVec::new();
-        for number in numbers {
-            let Some(number) = number else { return Numbers::ANY };
-            if !all.contains(&number) {
-                if all.len() == NUMBERS_MAX {
-                    return Numbers::ANY;
-                }
-                all.push(number);
-            }
-        }
-        all.sort_unstable();
-        Numbers(Some(all))
-    }
-
-    fn or(&self, other: &Numbers) -> Numbers {
-        match (&self.0, &other.0) {
-            (Some(a), Some(b)) => Numbers::of(a.iter().chain(b).copied().map(Some)),
-            _ => Numbers::ANY,
-        }
-    }
-
-    /// What an operation makes of each pair; `None` from it: any number.
-    fn with(&self, other: &Numbers, operation: impl Fn(i64, i64) -> Option<i64>) -> Numbers {
-        match (&self.0, &other.0) {
-            (Some(a), Some(b)) => Numbers::of(a.iter().flat_map(|a| b.iter().map(|b| operation(*a, *b)))),
-            _ => Numbers::ANY,
-        }
-    }
-}
-
-/// What a value is.
-#[derive(Clone, PartialEq, Eq, Debug)]
-enum Origin {
-    /// No address.
-    Number(Numbers),
-    /// So many bytes behind a base. Distances that are not known are those of pixels.
-    At(Base, Numbers),
-    /// From the table of functions.
-    Callee,
-}
-
-const NUMBER: Origin = Origin::Number(Numbers::ANY);
-
-impl Origin {
-    fn at(base: Base, distance: i64) -> Origin {
-        Origin::At(base, Numbers::one(distance))
-    }
-
-    /// A distance that nobody knows is allowed among pixels only.
-    fn behind(base: Base, distance: Numbers) -> Origin {
-        match (base, distance) {
-            (Base::Pixels | Base::Target, _) => Origin::At(base, Numbers::ANY),
-            (_, Numbers::ANY) => NUMBER,
-            (base, distance) => Origin::At(base, distance),
-        }
-    }
-
-    /// What a value is that may be either.
-    fn or(&self, other: &Origin) -> Origin {
-        match (self, other) {
-            (Origin::Number(a), Origin::Number(b)) => Origin::Number(a.or(b)),
-            (Origin::At(base, a), Origin::At(other, b)) if base == other => Origin::behind(*base, a.or(b)),
-            (Origin::Callee, Origin::Callee) => Origin::Callee,
-            _ => NUMBER,
-        }
-    }
-
-    fn plus(&self, other: &Origin) -> Origin {
-        match (self, other) {
-            (Origin::Number(a), Origin::Number(b)) => Origin::Number(a.with(b, i64::checked_add)),
-            (Origin::At(base, at), Origin::Number(n)) | (Origin::Number(n), Origin::At(base, at)) => {
-                Origin::behind(*base, at.with(n, i64::checked_add))
-            }
-            _ => NUMBER,
-        }
-    }
-
-    fn shifted(&self, bits: &Origin) -> Origin {
-        let shift =
-            |n: i64, bits: i64| u32::try_from(bits).ok().and_then(|bits| n.checked_mul(1_i64.checked_shl(bits)?));
-        match (self, bits) {
-            (Origin::Number(a), Origin::Number(bits)) => Origin::Number(a.with(bits, shift)),
-            _ => NUMBER,
         }
     }
 }
@@ -397,132 +285,5 @@ impl Origins<'_> {
             Base::Pixels => return true,
         };
         at.0.is_some() && starts().all(|start| start >= 0 && start + bytes <= size as i64)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use crate::host::{self, Allocator, Processor};
-    use cranelift_codegen::ir::{AbiParam, InstBuilder, MemFlagsData, StackSlotData, StackSlotKind};
-    use cranelift_frontend::{FunctionBuilder, FunctionBuilderContext};
-
-    const FLAGS: MemFlagsData = MemFlagsData::trusted();
-
-    /// A function of one argument with a record of 32 bytes; `body` gets both addresses.
-    fn verdict(body: impl FnOnce(&mut FunctionBuilder<'_>, Value, Value)) -> Result<(), String> {
-        let mut function = Function::new();
-        function.signature.params.push(AbiParam::new(types::I64));
-        let mut context = FunctionBuilderContext::new();
-        let mut builder = FunctionBuilder::new(&mut function, &mut context);
-        let slot = builder.create_sized_stack_slot(StackSlotData::new(StackSlotKind::ExplicitSlot, 32, 4));
-        let block = builder.create_block();
-        builder.append_block_params_for_function_params(block);
-        builder.switch_to_block(block);
-        let args = builder.block_params(block)[0];
-        let record = builder.ins().stack_addr(types::I64, slot, 0);
-        body(&mut builder, args, record);
-        builder.ins().return_(&[]);
-        builder.seal_all_blocks();
-        let isa = host::isa(Processor::Host, Allocator::Backtracking).unwrap();
-        builder.finalize(isa.frontend_config());
-        addresses(&function, Extent { inputs: 24, outputs: 16, planes: size_of::<PlaneArgs>() })
-    }
-
-    fn pointer(b: &mut FunctionBuilder<'_>, args: Value, field: usize) -> Value {
-        b.ins().load(types::I64, FLAGS, args, field as i32)
-    }
-
-    #[test]
-    fn what_kernels_do_passes() {
-        let end = verdict(|b, args, record| {
-            let inputs = pointer(b, args, offset_of!(Args, inputs));
-            let number = b.ins().load(types::F64, FLAGS, inputs, 16);
-            b.ins().store(FLAGS, number, record, 24);
-            let planes = pointer(b, args, offset_of!(Args, planes));
-            let first = b.ins().load(types::I64, FLAGS, planes, 0);
-            // A running address, through the record and around a loop.
-            b.ins().store(FLAGS, first, record, 0);
-            let first = b.ins().load(types::I64, FLAGS, record, 0);
-            let body = b.create_block();
-            let after = b.create_block();
-            let at = b.append_block_param(body, types::I64);
-            b.ins().jump(body, &[first.into()]);
-            b.switch_to_block(body);
-            let pixel = b.ins().load(types::I32, FLAGS, at, 0);
-            let next = b.ins().iadd_imm_s(at, 4);
-            b.ins().brif(pixel, body, &[next.into()], after, &[]);
-            b.switch_to_block(after);
-            let outputs = pointer(b, args, offset_of!(Args, outputs));
-            b.ins().store(FLAGS, number, outputs, 8);
-            let count = b.ins().iconst(types::I64, 1);
-            b.ins().store(FLAGS, count, args, offset_of!(Args, saturated) as i32);
-        });
-        assert_eq!(end, Ok(()));
-    }
-
-    #[test]
-    fn planted_addresses_are_refused() {
-        type Plant = fn(&mut FunctionBuilder<'_>, Value, Value);
-        let plants: [(&str, Plant); 12] = [
-            ("a constant address", |b, _, _| {
-                let address = b.ins().iconst(types::I64, 4096);
-                b.ins().load(types::F64, FLAGS, address, 0);
-            }),
-            ("beyond the record", |b, _, record| {
-                b.ins().load(types::F64X2, FLAGS, record, 24);
-            }),
-            ("before the record", |b, _, record| {
-                b.ins().load(types::F64, FLAGS, record, -8);
-            }),
-            ("beyond the argument block", |b, args, _| {
-                b.ins().load(types::I64, FLAGS, args, size_of::<Args>() as i32 - 4);
-            }),
-            ("beyond the inputs", |b, args, _| {
-                let inputs = pointer(b, args, offset_of!(Args, inputs));
-                b.ins().load(types::F64, FLAGS, inputs, 24);
-            }),
-            ("beyond the outputs", |b, args, _| {
-                let outputs = pointer(b, args, offset_of!(Args, outputs));
-                let number = b.ins().f64const(0.0);
-                b.ins().store(FLAGS, number, outputs, 16);
-            }),
-            ("a pointer overwritten", |b, args, _| {
-                b.ins().store(FLAGS, args, args, offset_of!(Args, inputs) as i32);
-            }),
-            ("a raw pixel overwritten", |b, args, _| {
-                let planes = pointer(b, args, offset_of!(Args, planes));
-                let first = b.ins().load(types::I64, FLAGS, planes, 0);
-                b.ins().store(FLAGS, args, first, 0);
-            }),
-            ("a number as an address", |b, args, _| {
-                let width = pointer(b, args, offset_of!(Args, width));
-                b.ins().load(types::F64, FLAGS, width, 0);
-            }),
-            ("half of a pointer overwritten", |b, args, record| {
-                let inputs = pointer(b, args, offset_of!(Args, inputs));
-                b.ins().store(FLAGS, inputs, record, 8);
-                let number = b.ins().f64const(0.0);
-                b.ins().store(FLAGS, number, record, 12);
-                let inputs = b.ins().load(types::I64, FLAGS, record, 8);
-                b.ins().load(types::F64, FLAGS, inputs, 0);
-            }),
-            ("a pointer that may be another", |b, args, record| {
-                let either = b.ins().select(args, args, record);
-                b.ins().load(types::F64, FLAGS, either, 0);
-            }),
-            ("a call of a pixel", |b, args, _| {
-                let planes = pointer(b, args, offset_of!(Args, planes));
-                let first = b.ins().load(types::I64, FLAGS, planes, 0);
-                let convention = cranelift_codegen::isa::CallConv::SystemV;
-                let signature = b.import_signature(cranelift_codegen::ir::Signature::new(convention));
-                b.ins().call_indirect(signature, first, &[]);
-            }),
-        ];
-        for (what, plant) in plants {
-            let end = verdict(plant);
-            assert!(end.as_ref().is_err_and(|error| error.contains("leaves the kernel's memory")), "{what}: {end:?}");
-        }
     }
 }

@@ -1,0 +1,121 @@
+//! What is known of a value that may be an address: where it points, or which numbers it may be.
+
+use cranelift_codegen::ir::StackSlot;
+use smallvec::SmallVec;
+
+/// A place that an address may come from.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Base {
+    Record(StackSlot),
+    Args,
+    Inputs,
+    Outputs,
+    Functions,
+    Planes,
+    /// Of a raw plane; without a known distance.
+    Pixels,
+    /// Of the output plane; without a known distance.
+    Target,
+}
+
+/// The numbers that a value may be; `None`: any. Few at a time: rows use two areas of the record by turns.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(super) struct Numbers(pub Option<SmallVec<[i64; NUMBERS_MAX]>>);
+
+/// More numbers than these are taken for any.
+pub(super) const NUMBERS_MAX: usize = 8;
+
+impl Numbers {
+    pub const ANY: Numbers = Numbers(None);
+
+    pub fn one(number: i64) -> Numbers {
+        Numbers(Some(SmallVec::from_slice(&[number])))
+    }
+
+    pub fn of(numbers: impl Iterator<Item = Option<i64>>) -> Numbers {
+        let mut all = SmallVec::new();
+        for number in numbers {
+            let Some(number) = number else { return Numbers::ANY };
+            if !all.contains(&number) {
+                if all.len() == NUMBERS_MAX {
+                    return Numbers::ANY;
+                }
+                all.push(number);
+            }
+        }
+        all.sort_unstable();
+        Numbers(Some(all))
+    }
+
+    pub fn or(&self, other: &Numbers) -> Numbers {
+        match (&self.0, &other.0) {
+            (Some(a), Some(b)) => Numbers::of(a.iter().chain(b).copied().map(Some)),
+            _ => Numbers::ANY,
+        }
+    }
+
+    /// What an operation makes of each pair; `None` from it: any number.
+    pub fn with(&self, other: &Numbers, operation: impl Fn(i64, i64) -> Option<i64>) -> Numbers {
+        match (&self.0, &other.0) {
+            (Some(a), Some(b)) => Numbers::of(a.iter().flat_map(|a| b.iter().map(|b| operation(*a, *b)))),
+            _ => Numbers::ANY,
+        }
+    }
+}
+
+/// What a value is.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(super) enum Origin {
+    /// No address.
+    Number(Numbers),
+    /// So many bytes behind a base. Distances that are not known are those of pixels.
+    At(Base, Numbers),
+    /// From the table of functions.
+    Callee,
+}
+
+pub(super) const NUMBER: Origin = Origin::Number(Numbers::ANY);
+
+impl Origin {
+    pub fn at(base: Base, distance: i64) -> Origin {
+        Origin::At(base, Numbers::one(distance))
+    }
+
+    /// A distance that nobody knows is allowed among pixels only.
+    pub fn behind(base: Base, distance: Numbers) -> Origin {
+        match (base, distance) {
+            (Base::Pixels | Base::Target, _) => Origin::At(base, Numbers::ANY),
+            (_, Numbers::ANY) => NUMBER,
+            (base, distance) => Origin::At(base, distance),
+        }
+    }
+
+    /// What a value is that may be either.
+    pub fn or(&self, other: &Origin) -> Origin {
+        match (self, other) {
+            (Origin::Number(a), Origin::Number(b)) => Origin::Number(a.or(b)),
+            (Origin::At(base, a), Origin::At(other, b)) if base == other => Origin::behind(*base, a.or(b)),
+            (Origin::Callee, Origin::Callee) => Origin::Callee,
+            _ => NUMBER,
+        }
+    }
+
+    pub fn plus(&self, other: &Origin) -> Origin {
+        match (self, other) {
+            (Origin::Number(a), Origin::Number(b)) => Origin::Number(a.with(b, i64::checked_add)),
+            (Origin::At(base, at), Origin::Number(n)) | (Origin::Number(n), Origin::At(base, at)) => {
+                Origin::behind(*base, at.with(n, i64::checked_add))
+            }
+            _ => NUMBER,
+        }
+    }
+
+    pub fn shifted(&self, bits: &Origin) -> Origin {
+        let shift =
+            |n: i64, bits: i64| u32::try_from(bits).ok().and_then(|bits| n.checked_mul(1_i64.checked_shl(bits)?));
+        match (self, bits) {
+            (Origin::Number(a), Origin::Number(bits)) => Origin::Number(a.with(bits, shift)),
+            _ => NUMBER,
+        }
+    }
+}
