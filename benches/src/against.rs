@@ -12,10 +12,10 @@ use crate::{appendix, text};
 /// Subsets of the parameters: a name for functions, one for tables, the parameters, and how many times faster than the
 /// unfactored derivative in C the kernel is asked to be.
 pub const SUBSETS: [(&str, &str, &str, f64); 4] = [
-    ("b", "b", "bx,by", 2.2),
-    ("a", "a", "a1,a2,a3", 2.0),
-    ("a_b", "a, b", "bx,by,a1,a2,a3", 3.9),
-    ("a_b_v", "a, b, v", "bx,by,a1,a2,a3,v0,v1", 3.0),
+    ("spot_b", "b", "bx,by", 2.2),
+    ("spot_a", "a", "a1,a2,a3", 2.0),
+    ("spot_ab", "a, b", "bx,by,a1,a2,a3", 3.9),
+    ("spot_abv", "a, b, v", "bx,by,a1,a2,a3,v0,v1", 3.0),
 ];
 
 /// What was measured for one subset.

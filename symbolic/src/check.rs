@@ -5,6 +5,7 @@
 //! Checked: operands come first and are readable at their reader's level; each operation stands at a level that has it;
 //! numbers and truth values are not mixed up; every index (input, channel, accumulator, total, coordinate) exists.
 
+use crate::limits::LIMITS;
 use crate::program::{Input, Instruction, Level, Names, Op, PixelSet, Program, Sink, Value};
 
 /// A program that was not derived from a document.
@@ -67,6 +68,9 @@ struct Parts<'a> {
 
 impl Parts<'_> {
     fn check(&self) -> Result<(), String> {
+        if self.coordinates > LIMITS.coordinates {
+            return Err(format!("{} coordinates are more than {}", self.coordinates, LIMITS.coordinates));
+        }
         let mut truths = Vec::with_capacity(self.instructions.len());
         for (at, instruction) in self.instructions.iter().enumerate() {
             let truth = self.instruction(at, instruction, &truths)?;

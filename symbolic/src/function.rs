@@ -36,7 +36,7 @@ pub enum Function2 {
 }
 
 impl Function1 {
-    /// Every function, in the order of the numeric value; `table()[f as usize]` is its code.
+    /// Every function, in the order of the numeric value.
     pub const ALL: [Function1; 12] = {
         use Function1::*;
         [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf]

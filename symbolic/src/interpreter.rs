@@ -172,7 +172,10 @@ pub fn run(
     window: Window,
     plane: Option<&mut [f32]>,
 ) -> Outcome {
-    run_in_lanes(program, precision, precision.lanes(), bindings, pixels, window, plane).unwrap_or_default()
+    match precision {
+        Precision::F32 => run_lanes::<f32, 4>(program, bindings, pixels, window, plane),
+        Precision::F64 => run_lanes::<f64, 2>(program, bindings, pixels, window, plane),
+    }
 }
 
 /// The same with another number of lanes, which exported source may have: 1, 2, 4, 8 or 16; `None` for any other.

@@ -98,6 +98,8 @@ struct Origins<'a> {
 
 /// The size of an address.
 const ADDRESS_BYTES: i64 = 8;
+/// What a called function reads and writes at an address.
+const VECTOR_BYTES: i64 = 16;
 
 impl Origins<'_> {
     fn of(&self, value: Value) -> Option<Origin> {
@@ -189,7 +191,7 @@ impl Origins<'_> {
                 .find(|(offset, _)| *offset as i64 == at)
                 .map_or(NUMBER, |(_, base)| Origin::at(*base, 0)),
             Base::Planes if at.rem_euclid(planes) == offset_of!(PlaneArgs, first) as i64 => Origin::at(Base::Pixels, 0),
-            Base::Functions => Origin::Callee,
+            Base::Functions if at % ADDRESS_BYTES == 0 => Origin::Callee,
             Base::Record(slot) => {
                 let found = self.overlapping(slot, at, ADDRESS_BYTES);
                 let found = found.map(|(from, origin)| if from == at { origin.clone() } else { NUMBER });
@@ -230,6 +232,21 @@ impl Origins<'_> {
         news
     }
 
+    /// A function of the table, which is given numbers, or addresses of vectors in the record that are no pointers.
+    fn is_call_allowed(&self, arguments: &[Value]) -> bool {
+        let Some((callee, given)) = arguments.split_first() else { return false };
+        let is_vector = |value: &Value| match self.of(*value) {
+            Some(Origin::At(Base::Record(slot), Numbers(Some(at)))) => at.iter().all(|at| {
+                let size = i64::from(self.function.sized_stack_slots[slot].size);
+                let free = self.overlapping(slot, *at, VECTOR_BYTES).all(|(_, kept)| matches!(kept, Origin::Number(_)));
+                *at >= 0 && at + VECTOR_BYTES <= size && free
+            }),
+            _ => false,
+        };
+        let is_wide = |value: &&Value| self.function.dfg.value_type(**value) == types::I64;
+        self.of(*callee) == Some(Origin::Callee) && given.iter().filter(is_wide).all(is_vector)
+    }
+
     /// Whether a store writes a 64-bit integer.
     fn is_integer(&self, instruction: Inst) -> bool {
         let dfg = &self.function.dfg;
@@ -252,10 +269,7 @@ impl Origins<'_> {
                 (address, offset, dfg.value_type(value).bytes(), true)
             }
             InstructionData::CallIndirect { .. } => {
-                return dfg
-                    .inst_args(instruction)
-                    .first()
-                    .is_some_and(|callee| self.of(*callee) == Some(Origin::Callee));
+                return self.is_call_allowed(dfg.inst_args(instruction));
             }
             _ => return true,
         };

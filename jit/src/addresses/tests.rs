@@ -30,6 +30,21 @@ fn pointer(b: &mut FunctionBuilder<'_>, args: Value, field: usize) -> Value {
     b.ins().load(types::I64, FLAGS, args, field as i32)
 }
 
+/// Calls what may be a function with what may be a vector.
+fn call(b: &mut FunctionBuilder<'_>, callee: Value, vector: Value) {
+    let mut signature = cranelift_codegen::ir::Signature::new(cranelift_codegen::isa::CallConv::SystemV);
+    signature.params.push(AbiParam::new(types::I64));
+    let signature = b.import_signature(signature);
+    b.ins().call_indirect(signature, callee, &[vector]);
+}
+
+/// Calls the first function of the table.
+fn call_with(b: &mut FunctionBuilder<'_>, args: Value, vector: Value) {
+    let functions = pointer(b, args, offset_of!(Args, functions));
+    let callee = b.ins().load(types::I64, FLAGS, functions, 0);
+    call(b, callee, vector);
+}
+
 #[test]
 fn what_kernels_do_passes() {
     let end = verdict(|b, args, record| {
@@ -52,6 +67,8 @@ fn what_kernels_do_passes() {
         b.switch_to_block(after);
         let outputs = pointer(b, args, offset_of!(Args, outputs));
         b.ins().store(FLAGS, number, outputs, 8);
+        let vector = b.ins().iadd_imm_s(record, 16);
+        call_with(b, args, vector);
         let count = b.ins().iconst(types::I64, 1);
         b.ins().store(FLAGS, count, args, offset_of!(Args, saturated) as i32);
     });
@@ -61,7 +78,7 @@ fn what_kernels_do_passes() {
 #[test]
 fn planted_addresses_are_refused() {
     type Plant = fn(&mut FunctionBuilder<'_>, Value, Value);
-    let plants: [(&str, Plant); 12] = [
+    let plants: [(&str, Plant); 15] = [
         ("a constant address", |b, _, _| {
             let address = b.ins().iconst(types::I64, 4096);
             b.ins().load(types::F64, FLAGS, address, 0);
@@ -108,12 +125,20 @@ fn planted_addresses_are_refused() {
             let either = b.ins().select(args, args, record);
             b.ins().load(types::F64, FLAGS, either, 0);
         }),
+        ("a call that is given the argument block", |b, args, _| call_with(b, args, args)),
+        ("a call that is given the record's end", |b, args, record| {
+            let end = b.ins().iadd_imm_s(record, 24);
+            call_with(b, args, end);
+        }),
+        ("a call of half an address", |b, args, record| {
+            let functions = pointer(b, args, offset_of!(Args, functions));
+            let callee = b.ins().load(types::I64, FLAGS, functions, 4);
+            call(b, callee, record);
+        }),
         ("a call of a pixel", |b, args, _| {
             let planes = pointer(b, args, offset_of!(Args, planes));
             let first = b.ins().load(types::I64, FLAGS, planes, 0);
-            let convention = cranelift_codegen::isa::CallConv::SystemV;
-            let signature = b.import_signature(cranelift_codegen::ir::Signature::new(convention));
-            b.ins().call_indirect(signature, first, &[]);
+            call(b, first, args);
         }),
     ];
     for (what, plant) in plants {

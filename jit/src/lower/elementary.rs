@@ -84,11 +84,7 @@ impl Emitter<'_, '_> {
         let low = operands.map(|x| self.b.ins().fvpromote_low(x));
         let low = emit(self, low);
         let high = operands.map(|x| {
-            let bytes: Vec<u8> = (8..16).chain(8..16).collect();
-            let mask = self.b.func.dfg.immediates.push(bytes.into());
-            let x = self.cast(types::I8X16, x);
-            let high = self.b.ins().shuffle(x, x, mask);
-            let high = self.cast(types::F32X4, high);
+            let high = self.upper(x);
             self.b.ins().fvpromote_low(high)
         });
         let high = emit(self, high);

@@ -53,7 +53,7 @@ pub(super) struct Emitter<'a, 'p> {
     /// Accumulators at the end of the row; `None` where the record has it.
     pub sums: Vec<Option<ir::Value>>,
     /// Of the row, by channel: the window's first pixel and, where pixels have gaps, the pixel stride.
-    pub rows: Vec<Option<(ir::Value, ir::Value)>>,
+    pub rows: Vec<Option<(ir::Value, Option<ir::Value>)>>,
     /// The row of the output plane.
     pub target: Option<ir::Value>,
     /// The addresses of the rows' areas.

@@ -6,7 +6,6 @@ use isophote_symbolic::{Level, Op, PixelSet, Precision, Sink, Value};
 
 use super::emit::Emitter;
 use super::running::{Running, vector};
-use super::scalar::condition;
 use super::{Row, with};
 
 /// One group while it is emitted.
@@ -146,19 +145,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let operands: Vec<ir::Value> = op.operands().map(|v| self.operand(v)).collect();
         let at = |i: usize| operands[i];
         let emit = &mut *self.emit;
+        if let Some(result) = emit.arithmetic(op, &operands) {
+            return result;
+        }
         match op {
             Op::Const(x) => vector(emit, |_| x),
-            Op::Neg(_) => emit.b.ins().fneg(at(0)),
-            Op::Abs(_) => emit.b.ins().fabs(at(0)),
-            Op::Sqrt(_) => emit.b.ins().sqrt(at(0)),
-            Op::Add(..) => emit.b.ins().fadd(at(0), at(1)),
-            Op::Sub(..) => emit.b.ins().fsub(at(0), at(1)),
-            Op::Mul(..) => emit.b.ins().fmul(at(0), at(1)),
-            Op::Div(..) => emit.b.ins().fdiv(at(0), at(1)),
-            Op::Fma(..) => emit.b.ins().fma(at(0), at(1), at(2)),
-            Op::Compare(comparison, ..) => emit.b.ins().fcmp(condition(comparison), at(0), at(1)),
-            Op::And(..) => emit.b.ins().band(at(0), at(1)),
-            Op::Or(..) => emit.b.ins().bor(at(0), at(1)),
             Op::Not(_) => emit.b.ins().bnot(at(0)),
             Op::Select(..) => {
                 let kind = emit.b.func.dfg.value_type(at(1));

@@ -50,8 +50,10 @@ impl Emitter<'_, '_> {
         for (channel, slot) in self.plan.rows.iter().enumerate() {
             let Some(slot) = slot else { continue };
             let row = self.load(types::I64, *slot);
-            let planes = self.arg(types::I64, arg::PLANES);
-            let stride = self.plane_field(planes, channel, offset_of!(PlaneArgs, pixel_stride));
+            let stride = (!self.options.packed).then(|| {
+                let planes = self.arg(types::I64, arg::PLANES);
+                self.plane_field(planes, channel, offset_of!(PlaneArgs, pixel_stride))
+            });
             self.rows[channel] = Some((row, stride));
         }
         if let Sink::Plane(_) = self.plan.program.sink() {
@@ -63,12 +65,12 @@ impl Emitter<'_, '_> {
     pub fn channel(&mut self, channel: usize, first: ir::Value) -> ir::Value {
         let Some((row, stride)) = self.rows[channel] else { unreachable!("open_row comes first") };
         let format = self.options.formats[channel];
-        if self.options.packed {
+        let Some(stride) = stride else {
             let bytes = format.bytes_per_pixel();
             let across = self.b.ins().ishl_imm_s(first, i64::from(bytes.trailing_zeros()));
             let address = self.b.ins().iadd(row, across);
             return self.packed(format, address);
-        }
+        };
         let across = self.b.ins().imul(first, stride);
         let mut address = self.b.ins().iadd(row, across);
         let mut addresses = vec![address];

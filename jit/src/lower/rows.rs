@@ -9,7 +9,6 @@ use isophote_symbolic::{Level, Op, Precision, Value};
 
 use super::emit::{Emitter, Form, MAGIC, arg};
 use super::running::vector;
-use super::scalar::condition;
 use crate::abi::Functions;
 use crate::plan::Home;
 
@@ -62,20 +61,12 @@ impl Emitter<'_, '_> {
 
     fn pair_op(&mut self, op: Op) -> ir::Value {
         let operands: Vec<ir::Value> = self.commuted(op, Level::Row).operands().map(|v| self.both(v)).collect();
+        if let Some(result) = self.arithmetic(op, &operands) {
+            return result;
+        }
         let at = |i: usize| operands[i];
         match op {
             Op::Const(x) => self.pair(x),
-            Op::Neg(_) => self.b.ins().fneg(at(0)),
-            Op::Abs(_) => self.b.ins().fabs(at(0)),
-            Op::Sqrt(_) => self.b.ins().sqrt(at(0)),
-            Op::Add(..) => self.b.ins().fadd(at(0), at(1)),
-            Op::Sub(..) => self.b.ins().fsub(at(0), at(1)),
-            Op::Mul(..) => self.b.ins().fmul(at(0), at(1)),
-            Op::Div(..) => self.b.ins().fdiv(at(0), at(1)),
-            Op::Fma(..) => self.b.ins().fma(at(0), at(1), at(2)),
-            Op::Compare(comparison, ..) => self.b.ins().fcmp(condition(comparison), at(0), at(1)),
-            Op::And(..) => self.b.ins().band(at(0), at(1)),
-            Op::Or(..) => self.b.ins().bor(at(0), at(1)),
             Op::Not(_) => self.b.ins().bnot(at(0)),
             Op::Select(..) => {
                 let kind = self.b.func.dfg.value_type(at(1));

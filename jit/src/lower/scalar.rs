@@ -9,7 +9,7 @@ use crate::abi::Functions;
 use crate::plan::Home;
 
 /// The condition code of a comparison.
-pub(super) fn condition(comparison: Comparison) -> FloatCC {
+fn condition(comparison: Comparison) -> FloatCC {
     match comparison {
         Comparison::Lt => FloatCC::LessThan,
         Comparison::Le => FloatCC::LessThanOrEqual,
@@ -85,20 +85,12 @@ impl<'p> Emitter<'_, 'p> {
     fn scalar_op(&mut self, op: Op, level: Level) -> ir::Value {
         let op = self.commuted(op, level);
         let operands: Vec<ir::Value> = op.operands().map(|v| self.scalar(v, level)).collect();
+        if let Some(result) = self.arithmetic(op, &operands) {
+            return result;
+        }
         let at = |i: usize| operands[i];
         match op {
             Op::Const(x) => self.constant(x),
-            Op::Neg(_) => self.b.ins().fneg(at(0)),
-            Op::Abs(_) => self.b.ins().fabs(at(0)),
-            Op::Sqrt(_) => self.b.ins().sqrt(at(0)),
-            Op::Add(..) => self.b.ins().fadd(at(0), at(1)),
-            Op::Sub(..) => self.b.ins().fsub(at(0), at(1)),
-            Op::Mul(..) => self.b.ins().fmul(at(0), at(1)),
-            Op::Div(..) => self.b.ins().fdiv(at(0), at(1)),
-            Op::Fma(..) => self.b.ins().fma(at(0), at(1), at(2)),
-            Op::Compare(comparison, ..) => self.b.ins().fcmp(condition(comparison), at(0), at(1)),
-            Op::And(..) => self.b.ins().band(at(0), at(1)),
-            Op::Or(..) => self.b.ins().bor(at(0), at(1)),
             Op::Not(_) => self.b.ins().bxor_imm_s(at(0), 1),
             Op::Select(..) => self.b.ins().select(at(0), at(1), at(2)),
             Op::Call1(f, _) => self.call_scalar(Functions::scalar1(f), Form::Scalar1, &operands),
@@ -112,10 +104,28 @@ impl<'p> Emitter<'_, 'p> {
                 let count = self.known(self.count);
                 self.b.ins().fcvt_from_sint(types::F64, count)
             }
-            Op::Input(_) | Op::Outer(_) | Op::Offset(_) | Op::Channel(_) => {
-                unreachable!("the check refuses them at this level")
-            }
+            _ => unreachable!("the check refuses other instructions at this level"),
         }
+    }
+
+    /// What is the same for single numbers and for vectors, truth values being what comparisons of them give.
+    pub fn arithmetic(&mut self, op: Op, operands: &[ir::Value]) -> Option<ir::Value> {
+        let at = |i: usize| operands[i];
+        let ins = self.b.ins();
+        Some(match op {
+            Op::Neg(_) => ins.fneg(at(0)),
+            Op::Abs(_) => ins.fabs(at(0)),
+            Op::Sqrt(_) => ins.sqrt(at(0)),
+            Op::Add(..) => ins.fadd(at(0), at(1)),
+            Op::Sub(..) => ins.fsub(at(0), at(1)),
+            Op::Mul(..) => ins.fmul(at(0), at(1)),
+            Op::Div(..) => ins.fdiv(at(0), at(1)),
+            Op::Fma(..) => ins.fma(at(0), at(1), at(2)),
+            Op::Compare(comparison, ..) => ins.fcmp(condition(comparison), at(0), at(1)),
+            Op::And(..) => ins.band(at(0), at(1)),
+            Op::Or(..) => ins.bor(at(0), at(1)),
+            _ => return None,
+        })
     }
 
     /// Sums and products with what comes from memory as the second operand: that is the one an instruction may fetch.

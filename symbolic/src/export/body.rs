@@ -39,14 +39,7 @@ pub(super) struct Statements<'a> {
 impl<'a> Statements<'a> {
     pub fn new(source: &'a Source<'a>) -> Statements<'a> {
         let program = source.program;
-        let mut truths: Vec<bool> = Vec::new();
-        for instruction in program.instructions() {
-            truths.push(match instruction.op {
-                Op::Compare(..) | Op::And(..) | Op::Or(..) | Op::Not(_) => true,
-                Op::Select(_, a, _) => truths[a.index()],
-                _ => false,
-            });
-        }
+        let truths = (0..program.instructions().len() as u32).map(|i| program.is_truth(Value(i))).collect();
         let contractions = program.contractions();
         let live = live(program, &contractions);
         Statements { source, words: Words::of(program), live, truths, contractions }
@@ -116,7 +109,7 @@ impl<'a> Statements<'a> {
     fn leaf(&self, op: Op) -> Option<String> {
         let rust = self.source.options.language == Language::Rust;
         let double = |text: &str| if rust { format!("{text} as f64") } else { format!("(double){text}") };
-        let outer = |c: CoordinateId| ["", "row", "slice", "volume"].get(c.index()).copied().unwrap_or_default();
+        let outer = |c: CoordinateId| ["column", "row", "slice", "volume"][c.index()];
         Some(match op {
             Op::Input(i) => format!("inputs[{}]", i.index()),
             Op::Outer(c) => double(&format!("(window.first[{}] + {})", c.index(), outer(c))),

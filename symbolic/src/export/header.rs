@@ -5,7 +5,9 @@ use crate::program::{Input, Op, Precision, Sink};
 
 /// Text of a document that stands in a comment of C or Rust: it cannot end the comment, nor start another.
 pub(super) fn comment(text: &str) -> String {
-    let printable = |c: char| if c.is_control() { ' ' } else { c };
+    // Marks that turn the direction of writing make compilers refuse a file.
+    let turns = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let printable = |c: char| if c.is_control() || turns(c) { ' ' } else { c };
     let mut words: String =
         text.chars().map(printable).collect::<String>().split_whitespace().collect::<Vec<_>>().join(" ");
     for pair in ["*/", "/*", "??"] {
@@ -99,10 +101,10 @@ mod tests {
 
     #[test]
     fn no_text_leaves_its_comment() {
-        for text in ["a */ b", "**//", "/*/ x", "??/\n\\", "a\n#include <b>\\", "*\u{7}/"] {
+        for text in ["a */ b", "**//", "/*/ x", "??/\n\\", "a\n#include <b>\\", "*\u{7}/", "*\u{202e}/"] {
             let made = comment(text);
             assert!(!made.contains("*/") && !made.contains("/*") && !made.contains("??"), "{made}");
-            assert!(!made.contains('\n') && !made.ends_with('\\'), "{made}");
+            assert!(!made.contains('\n') && !made.ends_with('\\') && !made.contains('\u{202e}'), "{made}");
         }
         assert_eq!(comment("X' *\n A"), "X' * A");
     }

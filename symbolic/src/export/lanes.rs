@@ -225,15 +225,13 @@ impl Lanes<'_> {
         }
         if let Some(saturated) = set.saturated {
             let saturated = self.read(saturated);
-            let (mut all, mut left) =
-                (saturated.clone(), self.vectors.operation(Op::Not(Value(0)), true, &|_| saturated.clone()));
-            if let Some(used) = &used {
-                all = self.vectors.both(used, &saturated);
-                left = Some(self.vectors.without(&saturated, used));
-            }
+            let (all, left) = match &used {
+                Some(used) => (self.vectors.both(used, &saturated), self.vectors.without(&saturated, used)),
+                None => (saturated.clone(), self.vectors.not(&saturated)),
+            };
             file.line(&format!("let out = {all};"));
             file.line(&format!("saturated += u64::from({});", self.vectors.count("out")));
-            file.line(&format!("let used = {};", left.unwrap_or_default()));
+            file.line(&format!("let used = {left};"));
             used = Some("used".into());
         }
         if set.mask.is_some() || set.saturated.is_some() {

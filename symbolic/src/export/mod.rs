@@ -102,8 +102,11 @@ pub enum ExportError {
         given: usize,
     },
     /// Not a name in both languages.
-    #[error("`{0}` cannot be a function's name: small letters, digits and `_`, no digit first, no word of C or Rust")]
+    #[error("`{0}` cannot be a function's name: small letters, digits and at least one `_`, a letter first")]
     Name(String),
+    /// A program that another model made, or none.
+    #[error("the program is not one of the model `{0}`")]
+    Foreign(String),
     /// Vectors that are not written.
     #[error("{lanes} lanes of {precision} are not written in {language:?}; Rust has 1, 4, 8 and 16 of f32, C and f64 have 1", precision = if *.precision == Precision::F32 { "f32" } else { "f64" })]
     Lanes {
@@ -124,6 +127,9 @@ impl Model {
     pub fn export(&self, program: &Program, options: &ExportOptions) -> Result<String, ExportError> {
         if options.pixels.len() != program.channels() {
             return Err(ExportError::Channels { channels: program.channels(), given: options.pixels.len() });
+        }
+        if *program.names() != self.names(program.names().outputs.clone()) {
+            return Err(ExportError::Foreign(self.name().to_string()));
         }
         let name = options.name.clone().unwrap_or_else(|| format!("isophote_{}", self.name().replace('-', "_")));
         if !names::is_function_name(&name) {

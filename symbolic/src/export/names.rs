@@ -13,9 +13,10 @@ const TAKEN: &str = "auto break case char const continue default do double else 
     window inputs sums out plane row slice volume start end count lo hi first last distance at pixels saturated row_pixels x_first \
     i i64 u64 f64 f32 usize u8 u16 core std";
 
-/// True for what may name a function: it is written into both languages and onto file systems.
+/// True for what may name a function: it is written into both languages and onto file systems. An underscore keeps it apart
+/// from the functions of both languages' libraries and from those of the file.
 pub(super) fn is_function_name(name: &str) -> bool {
-    let word = name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
+    let word = name.contains('_') && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
     word && name.starts_with(|c: char| c.is_ascii_lowercase()) && name.len() <= 128 && !is_taken(name)
 }
 
@@ -23,6 +24,18 @@ fn is_taken(name: &str) -> bool {
     TAKEN.split_whitespace().any(|word| word == name)
         || crate::function::Function1::named(name).is_some()
         || ["sqrt", "abs", "fabs", "pow", "atan2", "fma", "rint", "signal", "raise"].contains(&name)
+}
+
+/// A name of the document as a word. The languages and their libraries have many words, but few of up to three small letters
+/// and digits, and those are [`TAKEN`]; none of theirs or ours ends in an underscore.
+fn worded(name: &str) -> String {
+    let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    let mut word: String = name.chars().map(letter).collect();
+    let is_short = word.len() <= 3 && word.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit());
+    if !is_short || !word.starts_with(|c: char| c.is_ascii_lowercase()) {
+        word.push('_');
+    }
+    if word.starts_with('_') { format!("p{word}") } else { word }
 }
 
 /// Words of ours carry a number behind one of these.
@@ -51,17 +64,17 @@ impl Words {
             word
         };
         let names = program.names();
-        let channels: Vec<String> = names.channels.iter().map(|name| take(name.clone())).collect();
-        let planes = names.channels.iter().map(|name| take(format!("{name}_plane"))).collect();
+        let channels: Vec<String> = names.channels.iter().map(|name| take(worded(name))).collect();
+        let planes = names.channels.iter().map(|name| take(format!("{}_plane", worded(name)))).collect();
         let input = |input: &Input| match *input {
-            Input::Parameter(p) => names.parameters[p.index()].clone(),
-            Input::Entry(p) => format!("{}_entry", names.parameters[p.index()]),
-            Input::Constant(c) => names.constants[c.index()].clone(),
-            Input::Saturation(c) => format!("{}_limit", names.channels[c.index()]),
-            Input::Shift(c) => format!("{}_shift", names.coordinates[c.index()]),
+            Input::Parameter(p) => worded(&names.parameters[p.index()]),
+            Input::Entry(p) => format!("{}_entry", worded(&names.parameters[p.index()])),
+            Input::Constant(c) => worded(&names.constants[c.index()]),
+            Input::Saturation(c) => format!("{}_limit", worded(&names.channels[c.index()])),
+            Input::Shift(c) => format!("{}_shift", worded(&names.coordinates[c.index()])),
         };
         let inputs: Vec<String> = program.inputs().iter().map(|i| take(input(i))).collect();
-        let coordinates: Vec<String> = names.coordinates.iter().map(|name| take(name.clone())).collect();
+        let coordinates: Vec<String> = names.coordinates.iter().map(|name| take(worded(name))).collect();
         let mut seen = BTreeSet::new();
         let value = |(i, op): (usize, Op)| {
             let word = match op {
@@ -88,11 +101,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn names_that_could_be_words_end_in_an_underscore() {
+        let names = ["bx", "phi", "nearest", "None", "_", "a²", "read_noise", "NAN", "sqrtf"];
+        let words = ["bx", "phi", "nearest_", "None_", "p__", "a__", "read_noise_", "NAN_", "sqrtf_"];
+        assert_eq!(names.map(worded), words);
+    }
+
+    #[test]
     fn words_of_the_languages_and_ours_are_refused() {
-        for word in ["double", "fn", "exp", "sqrt", "window", "", "9a", "A", "a-b", "a b", "ä"] {
+        for word in ["double", "fn", "exp", "round", "nearest", "window", "", "9_a", "A_", "a-b_", "a b_", "ä_"] {
             assert!(!is_function_name(word), "{word}");
         }
-        assert!(is_function_name("isophote_9") && is_function_name("spot"));
+        assert!(is_function_name("isophote_9") && is_function_name("my_spot"));
         assert!(
             is_numbered("t1")
                 && is_numbered("sum20")

@@ -24,6 +24,10 @@ impl Spelling {
 
     /// A number, rounded to the place's arithmetic.
     pub fn literal(self, value: f64) -> String {
+        let value = match self.real {
+            Precision::F32 => f64::from(value as f32),
+            Precision::F64 => value,
+        };
         if value.is_nan() || value.is_infinite() {
             let sign = if value < 0.0 { "-" } else { "" };
             return match (self.language, value.is_nan()) {
@@ -69,9 +73,10 @@ impl Spelling {
     /// A number of the place as f64.
     pub fn widened(self, name: &str) -> String {
         match (self.language, self.real) {
-            (_, Precision::F64) => name.to_string(),
-            (Language::C, _) => format!("(double){name}"),
-            (Language::Rust, _) => format!("f64::from({name})"),
+            (Language::C, Precision::F64) => name.to_string(),
+            (Language::C, Precision::F32) => format!("(double){name}"),
+            (Language::Rust, Precision::F64) => self.receiver(name),
+            (Language::Rust, Precision::F32) => format!("f64::from({})", self.receiver(name)),
         }
     }
 
@@ -124,8 +129,7 @@ impl Spelling {
             Op::Call1(f, x) => self.elementary(f, &a(x)),
             Op::Call2(f, x, y) => self.elementary2(f, &a(x), &a(y)),
             // Leaves are written where their values come from.
-            Op::Const(_) | Op::Input(_) | Op::Outer(_) | Op::Offset(_) | Op::Channel(_) => String::new(),
-            Op::RowTotal(_) | Op::RowCount | Op::PassTotal(_) | Op::PassCount => String::new(),
+            _ => unreachable!("a leaf reads no values"),
         }
     }
 

@@ -59,6 +59,11 @@ impl Vectors {
         if self.has_masks() { format!("{a} & {b}") } else { self.call("and_ps", &[a, b]) }
     }
 
+    /// Where it does not hold.
+    pub fn not(self, truth: &str) -> String {
+        if self.has_masks() { format!("!{truth}") } else { self.call("xor_ps", &[truth, &self.splat_truth("true")]) }
+    }
+
     /// The second where the first does not hold.
     pub fn without(self, a: &str, b: &str) -> String {
         if self.has_masks() { format!("!{a} & {b}") } else { self.call("andnot_ps", &[a, b]) }
@@ -141,8 +146,7 @@ impl Vectors {
             Op::And(x, y) => self.both(&a(x), &a(y)),
             Op::Or(x, y) if self.has_masks() => format!("{} | {}", a(x), a(y)),
             Op::Or(x, y) => of("or_ps", &[x, y]),
-            Op::Not(x) if self.has_masks() => format!("!{}", a(x)),
-            Op::Not(x) => self.call("xor_ps", &[&a(x), &self.splat_truth("true")]),
+            Op::Not(x) => self.not(&a(x)),
             Op::Select(c, x, y) => match (self.has_masks(), truths) {
                 (true, true) => format!("({0} & {1}) | (!{0} & {2})", a(c), a(x), a(y)),
                 (true, false) => format!("_mm512_mask_blend_ps({}, {}, {})", a(c), a(y), a(x)),

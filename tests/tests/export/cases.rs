@@ -9,10 +9,8 @@ use isophote_tests::repository;
 
 /// Pixels of a plane along each coordinate.
 pub const SIZE: [usize; 4] = [29, 23, 4, 3];
-/// The window: the first pixel along each coordinate, and how many.
-pub const FIRST: [usize; 4] = [1, 2, 1, 1];
-/// See [`FIRST`].
-pub const COUNT: [usize; 4] = [27, 19, 2, 2];
+/// Widths of windows about the middle, by turns: some narrower than a group of pixels.
+const WIDTHS: [usize; 5] = [27, 9, 5, 3, 1];
 /// The value from which on a pixel is saturated.
 const LIMIT: f64 = 200.0;
 
@@ -37,8 +35,26 @@ pub struct Outcome {
     pub counts: [u64; 2],
 }
 
+/// Names that the languages and the exported text have as well, numbers beyond f32, functions of numbers.
+const AWKWARD: &str = r#"
+name = "awkward"
+description = "*/ // \u202e turned"
+coordinates = ["x", "y"]
+channels = ["uint8_t"]
+[parameters]
+nearest = { start = 0.5 }
+None = { start = 1.5 }
+sqrtf = { start = 2.5 }
+total = { start = 0.25 }
+NAN = { start = 3.0 }
+[model]
+intensity = "nearest * if(x * y < 1e39, x, y) + total * (x - None)^2 + 2^sqrtf * y + atan2(1, total) + NAN"
+domain = "(x - 14)^2 + (y - 11)^2 <= 90"
+"#;
+
 fn model(name: &str) -> Model {
-    Model::from_toml(&std::fs::read_to_string(repository().join(format!("models/{name}.toml"))).unwrap()).unwrap()
+    let shipped = || std::fs::read_to_string(repository().join(format!("models/{name}.toml"))).unwrap();
+    Model::from_toml(&if name == "awkward" { AWKWARD.into() } else { shipped() }).unwrap()
 }
 
 fn objective(model: &Model, names: &str, lowering: Lowering) -> Program {
@@ -50,7 +66,7 @@ fn objective(model: &Model, names: &str, lowering: Lowering) -> Program {
 }
 
 /// Models and subsets; an empty subset is that of the last stage.
-const SUBSETS: [(&str, &str); 13] = [
+const SUBSETS: [(&str, &str); 14] = [
     ("thesis-spot", "bx,by"),
     ("thesis-spot", "a1,a2,a3"),
     ("spot", ""),
@@ -64,6 +80,7 @@ const SUBSETS: [(&str, &str); 13] = [
     ("profile-1d", ""),
     ("blob-3d", ""),
     ("blob-4d", ""),
+    ("awkward", ""),
 ];
 
 /// Each with and without fused multiply-adds and saturation, over pixels of all types, in both precisions.
@@ -75,14 +92,14 @@ pub fn one_lane() -> Vec<Case> {
             let lowering = Lowering { fma: (i + j) % 2 == 0, drop_saturated: (i + j) % 3 != 1 };
             let program = objective(&model, subset, lowering);
             let pixel = [PixelType::F32, PixelType::U8, PixelType::U16][(i + j) % 3];
-            let name = format!("case{}", cases.len());
+            let name = format!("case_{}", cases.len());
             cases.push(Case { model, program, precision, pixel, packed: i % 2 == 1, lanes: 1, planted: None, name });
         }
     }
     for name in ["thesis-spot", "blob-3d"] {
         let model = model(name);
         let program = model.rendering(Lowering::default()).unwrap();
-        let name = format!("case{}", cases.len());
+        let name = format!("case_{}", cases.len());
         let (precision, pixel) = (Precision::F32, PixelType::U8);
         cases.push(Case { model, program, precision, pixel, packed: true, lanes: 1, planted: None, name });
     }
@@ -98,7 +115,7 @@ pub fn several_lanes() -> Vec<Case> {
             let model = model(name);
             let program = objective(&model, subset, Lowering { fma: true, drop_saturated: (i + lanes / 4) % 2 == 0 });
             let pixel = [PixelType::F32, PixelType::U8, PixelType::U16][(i + lanes / 4) % 3];
-            let name = format!("wide{}", cases.len());
+            let name = format!("wide_{}", cases.len());
             let precision = Precision::F32;
             let case = Case { model, program, precision, pixel, packed: i % 2 == 1, lanes, planted: None, name };
             if !case.calls() {
@@ -136,6 +153,14 @@ impl Case {
         };
         let text = self.model.export(&self.program, &options).unwrap();
         self.planted.map_or(text.clone(), |(from, to)| text.replacen(from, to, 1))
+    }
+
+    /// The window: the first pixel along each coordinate, and how many.
+    pub fn window(&self) -> ([usize; 4], [usize; 4]) {
+        let number =
+            self.name.bytes().filter(u8::is_ascii_digit).fold(0, |n, digit| 10 * n + usize::from(digit - b'0'));
+        let width = WIDTHS[number % WIDTHS.len()];
+        ([(SIZE[0] - width) / 2, 2, 1, 1], [width, 19, 2, 2])
     }
 
     pub fn dimensions(&self) -> usize {
@@ -188,14 +213,15 @@ impl Case {
         let (parameters, entry) = self.parameters();
         let constants = self.constants();
         let bindings = self.bindings(&parameters, &entry, &constants, &[LIMIT; 8]);
+        let (first, count) = self.window();
         let window = Window {
-            x: FIRST[0],
-            y: FIRST[1],
-            width: COUNT[0],
-            height: COUNT[1],
-            slices: Slices { first: [FIRST[2], FIRST[3]], count: [COUNT[2], COUNT[3]] },
+            x: first[0],
+            y: first[1],
+            width: count[0],
+            height: count[1],
+            slices: Slices { first: [first[2], first[3]], count: [count[2], count[3]] },
         };
-        let mut plane = vec![0.0_f32; COUNT[..self.dimensions()].iter().product()];
+        let mut plane = vec![0.0_f32; count[..self.dimensions()].iter().product()];
         let out = self.renders().then_some(&mut plane[..]);
         let outcome =
             interpreter::run_in_lanes(&self.program, self.precision, self.lanes, &bindings, self, window, out).unwrap();

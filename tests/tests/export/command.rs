@@ -38,9 +38,9 @@ fn the_command_writes_c_and_rust() {
         "--saturation",
         "drop",
         "--name",
-        "spot",
+        "my_spot",
     ]);
-    assert!(rust.contains("pub fn spot(") && rust.contains("Plane<'_, f32>") && rust.contains("saturated += 1"));
+    assert!(rust.contains("pub fn my_spot(") && rust.contains("Plane<'_, f32>") && rust.contains("saturated += 1"));
     assert!(text(&[spot, "--lang", "rust", "--lanes", "8"]).contains("_mm256_fmadd_ps"));
     let gauss = text(&[spot, "--parameters", "bx,by", "--lang", "c", "--method", "gauss-newton"]);
     assert_ne!(gauss, c);

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use isophote_symbolic::{Language, PixelType, Sink};
 
-use crate::cases::{COUNT, Case, FIRST, Outcome, SIZE};
+use crate::cases::{Case, Outcome, SIZE};
 
 /// Compiles and runs the cases in a language.
 pub fn run(language: Language, cases: &[Case]) -> Vec<Outcome> {
@@ -68,7 +68,7 @@ impl Parts {
         let bits: Vec<String> = case.inputs().iter().map(|x| format!("{:#x}", x.to_bits())).collect();
         let outputs = if let Sink::Sums { outputs, .. } = case.program.sink() { outputs.len() } else { 0 };
         let dimensions = case.dimensions();
-        Parts { dimensions, inputs: bits.join(", "), pixels: COUNT[..dimensions].iter().product(), outputs }
+        Parts { dimensions, inputs: bits.join(", "), pixels: case.window().1[..dimensions].iter().product(), outputs }
     }
 }
 
@@ -107,7 +107,8 @@ fn c(cases: &[Case]) -> String {
                 .unwrap();
             planes += &format!("plane{channel}, ");
         }
-        let (first, count) = (list(&FIRST[..d]), list(&COUNT[..d]));
+        let (first, count) = case.window();
+        let (first, count) = (list(&first[..d]), list(&count[..d]));
         writeln!(text, "    {name}_window window = {{ {{ {first} }}, {{ {count} }} }};").unwrap();
         writeln!(text, "    {name}_sums sums;").unwrap();
         writeln!(text, "    static float out[{pixels}];\n    (void)out;").unwrap();
@@ -152,7 +153,8 @@ fn rust(cases: &[Case]) -> String {
             writeln!(text, "    let plane{channel} = {plane};").unwrap();
             planes += &format!("plane{channel}, ");
         }
-        let (first, count) = (list(&FIRST[..d]), list(&COUNT[..d]));
+        let (first, count) = case.window();
+        let (first, count) = (list(&first[..d]), list(&count[..d]));
         writeln!(text, "    let mut window = Window {{ first: [{first}], size: [{count}] }};").unwrap();
         let (declare, out, numbers) = match case.renders() {
             true => {
