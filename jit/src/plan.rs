@@ -88,6 +88,9 @@ pub(crate) struct Plan<'a> {
 /// 1 % of the fastest of a dozen splits, on each of four kernels of thesis-spot.
 const REGISTERS: usize = 16;
 
+/// Vectors in use at the busiest place of an elementary function.
+const FUNCTION_REGISTERS: usize = 7;
+
 #[derive(Default)]
 struct Record {
     pass_bytes: u32,
@@ -161,7 +164,7 @@ impl<'a> Plan<'a> {
             products.for_each(|(v, _)| is_contracted[v.index()] = true);
         }
         let calls = pixels.iter().any(|v| matches!(program.instruction(*v).op, Op::Call1(..) | Op::Call2(..)));
-        let busy = if calls { REGISTERS } else { busy_registers(program, &pixels) };
+        let busy = busy_registers(program, &pixels) + if calls { FUNCTION_REGISTERS } else { 0 };
         let mut free = REGISTERS.saturating_sub(busy);
         let mut settle = |record: &mut Record, area: Area| {
             let register = free > 0;

@@ -118,3 +118,22 @@ fn a_failure_is_told_to_each_who_asks_and_leaves_nothing_behind() {
         assert_eq!((cache.counts().kernels, cache.counts().bytes, cache.counts().misses), (0, 0, asked));
     }
 }
+
+#[test]
+fn who_waits_for_a_compilation_that_fails_goes_on() {
+    let program = programs(&shipped("spot"), PLAIN).swap_remove(2).1;
+    let wrong = KernelOptions { precision: Precision::F32, formats: Vec::new(), packed: true };
+    for _ in 0..50 {
+        let (cache, barrier) = (KernelCache::default(), Barrier::new(4));
+        let ask = || {
+            barrier.wait();
+            cache.get_or_compile(&program, &wrong).map(drop)
+        };
+        let ends: Vec<_> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..4).map(|_| scope.spawn(ask)).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        });
+        assert!(ends.iter().all(|end| *end == Err(CompileError::Formats { channels: 1, formats: 0 })), "{ends:?}");
+        assert_eq!((cache.counts().kernels, cache.counts().misses), (0, 4));
+    }
+}

@@ -209,6 +209,18 @@ mod tests {
             let error = verdict(&ops, sink, PixelSet::default()).unwrap_err();
             assert!(error.contains(message), "{error} instead of {message}");
         }
+        let (ops, sink) = good();
+        let instructions: Vec<Instruction> =
+            ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
+        let five = Parts {
+            instructions: &instructions,
+            pixel_set: PixelSet::default(),
+            sink: &sink,
+            inputs: 1,
+            channels: 1,
+            coordinates: 5,
+        };
+        assert!(five.check().unwrap_err().contains("5 coordinates"));
         let (ops, _) = good();
         let sink = Sink::Sums { accumulators: vec![Value(4)], totals: vec![], outputs: vec![] };
         assert!(verdict(&ops[..6], sink, PixelSet::default()).unwrap_err().contains("wrong kind"));

@@ -3,10 +3,11 @@
 //! What comes in: a [`Plan`] and how the pixels are stored. What goes out: one function of one argument, the address of
 //! [`Args`]. Blocks, in the order of execution:
 //! ```text
-//! entry ─► row_head ─► row ─► full ⟲ ─► partial ─► row_end ─► row_head … ─► pass_end
-//!                       │       └──────◄──┘ (where a pixel was left out)   │
-//!                       └── outside the domain ────────────────────────────┘
+//! entry ─► head ─► pair ─► row ─► full ⟲ ─► partial ─► row end ─► next ─► row (the second of two), head …, pass end
+//!                          │        └──────◄──┘                    │
+//!                          └── no pixels ──────────────────────────┘
 //! ```
+//! `pair` prepares two rows, those behind the two that are worked on next, so that the processor has both to do at once.
 //! `full` takes groups all of whose pixels take part. `partial` takes the others: the last group of a row, always, and
 //! those where the pixel set leaves a pixel out, after which the loop goes on. The last group ends at the window's
 //! edge at the latest, so that every group reads its pixels at once and inside of the window.
