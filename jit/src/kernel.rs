@@ -14,7 +14,7 @@ use crate::runner::{Code, Shape};
 pub struct KernelOptions {
     /// The arithmetic of the pixel loop.
     pub precision: Precision,
-    /// How the pixels of each channel are stored; may be empty for a program that reads no channel.
+    /// How the pixels of each channel are stored; may be empty for a program that renders.
     pub formats: Vec<PixelFormat>,
     /// The pixels of a row follow each other without gaps, in every plane.
     pub packed: bool,

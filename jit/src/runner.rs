@@ -150,9 +150,10 @@ impl Code {
             saturated: 0,
         };
         // SAFETY: the code was lowered from a checked and audited program of this `Shape`: it reads `inputs`, writes
-        // `outputs`, and reads or writes pixels of `window` only, or of rows padded to a group's width. The assertions above say that the slices are that long;
-        // each `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies
-        // inside its bytes. All borrows outlive the call.
+        // `outputs`, and reads or writes pixels of `window` only. No group reads or writes more, because no row is shorter
+        // than a group: narrow ones are padded copies. The assertions above say that the slices are that long; each
+        // `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies inside
+        // its bytes. All borrows outlive the call.
         unsafe { (self.entry)(&raw mut args) };
         Counts { pixels: args.pixels as u64, saturated: args.saturated as u64 }
     }

@@ -3,7 +3,7 @@
 //! What comes in: a [`Program`] and options. What goes out: the kernel that is there, or a new one. Two programs are the
 //! same when their machine code must be: names and spans do not count. It never knows models, sessions or time.
 //!
-//! Kernels that someone holds stay; of the others the least recently used leave when the budget is exceeded. No lock is
+//! Kernels that someone holds stay; of the others the least recently used leave when a new one exceeds the budget. No lock is
 //! held while a kernel is compiled; who asks for one that is being compiled waits for it, since that is sooner there.
 
 mod key;

@@ -19,8 +19,8 @@ fn condition(comparison: Comparison) -> FloatCC {
 }
 
 impl<'p> Emitter<'_, 'p> {
-    /// Emits every instruction of a level other than the pixel's and the row's. Each result goes to all who want it (the record, the
-    /// lanes, a total, an output) as soon as it is there, so that few values are alive at once.
+    /// Emits every instruction of a level other than the pixel's and the row's. Each result goes to all who want it (the
+    /// record, the lanes, a total, an output) as soon as it is there, so that few values are alive at once.
     pub fn level(&mut self, level: Level) {
         let base = match level {
             Level::Pass => Some(self.arg(types::I64, arg::INPUTS)),
