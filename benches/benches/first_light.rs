@@ -9,7 +9,7 @@ use isophote_benches::frame::{HEIGHT, WIDTH, bytes, picture, truth};
 use isophote_benches::text;
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
 use isophote_server::Threads;
-use isophote_symbolic::{Bindings, Lowering, Method, Model, Precision};
+use isophote_symbolic::{Bindings, Estimator, Lowering, Method, Model, Precision, Start};
 use isophote_tracker::{Compiled, Frame, Plane, Tracker, TrackerOptions};
 
 const SIZE: [usize; 2] = [WIDTH, HEIGHT];
@@ -55,6 +55,36 @@ fn passes(criterion: &mut Criterion) {
     }
 }
 
+/// One pass of each stage of models with elementary functions, u8 in f32 lanes, at their starting values about the middle.
+fn functions(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("functions");
+    let bytes: Vec<u8> = (0..WIDTH * HEIGHT).map(|i| (i * 31 % 200) as u8).collect();
+    let plane = PlaneView::new(PixelFormat::U8, &bytes, WIDTH, HEIGHT, WIDTH, 1).unwrap();
+    for name in ["gaussian", "gaussian-pixel", "moffat", "dark-disc"] {
+        let model = Model::from_toml(&text(name)).unwrap();
+        let parameters: Vec<f64> = model
+            .parameters()
+            .iter()
+            .zip(truth(&model))
+            .map(|(p, truth)| match p.start {
+                Start::Number(number) => number,
+                Start::Estimator(Estimator::Size(_)) => 120.0,
+                _ => truth,
+            })
+            .collect();
+        for (number, stage) in model.stages().iter().enumerate() {
+            let objective = model.objective(&stage.parameters, Method::GaussNewton).unwrap();
+            let program = objective.program(Lowering { fma: has_fma(), drop_saturated: false }).unwrap();
+            let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+            let kernel = Kernel::compile(&program, &options).unwrap();
+            let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
+            let pass = || kernel.sums(&bindings, &[plane], Window::whole(WIDTH, HEIGHT)).unwrap();
+            group.throughput(Throughput::Elements(pass().pixels));
+            group.bench_function(format!("{name}, stage {}", number + 1), |b| b.iter(pass));
+        }
+    }
+}
+
 /// A document to the running kernels of all its stages, with and without saturation control, for u8.
 fn compile(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("compile");
@@ -86,5 +116,5 @@ fn frames(criterion: &mut Criterion) {
     criterion.bench_function("frame/spot", |b| b.iter(|| tracker.track(&frame)));
 }
 
-criterion_group!(first_light, passes, compile, frames);
+criterion_group!(first_light, passes, functions, compile, frames);
 criterion_main!(first_light);
