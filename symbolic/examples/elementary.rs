@@ -5,7 +5,7 @@
 //! rounding it takes hours.
 #![allow(clippy::print_stdout)]
 
-use isophote_symbolic::elementary::ulps::{error_double, error_single, exact1, exact2};
+use isophote_symbolic::elementary::ulps::{Arguments, error_double, error_single, exact1, exact2};
 use isophote_symbolic::elementary::{Accuracy, Plain, call1};
 use isophote_symbolic::{Function1, Function2};
 
@@ -81,35 +81,9 @@ fn block<const F: usize>(first: u64, stride: u64, worst: &mut Worst) {
     }
 }
 
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// Any bits, or a number of a size that models have, or one in (−1, 1), or one near 1.
-    fn argument(&mut self) -> f64 {
-        let unit = (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0;
-        match self.next() % 8 {
-            0 | 1 => f64::from_bits(self.next()),
-            2 => unit * 800.0,
-            3 => unit * 30.0,
-            4 => unit * 4.0,
-            5 => unit,
-            6 => 1.0 + unit * 0.5,
-            _ => unit * 2.0_f64.powi((self.next() % 64) as i32 - 32),
-        }
-    }
-}
-
 fn doubles(samples: u64, value: impl Fn(Plain, [f64; 2]) -> (f64, [f64; 2]) + Sync) -> Worst {
     shared(|thread| {
-        let mut random = Random(thread);
+        let mut random = Arguments(thread);
         let mut worst = Worst::default();
         for _ in 0..samples / THREADS {
             let at = [random.argument(), random.argument()];

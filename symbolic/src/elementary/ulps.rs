@@ -3,6 +3,35 @@
 use crate::double_double::DoubleDouble;
 use crate::function::{Function1, Function2};
 
+/// Arguments to try, from a seed (SplitMix64).
+#[derive(Debug)]
+pub struct Arguments(pub u64);
+
+impl Arguments {
+    /// Any bits.
+    #[allow(clippy::should_implement_trait)] // it never ends
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Any bits, or a number of a size that models have, or one in (−1, 1), or one near 1.
+    pub fn argument(&mut self) -> f64 {
+        let unit = (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0;
+        match self.next() % 8 {
+            0 | 1 => f64::from_bits(self.next()),
+            2 => unit * 800.0,
+            3 => unit * 30.0,
+            4 => unit * 4.0,
+            5 => unit,
+            6 => 1.0 + unit * 0.5,
+            _ => unit * 2.0_f64.powi((self.next() % 64) as i32 - 32),
+        }
+    }
+}
+
 /// The exact value, as a sum of two numbers, to some 28 digits.
 pub fn exact1(function: Function1, x: f64) -> [f64; 2] {
     let exact = DoubleDouble::from(x).call1(function).parts();
