@@ -15,7 +15,7 @@ type Call = unsafe extern "C" fn(*const u8, *const usize, *const usize, *const f
 
 /// A file of compiled functions.
 pub struct Compiled {
-    library: Library,
+    code: Library,
     path: PathBuf,
     /// What the compiler said.
     said: String,
@@ -57,8 +57,8 @@ impl Compiled {
             return Err(format!("{command:?}: {}", String::from_utf8_lossy(&made.stderr)));
         }
         // SAFETY: the file was made just now of exported text, which has no code that runs when it is loaded.
-        let library = unsafe { Library::new(path.as_path()) }.map_err(|error| error.to_string())?;
-        Ok(Compiled { library, path, said: String::from_utf8_lossy(&made.stderr).into_owned() })
+        let code = unsafe { Library::new(path.as_path()) }.map_err(|error| error.to_string())?;
+        Ok(Compiled { code, path, said: String::from_utf8_lossy(&made.stderr).into_owned() })
     }
 
     /// How many loops the compiler says that it made with vectors of so many bits.
@@ -75,7 +75,7 @@ impl Compiled {
         bytes_per_pixel: usize,
     ) -> Result<Foreign<'_>, String> {
         // SAFETY: every function that is looked up is written by `contenders.rs` with this signature.
-        let call = unsafe { self.library.get::<Call>(name.as_bytes()) }.map_err(|error| error.to_string())?;
+        let call = unsafe { self.code.get::<Call>(name.as_bytes()) }.map_err(|error| error.to_string())?;
         Ok(Foreign { call, outputs, inputs, bytes_per_pixel })
     }
 

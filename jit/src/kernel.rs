@@ -59,13 +59,9 @@ impl Kernel {
         if compiled.bytes.len() > Self::CODE_BYTES_MAX {
             return Err(CompileError::TooLarge { bytes: compiled.bytes.len() });
         }
-        let outputs = match program.sink() {
-            Sink::Sums { outputs, .. } => outputs.len(),
-            Sink::Plane(_) => 0,
-        };
         let shape = Shape {
             inputs: program.inputs().len(),
-            outputs,
+            outputs: program.sink().outputs().len(),
             formats: options.formats.clone(),
             packed: options.packed,
             renders: matches!(program.sink(), Sink::Plane(_)),

@@ -243,19 +243,9 @@ fn sinks(program: &Program) -> impl Iterator<Item = Value> {
 /// The pixel instructions that are needed; those that decide on the pixel come first, so that a sum can be added to as
 /// soon as its value is there.
 fn order(program: &Program) -> Vec<Value> {
-    let cone = |roots: &[Value]| {
-        let mut needed = vec![false; program.instructions().len()];
-        roots.iter().for_each(|v| needed[v.index()] = true);
-        for (i, instruction) in program.instructions().iter().enumerate().rev() {
-            if needed[i] {
-                instruction.op.operands().for_each(|v| needed[v.index()] = true);
-            }
-        }
-        needed
-    };
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
-    let first = cone(&mask.into_iter().chain(saturated).collect::<Vec<_>>());
-    let all = cone(&sinks(program).collect::<Vec<_>>());
+    let first = program.made_of(mask.into_iter().chain(saturated));
+    let all = program.made_of(sinks(program));
     let pixel = |i: &usize| program.instructions()[*i].level == Level::Pixel;
     let (set, rest): (Vec<usize>, Vec<usize>) =
         (0..all.len()).filter(|i| all[*i]).filter(pixel).partition(|i| first[*i]);

@@ -1,7 +1,7 @@
 //! The meaning of a [`Program`]: what comes in is a program, numbers and pixels; what goes out are the sums that native
 //! code must equal bit for bit. It is written to be read, not to be fast.
 
-use crate::elementary::{Accuracy, Plain};
+use crate::elementary::{Accuracy, MAGIC, Plain};
 use crate::evaluate::holds;
 use crate::program::{Bindings, Instruction, Level, Op, Precision, Program, Sink, Value};
 
@@ -60,7 +60,6 @@ pub struct Outcome {
 
 /// Rounds to the nearest integer, ties to even, for magnitudes below 2⁵¹; larger ones come back nearly as they are.
 pub fn nearest(x: f64) -> f64 {
-    const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
     (x + MAGIC) - MAGIC
 }
 

@@ -201,6 +201,16 @@ pub enum Sink {
     Plane(Value),
 }
 
+impl Sink {
+    /// What is handed back; nothing of a plane.
+    pub fn outputs(&self) -> &[Value] {
+        match self {
+            Sink::Sums { outputs, .. } => outputs,
+            Sink::Plane(_) => &[],
+        }
+    }
+}
+
 /// Which pixels of the window take part. Truth values and bounds depend on entry parameters only.
 #[derive(Clone, Copy, PartialEq, Debug, Default)]
 pub struct PixelSet {
@@ -350,6 +360,17 @@ impl Program {
             _ => None,
         };
         accumulators.iter().map(factors).collect()
+    }
+    /// What some values are made of, and those themselves; by value. Operands stand in front of what reads them.
+    pub fn made_of(&self, roots: impl IntoIterator<Item = Value>) -> Vec<bool> {
+        let mut needed = vec![false; self.instructions.len()];
+        roots.into_iter().for_each(|v| needed[v.index()] = true);
+        for (i, instruction) in self.instructions.iter().enumerate().rev() {
+            if needed[i] {
+                instruction.op.operands().for_each(|v| needed[v.index()] = true);
+            }
+        }
+        needed
     }
     /// True when `value` is a truth value.
     pub fn is_truth(&self, value: Value) -> bool {

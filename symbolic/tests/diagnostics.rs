@@ -2,9 +2,12 @@
 //! is told of it. `UPDATE_EXPECT=1 cargo test -p isophote-symbolic --test diagnostics` writes the texts anew.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod common;
+
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use common::expect;
 use isophote_symbolic::{Diagnostic, Diagnostics, Formula, LIMITS, Model, Span};
 
 fn shown(faults: &Diagnostics, name: &str) -> String {
@@ -22,11 +25,7 @@ fn documents_with_many_faults() {
         let faults = Model::from_toml(&std::fs::read_to_string(&path).unwrap()).unwrap_err();
         let text = shown(&faults, &path.file_name().unwrap().to_string_lossy());
         let expected = path.with_extension("txt");
-        if std::env::var_os("UPDATE_EXPECT").is_some() {
-            std::fs::write(&expected, &text).unwrap();
-        }
-        let old = std::fs::read_to_string(&expected).unwrap_or_default();
-        assert!(old == text, "{} differs; UPDATE_EXPECT=1 writes it anew\n{text}", expected.display());
+        expect(&expected, &text);
     }
 }
 

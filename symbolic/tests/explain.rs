@@ -2,8 +2,11 @@
 //! `UPDATE_EXPECT=1 cargo test -p isophote-symbolic --test explain` writes the files anew.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod common;
+
 use std::path::Path;
 
+use common::expect;
 use isophote_symbolic::{Method, Model, ParameterId, Show};
 
 fn explained(model: &Model, parameters: &[ParameterId], show: Show) -> String {
@@ -39,12 +42,7 @@ fn the_thesis_spot_in_three_notations() {
     for (show, name) in [(Show::Derivative, "txt"), (Show::Latex, "tex"), (Show::MathMl, "mathml")] {
         let text = explained(&spot, &centre, show);
         let expected = root.join("tests/explained/thesis-spot").with_extension(name);
-        if std::env::var_os("UPDATE_EXPECT").is_some() {
-            std::fs::create_dir_all(expected.parent().unwrap()).unwrap();
-            std::fs::write(&expected, &text).unwrap();
-        }
-        let old = std::fs::read_to_string(&expected).unwrap_or_default();
-        assert!(old == text, "{} differs; UPDATE_EXPECT=1 writes it anew\n{text}", expected.display());
+        expect(&expected, &text);
     }
 }
 

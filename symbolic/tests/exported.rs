@@ -2,8 +2,11 @@
 //! `UPDATE_EXPECT=1 cargo test -p isophote-symbolic --test exported` writes them anew.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod common;
+
 use std::path::Path;
 
+use common::expect;
 use isophote_symbolic::{ExportError, ExportOptions, Language, Lowering, Method, Model, Precision};
 
 fn spot() -> Model {
@@ -23,12 +26,7 @@ fn the_centre_of_the_thesis_spot_in_both_languages() {
     for (language, name) in [(Language::C, "thesis-spot.c"), (Language::Rust, "thesis-spot.rs")] {
         let text = text(&model, &ExportOptions::new(language, 1)).unwrap();
         let expected = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/exported").join(name);
-        if std::env::var_os("UPDATE_EXPECT").is_some() {
-            std::fs::create_dir_all(expected.parent().unwrap()).unwrap();
-            std::fs::write(&expected, &text).unwrap();
-        }
-        let old = std::fs::read_to_string(&expected).unwrap_or_default();
-        assert!(old == text, "{} differs; UPDATE_EXPECT=1 writes it anew\n{text}", expected.display());
+        expect(&expected, &text);
     }
 }
 

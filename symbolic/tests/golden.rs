@@ -2,8 +2,11 @@
 //! `UPDATE_EXPECT=1 cargo test -p isophote-symbolic --test golden` writes them anew.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod common;
+
 use std::path::Path;
 
+use common::expect;
 use isophote_symbolic::{Lowering, Model};
 
 #[test]
@@ -24,11 +27,6 @@ fn programs_of_the_shipped_models() {
             text += &objective.program(lowering).unwrap().to_string();
         }
         let expected = root.join("tests/golden").join(path.file_stem().unwrap()).with_extension("txt");
-        if std::env::var_os("UPDATE_EXPECT").is_some() {
-            std::fs::create_dir_all(expected.parent().unwrap()).unwrap();
-            std::fs::write(&expected, &text).unwrap();
-        }
-        let old = std::fs::read_to_string(&expected).unwrap_or_default();
-        assert!(old == text, "{} differs; UPDATE_EXPECT=1 writes it anew\n{text}", expected.display());
+        expect(&expected, &text);
     }
 }

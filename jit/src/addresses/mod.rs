@@ -23,7 +23,7 @@ use std::mem::offset_of;
 
 use cranelift_codegen::entity::SecondaryMap;
 use cranelift_codegen::ir::{BlockArg, Function, Inst, InstructionData, Opcode, StackSlot, Value, types};
-use isophote_symbolic::{Program, Sink};
+use isophote_symbolic::Program;
 
 use self::origin::{Base, NUMBER, Numbers, Origin};
 
@@ -39,13 +39,9 @@ pub(crate) struct Extent {
 
 impl Extent {
     pub fn of(program: &Program) -> Extent {
-        let outputs = match program.sink() {
-            Sink::Sums { outputs, .. } => outputs.len(),
-            Sink::Plane(_) => 0,
-        };
         Extent {
             inputs: size_of::<f64>() * program.inputs().len(),
-            outputs: size_of::<f64>() * outputs,
+            outputs: size_of::<f64>() * program.sink().outputs().len(),
             planes: size_of::<PlaneArgs>() * program.channels(),
         }
     }

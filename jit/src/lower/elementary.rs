@@ -104,8 +104,7 @@ impl Lanes<'_, '_, '_> {
     fn vector(&self, kind: ir::Type, bits: u64) -> ir::Value {
         let emit = &mut *self.emit.borrow_mut();
         let bytes: Vec<u8> = [bits; 2].into_iter().flat_map(u64::to_le_bytes).collect();
-        let constant = emit.b.func.dfg.constants.insert(bytes.into());
-        emit.b.ins().vconst(kind, constant)
+        emit.constant_vector(kind, bytes)
     }
 
     fn cast(&self, kind: ir::Type, value: ir::Value) -> ir::Value {

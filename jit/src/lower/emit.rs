@@ -34,9 +34,6 @@ pub(super) mod arg {
     pub const SATURATED: i32 = offset_of!(Args, saturated) as i32;
 }
 
-/// Added to an f64 below 2⁵¹ it leaves the nearest integer in the low bits.
-pub(super) const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
-
 pub(super) struct Emitter<'a, 'p> {
     pub b: FunctionBuilder<'a>,
     pub plan: &'p Plan<'p>,
@@ -239,9 +236,13 @@ impl<'a, 'p> Emitter<'a, 'p> {
 
     /// The same number twice.
     pub fn pair(&mut self, number: f64) -> ir::Value {
-        let bytes: Vec<u8> = [number; 2].iter().flat_map(|n| n.to_le_bytes()).collect();
+        self.constant_vector(types::F64X2, [number; 2].iter().flat_map(|n| n.to_le_bytes()).collect())
+    }
+
+    /// A vector of constants, from the bytes of its lanes.
+    pub fn constant_vector(&mut self, kind: ir::Type, bytes: Vec<u8>) -> ir::Value {
         let constant = self.b.func.dfg.constants.insert(bytes.into());
-        self.b.ins().vconst(types::F64X2, constant)
+        self.b.ins().vconst(kind, constant)
     }
 
     /// The instructions of a level with their values.

@@ -47,8 +47,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
             Precision::F32 => (0..4_i32).flat_map(i32::to_le_bytes).collect(),
             Precision::F64 => (0..2_i64).flat_map(i64::to_le_bytes).collect(),
         };
-        let constant = emit.b.func.dfg.constants.insert(bytes.into());
-        let steps = emit.b.ins().vconst(emit.truth, constant);
+        let steps = emit.constant_vector(emit.truth, bytes);
         let [before, until] = [before, until].map(|number| spread(emit, number));
         let early = emit.b.ins().icmp(IntCC::SignedGreaterThan, before, steps);
         let reached = emit.b.ins().icmp(IntCC::SignedGreaterThan, until, steps);
@@ -145,17 +144,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let operands: Vec<ir::Value> = op.operands().map(|v| self.operand(v)).collect();
         let at = |i: usize| operands[i];
         let emit = &mut *self.emit;
-        if let Some(result) = emit.arithmetic(op, &operands) {
+        if let Some(result) = emit.vector_arithmetic(op, &operands) {
             return result;
         }
         match op {
             Op::Const(x) => vector(emit, |_| x),
-            Op::Not(_) => emit.b.ins().bnot(at(0)),
-            Op::Select(..) => {
-                let kind = emit.b.func.dfg.value_type(at(1));
-                let condition = emit.cast(kind, at(0));
-                emit.b.ins().bitselect(condition, at(1), at(2))
-            }
             Op::Call1(f, _) => emit.function1(f, at(0)),
             Op::Call2(f, ..) => emit.function2(f, at(0), at(1)),
             _ => unreachable!("the check refuses scalar instructions at the pixel level"),

@@ -5,9 +5,10 @@
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, MemFlagsData, types};
+use isophote_symbolic::elementary::MAGIC;
 use isophote_symbolic::{Level, Op, Precision, Value};
 
-use super::emit::{Emitter, Form, MAGIC, arg};
+use super::emit::{Emitter, Form, arg};
 use super::running::vector;
 use crate::abi::Functions;
 use crate::plan::Home;
@@ -61,18 +62,11 @@ impl Emitter<'_, '_> {
 
     fn pair_op(&mut self, op: Op) -> ir::Value {
         let operands: Vec<ir::Value> = self.commuted(op, Level::Row).operands().map(|v| self.both(v)).collect();
-        if let Some(result) = self.arithmetic(op, &operands) {
+        if let Some(result) = self.vector_arithmetic(op, &operands) {
             return result;
         }
-        let at = |i: usize| operands[i];
         match op {
             Op::Const(x) => self.pair(x),
-            Op::Not(_) => self.b.ins().bnot(at(0)),
-            Op::Select(..) => {
-                let kind = self.b.func.dfg.value_type(at(1));
-                let condition = self.cast(kind, at(0));
-                self.b.ins().bitselect(condition, at(1), at(2))
-            }
             Op::Call1(f, _) => self.call_pair(Functions::scalar1(f), Form::Scalar1, &operands),
             Op::Call2(f, ..) => self.call_pair(Functions::scalar2(f), Form::Scalar2, &operands),
             _ => unreachable!("the check refuses other instructions at the row level"),

@@ -1,6 +1,6 @@
 //! What runs along a row in registers: the offsets' vectors, some of the sums, the counts.
 
-use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder};
+use cranelift_codegen::ir::{self, Block, BlockArg};
 use isophote_symbolic::Precision;
 
 use super::emit::Emitter;
@@ -68,6 +68,5 @@ pub(super) fn vector(emit: &mut Emitter<'_, '_>, lane: impl Fn(usize) -> f64) ->
         Precision::F32 => (0..4).flat_map(|i| (lane(i) as f32).to_le_bytes()).collect(),
         Precision::F64 => (0..2).flat_map(|i| lane(i).to_le_bytes()).collect(),
     };
-    let constant = emit.b.func.dfg.constants.insert(bytes.into());
-    emit.b.ins().vconst(emit.number, constant)
+    emit.constant_vector(emit.number, bytes)
 }

@@ -128,6 +128,19 @@ impl<'p> Emitter<'_, 'p> {
         })
     }
 
+    /// The same of vectors alone, whose truth values are masks: choices and negation too.
+    pub fn vector_arithmetic(&mut self, op: Op, operands: &[ir::Value]) -> Option<ir::Value> {
+        match op {
+            Op::Not(_) => Some(self.b.ins().bnot(operands[0])),
+            Op::Select(..) => {
+                let kind = self.b.func.dfg.value_type(operands[1]);
+                let condition = self.cast(kind, operands[0]);
+                Some(self.b.ins().bitselect(condition, operands[1], operands[2]))
+            }
+            op => self.arithmetic(op, operands),
+        }
+    }
+
     /// Sums and products with what comes from memory as the second operand: that is the one an instruction may fetch.
     pub fn commuted(&self, op: Op, level: Level) -> Op {
         let fetched = |v: Value| {

@@ -38,13 +38,7 @@ fn live(program: &Program) -> Vec<usize> {
         }
         Sink::Plane(value) => roots.push(*value),
     }
-    let mut needed = vec![false; program.instructions().len()];
-    roots.iter().for_each(|value| needed[value.index()] = true);
-    for (i, instruction) in program.instructions().iter().enumerate().rev() {
-        if needed[i] {
-            instruction.op.operands().for_each(|value| needed[value.index()] = true);
-        }
-    }
+    let needed = program.made_of(roots);
     let all: Vec<usize> = (0..needed.len()).filter(|i| needed[*i]).collect();
     if all.is_empty() { (0..needed.len()).collect() } else { all }
 }

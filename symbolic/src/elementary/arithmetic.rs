@@ -4,7 +4,7 @@ use super::Accuracy;
 use super::machine::Machine;
 
 /// 1.5 · 2⁵²: x + MAGIC has the integer nearest to x, |x| < 2⁵¹, in its low bits.
-pub(super) const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
+pub const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
 pub(super) const SIGN: u64 = 1 << 63;
 /// 2²⁷ + 1, which splits a number into halves whose products are exact.
 const SPLITTER: f64 = 134_217_729.0;

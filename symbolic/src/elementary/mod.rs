@@ -23,6 +23,7 @@ mod trigonometric;
 #[doc(hidden)]
 pub mod ulps;
 
+pub use arithmetic::MAGIC;
 pub use counter::Counter;
 pub(crate) use large::reduced;
 pub use machine::{Machine, Plain};

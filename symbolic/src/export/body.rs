@@ -263,7 +263,6 @@ fn summed(accumulators: &[Value], contractions: &[Option<(Value, Value)>]) -> im
 
 /// The values that something reads.
 fn live(program: &Program, contractions: &[Option<(Value, Value)>]) -> Vec<bool> {
-    let mut live = vec![false; program.instructions().len()];
     let set = program.pixel_set();
     let mut roots: Vec<Value> = set.mask.into_iter().chain(set.saturated).collect();
     roots.extend(set.bounds.into_iter().flat_map(|(lo, hi)| [lo, hi]));
@@ -274,16 +273,5 @@ fn live(program: &Program, contractions: &[Option<(Value, Value)>]) -> Vec<bool>
         }
         Sink::Plane(value) => roots.push(*value),
     }
-    for root in roots {
-        live[root.index()] = true;
-    }
-    // Operands stand in front of what reads them.
-    for (i, instruction) in program.instructions().iter().enumerate().rev() {
-        if live[i] {
-            for operand in instruction.op.operands() {
-                live[operand.index()] = true;
-            }
-        }
-    }
-    live
+    program.made_of(roots)
 }
