@@ -9,7 +9,7 @@ use crate::bodies::Part;
 use crate::diagnostic::{Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
 use crate::likelihood::{Loss, Saturated, Shape};
-use crate::objective::{Objective, ValueKind};
+use crate::objective::{Objective, Prediction, ValueKind};
 use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
 
 /// An unknown of the fit.
@@ -219,7 +219,8 @@ impl Formulas {
 
     /// The same for another entry of `observed`.
     pub fn of_entry(&self, Observation { observed, intensity, shown, noise }: Observation) -> Formulas {
-        Formulas { observed, intensity, shown, noise, ..self.clone() }
+        let entries = vec![Observation { observed, intensity, shown, noise }];
+        Formulas { observed, intensity, shown, noise, entries, ..self.clone() }
     }
 }
 
@@ -391,6 +392,11 @@ impl Model {
     /// their shifts.
     pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
         crate::objective::rendering(self, lowering)
+    }
+
+    /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
+    pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
+        crate::objective::prediction(self, what, lowering)
     }
 
     pub(crate) fn names(&self, outputs: Vec<String>) -> Names {

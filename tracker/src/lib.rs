@@ -10,6 +10,7 @@
 //! ```
 //! It must never know a clock, a thread, a file or a socket: times come with the frame, timings are taken above.
 
+mod alternatives;
 mod background;
 mod camera;
 mod cold;
