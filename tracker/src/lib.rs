@@ -39,5 +39,7 @@ pub use estimate::{Ending, Estimate, Rejection, StageReport, TrackState};
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{MotionOptions, TARGETS_MAX, TrackError, TrackerOptions};
 pub use report::{CheckReport, StageCost};
+pub use track::evidence::Evidence;
+pub use track::search::Sighting;
 pub use tracker::{Carried, Tracker};
 pub use workers::{InTurn, Workers};

@@ -16,7 +16,7 @@ use crate::estimate::{Ending, Estimate, TrackState};
 use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
 use crate::track::evidence::log_likelihood;
-use crate::track::search::{Candidate, Search};
+use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::{Followed, Outcome, Track};
 
@@ -70,6 +70,20 @@ impl Tracker {
         }
         self.solver = Solver::new(compiled, options);
         answer.unwrap_or_default()
+    }
+
+    /// The targets' ids, in the order of their numbers.
+    pub fn names(&self) -> Vec<String> {
+        (0..self.tracks.len()).map(|number| name(self.solver.model(), self.tracks.len(), number)).collect()
+    }
+
+    /// Everything in a frame that may be the target, each verified by a fit, the likeliest first; nothing is remembered.
+    /// Empty where nothing stands out, and where the frame does not suit the model.
+    pub fn sightings(&self, frame: &Frame) -> Vec<Sighting> {
+        let Some(look) = self.solver.look(frame) else { return Vec::new() };
+        let given = self.solver.options.start_of(self.solver.model());
+        let search = Search::run(&self.solver, &look, &given, Vec::new());
+        search.map(|search| search.sightings(&self.solver)).unwrap_or_default()
     }
 
     /// Fits one frame: what it says about the first target.

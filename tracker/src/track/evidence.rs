@@ -20,14 +20,14 @@ use crate::fit::{Fit, Worth};
 /// What the weights multiply, in the order of the list above, and the constant.
 const WEIGHTS: [f64; 4] = [3.0, -2.0, -0.7, -1.5];
 const CONSTANT: f64 = -5.0;
-/// More contrast than this says nothing more.
-const CONTRAST_MAX: f64 = 4.0;
+
+
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 0.3;
 
 /// For and against having the target.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Evidence {
+pub struct Evidence {
     /// ln (F₀/F).
     pub contrast: f64,
     /// ln max(1, χ²/ν).
@@ -41,9 +41,12 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
+    /// More contrast than this says nothing more.
+    pub const CONTRAST_MAX: f64 = 4.0;
+
     /// Of a fit alone; `variance` is that of a pixel of the background, for models that say nothing of noise. `None` when
     /// the model has no free brightness.
-    pub fn of(solver: &Solver, fit: &Fit, variance: Option<f64>) -> Option<Evidence> {
+    pub(crate) fn of(solver: &Solver, fit: &Fit, variance: Option<f64>) -> Option<Evidence> {
         let worth = fit.worth.as_ref()?;
         let gain = gain(solver, fit, worth)?;
         let contrast = (1.0 + gain).ln();
@@ -54,13 +57,13 @@ impl Evidence {
     }
 
     /// By which one of several things is taken.
-    pub fn rank(&self) -> f64 {
+    pub(crate) fn rank(&self) -> f64 {
         self.log_odds() + LARGER * self.significance
     }
 
     /// The log odds.
     pub fn log_odds(&self) -> f64 {
-        let seen = [self.contrast.min(CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
+        let seen = [self.contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
         CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>()
     }
 

@@ -4,6 +4,7 @@
 //! [`Candidate`]s. It never knows which track will take one.
 
 use super::evidence::Evidence;
+use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
 use super::window::{Margin, shape};
 use crate::cold::{Cold, Starts};
@@ -27,6 +28,15 @@ pub(crate) struct Candidate {
     pub evidence: Option<Evidence>,
     /// Of a pixel of the background, where it was looked at.
     pub variance: Option<f64>,
+}
+
+/// Something that may be the target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// Of the fit, all of the model's.
+    pub parameters: Vec<f64>,
+    /// For and against it; absent where the model does not say what is bright.
+    pub evidence: Option<Evidence>,
 }
 
 /// What a search came to.
@@ -139,6 +149,16 @@ impl Search {
         let admitted = free.filter_map(|(index, candidate)| Some(Pick { index, candidate: admit(candidate)? }));
         // The first of equals.
         admitted.reduce(|best, next| if next.candidate.rank() > best.candidate.rank() { next } else { best })
+    }
+
+    /// What there is, for people.
+    pub fn sightings(&self, solver: &Solver) -> Vec<Sighting> {
+        let sighting = |candidate: &Candidate| {
+            let strangeness = Memory::default().strangeness(solver, &candidate.attempt);
+            let evidence = candidate.evidence.map(|evidence| Evidence { strangeness, ..evidence });
+            Some(Sighting { parameters: candidate.attempt.fit.as_ref()?.parameters.clone(), evidence })
+        };
+        self.candidates.iter().filter_map(sighting).collect()
     }
 
     /// A track has taken it.
