@@ -376,6 +376,17 @@ impl Model {
         self.formulas.entries.iter().map(|entry| self.formulas.graph.evaluate(entry.observed, &leaf)).sum()
     }
 
+    /// True when the model says something about a place: no domain, or one that holds there. One value a coordinate.
+    pub fn domain_holds(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> bool {
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Parameter(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            Node::Coordinate(c) => place[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.domain.is_none_or(|domain| self.formulas.graph.evaluate(domain, &leaf) == 1.0)
+    }
+
     /// F, its gradient and its Hessian for a subset of the parameters.
     pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         Objective::derive(self, subset, method)
