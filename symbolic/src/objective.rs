@@ -33,6 +33,8 @@ pub enum ValueKind {
 pub enum Prediction {
     /// The intensity, as it is fitted; NaN outside of the domain.
     Intensity,
+    /// The intensity everywhere.
+    Unbounded,
     /// A pixel's variance.
     Variance,
 }
@@ -361,6 +363,7 @@ pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) ->
                 None => intensity,
             }
         }
+        Prediction::Unbounded => model.formulas.intensity,
         Prediction::Variance => match model.formulas.noise {
             Some(noise) => noise,
             None => graph.number(1.0),

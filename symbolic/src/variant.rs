@@ -8,7 +8,7 @@ use crate::likelihood::{Loss, Saturated};
 use crate::model::{Constant, Formulas, Method, Model, Observation, Parameter, Stage, Start};
 use crate::graph::{Graph, Node, NodeId};
 use crate::points::{NEAR, Random, centre, plausible};
-use crate::program::{ConstantId, CoordinateId, Input, ParameterId};
+use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
 
 /// What differs.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -19,6 +19,8 @@ pub struct Variant {
     pub loss: Loss,
     /// In the place of the model's.
     pub saturated: Saturated,
+    /// The domain ends this many outlines from a centre at the latest, where centre and shape are parameters.
+    pub reach: f64,
 }
 
 /// Of a polynomial term, this share must be new: not what the model's own parameters do already.
@@ -31,14 +33,15 @@ const ITERATIONS: u32 = 50;
 
 impl Model {
     /// The model with these differences. Constants are added: the origin of the polynomial, one for each of the (at most
-    /// two) coordinates that it is in, and the length that coordinates are divided by, in px; parameters are added that
-    /// start at 0: a coefficient for each term that the model does not have already, in pixel values.
+    /// two) coordinates that it is in, the length that coordinates are divided by, in px, and a factor of the noise's
+    /// standard deviation; parameters are added that start at 0: a coefficient for each term that the model does not have already, in pixel values.
     pub fn variant(&self, variant: Variant) -> Model {
         let mut model = self.clone();
         let axes = self.coordinates.len().min(2);
         let first = model.constants.len();
-        for axis in 0..=axes {
-            let (name, value) = if axis < axes { (format!("background.origin{axis}"), 0.0) } else { ("background.length".into(), 1.0) };
+        let origins = (0..axes).map(|axis| (format!("background.origin{axis}"), 0.0));
+        let others = [("background.length".to_string(), 1.0), ("background.scale".to_string(), 1.0)];
+        for (name, value) in origins.chain(others) {
             model.constants.push(Constant { name, value, span: Default::default() });
         }
         let mut graph = model.formulas.graph.clone();
@@ -62,18 +65,56 @@ impl Model {
             }
             let intensity = graph.sum(0.0, sum);
             graph.set_opaque(intensity);
-            let noise = entry.noise.map(|noise| graph.replaced(noise, entry.intensity, intensity));
+            let scale = graph.input(Input::Constant(ConstantId((first + axes + 1) as u32)));
+            let noise = entry.noise.map(|noise| {
+                let noise = graph.replaced(noise, entry.intensity, intensity);
+                graph.product(1.0, [(noise, 1), (scale, 2)])
+            });
             *entry = Observation { intensity, noise, ..*entry };
         }
+        let domain = self.near(&mut graph, variant.reach);
         let Observation { observed, intensity, shown, noise } = entries[0];
         let (loss, saturated) = (variant.loss, variant.saturated);
-        let formulas = Formulas { graph, observed, intensity, shown, noise, entries, loss, saturated, ..model.formulas };
+        let formulas =
+            Formulas { graph, observed, intensity, shown, noise, domain, entries, loss, saturated, ..model.formulas };
         let mut free = self.stages.last().map_or_else(Vec::new, |stage| stage.parameters.clone());
         free.extend(new);
         let tolerance = self.stages.last().map_or(1e-3, |stage| stage.tolerance);
         let method = Method::LevenbergMarquardt;
         let stages = vec![Stage { parameters: free, method, iterations: ITERATIONS, tolerance }];
         Model { formulas, stages, ..model }
+    }
+
+    /// The domain as far as it is near a target: dᵀ A d ≤ reach².
+    fn near(&self, graph: &mut Graph, reach: f64) -> Option<NodeId> {
+        let n = self.coordinates.len();
+        let mut any = None;
+        for roles in &self.roles {
+            if roles.centre.len() != n || roles.shape.len() != n * (n + 1) / 2 {
+                return self.formulas.domain;
+            }
+            let input = |graph: &mut Graph, p: ParameterId| graph.input(Input::Parameter(p));
+            let offsets: Vec<NodeId> = (0..n)
+                .map(|axis| {
+                    let (at, centre) = (graph.coordinate(CoordinateId(axis as u32)), input(graph, roles.centre[axis]));
+                    graph.sub(at, centre)
+                })
+                .collect();
+            let pairs = (0..n).flat_map(|i| (i..n).map(move |j| (i, j)));
+            let mut terms = Vec::new();
+            for ((i, j), entry) in pairs.zip(&roles.shape) {
+                let entry = input(graph, *entry);
+                let weight = if i == j { 1.0 } else { 2.0 };
+                terms.push((graph.product(1.0, [(entry, 1), (offsets[i], 1), (offsets[j], 1)]), weight));
+            }
+            let (distance, most) = (graph.sum(0.0, terms), graph.number(reach * reach));
+            let near = graph.compare(Comparison::Le, distance, most);
+            any = Some(any.map_or(near, |any| graph.or(any, near)));
+        }
+        match (self.formulas.domain, any) {
+            (Some(domain), Some(near)) => Some(graph.and(domain, near)),
+            (domain, near) => near.or(domain),
+        }
     }
 
     /// Powers of the terms up to a degree that are not combinations of what the parameters of the last stage do.

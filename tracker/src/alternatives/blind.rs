@@ -1,4 +1,5 @@
-//! Blindness: saturated pixels that the target does not explain, and what lies near them, are taken out of the picture.
+//! What hides a target: saturated pixels that it does not explain, what lies near them, and what stands in front of it are
+//! taken out of the picture.
 //!
 //! What comes in: a picture and residuals. What goes out: a copy of the picture in which blind pixels are NaN. It never
 //! knows a fit.
@@ -16,18 +17,20 @@ const EXPLAINED_FIRST: f64 = 0.02;
 const EXPLAINED: f64 = 0.77;
 /// Glare dies away over so many px.
 const SPREAD_PX: usize = 12;
+/// The edge of what is in front of a target covers pixels in part, so many px beyond those that it covers whole.
+const EDGE_PX: usize = 2;
 /// Fewer blind pixels than this are a hot pixel or a rim.
 const PIXELS_MIN: usize = 12;
 
 /// Which pixels of a window are blind.
 pub(crate) struct Mask {
     pub blind: Vec<bool>,
-    pub count: usize,
 }
 
 impl Mask {
-    /// What the residuals of a model say: `None` when nothing is blind.
-    pub fn of(view: &View, seen: &[Seen], is_first: bool) -> Option<Mask> {
+    /// What the residuals of a model say: `None` when nothing is hidden. With `outlier`, residuals of that many standard
+    /// deviations that hang together are of something in front of the target.
+    pub fn of(view: &View, seen: &[Seen], is_first: bool, outlier: Option<f64>) -> Option<Mask> {
         let [width, height, ..] = view.window.size();
         let mut blind = vec![false; view.window.pixels()];
         for Seen { residuals, limit } in seen {
@@ -38,16 +41,26 @@ impl Mask {
                 blind[residual.pixel] = true;
             }
         }
-        // Lines one or two pixels wide are rims: 3 × 3 opening.
-        let eroded = neighbourhood(&blind, width, height, 1, true);
-        let opened = neighbourhood(&eroded, width, height, 1, false);
-        if opened.iter().filter(|blind| **blind).count() < PIXELS_MIN {
-            return None;
-        }
-        let blind = neighbourhood(&opened, width, height, SPREAD_PX, false);
-        let count = blind.iter().filter(|blind| **blind).count();
-        Some(Mask { blind, count })
+        let glare = opened(&blind, width, height).map(|area| neighbourhood(&area, width, height, SPREAD_PX, false));
+        let hidden = outlier.and_then(|limit| {
+            let mut far = vec![false; view.window.pixels()];
+            let residuals = seen.iter().flat_map(|seen| &seen.residuals);
+            residuals.filter(|r| !r.saturated && r.whitened.abs() > limit).for_each(|r| far[r.pixel] = true);
+            Some(neighbourhood(&opened(&far, width, height)?, width, height, EDGE_PX, false))
+        });
+        let blind = match (glare, hidden) {
+            (Some(glare), Some(hidden)) => glare.iter().zip(hidden).map(|(a, b)| *a || b).collect(),
+            (glare, hidden) => glare.or(hidden)?,
+        };
+        Some(Mask { blind })
     }
+}
+
+/// Without lines one or two pixels wide, which are rims: 3 × 3 opening. `None` when hardly a pixel is left.
+fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
+    let eroded = neighbourhood(truth, width, height, 1, true);
+    let opened = neighbourhood(&eroded, width, height, 1, false);
+    (opened.iter().filter(|holds| **holds).count() >= PIXELS_MIN).then_some(opened)
 }
 
 /// For each pixel whether all, or any, of those within `radius` along both axes hold; beyond the border nothing does.
@@ -122,8 +135,7 @@ mod tests {
                 y == 2 || ((5..10).contains(&x) && (5..9).contains(&y))
             })
             .collect();
-        let eroded = neighbourhood(&truth, width, height, 1, true);
-        let opened = neighbourhood(&eroded, width, height, 1, false);
+        let opened = opened(&truth, width, height).expect("25 pixels");
         for (i, opened) in opened.iter().enumerate() {
             let (x, y) = (i % width, i / width);
             assert_eq!(*opened, (5..10).contains(&x) && (5..9).contains(&y), "{x}, {y}");

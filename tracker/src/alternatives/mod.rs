@@ -1,5 +1,5 @@
-//! Alternatives: what is tried when a model does not describe a picture: blind pixels left out, a slope or a curve in the
-//! background, outliers that do not count.
+//! Alternatives: what is tried when a model does not describe a picture: what is blind or hidden left out, a slope or a
+//! curve in the background, outliers that do not count.
 //!
 //! What comes in: a picture on which the plain fit left too much unexplained, and starting values. What goes out: the
 //! fit that explains most of the target's domain, each pixel that it does not explain counting a fixed cost (a robust
@@ -16,7 +16,7 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{Mask, Painted};
-use self::residuals::{Predictions, Seen};
+use self::residuals::Predictions;
 use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::StageReport;
 use crate::fit::{Fit, View, fit};
@@ -24,135 +24,180 @@ use crate::workers::InTurn;
 
 /// χ²/ν beyond which a plain fit is not taken as it is.
 pub(crate) const MISFIT: f64 = 1.35;
-/// What a pixel that is not explained, or not looked at, costs; an explained one costs its squared residual.
+/// What a pixel that is not explained costs at most; an explained one costs its squared residual.
 const COST: f64 = 16.0;
 /// Outliers are farther away than this many standard deviations.
 const OUTLIER: f64 = 5.0;
-/// Rounds of finding what is blind and fitting the rest.
+/// Rounds of finding what is hidden and fitting the rest.
 const ROUNDS: usize = 2;
 /// Fewer pixels than this are no target.
 const PIXELS_MIN: usize = 40;
+/// So many of several starts are followed up.
+const STARTS: usize = 2;
+/// Nothing farther from a target than this many outlines is looked at.
+const REACH: f64 = 1.5;
+/// Outliers are looked for among residuals of this many times their deviation first: a start may be some way off.
+const SCALES: [f64; ROUNDS] = [3.0, 1.0];
+/// Degrees of the polynomial that is added to the background.
+const DEGREES: [u32; 3] = [1, 2, 3];
 
-/// What differs from the model, for people: the polynomial's degree and how residuals count.
-const VARIANTS: [(&str, Option<Variant>); 4] = {
-    const TUKEY: Loss = Loss::Tukey(OUTLIER);
-    const DROPPED: Saturated = Saturated::Dropped;
-    [
-        ("blind", None),
-        ("plane, robust", Some(Variant { degree: 1, loss: TUKEY, saturated: DROPPED })),
-        ("quadratic, robust", Some(Variant { degree: 2, loss: TUKEY, saturated: DROPPED })),
-        ("quadratic", Some(Variant { degree: 2, loss: Loss::Squares, saturated: Saturated::Censored })),
-    ]
-};
-
-/// One alternative.
-struct Alternative {
-    name: &'static str,
+/// A model and its predictions, compiled.
+struct Fitted {
     compiled: Arc<Compiled>,
     predictions: Predictions,
 }
 
+/// A background, with which residuals count by their squares, or not at all when they are outliers.
+struct Ground {
+    degree: u32,
+    plain: Fitted,
+    robust: Fitted,
+}
+
 /// All alternatives of a model.
 pub(crate) struct Alternatives {
-    list: Vec<Alternative>,
+    /// The model itself; absent when it has no alternatives.
+    own: Option<Fitted>,
+    grounds: Vec<Ground>,
 }
 
-/// A fit that was chosen over the plain one.
-#[derive(Clone, Debug)]
-pub(crate) struct Chosen {
-    pub fit: Fit,
-    pub name: &'static str,
-    /// Share of the domain that was left out as blind.
-    pub blind: f64,
+/// What is different about a fit that was chosen over the plain one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Choice {
+    /// Of the polynomial added to the background.
+    pub degree: u32,
+    /// Outliers did not count.
+    pub robust: bool,
+    /// Share of the domain that was left out as blind or hidden.
+    pub hidden: f64,
 }
 
-/// A fit and what it costs.
+/// A fit, and what it left out.
 struct Candidate {
-    number: usize,
     fit: Fit,
-    cost: f64,
-    blind: f64,
+    choice: Choice,
 }
 
 impl Alternatives {
-    /// Derives them; kernels follow when they are needed. None for a model without noise or of more than two coordinates.
+    /// Derives them; kernels follow when they are needed. None for a model without noise or not of two coordinates.
     pub fn new(compiled: &Compiled, cache: &Arc<KernelCache>) -> Result<Alternatives, CompileFailure> {
         let model = compiled.model();
-        let mut list = Vec::new();
+        let mut alternatives = Alternatives { own: None, grounds: Vec::new() };
         if !model.has_noise() || model.coordinates().len() != 2 {
-            return Ok(Alternatives { list });
+            return Ok(alternatives);
         }
         let precision = compiled.precision();
-        for (name, variant) in VARIANTS {
-            let compiled = match variant {
-                None => Arc::new(compiled.share()),
-                Some(variant) => {
-                    let model = Arc::new(model.variant(variant));
-                    Arc::new(Compiled::with_cache(model, precision, cache.clone(), &InTurn)?)
-                }
-            };
-            if let Some(predictions) = Predictions::new(compiled.model(), precision, cache)? {
-                list.push(Alternative { name, compiled, predictions });
-            }
+        let fitted = |compiled: Arc<Compiled>| -> Result<Option<Fitted>, CompileFailure> {
+            let predictions = Predictions::new(compiled.model(), precision, cache)?;
+            Ok(predictions.map(|predictions| Fitted { compiled, predictions }))
+        };
+        let variant = |variant| -> Result<Option<Fitted>, CompileFailure> {
+            let model = Arc::new(model.variant(variant));
+            fitted(Arc::new(Compiled::with_cache(model, precision, cache.clone(), &InTurn)?))
+        };
+        let plain = Variant { degree: 0, loss: Loss::Squares, saturated: Saturated::Censored, reach: REACH };
+        let robust = Variant { loss: Loss::Tukey(OUTLIER), saturated: Saturated::Dropped, ..plain };
+        alternatives.own = variant(plain)?;
+        for degree in DEGREES {
+            let (plain, robust) = (variant(Variant { degree, ..plain })?, variant(Variant { degree, ..robust })?);
+            alternatives.grounds.extend(plain.zip(robust).map(|(plain, robust)| Ground { degree, plain, robust }));
         }
-        Ok(Alternatives { list })
+        Ok(alternatives)
     }
 
-    /// The best of all alternatives from all starts and of the `plain` fit; `None` when that is the plain one.
+    /// The best of all alternatives from all starts; `None` when the `plain` fit is as good.
     pub fn best(
         &self,
         view: &View,
         constants: &[f64],
         starts: &[Vec<f64>],
         plain: Option<&Fit>,
-    ) -> Result<Option<Chosen>, CompileFailure> {
-        let Some(base) = self.list.first() else { return Ok(None) };
-        let count = base.compiled.model().parameters().len();
+    ) -> Result<Option<Fit>, CompileFailure> {
+        let Some(own) = &self.own else { return Ok(None) };
+        let Some(first) = self.grounds.first() else { return Ok(None) };
+        let parameters = own.compiled.model().parameters().len();
+        let mut starts = starts.to_vec();
+        // All are compared over the same pixels, where it is known which these are.
+        let region = if let [start] = &starts[..] { own.region(view, constants, start) } else { None };
+        if starts.len() > 1 {
+            starts = first.robust.likely(view, constants, starts)?;
+        }
+        let cost = |fitted: &Fitted, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
         let mut limit = f64::INFINITY;
         if let Some(plain) = plain.filter(|fit| fit.worth.is_some()) {
-            let seen = base.predictions.residuals(view, &plain.parameters, constants);
-            limit = seen.and_then(|seen| cost(&seen, None, base.free())).map_or(limit, |(cost, _)| cost);
-        }
-        let mut best: Option<Candidate> = None;
-        for start in starts {
-            for number in 0..self.list.len() {
-                let Some(candidate) = self.list[number].run(number, view, constants, start)? else { continue };
-                if candidate.cost < best.as_ref().map_or(limit, |best| best.cost) {
-                    best = Some(candidate);
-                }
+            limit = cost(own, plain).unwrap_or(limit);
+            let all = constants_for(own.compiled.model(), constants, view);
+            let seen = own.predictions.residuals(view, &plain.parameters, &all, false);
+            if seen.is_some_and(|seen| Mask::of(view, &seen, false, Some(OUTLIER)).is_none()) {
+                return Ok(None); // nothing but a target that is a little blurred or moved
             }
         }
-        Ok(best.map(|Candidate { number, fit, blind, .. }| {
-            let name = self.list[number].name;
-            Chosen { fit: fit.shortened(count, base.compiled.last_parameters().len()), name, blind }
+        let mut found: Vec<(f64, Candidate)> = Vec::new();
+        let mut add = |fitted: &Fitted, candidate: Option<Candidate>| {
+            let candidate = candidate.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate)));
+            found.extend(candidate);
+        };
+        for start in &starts {
+            let choice = Choice { degree: 0, robust: false, hidden: 0.0 };
+            add(own, own.run(view, constants, start, choice, false)?);
+            for ground in &self.grounds {
+                let choice = Choice { degree: ground.degree, ..choice };
+                add(&ground.plain, ground.plain.run(view, constants, start, choice, false)?);
+                let choice = Choice { robust: true, ..choice };
+                let Some(robust) = ground.robust.run(view, constants, start, choice, false)? else { continue };
+                // What is hidden is known now, and the rest counts in full.
+                add(&ground.plain, ground.plain.run(view, constants, &robust.fit.parameters, choice, true)?);
+                add(&ground.robust, Some(robust));
+            }
+        }
+        if std::env::var("DEBUG_ALT").is_ok() {
+            eprintln!("limit {limit:.3}");
+            for (cost, c) in &found { eprintln!("  {cost:.4} {:?} {:?}", c.choice, &c.fit.parameters[..5]); }
+        }
+        // Of those that explain all that they look at, else of all, the one that explains most.
+        let is_fine = |candidate: &Candidate| {
+            let reduced = candidate.fit.worth.as_ref().and_then(|worth| worth.reduced);
+            reduced.is_some_and(|reduced| reduced <= MISFIT)
+        };
+        let best = found.into_iter().filter(|(cost, _)| *cost < limit);
+        let rank = |a: &(f64, Candidate), b: &(f64, Candidate)| {
+            (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(a.0.total_cmp(&b.0))
+        };
+        let best = best.min_by(rank);
+        Ok(best.map(|(_, Candidate { fit, choice })| Fit {
+            choice: Some(choice),
+            ..fit.shortened(parameters, own.compiled.last_parameters().len())
         }))
     }
 }
 
-impl Alternative {
+impl Fitted {
     /// How many parameters are free.
     fn free(&self) -> usize {
         self.compiled.last_parameters().len()
     }
 
-    /// Fits from a start of the model's own parameters; `None` when that is no fit.
+    /// Fits from a start, which may lack the parameters of the background; `None` when that is no fit. With `hidden`
+    /// outliers that hang together are left out from the first round on.
     fn run(
         &self,
-        number: usize,
         view: &View,
         constants: &[f64],
         start: &[f64],
+        choice: Choice,
+        hidden: bool,
     ) -> Result<Option<Candidate>, CompileFailure> {
-        let constants = constants_for(self.compiled.model(), constants, view);
+        let known = constants_for(self.compiled.model(), constants, view);
         let mut parameters = start.to_vec();
         parameters.resize(self.compiled.model().parameters().len(), 0.0);
         let mut last: Option<Fit> = None;
         let mut mask = None;
+        let robust = self.compiled.model().loss() != Loss::Squares;
         for round in 0..ROUNDS {
-            let Some(seen) = self.predictions.residuals(view, &parameters, &constants) else { return Ok(None) };
-            let found = Mask::of(view, &seen, round == 0);
-            // Without anything blind a second round would be the first one over again, and the model itself was fitted.
-            if found.is_none() && mask.is_none() && (round > 0 || number == 0) {
+            let Some(seen) = self.predictions.residuals(view, &parameters, &known, false) else { return Ok(None) };
+            let found = Mask::of(view, &seen, round == 0 && !hidden, hidden.then_some(OUTLIER));
+            // Without anything hidden a second round would be the first one over again.
+            if round > 0 && found.is_none() && mask.is_none() && !robust {
                 break;
             }
             let precision = self.compiled.precision();
@@ -162,6 +207,10 @@ impl Alternative {
                 Some(blinded) => (blinded, Control::Blind),
                 None => (view, Control::Dropping),
             };
+            let mut constants = known.clone();
+            if let Some(scale) = constants.last_mut().filter(|_| robust) {
+                *scale = SCALES[round];
+            }
             let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64) {
                 return Ok(None);
@@ -171,24 +220,58 @@ impl Alternative {
             mask = found;
         }
         let Some(fit) = last else { return Ok(None) };
-        let Some(seen) = self.predictions.residuals(view, &fit.parameters, &constants) else { return Ok(None) };
-        let Some((cost, blind)) = cost(&seen, mask.as_ref(), self.free()) else { return Ok(None) };
-        Ok(Some(Candidate { number, fit, cost, blind }))
+        let region = self.region(view, constants, &fit.parameters);
+        let share = |mask: &Mask| {
+            let region = region.as_ref()?;
+            let inside = mask.blind.iter().zip(region).filter(|(_, inside)| **inside);
+            let blind = inside.clone().filter(|(blind, _)| **blind).count();
+            Some(blind as f64 / inside.count().max(1) as f64)
+        };
+        let hidden = mask.as_ref().and_then(share).unwrap_or(0.0);
+        Ok(Some(Candidate { fit, choice: Choice { hidden, ..choice } }))
     }
-}
 
-/// The cost of a pixel of the domain, and of the parameters: `mean min(z², 16) + k ln n / n`, blind pixels counting 16; and
-/// the share of the domain that is blind. `None` when the domain has hardly a pixel.
-fn cost(seen: &[Seen], mask: Option<&Mask>, free: usize) -> Option<(f64, f64)> {
-    let (mut sum, mut count, mut blind) = (0.0, 0_usize, 0_usize);
-    for residual in seen.iter().flat_map(|seen| &seen.residuals) {
-        let masked = mask.is_some_and(|mask| mask.blind[residual.pixel]);
-        blind += usize::from(masked);
-        sum += if masked { COST } else { (residual.whitened * residual.whitened).min(COST) };
-        count += 1;
+    /// The first of some starts, and those of the others that lead to the least cost, each over its own domain.
+    fn likely(&self, view: &View, constants: &[f64], starts: Vec<Vec<f64>>) -> Result<Vec<Vec<f64>>, CompileFailure> {
+        let choice = Choice { degree: 0, robust: true, hidden: 0.0 };
+        let mut tried = Vec::new();
+        for start in &starts {
+            let Some(candidate) = self.run(view, constants, start, choice, false)? else { continue };
+            let cost = self.cost(view, constants, &candidate.fit.parameters, None);
+            tried.extend(cost.map(|cost| (cost, candidate.fit.parameters)));
+        }
+        tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let count = starts[0].len();
+        let best = tried.into_iter().take(STARTS).map(|(_, mut parameters)| {
+            parameters.truncate(count);
+            parameters
+        });
+        Ok(starts.into_iter().take(1).chain(best).collect())
     }
-    let n = count as f64;
-    (count >= PIXELS_MIN).then(|| ((sum + free as f64 * n.ln()) / n, blind as f64 / n))
+
+    /// Which pixels of the window belong to the domain.
+    fn region(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<Vec<bool>> {
+        let constants = constants_for(self.compiled.model(), constants, view);
+        let seen = self.predictions.residuals(view, parameters, &constants, false)?;
+        let mut region = vec![false; view.window.pixels()];
+        seen.iter().flat_map(|seen| &seen.residuals).for_each(|residual| region[residual.pixel] = true);
+        Some(region)
+    }
+
+    /// The cost of a pixel of the region (without one, of the domain), and of the parameters: `mean min(z², 16) + k ln n / n`.
+    /// `None` when there is hardly a pixel.
+    fn cost(&self, view: &View, constants: &[f64], parameters: &[f64], region: Option<&[bool]>) -> Option<f64> {
+        let constants = constants_for(self.compiled.model(), constants, view);
+        let seen = self.predictions.residuals(view, parameters, &constants, region.is_some())?;
+        let (mut sum, mut count) = (0.0, 0_usize);
+        let residuals = seen.iter().flat_map(|seen| &seen.residuals);
+        for residual in residuals.filter(|residual| region.is_none_or(|region| region[residual.pixel])) {
+            sum += (residual.whitened * residual.whitened).min(COST);
+            count += 1;
+        }
+        let n = count as f64;
+        (count >= PIXELS_MIN).then(|| (sum + self.free() as f64 * n.ln()) / n)
+    }
 }
 
 /// The model's constants and those of the background: the polynomial is about the window's middle, in units of half its
@@ -198,7 +281,7 @@ fn constants_for(model: &Model, constants: &[f64], view: &View) -> Vec<f64> {
     if model.constants().len() > constants.len() {
         let (first, size) = (view.window.first(), view.window.size());
         all.extend((0..2).map(|axis| first[axis] as f64 + 0.5 * (size[axis] as f64 - 1.0)));
-        all.push(0.5 * size[0].max(size[1]) as f64);
+        all.extend([0.5 * size[0].max(size[1]) as f64, 1.0]);
     }
     all
 }

@@ -16,6 +16,7 @@ use crate::grey::{Grey, Mixture};
 struct Entry {
     model: Model,
     intensity: Arc<Kernel>,
+    unbounded: Arc<Kernel>,
     variance: Arc<Kernel>,
 }
 
@@ -61,21 +62,29 @@ impl Predictions {
         let mut entries = Vec::new();
         for summand in model.summands().into_iter().filter(|summand| !summand.is_clipped) {
             let model = summand.model;
-            let intensity = kernel(&model, Prediction::Intensity)?;
-            let (Some(intensity), Some(variance)) = (intensity, kernel(&model, Prediction::Variance)?) else {
+            let [intensity, unbounded, variance] =
+                [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance].map(|what| kernel(&model, what));
+            let (Some(intensity), Some(unbounded), Some(variance)) = (intensity?, unbounded?, variance?) else {
                 return Ok(None);
             };
-            entries.push(Entry { model, intensity, variance });
+            entries.push(Entry { model, intensity, unbounded, variance });
         }
         Ok(Some(Predictions { entries }))
     }
 
-    /// The residuals of each observed value; `None` when a kernel refuses.
-    pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64]) -> Option<Vec<Seen>> {
+    /// The residuals of each observed value over the domain, or everywhere; `None` when a kernel refuses.
+    pub fn residuals(
+        &self,
+        view: &View,
+        parameters: &[f64],
+        constants: &[f64],
+        everywhere: bool,
+    ) -> Option<Vec<Seen>> {
         let saturation = &view.saturation;
         let bindings = Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
         let one = |entry: &Entry| {
-            let predicted = plane(&entry.intensity, &bindings, view.window)?;
+            let kernel = if everywhere { &entry.unbounded } else { &entry.intensity };
+            let predicted = plane(kernel, &bindings, view.window)?;
             let variance = plane(&entry.variance, &bindings, view.window)?;
             let observed =
                 Grey::read(&view.planes, view.window, saturation, &Mixture::observed(&entry.model, constants));

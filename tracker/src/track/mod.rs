@@ -11,6 +11,7 @@
 
 pub(crate) mod evidence;
 mod memory;
+mod reconsider;
 pub(crate) mod search;
 pub(crate) mod solver;
 pub(crate) mod window;
@@ -78,7 +79,9 @@ impl Track {
             }
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
-        let candidate = Candidate::of(solver, solver.attempt(look, &start, control, margin)?, self.memory.variance);
+        let attempt = solver.attempt(look, &start, control, margin)?;
+        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, false)?;
+        let candidate = Candidate::of(solver, attempt, self.memory.variance);
         let candidate = self.expecting(solver, candidate, time_s);
         let is_kept = candidate.attempt.is_good()
             && self.change(solver, &candidate) <= FADED

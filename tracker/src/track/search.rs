@@ -107,8 +107,13 @@ impl Search {
         let Some(cold) = Cold::look(solver.model(), &view, &solver.constants, given, sights_max, masks) else {
             return Ok(search);
         };
+        // The most massive thing that no fit explains well.
+        let mut doubtful: Option<(&Starts, Attempt)> = None;
         for starts in &cold.sights {
             let attempt = best(solver, look, starts, cold.control)?;
+            if doubtful.is_none() && !solver.is_fine(&attempt, None) {
+                doubtful = Some((starts, attempt.clone()));
+            }
             if attempt.is_good() {
                 let candidate = Candidate::of(solver, attempt, cold.variance);
                 let is_avoided = search.avoided.iter().any(|other| candidate.coincides(solver, other));
@@ -118,6 +123,16 @@ impl Search {
                 }
             } else if search.failure.fit.is_none() {
                 search.failure = attempt;
+            }
+        }
+        let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None);
+        if let Some((starts, attempt)) = doubtful
+            && !search.candidates.iter().any(is_fine)
+        {
+            let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+            let attempt = solver.reconsidered(look, attempt, &starts.starts[0], margin, None, !cold.is_placed)?;
+            if attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
+                search.candidates.push(Candidate::of(solver, attempt, cold.variance));
             }
         }
         // Stable: where there is no evidence the most massive stays first.

@@ -149,7 +149,7 @@ impl Solver {
     }
 
     /// Why a fit is not believed.
-    fn rejection(&self, fit: &Fit, view: &View, whole: Window) -> Option<Rejection> {
+    pub(super) fn rejection(&self, fit: &Fit, view: &View, whole: Window) -> Option<Rejection> {
         let model = self.model();
         if !fit.ending.is_fit() {
             return Some(Rejection::Ending);
