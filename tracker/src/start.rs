@@ -40,6 +40,8 @@ pub struct Wanted {
     pub targets_max: usize,
     /// Fainter ones beside the brightest, down to the noise.
     pub faint: bool,
+    /// What has fewer pixels is nothing; by default six.
+    pub pixels_min: Option<usize>,
     /// Places that are taken.
     pub masks: Vec<Mask>,
 }
@@ -96,6 +98,8 @@ const SIGNIFICANT: f64 = 3.0;
 const SMOOTH_BELOW: f64 = 8.0;
 /// What is smaller is a hot pixel.
 const PIXELS_MIN: usize = 6;
+/// … as a mean of four; a hot pixel is one of them.
+const PIXELS_MIN_HALVED: usize = 2;
 /// … in one dimension.
 const PIXELS_MIN_1D: usize = 2;
 /// Near a given place, targets of less than this share of the largest mass do not matter.
@@ -134,6 +138,40 @@ pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Found {
     Found { sights, noise: background.noise }
 }
 
+/// Finds targets in a picture with half the pixels along x and y (see [`Grey::read_halved`]); all is told in whole pixels.
+pub(crate) fn find_halved(grey: &Grey, wanted: &Wanted) -> Found {
+    // Cell i holds pixels 2i and 2i + 1.
+    let cell = |place: [f64; 4]| [0.5 * (place[0] - 0.5), 0.5 * (place[1] - 0.5), place[2], place[3]];
+    let unit = [2.0, 2.0, 1.0, 1.0];
+    let mut coarse = wanted.clone();
+    coarse.pixels_min = Some(PIXELS_MIN_HALVED);
+    coarse.near = wanted.near.map(cell);
+    for mask in &mut coarse.masks {
+        mask.first = [mask.first[0] / 2, mask.first[1] / 2, mask.first[2], mask.first[3]];
+        for axis in 0..2 {
+            mask.size[axis] = (mask.size[axis] / 2 + 1).min(grey.size[axis].saturating_sub(mask.first[axis]));
+        }
+        mask.centre = cell(mask.centre);
+        for (i, j) in (0..4).flat_map(|i| (0..4).map(move |j| (i, j))) {
+            mask.extent[i][j] *= unit[i] * unit[j];
+        }
+    }
+    let mut found = find(grey, &coarse);
+    for sight in &mut found.sights {
+        let [x, y, z, w] = sight.centre;
+        sight.centre = [2.0 * x + 0.5, 2.0 * y + 0.5, z, w];
+        sight.saturated *= 4;
+        for i in 0..4 {
+            sight.size[i] *= unit[i];
+            for j in 0..4 {
+                sight.extent[i][j] /= unit[i] * unit[j];
+            }
+        }
+    }
+    found.noise *= 2.0;
+    found
+}
+
 fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted) -> Vec<Sight> {
     let factor = if sign == Sign::Bright { 1.0 } else { -1.0 };
     let slope = background.slope_along_rows();
@@ -153,7 +191,8 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
     let level = |peak: f64| (THRESHOLD * peak).max((NOISE_FACTOR * background.noise).min(0.5 * peak));
     let sharp = difference(grey.values.clone());
     let values = if level(peak) < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
-    let pixels_min = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
+    let usual = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
+    let pixels_min = wanted.pixels_min.unwrap_or(usual);
     // Smoothing makes nine pixels and more of a hot one.
     let above = |values: &[f64], level: f64| -> Vec<Component> {
         let mut components = Labels::new(values, grey.size).above(level, pixels_min);

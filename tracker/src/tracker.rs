@@ -82,7 +82,7 @@ impl Tracker {
     pub fn sightings(&self, frame: &Frame) -> Vec<Sighting> {
         let Some(look) = self.solver.look(frame) else { return Vec::new() };
         let given = self.solver.options.start_of(self.solver.model());
-        let search = Search::run(&self.solver, &look, &given, Vec::new());
+        let search = Search::run(&self.solver, &look, &given, Vec::new(), None);
         search.map(|search| search.sightings(&self.solver)).unwrap_or_default()
     }
 
@@ -151,7 +151,10 @@ impl Tracker {
                     let track = &self.tracks[number];
                     let search = match &mut search {
                         Some(search) => search,
-                        none => none.insert(Search::run(solver, look, &self.given(track), kept.clone())?),
+                        none => {
+                            let size_px = track.memory.size_px(solver);
+                            none.insert(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?)
+                        }
                     };
                     track.settle(solver, look, doubtful, search, time_s)
                 }

@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::evidence::Ground;
 use super::search::Candidate;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
@@ -25,8 +26,8 @@ pub(crate) struct Memory {
     pub clipped: bool,
     /// The target was found once.
     pub found: bool,
-    /// Variance of a background pixel when it was found.
-    pub variance: Option<f64>,
+    /// What was beside it when it was found.
+    pub ground: Option<Ground>,
     motion: Option<Motion>,
 }
 
@@ -87,6 +88,14 @@ impl Memory {
         })
     }
 
+    /// Half the width of what was seen last, the narrowest of all targets of the model, px.
+    pub fn size_px(&self, solver: &Solver) -> Option<f64> {
+        let dimensions = solver.model().coordinates().len();
+        let known = solver.model().roles().iter().filter(|_| !self.last.is_empty());
+        let widths = known.filter_map(|roles| half_widths(roles, dimensions, &self.last)).flatten();
+        widths.reduce(f64::min)
+    }
+
     /// The factor by which the area of the outline changed, up or down; 1 where unknown.
     pub fn area_change(&self, solver: &Solver, parameters: &[f64]) -> f64 {
         if self.last.is_empty() {
@@ -126,7 +135,7 @@ impl Memory {
         self.covariance = fit.worth.as_ref().and_then(|worth| worth.covariance.clone());
         self.reduced = candidate.attempt.reduced();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
-        self.variance = candidate.variance.or(self.variance);
+        self.ground = candidate.ground.or(self.ground);
         self.found = true;
     }
 

@@ -78,7 +78,7 @@ impl Track {
             }
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
-        let candidate = Candidate::of(solver, solver.attempt(look, &start, control, margin)?, self.memory.variance);
+        let candidate = Candidate::of(solver, solver.attempt(look, &start, control, margin)?, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
         let is_kept = candidate.attempt.is_good()
             && self.change(solver, &candidate) <= FADED
