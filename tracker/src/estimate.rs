@@ -3,6 +3,8 @@
 use isophote_symbolic::ParameterId;
 use serde::{Deserialize, Serialize};
 
+use crate::exposure::ExposureAdvice;
+
 /// Whether the target is followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -146,6 +148,8 @@ pub struct Estimate {
     /// The probability that the thing tracked is the target; absent where the model does not say what is bright, and where
     /// nothing was seen.
     pub confidence: Option<f64>,
+    /// What exposure would be best, when it was asked for and the target was seen.
+    pub exposure_advice: Option<ExposureAdvice>,
     /// Pixels that the last pass used.
     pub pixels: u64,
     /// The share of the domain's pixels that are saturated.

@@ -6,6 +6,7 @@ use isophote_jit::Window;
 use isophote_symbolic::{Model, Precision};
 
 use crate::camera::Camera;
+use crate::exposure::ExposureGoal;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +25,8 @@ pub struct TrackerOptions {
     pub targets: usize,
     /// How they move.
     pub motion: MotionOptions,
+    /// What exposure is advised for; no advice when absent.
+    pub exposure: Option<ExposureGoal>,
     /// What a search finds is taken for the target from this confidence on, 0 … 1.
     pub confidence_min: f64,
 }
@@ -55,6 +58,7 @@ impl Default for TrackerOptions {
             camera: Camera::default(),
             targets: 1,
             motion: MotionOptions::default(),
+            exposure: None,
             confidence_min: 0.0,
         }
     }

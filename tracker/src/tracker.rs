@@ -13,6 +13,7 @@ use nalgebra::DMatrix;
 
 use crate::compiled::{CompileFailure, Compiled};
 use crate::estimate::{Ending, Estimate, TrackState};
+use crate::exposure::Advisor;
 use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
 use crate::track::evidence::log_likelihood;
@@ -24,6 +25,7 @@ use crate::track::{Followed, Outcome, Track};
 pub struct Tracker {
     pub(crate) solver: Solver,
     tracks: Vec<Track>,
+    advisor: Option<Advisor>,
     /// Of the last frame.
     time_s: Option<f64>,
 }
@@ -48,7 +50,8 @@ impl Tracker {
             return Err(TrackError::Precision { wanted: options.precision, compiled: compiled.precision() });
         }
         let tracks = vec![Track::default(); options.targets];
-        Ok(Tracker { solver: Solver::new(compiled, options), tracks, time_s: None })
+        let solver = Solver::new(compiled, options);
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, time_s: None })
     }
 
     /// The model's kernels.
@@ -69,6 +72,7 @@ impl Tracker {
             answer.get_or_insert(carried);
         }
         self.solver = Solver::new(compiled, options);
+        self.advisor = advisor(&self.solver);
         answer.unwrap_or_default()
     }
 
@@ -109,7 +113,19 @@ impl Tracker {
             None => missing(Ending::WrongFrame),
         };
         let numbered = outcomes.into_iter().enumerate();
-        numbered.map(|(number, outcome)| self.take(number, outcome, frame, time_s)).collect()
+        let mut estimates: Vec<Estimate> =
+            numbered.map(|(number, outcome)| self.take(number, outcome, frame, time_s)).collect();
+        self.advise(frame, &mut estimates);
+        estimates
+    }
+
+    fn advise(&mut self, frame: &Frame, estimates: &mut [Estimate]) {
+        let Some((advisor, look)) = self.advisor.as_mut().zip(self.solver.look(frame)) else { return };
+        for (number, estimate) in estimates.iter_mut().enumerate() {
+            if estimate.state == TrackState::Tracking {
+                estimate.exposure_advice = advisor.advise(&self.solver, &look, number, estimate);
+            }
+        }
     }
 
     /// When the frame was taken: by its time, else by its number; never before the last one.
@@ -216,6 +232,7 @@ impl Tracker {
             reduced_chi_square: told.and_then(|worth| worth.reduced),
             log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
             confidence,
+            exposure_advice: None,
             pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
             saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
             iterations: stages.iter().map(|stage| stage.iterations).collect(),
@@ -225,6 +242,11 @@ impl Tracker {
             stages,
         }
     }
+}
+
+fn advisor(solver: &Solver) -> Option<Advisor> {
+    let options = &solver.options;
+    options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
 }
 
 /// The target's id.

@@ -28,6 +28,8 @@ const CONSTANT: f64 = -3.0;
 const LARGER: f64 = 1.0;
 /// e₀.
 const IMPERFECT: f64 = 0.002;
+/// A height of so many times what pixels hold can still be told.
+const HEIGHT_MAX: f64 = 3.0;
 /// χ²/ν may be larger than 1 by so many of its standard deviations, √(2/ν).
 const SCATTER: f64 = 3.0;
 
@@ -74,6 +76,7 @@ impl Evidence {
             Some((reduced - 1.0 - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
         };
         let misfit = unit.map_or(Some(0.0), |unit| Some((unexplained(unit)? / IMPERFECT).max(1.0).ln()))?;
+        let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
         Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(), ..Evidence::default() })
     }
 
@@ -103,6 +106,17 @@ fn light(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
         Some(1.0 + (0.5 * height.min(limit - ground) / ground.max(1.0)).max(0.0))
     };
     solver.model().roles().iter().filter_map(factor).fold(1.0, f64::max)
+}
+
+/// e-folds, twice, by which a target is higher than a camera lets one say: a height of many times what pixels hold is an
+/// extrapolation from a rim alone, and the rim of everything that is overexposed looks alike.
+fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
+    let value = |parameter: Option<ParameterId>| parameter.map(|parameter| fit.parameters[parameter.index()]);
+    let excess = |roles: &Roles| {
+        let seen = limit - value(roles.background)?;
+        Some(2.0 * (value(roles.brightness)? / (HEIGHT_MAX * seen.max(1.0))).max(1.0).ln())
+    };
+    solver.model().roles().iter().filter_map(excess).fold(0.0, f64::max)
 }
 
 /// `F₀/F − 1`, the least of all targets of the model.

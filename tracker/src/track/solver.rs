@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use isophote_jit::{PlaneView, Window};
+use isophote_jit::{PlaneView, Slices, Window};
 use isophote_symbolic::Model;
 
 use super::window::{Margin, Reach, half_widths, holds, shape};
@@ -119,6 +119,20 @@ impl Solver {
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
         Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection })
+    }
+
+    /// The same in a frame of that size; `None` where nothing of the domain is inside.
+    pub fn reach_window(&self, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
+        self.reach.window(self.model(), parameters, margin, whole)
+    }
+
+    /// The pixel value at which the camera clips; infinite where it does not.
+    pub fn limit(&self, look: &Look) -> Option<f64> {
+        self.view(look, Window { width: 1, height: 1, slices: Slices { count: [1, 1], ..look.window.slices }, ..look.window })
+            .saturation
+            .iter()
+            .copied()
+            .reduce(f64::min)
     }
 
     /// True when windows around targets are smaller than the frame.
