@@ -218,6 +218,7 @@ impl Tracker {
             }
         };
         let good = state == TrackState::Tracking;
+        let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
         let (stages, worth) = attempt.fit.map_or((Vec::new(), None), |fit| (fit.stages, fit.worth));
         let told = worth.as_ref().filter(|_| good);
         Estimate {
@@ -233,6 +234,7 @@ impl Tracker {
             log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
             confidence,
             exposure_advice: None,
+            ahead,
             pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
             saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
             iterations: stages.iter().map(|stage| stage.iterations).collect(),

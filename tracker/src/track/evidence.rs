@@ -8,7 +8,8 @@
 //! 2. *Misfit*, `ln (e/e₀)`, at least 0, with e the share of the target's light that the model leaves unexplained beyond the
 //!    noise, `(χ²/ν − 1)/((F₀ − F)/ν)`: a thing of another shape. No model is quite right, so e₀ is forgiven. Without
 //!    `noise` in the model the noise is that at the border of what was searched, with a variance that grows as the light.
-//! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate.
+//! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate; none for a target that moved by less than
+//!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.

@@ -6,7 +6,9 @@ use super::evidence::Ground;
 use super::search::Candidate;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
+use crate::estimate::Ahead;
 use crate::motion::{Measured, Motion, Predicted};
+use crate::options::PredictOptions;
 
 /// From this many measurements on the velocity is known.
 const MOVING: u32 = 2;
@@ -50,6 +52,22 @@ impl Memory {
     /// The target at a time.
     pub fn predicted(&self, time_s: f64) -> Option<Predicted> {
         Some(self.motion.as_ref()?.predict(time_s))
+    }
+
+    /// The target from a time on, to a horizon.
+    pub fn ahead(&self, time_s: f64, options: PredictOptions) -> Vec<Ahead> {
+        let step = |step: usize| {
+            let after_s = options.horizon_s * step as f64 / options.steps as f64;
+            let (state, spread) = self.predicted(time_s + after_s)?.moving();
+            let centres = state.len() / 2;
+            Some(Ahead {
+                after_s,
+                centre: state.rows(0, centres).iter().copied().collect(),
+                velocity: state.rows(centres, centres).iter().copied().collect(),
+                covariance: spread.row_iter().map(|row| row.iter().copied().collect()).collect(),
+            })
+        };
+        (1..=options.steps).filter_map(step).collect()
     }
 
     /// Frames in which it was seen since it was found.

@@ -140,8 +140,9 @@ impl Track {
 
     /// The same candidate with what speaks against it, given what was expected.
     fn expecting(&self, solver: &Solver, mut candidate: Candidate, time_s: f64) -> Candidate {
+        let is_near = self.is_near(solver, &candidate, time_s);
         if let Some(evidence) = &mut candidate.evidence {
-            let distance = self.memory.distance(solver, &candidate.attempt, time_s);
+            let distance = self.memory.distance(solver, &candidate.attempt, time_s).filter(|_| !is_near);
             evidence.distance = distance.map_or(0.0, Predicted::excess);
             evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);
         }

@@ -75,6 +75,31 @@ fn coasting_goes_on_as_the_target_does_and_knows_less_and_less() {
 }
 
 #[test]
+fn a_prediction_is_where_the_target_will_be() {
+    let predict = Some(crate::PredictOptions { horizon_s: 0.5, steps: 10 });
+    let mut tracker = tracker(TrackerOptions { predict, ..TrackerOptions::default() });
+    let path = |number: f64| [60.0 + 2.0 * number, 200.0 - 1.0 * number];
+    let mut last = None;
+    for number in 0..30 {
+        let estimate = tracker.track(&frame(number, vec![spot(path(number as f64), [16.0, 12.0], 120.0)]));
+        assert_eq!(estimate.ahead.len(), 10, "{estimate:?}");
+        last = Some(estimate);
+    }
+    let mut before = 0.0;
+    for (step, ahead) in last.unwrap().ahead.iter().enumerate() {
+        assert!((ahead.after_s - 0.05 * (step + 1) as f64).abs() < 1e-12);
+        let [x, y] = path(29.0 + 60.0 * ahead.after_s);
+        let deviation = ahead.covariance[0][0].sqrt();
+        assert!((ahead.centre[0] - x).hypot(ahead.centre[1] - y) < 4.0 * deviation, "{ahead:?}");
+        assert!((ahead.velocity[0] - 120.0).abs() < 10.0 && (ahead.velocity[1] + 60.0).abs() < 10.0, "{ahead:?}");
+        assert!(deviation > before && ahead.covariance.len() == 4);
+        before = deviation;
+    }
+    let blank = tracker.track(&Picture { noise: 1.5, ..Picture::new(320, 240, vec![]) }.frame().with_sequence(30));
+    assert!(blank.state == TrackState::Coasting && blank.ahead.len() == 10, "{blank:?}");
+}
+
+#[test]
 fn what_comes_up_elsewhere_while_the_target_is_hidden_is_not_the_target() {
     let options = TrackerOptions { motion: MotionOptions { coast_s: 0.2, ..Default::default() }, ..Default::default() };
     let mut tracker = tracker(options);
