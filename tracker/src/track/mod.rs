@@ -104,7 +104,8 @@ impl Track {
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
             let sure = candidate.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min);
-            (sure && suits(&candidate)).then_some(candidate)
+            let guess = !self.is_confirmed() && search.is_guess(&candidate);
+            (sure && !guess && suits(&candidate)).then_some(candidate)
         });
         let good = doubtful.as_ref().is_some_and(|candidate| candidate.attempt.is_good());
         match (doubtful.filter(|_| good), found) {

@@ -21,6 +21,8 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
+/// Of several things one that is the target with less than this probability is not taken.
+const UNLIKE: f64 = 0.003;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
 
@@ -47,6 +49,8 @@ pub struct Sighting {
 pub(crate) struct Search {
     candidates: Vec<Candidate>,
     claimed: Vec<bool>,
+    /// It was said where the target is, and there it was.
+    is_placed: bool,
     /// What to report when there is none: the best of the fits that are not believed.
     pub failure: Attempt,
     /// Parameters of the targets that were followed already.
@@ -105,8 +109,8 @@ impl Search {
         avoided: Vec<Vec<f64>>,
         size_px: Option<f64>,
     ) -> Result<Search, CompileFailure> {
-        let mut search =
-            Search { candidates: Vec::new(), claimed: Vec::new(), failure: Attempt::none(Ending::NoTarget), avoided };
+        let (candidates, claimed, failure) = (Vec::new(), Vec::new(), Attempt::none(Ending::NoTarget));
+        let mut search = Search { candidates, claimed, is_placed: false, failure, avoided };
         let [width, height, ..] = look.window.size();
         let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
         if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
@@ -145,6 +149,7 @@ impl Search {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
                 if cold.is_placed {
+                    self.is_placed = true;
                     break; // it was said where, and there it is
                 }
             } else if self.failure.fit.is_none() {
@@ -168,6 +173,13 @@ impl Search {
             }
         }
         self.candidates = kept;
+    }
+
+    /// True when one of several things must be taken on looks alone, and this one does not look like the target. A single
+    /// thing is taken even so: a rough model is better than none.
+    pub fn is_guess(&self, candidate: &Candidate) -> bool {
+        let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
+        unlike && !self.is_placed && self.candidates.len() > 1
     }
 
     /// The likeliest that nobody has claimed, of those that `admit` lets through.
