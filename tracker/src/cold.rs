@@ -5,7 +5,9 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 use crate::compiled::Control;
 use crate::fit::View;
 use crate::grey::{Grey, Mixture};
-use crate::start::{Mask, Sight, Sign, Wanted, find, find_halved};
+use crate::halved::find_halved;
+use crate::mask::Mask;
+use crate::start::{Sight, Sign, Wanted, find};
 
 /// What a cold start may begin with.
 pub(crate) struct Cold {

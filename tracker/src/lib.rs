@@ -21,6 +21,8 @@ mod exposure;
 mod fit;
 mod frame;
 mod grey;
+mod halved;
+mod mask;
 mod motion;
 mod options;
 #[cfg(test)]

@@ -18,10 +18,11 @@ use nalgebra::DMatrix;
 use crate::background::Background;
 use crate::component::{Component, Labels};
 use crate::grey::{Grey, place_of};
+use crate::mask::Mask;
 
 /// Which way a target differs from the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sign {
+pub(crate) enum Sign {
     /// Bright on dark.
     Bright,
     /// Dark on bright.
@@ -30,7 +31,7 @@ pub enum Sign {
 
 /// What to look for.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wanted {
+pub(crate) struct Wanted {
     /// Bright or dark; `None`: whichever is more.
     pub sign: Option<Sign>,
     /// Where the first target should be, in px of the window: of all targets that matter the nearest is taken, not the
@@ -46,22 +47,9 @@ pub struct Wanted {
     pub masks: Vec<Mask>,
 }
 
-/// The ellipsoid `(x − centre)ᵀ A (x − centre) ≤ 1` inside a box; px of the window.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Mask {
-    /// First pixels of the box.
-    pub first: [usize; 4],
-    /// Pixels of the box along each coordinate.
-    pub size: [usize; 4],
-    /// Centre.
-    pub centre: [f64; 4],
-    /// A, px⁻².
-    pub extent: [[f64; 4]; 4],
-}
-
 /// What was found.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Found {
+pub(crate) struct Found {
     /// What may be targets.
     pub sights: Vec<Sight>,
     /// Standard deviation of a pixel of the background.
@@ -70,7 +58,7 @@ pub struct Found {
 
 /// Starting values of one target; px of the window.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sight {
+pub(crate) struct Sight {
     /// Centre; 0 in dimensions that the window does not extend in.
     pub centre: [f64; 4],
     /// A, px⁻²: the outline is dᵀAd = 1.
@@ -98,8 +86,6 @@ const SIGNIFICANT: f64 = 3.0;
 const SMOOTH_BELOW: f64 = 8.0;
 /// What is smaller is a hot pixel.
 const PIXELS_MIN: usize = 6;
-/// … as a mean of four; a hot pixel is one of them.
-const PIXELS_MIN_HALVED: usize = 2;
 /// … in one dimension.
 const PIXELS_MIN_1D: usize = 2;
 /// Near a given place, targets of less than this share of the largest mass do not matter.
@@ -136,40 +122,6 @@ pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Found {
         |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * volume(&s.size[1..]));
     let sights = found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default();
     Found { sights, noise: background.noise }
-}
-
-/// Finds targets in a picture with half the pixels along x and y (see [`Grey::read_halved`]); all is told in whole pixels.
-pub(crate) fn find_halved(grey: &Grey, wanted: &Wanted) -> Found {
-    // Cell i holds pixels 2i and 2i + 1.
-    let cell = |place: [f64; 4]| [0.5 * (place[0] - 0.5), 0.5 * (place[1] - 0.5), place[2], place[3]];
-    let unit = [2.0, 2.0, 1.0, 1.0];
-    let mut coarse = wanted.clone();
-    coarse.pixels_min = Some(PIXELS_MIN_HALVED);
-    coarse.near = wanted.near.map(cell);
-    for mask in &mut coarse.masks {
-        mask.first = [mask.first[0] / 2, mask.first[1] / 2, mask.first[2], mask.first[3]];
-        for axis in 0..2 {
-            mask.size[axis] = (mask.size[axis] / 2 + 1).min(grey.size[axis].saturating_sub(mask.first[axis]));
-        }
-        mask.centre = cell(mask.centre);
-        for (i, j) in (0..4).flat_map(|i| (0..4).map(move |j| (i, j))) {
-            mask.extent[i][j] *= unit[i] * unit[j];
-        }
-    }
-    let mut found = find(grey, &coarse);
-    for sight in &mut found.sights {
-        let [x, y, z, w] = sight.centre;
-        sight.centre = [2.0 * x + 0.5, 2.0 * y + 0.5, z, w];
-        sight.saturated *= 4;
-        for i in 0..4 {
-            sight.size[i] *= unit[i];
-            for j in 0..4 {
-                sight.extent[i][j] /= unit[i] * unit[j];
-            }
-        }
-    }
-    found.noise *= 2.0;
-    found
 }
 
 fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted) -> Vec<Sight> {
@@ -223,22 +175,6 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
         measure(grey, background, &own, &sharp, factor * peak)
     });
     measured.collect()
-}
-
-impl Mask {
-    /// Takes away what stands in it.
-    fn clear(&self, values: &mut [f64], size: [usize; 4]) {
-        let count: usize = self.size.iter().product();
-        for i in 0..count {
-            let within = place_of(i, self.size);
-            let place: [usize; 4] = std::array::from_fn(|axis| self.first[axis] + within[axis] as usize);
-            let d: [f64; 4] = std::array::from_fn(|axis| place[axis] as f64 - self.centre[axis]);
-            let s: f64 = (0..4).flat_map(|i| (0..4).map(move |j| d[i] * self.extent[i][j] * d[j])).sum();
-            if s <= 1.0 {
-                values[place[0] + size[0] * (place[1] + size[1] * (place[2] + size[2] * place[3]))] = 0.0;
-            }
-        }
-    }
 }
 
 fn put_nearest_first(components: &mut [Component], size: [usize; 4], near: [f64; 4]) {

@@ -9,14 +9,13 @@
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use nalgebra::DMatrix;
 
 use crate::compiled::{CompileFailure, Compiled};
 use crate::estimate::{Ending, Estimate, TrackState};
 use crate::exposure::Advisor;
 use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
-use crate::track::evidence::log_likelihood;
+use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::{Followed, Outcome, Track};
@@ -119,6 +118,13 @@ impl Tracker {
         estimates
     }
 
+    /// Remembers what a frame said about a target, and says it.
+    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, time_s: f64) -> Estimate {
+        let name = name(self.solver.model(), self.tracks.len(), number);
+        let told = Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s };
+        estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
+    }
+
     fn advise(&mut self, frame: &Frame, estimates: &mut [Estimate]) {
         let Some((advisor, look)) = self.advisor.as_mut().zip(self.solver.look(frame)) else { return };
         for (number, estimate) in estimates.iter_mut().enumerate() {
@@ -196,71 +202,11 @@ impl Tracker {
         }
         given
     }
-
-    /// Remembers what a frame said about a target, and says it.
-    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, time_s: f64) -> Estimate {
-        let (solver, memory) = (&self.solver, &mut self.tracks[number].memory);
-        let (state, attempt, covariance, parameters, confidence) = match outcome {
-            Outcome::Seen(candidate) => {
-                memory.saw(solver, &candidate, time_s);
-                let confidence = candidate.confidence();
-                let covariance = memory.covariance.clone();
-                (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence)
-            }
-            Outcome::Coasting(attempt, predicted) => {
-                let (parameters, covariance) = memory.coasted(solver, &predicted);
-                (TrackState::Coasting, attempt, covariance, parameters, None)
-            }
-            Outcome::Missing(attempt) => {
-                memory.lose();
-                let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
-                (state, attempt, None, memory.last.clone(), None)
-            }
-        };
-        let good = state == TrackState::Tracking;
-        let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
-        let (stages, worth) = attempt.fit.map_or((Vec::new(), None), |fit| (fit.stages, fit.worth));
-        let told = worth.as_ref().filter(|_| good);
-        Estimate {
-            target: name(solver.model(), self.tracks.len(), number),
-            sequence: frame.sequence,
-            capture_ns: frame.capture_ns,
-            state,
-            parameters,
-            order: solver.compiled.last_parameters().to_vec(),
-            covariance: covariance.as_ref().map(rows),
-            objective: told.map(|worth| worth.objective),
-            reduced_chi_square: told.and_then(|worth| worth.reduced),
-            log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
-            confidence,
-            exposure_advice: None,
-            ahead,
-            pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
-            saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
-            iterations: stages.iter().map(|stage| stage.iterations).collect(),
-            converged: good && attempt.ending == Ending::SmallStep,
-            ending: attempt.ending,
-            rejection: attempt.rejection.filter(|_| !good),
-            stages,
-        }
-    }
 }
 
 fn advisor(solver: &Solver) -> Option<Advisor> {
     let options = &solver.options;
     options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
-}
-
-/// The target's id.
-fn name(model: &Model, targets: usize, number: usize) -> String {
-    match model.roles() {
-        [roles] if targets == 1 => roles.name.clone().unwrap_or_else(|| "0".to_string()),
-        _ => number.to_string(),
-    }
-}
-
-fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
-    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
 /// The values that a new model takes over, and their names.
@@ -298,6 +244,14 @@ fn separate(solver: &Solver, followed: &mut [Followed]) {
                 followed[loser] = Followed::Doubtful(None);
             }
         }
+    }
+}
+
+/// The target's id.
+fn name(model: &Model, targets: usize, number: usize) -> String {
+    match model.roles() {
+        [roles] if targets == 1 => roles.name.clone().unwrap_or_else(|| "0".to_string()),
+        _ => number.to_string(),
     }
 }
 

@@ -78,7 +78,8 @@ impl Session {
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
         let light = Light::of(&document.options, &source.source)?;
-        let fitter = Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
+        let fitter =
+            Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
         let thread = std::thread::Builder::new()
             .name(format!("fit {name}"))
             .spawn(move || fitter.run())

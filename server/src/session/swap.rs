@@ -71,7 +71,10 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
         },
         confidence_min: document.options.confidence_min,
         exposure: Some(document.options.exposure.goal),
-        predict: document.options.predict.map(|PredictDocument { horizon_s, steps }| PredictOptions { horizon_s, steps }),
+        predict: document
+            .options
+            .predict
+            .map(|PredictDocument { horizon_s, steps }| PredictOptions { horizon_s, steps }),
     }
 }
 

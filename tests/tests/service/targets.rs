@@ -23,7 +23,8 @@ fn frame(number: u32) -> Vec<u8> {
 #[test]
 fn each_target_is_a_stream_that_keeps_its_name() {
     let service = Running::start();
-    let document = json!({"source": {"kind": "pushed", "width": 200, "height": 120}, "model": "spot", "options": {"targets": 2}});
+    let document =
+        json!({"source": {"kind": "pushed", "width": 200, "height": 120}, "model": "spot", "options": {"targets": 2}});
     service.put("/v1/sessions/two", &document).expect(201);
     let mut socket = service.socket("two", "mode=all");
     let mut centres: Vec<[f64; 2]> = Vec::new();

@@ -5,6 +5,7 @@
 
 mod advice;
 mod controller;
+mod trial;
 
 use serde::{Deserialize, Serialize};
 

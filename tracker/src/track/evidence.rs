@@ -24,7 +24,6 @@ use crate::fit::{Fit, Worth};
 const WEIGHTS: [f64; 4] = [2.4, -4.0, -0.7, -1.5];
 const CONSTANT: f64 = -3.0;
 
-
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
 /// e₀.

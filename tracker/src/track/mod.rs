@@ -11,6 +11,7 @@
 
 pub(crate) mod evidence;
 mod memory;
+pub(crate) mod publish;
 pub(crate) mod search;
 pub(crate) mod solver;
 pub(crate) mod window;
@@ -124,7 +125,9 @@ impl Track {
                 search.claim(found.index);
                 Outcome::Seen(Box::new(found.candidate))
             }
-            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Outcome::Seen(Box::new(warm)),
+            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => {
+                Outcome::Seen(Box::new(warm))
+            }
             _ => self.missing(solver, look, search.failure.clone(), time_s),
         }
     }

@@ -81,8 +81,7 @@ impl Candidate {
         let Some(fit) = &self.attempt.fit else { return false };
         let dimensions = solver.model().coordinates().len();
         solver.model().roles().iter().any(|roles| {
-            let off: Vec<f64> =
-                roles.centre.iter().map(|p| fit.parameters[p.index()] - other[p.index()]).collect();
+            let off: Vec<f64> = roles.centre.iter().map(|p| fit.parameters[p.index()] - other[p.index()]).collect();
             match shape(roles, dimensions, other).filter(|a| a.nrows() == off.len() && !off.is_empty()) {
                 Some(a) => {
                     let term = |i: usize| (0..off.len()).map(|j| off[i] * a[(i, j)] * off[j]).sum::<f64>();

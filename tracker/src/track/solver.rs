@@ -13,9 +13,9 @@ use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::{Ending, Rejection};
 use crate::fit::{Fit, View, fit};
 use crate::frame::Frame;
+use crate::mask::Mask;
 use crate::options::TrackerOptions;
 use crate::stage::QUANTISATION;
-use crate::start::Mask;
 
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;
@@ -128,11 +128,14 @@ impl Solver {
 
     /// The pixel value at which the camera clips; infinite where it does not.
     pub fn limit(&self, look: &Look) -> Option<f64> {
-        self.view(look, Window { width: 1, height: 1, slices: Slices { count: [1, 1], ..look.window.slices }, ..look.window })
-            .saturation
-            .iter()
-            .copied()
-            .reduce(f64::min)
+        self.view(
+            look,
+            Window { width: 1, height: 1, slices: Slices { count: [1, 1], ..look.window.slices }, ..look.window },
+        )
+        .saturation
+        .iter()
+        .copied()
+        .reduce(f64::min)
     }
 
     /// True when windows around targets are smaller than the frame.
