@@ -57,7 +57,7 @@ pub(crate) enum Followed {
     /// Believed.
     Kept(Box<Candidate>),
     /// A good fit that needs a second opinion, a bad one, or none.
-    Doubtful(Option<Candidate>),
+    Doubtful(Option<Box<Candidate>>),
 }
 
 /// One target.
@@ -85,7 +85,8 @@ impl Track {
             && self.change(solver, &candidate) <= FADED
             && !self.is_jump(solver, look, &candidate)
             && self.is_near(solver, &candidate, time_s);
-        Ok(if is_kept { Followed::Kept(Box::new(candidate)) } else { Followed::Doubtful(Some(candidate)) })
+        let candidate = Box::new(candidate);
+        Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
     }
 
     /// Decides after a search: the doubtful fit, the best candidate that nobody has taken, or nothing.
@@ -93,7 +94,7 @@ impl Track {
         &self,
         solver: &Solver,
         look: &Look,
-        doubtful: Option<Candidate>,
+        doubtful: Option<Box<Candidate>>,
         search: &mut Search,
         time_s: f64,
     ) -> Outcome {
@@ -119,15 +120,13 @@ impl Track {
                     search.claim(found.index);
                     return Outcome::Seen(Box::new(found.candidate));
                 }
-                Outcome::Seen(Box::new(warm))
+                Outcome::Seen(warm)
             }
             (None, Some(found)) => {
                 search.claim(found.index);
                 Outcome::Seen(Box::new(found.candidate))
             }
-            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => {
-                Outcome::Seen(Box::new(warm))
-            }
+            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Outcome::Seen(warm),
             _ => self.missing(solver, look, search.failure.clone(), time_s),
         }
     }
