@@ -24,7 +24,9 @@ impl Random {
     /// Repeats itself with the seed.
     pub fn new(seed: u64) -> Random {
         let mut random = Random(0x9E37_79B9_7F4A_7C15 ^ seed.wrapping_mul(0xD134_2543_DE82_EF95));
-        (0..8).for_each(|_| drop(random.uniform()));
+        for _ in 0..8 {
+            random.uniform();
+        }
         random
     }
 

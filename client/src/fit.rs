@@ -10,7 +10,7 @@ use isophote_capture::{Captured, FrameSource, Recording};
 use isophote_jit::Window;
 use isophote_server::{Threads, wire};
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, Compiled, Estimate, TrackState, Tracker, TrackerOptions, contours};
+use isophote_tracker::{Camera, Compiled, Estimate, ExposureGoal, TrackState, Tracker, TrackerOptions, contours};
 
 use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
@@ -96,6 +96,7 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
         start: Numbers::merged(&args.start).map_err(Failure::Usage)?,
         constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
         camera: args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?,
+        exposure: Some(ExposureGoal::Centre),
         ..TrackerOptions::default()
     };
     if let Some(path) = &args.target {

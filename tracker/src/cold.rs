@@ -5,7 +5,9 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 use crate::compiled::Control;
 use crate::fit::View;
 use crate::grey::{Grey, Mixture};
-use crate::start::{Mask, Sight, Sign, Wanted, find};
+use crate::halved::find_halved;
+use crate::mask::Mask;
+use crate::start::{Sight, Sign, Wanted, find};
 
 /// What a cold start may begin with.
 pub(crate) struct Cold {
@@ -17,6 +19,15 @@ pub(crate) struct Cold {
     pub variance: Option<f64>,
     /// The first of them stands where the target was said to be.
     pub is_placed: bool,
+}
+
+/// How closely a picture is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Grain {
+    /// Pixel by pixel.
+    Full,
+    /// Four pixels at a time.
+    Halved,
 }
 
 /// Starting values to try for one thing that may be the target.
@@ -46,6 +57,7 @@ impl Cold {
         given: &[Option<f64>],
         sights_max: usize,
         masks: Vec<Mask>,
+        grain: Grain,
     ) -> Option<Cold> {
         let estimators: Vec<Option<Estimator>> = model
             .parameters()
@@ -57,7 +69,8 @@ impl Cold {
             })
             .collect();
         let mixture = Mixture::observed(model, constants);
-        let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
+        let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
+        let grey = read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
         let origin = view.window.first().map(|at| at as f64);
         if estimators.iter().all(Option::is_none) {
@@ -68,7 +81,7 @@ impl Cold {
         let several = if targets == 1 { sights_max } else { 1 };
         let mut wanted = wanted(model, given, origin);
         (wanted.targets_max, wanted.faint, wanted.masks) = (targets.max(several), several > 1, masks);
-        let found = find(&grey, &wanted);
+        let found = if grain == Grain::Halved { find_halved(&grey, &wanted) } else { find(&grey, &wanted) };
         if found.sights.len() < targets {
             return None;
         }

@@ -3,6 +3,8 @@
 use isophote_symbolic::ParameterId;
 use serde::{Deserialize, Serialize};
 
+use crate::exposure::ExposureAdvice;
+
 /// Whether the target is followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -118,6 +120,19 @@ pub enum Rejection {
     OutsideBounds,
 }
 
+/// Where a target will be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ahead {
+    /// So long after the frame, s.
+    pub after_s: f64,
+    /// The centre's coordinates, px; of all targets of the model, in the order of their roles.
+    pub centre: Vec<f64>,
+    /// Their velocities, px/s.
+    pub velocity: Vec<f64>,
+    /// Of the coordinates, then the velocities, in this order; rows of px², px²/s and px²/s².
+    pub covariance: Vec<Vec<f64>>,
+}
+
 /// What one frame says about one target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
@@ -146,6 +161,10 @@ pub struct Estimate {
     /// The probability that the thing tracked is the target; absent where the model does not say what is bright, and where
     /// nothing was seen.
     pub confidence: Option<f64>,
+    /// What exposure would be best, when it was asked for and the target was seen.
+    pub exposure_advice: Option<ExposureAdvice>,
+    /// Where the target will be, when that was asked for and its motion is known.
+    pub ahead: Vec<Ahead>,
     /// Pixels that the last pass used.
     pub pixels: u64,
     /// The share of the domain's pixels that are saturated.

@@ -6,6 +6,7 @@ use isophote_jit::Window;
 use isophote_symbolic::{Model, Precision};
 
 use crate::camera::Camera;
+use crate::exposure::ExposureGoal;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +25,10 @@ pub struct TrackerOptions {
     pub targets: usize,
     /// How they move.
     pub motion: MotionOptions,
+    /// How far ahead each estimate looks; not at all when absent.
+    pub predict: Option<PredictOptions>,
+    /// What exposure is advised for; no advice when absent.
+    pub exposure: Option<ExposureGoal>,
     /// What a search finds is taken for the target from this confidence on, 0 … 1.
     pub confidence_min: f64,
 }
@@ -55,10 +60,24 @@ impl Default for TrackerOptions {
             camera: Camera::default(),
             targets: 1,
             motion: MotionOptions::default(),
+            predict: None,
+            exposure: None,
             confidence_min: 0.0,
         }
     }
 }
+
+/// Looking ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictOptions {
+    /// To so much later, s.
+    pub horizon_s: f64,
+    /// In so many equal steps.
+    pub steps: usize,
+}
+
+/// Steps of a prediction.
+pub const PREDICT_STEPS_MAX: usize = 256;
 
 /// Targets that one tracker may follow.
 pub const TARGETS_MAX: usize = 64;
@@ -162,6 +181,16 @@ impl TrackerOptions {
         if !(1..=TARGETS_MAX).contains(&self.targets) {
             let range = format!("1 to {TARGETS_MAX}");
             return Err(TrackError::Range { name: "targets", value: self.targets as f64, range });
+        }
+        if let Some(PredictOptions { horizon_s, steps }) = self.predict {
+            if !(horizon_s > 0.0 && horizon_s.is_finite()) {
+                let range = "a positive number".to_string();
+                return Err(TrackError::Range { name: "predict.horizon_s", value: horizon_s, range });
+            }
+            if !(1..=PREDICT_STEPS_MAX).contains(&steps) {
+                let range = format!("1 to {PREDICT_STEPS_MAX}");
+                return Err(TrackError::Range { name: "predict.steps", value: steps as f64, range });
+            }
         }
         if !(0.0..=1.0).contains(&self.confidence_min) {
             let range = "0 to 1".to_string();

@@ -18,10 +18,11 @@ use nalgebra::DMatrix;
 use crate::background::Background;
 use crate::component::{Component, Labels};
 use crate::grey::{Grey, place_of};
+use crate::mask::Mask;
 
 /// Which way a target differs from the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sign {
+pub(crate) enum Sign {
     /// Bright on dark.
     Bright,
     /// Dark on bright.
@@ -30,7 +31,7 @@ pub enum Sign {
 
 /// What to look for.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wanted {
+pub(crate) struct Wanted {
     /// Bright or dark; `None`: whichever is more.
     pub sign: Option<Sign>,
     /// Where the first target should be, in px of the window: of all targets that matter the nearest is taken, not the
@@ -40,26 +41,15 @@ pub struct Wanted {
     pub targets_max: usize,
     /// Fainter ones beside the brightest, down to the noise.
     pub faint: bool,
+    /// What has fewer pixels is nothing; by default six.
+    pub pixels_min: Option<usize>,
     /// Places that are taken.
     pub masks: Vec<Mask>,
 }
 
-/// The ellipsoid `(x − centre)ᵀ A (x − centre) ≤ 1` inside a box; px of the window.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Mask {
-    /// First pixels of the box.
-    pub first: [usize; 4],
-    /// Pixels of the box along each coordinate.
-    pub size: [usize; 4],
-    /// Centre.
-    pub centre: [f64; 4],
-    /// A, px⁻².
-    pub extent: [[f64; 4]; 4],
-}
-
 /// What was found.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Found {
+pub(crate) struct Found {
     /// What may be targets.
     pub sights: Vec<Sight>,
     /// Standard deviation of a pixel of the background.
@@ -68,7 +58,7 @@ pub struct Found {
 
 /// Starting values of one target; px of the window.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sight {
+pub(crate) struct Sight {
     /// Centre; 0 in dimensions that the window does not extend in.
     pub centre: [f64; 4],
     /// A, px⁻²: the outline is dᵀAd = 1.
@@ -153,7 +143,8 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
     let level = |peak: f64| (THRESHOLD * peak).max((NOISE_FACTOR * background.noise).min(0.5 * peak));
     let sharp = difference(grey.values.clone());
     let values = if level(peak) < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
-    let pixels_min = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
+    let usual = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
+    let pixels_min = wanted.pixels_min.unwrap_or(usual);
     // Smoothing makes nine pixels and more of a hot one.
     let above = |values: &[f64], level: f64| -> Vec<Component> {
         let mut components = Labels::new(values, grey.size).above(level, pixels_min);
@@ -184,22 +175,6 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
         measure(grey, background, &own, &sharp, factor * peak)
     });
     measured.collect()
-}
-
-impl Mask {
-    /// Takes away what stands in it.
-    fn clear(&self, values: &mut [f64], size: [usize; 4]) {
-        let count: usize = self.size.iter().product();
-        for i in 0..count {
-            let within = place_of(i, self.size);
-            let place: [usize; 4] = std::array::from_fn(|axis| self.first[axis] + within[axis] as usize);
-            let d: [f64; 4] = std::array::from_fn(|axis| place[axis] as f64 - self.centre[axis]);
-            let s: f64 = (0..4).flat_map(|i| (0..4).map(move |j| d[i] * self.extent[i][j] * d[j])).sum();
-            if s <= 1.0 {
-                values[place[0] + size[0] * (place[1] + size[1] * (place[2] + size[2] * place[3]))] = 0.0;
-            }
-        }
-    }
 }
 
 fn put_nearest_first(components: &mut [Component], size: [usize; 4], near: [f64; 4]) {

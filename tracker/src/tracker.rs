@@ -9,13 +9,13 @@
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use nalgebra::DMatrix;
 
 use crate::compiled::{CompileFailure, Compiled};
 use crate::estimate::{Ending, Estimate, TrackState};
+use crate::exposure::Advisor;
 use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
-use crate::track::evidence::log_likelihood;
+use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::{Followed, Outcome, Track};
@@ -24,6 +24,7 @@ use crate::track::{Followed, Outcome, Track};
 pub struct Tracker {
     pub(crate) solver: Solver,
     tracks: Vec<Track>,
+    advisor: Option<Advisor>,
     /// Of the last frame.
     time_s: Option<f64>,
 }
@@ -48,7 +49,8 @@ impl Tracker {
             return Err(TrackError::Precision { wanted: options.precision, compiled: compiled.precision() });
         }
         let tracks = vec![Track::default(); options.targets];
-        Ok(Tracker { solver: Solver::new(compiled, options), tracks, time_s: None })
+        let solver = Solver::new(compiled, options);
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, time_s: None })
     }
 
     /// The model's kernels.
@@ -69,6 +71,7 @@ impl Tracker {
             answer.get_or_insert(carried);
         }
         self.solver = Solver::new(compiled, options);
+        self.advisor = advisor(&self.solver);
         answer.unwrap_or_default()
     }
 
@@ -82,7 +85,7 @@ impl Tracker {
     pub fn sightings(&self, frame: &Frame) -> Vec<Sighting> {
         let Some(look) = self.solver.look(frame) else { return Vec::new() };
         let given = self.solver.options.start_of(self.solver.model());
-        let search = Search::run(&self.solver, &look, &given, Vec::new());
+        let search = Search::run(&self.solver, &look, &given, Vec::new(), None);
         search.map(|search| search.sightings(&self.solver)).unwrap_or_default()
     }
 
@@ -109,7 +112,26 @@ impl Tracker {
             None => missing(Ending::WrongFrame),
         };
         let numbered = outcomes.into_iter().enumerate();
-        numbered.map(|(number, outcome)| self.take(number, outcome, frame, time_s)).collect()
+        let mut estimates: Vec<Estimate> =
+            numbered.map(|(number, outcome)| self.take(number, outcome, frame, time_s)).collect();
+        self.advise(frame, &mut estimates);
+        estimates
+    }
+
+    /// Remembers what a frame said about a target, and says it.
+    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, time_s: f64) -> Estimate {
+        let name = name(self.solver.model(), self.tracks.len(), number);
+        let told = Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s };
+        estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
+    }
+
+    fn advise(&mut self, frame: &Frame, estimates: &mut [Estimate]) {
+        let Some((advisor, look)) = self.advisor.as_mut().zip(self.solver.look(frame)) else { return };
+        for (number, estimate) in estimates.iter_mut().enumerate() {
+            if estimate.state == TrackState::Tracking {
+                estimate.exposure_advice = advisor.advise(&self.solver, &look, number, estimate);
+            }
+        }
     }
 
     /// When the frame was taken: by its time, else by its number; never before the last one.
@@ -151,7 +173,10 @@ impl Tracker {
                     let track = &self.tracks[number];
                     let search = match &mut search {
                         Some(search) => search,
-                        none => none.insert(Search::run(solver, look, &self.given(track), kept.clone())?),
+                        none => {
+                            let size_px = track.memory.size_px(solver);
+                            none.insert(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?)
+                        }
                     };
                     track.settle(solver, look, doubtful, search, time_s)
                 }
@@ -177,63 +202,11 @@ impl Tracker {
         }
         given
     }
-
-    /// Remembers what a frame said about a target, and says it.
-    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, time_s: f64) -> Estimate {
-        let (solver, memory) = (&self.solver, &mut self.tracks[number].memory);
-        let (state, attempt, covariance, parameters, confidence) = match outcome {
-            Outcome::Seen(candidate) => {
-                memory.saw(solver, &candidate, time_s);
-                let confidence = candidate.confidence();
-                let covariance = memory.covariance.clone();
-                (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence)
-            }
-            Outcome::Coasting(attempt, predicted) => {
-                let (parameters, covariance) = memory.coasted(solver, &predicted);
-                (TrackState::Coasting, attempt, covariance, parameters, None)
-            }
-            Outcome::Missing(attempt) => {
-                memory.lose();
-                let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
-                (state, attempt, None, memory.last.clone(), None)
-            }
-        };
-        let good = state == TrackState::Tracking;
-        let (stages, worth) = attempt.fit.map_or((Vec::new(), None), |fit| (fit.stages, fit.worth));
-        let told = worth.as_ref().filter(|_| good);
-        Estimate {
-            target: name(solver.model(), self.tracks.len(), number),
-            sequence: frame.sequence,
-            capture_ns: frame.capture_ns,
-            state,
-            parameters,
-            order: solver.compiled.last_parameters().to_vec(),
-            covariance: covariance.as_ref().map(rows),
-            objective: told.map(|worth| worth.objective),
-            reduced_chi_square: told.and_then(|worth| worth.reduced),
-            log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
-            confidence,
-            pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
-            saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
-            iterations: stages.iter().map(|stage| stage.iterations).collect(),
-            converged: good && attempt.ending == Ending::SmallStep,
-            ending: attempt.ending,
-            rejection: attempt.rejection.filter(|_| !good),
-            stages,
-        }
-    }
 }
 
-/// The target's id.
-fn name(model: &Model, targets: usize, number: usize) -> String {
-    match model.roles() {
-        [roles] if targets == 1 => roles.name.clone().unwrap_or_else(|| "0".to_string()),
-        _ => number.to_string(),
-    }
-}
-
-fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
-    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
+fn advisor(solver: &Solver) -> Option<Advisor> {
+    let options = &solver.options;
+    options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
 }
 
 /// The values that a new model takes over, and their names.
@@ -271,6 +244,14 @@ fn separate(solver: &Solver, followed: &mut [Followed]) {
                 followed[loser] = Followed::Doubtful(None);
             }
         }
+    }
+}
+
+/// The target's id.
+fn name(model: &Model, targets: usize, number: usize) -> String {
+    match model.roles() {
+        [roles] if targets == 1 => roles.name.clone().unwrap_or_else(|| "0".to_string()),
+        _ => number.to_string(),
     }
 }
 

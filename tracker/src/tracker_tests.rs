@@ -158,48 +158,6 @@ fn a_shrinking_domain_is_said() {
 }
 
 #[test]
-fn lost_and_found_again() {
-    let motion = crate::MotionOptions { coast_s: 1.5 / 60.0, ..Default::default() };
-    let options = TrackerOptions { motion, ..TrackerOptions::default() };
-    let mut tracker = Tracker::new(compiled(SPOT, Precision::F32), options).unwrap();
-    let frame = |x: f64, amplitude: f64, sequence: u64| {
-        let spots = if amplitude > 0.0 { vec![spot(x, 60.0, [16.0, 12.0], 0.2, amplitude)] } else { vec![] };
-        Picture { noise: 2.0, seed: sequence, ..Picture::new(160, 120, spots) }.frame().with_sequence(sequence)
-    };
-    use TrackState::{Coasting, Lost, Searching, Tracking};
-    let script = [
-        (0.0, 0.0, Searching),
-        (50.0, 120.0, Tracking),
-        (53.0, 120.0, Tracking),
-        (56.0, 20.0, Tracking), // fainter
-        (59.0, 0.0, Coasting),
-        (62.0, 0.0, Lost),
-        (110.0, 120.0, Tracking), // elsewhere
-        (40.0, 120.0, Tracking),  // a jump: the warm fit fails, a cold one finds it
-        (43.0, 600.0, Tracking),  // overexposed
-        (46.0, 120.0, Tracking),
-    ];
-    for (sequence, (x, amplitude, state)) in script.into_iter().enumerate() {
-        let estimate = tracker.track(&frame(x, amplitude, sequence as u64));
-        assert_eq!(estimate.state, state, "frame {sequence}: {estimate:?}");
-        assert_eq!(estimate.sequence, sequence as u64);
-        if state == Tracking {
-            let bx = named(&tracker, &estimate, "bx");
-            assert!((bx - x).abs() < 0.5, "frame {sequence}: {bx}");
-            assert_eq!(estimate.saturated > 0.0, amplitude > 240.0);
-        }
-        if state == Lost {
-            assert!((named(&tracker, &estimate, "bx") - 56.0).abs() < 0.5, "the last good one: {estimate:?}");
-            assert!(estimate.objective.is_none() && !estimate.converged);
-        }
-        if state == Coasting {
-            assert!((named(&tracker, &estimate, "bx") - 59.0).abs() < 0.5, "predicted: {estimate:?}");
-            assert!(estimate.objective.is_none() && estimate.covariance.is_some() && !estimate.converged);
-        }
-    }
-}
-
-#[test]
 fn a_line_in_one_dimension() {
     let line = |x: f64| 30.0 + 0.05 * x + 90.0 * (-2.0 * ((x - 170.4) / 25.0).powi(2)).exp();
     let bytes = (0..400).map(|x| line(f64::from(x)).round() as u8).collect();

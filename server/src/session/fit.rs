@@ -2,14 +2,17 @@
 
 use std::sync::{Arc, PoisonError};
 
-use isophote_tracker::Tracker;
+use isophote_capture::Exposure;
+use isophote_tracker::{ControllerOptions, ExposureController, Tracker};
 
 use super::Shared;
 use super::inbox::{Delivery, Event, SourceEnd};
 use super::swap::{Active, Swap, Swapped};
 use crate::clock::monotonic_ns;
 use crate::hub::End;
-use crate::wire::{Estimate, Named, SessionState, Timing};
+use crate::problem::Problem;
+use crate::source::Source;
+use crate::wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 /// What the thread owns.
 pub struct Fitter {
@@ -21,8 +24,39 @@ pub struct Fitter {
     pub tracker: Tracker,
     /// The model in `tracker`: the two change together, here only.
     pub active: Active,
+    /// Sets the source's exposure, when the session asks for it.
+    pub light: Option<Light>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
+}
+
+/// A controller and the knob that it turns.
+pub struct Light {
+    controller: ExposureController,
+    exposure: Exposure,
+}
+
+impl Light {
+    /// What a session asks for; a problem when its source has no exposure to set.
+    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<Light>, Problem> {
+        if !options.exposure.control {
+            return Ok(None);
+        }
+        let message = "the source has no exposure that could be set";
+        let absent = || Problem::wrong_key("not-applicable", "options.exposure.control", message);
+        let exposure = source.exposure().ok_or_else(absent)?.clone();
+        let mut options = ControllerOptions::default();
+        if let SourceDocument::Synthetic(synthetic) = source.document() {
+            options.latency = u64::from(synthetic.exposure_latency);
+        }
+        Ok(Some(Light { controller: ExposureController::new(options), exposure }))
+    }
+
+    fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
+        if let Some(factor) = self.controller.step(estimate) {
+            self.exposure.set(factor);
+        }
+    }
 }
 
 impl Fitter {
@@ -58,6 +92,9 @@ impl Fitter {
         let start_ns = monotonic_ns();
         let results = self.tracker.track_all(frame);
         let end_ns = monotonic_ns();
+        if let (Some(light), Some(first)) = (&mut self.light, results.first()) {
+            light.follow(first);
+        }
         let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
         self.next_frame = Some(frame.sequence + 1);
         self.shared.status().fitted(frame, end_ns, lost);

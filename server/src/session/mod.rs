@@ -20,7 +20,7 @@ use crate::registry::Entry;
 use crate::source::{Shape, Source};
 use crate::threads::Threads;
 use crate::wire::{SessionDocument, SessionView};
-use fit::Fitter;
+use fit::{Fitter, Light};
 use inbox::Inbox;
 use status::Status;
 pub use swap::Swapped;
@@ -77,7 +77,9 @@ impl Session {
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
-        let fitter = Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, next_frame: None };
+        let light = Light::of(&document.options, &source.source)?;
+        let fitter =
+            Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
         let thread = std::thread::Builder::new()
             .name(format!("fit {name}"))
             .spawn(move || fitter.run())
@@ -182,9 +184,6 @@ fn check_document(document: &SessionDocument) -> Result<(), Problem> {
         |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
     if !document.target.is_empty() {
         return absent("target", "fits no pose, so a session's target must be {}");
-    }
-    if document.options.exposure.control {
-        return absent("options.exposure.control", "does not control exposure");
     }
     if let Some(window) = document.window {
         let slices = window.depth.unwrap_or(1).saturating_mul(window.length.unwrap_or(1));

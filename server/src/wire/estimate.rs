@@ -2,7 +2,7 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ending, Rejection, TrackState};
+pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, TrackState};
 use serde::{Deserialize, Serialize};
 
 use super::Named;
@@ -71,6 +71,12 @@ pub struct Estimate {
     /// Background and brightness, when the model has a role for one of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub illumination: Option<Illumination>,
+    /// What exposure would be best.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub exposure_advice: Option<ExposureAdvice>,
+    /// Where the target will be, when the session asks for it.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub predict: Vec<Ahead>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -138,6 +144,8 @@ impl Estimate {
             indefinite_steps: result.indefinite_steps(),
             illumination: (background.is_some() || brightness.is_some())
                 .then_some(Illumination { background, brightness }),
+            exposure_advice: result.exposure_advice.clone(),
+            predict: result.ahead.clone(),
             truth: None,
             timing_us: None,
         }

@@ -2,10 +2,13 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::evidence::Ground;
 use super::search::Candidate;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
+use crate::estimate::Ahead;
 use crate::motion::{Measured, Motion, Predicted};
+use crate::options::PredictOptions;
 
 /// From this many measurements on the velocity is known.
 const MOVING: u32 = 2;
@@ -25,8 +28,8 @@ pub(crate) struct Memory {
     pub clipped: bool,
     /// The target was found once.
     pub found: bool,
-    /// Variance of a background pixel when it was found.
-    pub variance: Option<f64>,
+    /// What was beside it when it was found.
+    pub ground: Option<Ground>,
     motion: Option<Motion>,
 }
 
@@ -49,6 +52,22 @@ impl Memory {
     /// The target at a time.
     pub fn predicted(&self, time_s: f64) -> Option<Predicted> {
         Some(self.motion.as_ref()?.predict(time_s))
+    }
+
+    /// The target from a time on, to a horizon.
+    pub fn ahead(&self, time_s: f64, options: PredictOptions) -> Vec<Ahead> {
+        let step = |step: usize| {
+            let after_s = options.horizon_s * step as f64 / options.steps as f64;
+            let (state, spread) = self.predicted(time_s + after_s)?.moving();
+            let centres = state.len() / 2;
+            Some(Ahead {
+                after_s,
+                centre: state.rows(0, centres).iter().copied().collect(),
+                velocity: state.rows(centres, centres).iter().copied().collect(),
+                covariance: spread.row_iter().map(|row| row.iter().copied().collect()).collect(),
+            })
+        };
+        (1..=options.steps).filter_map(step).collect()
     }
 
     /// Frames in which it was seen since it was found.
@@ -85,6 +104,14 @@ impl Memory {
             let widths = half_widths(roles, dimensions, &self.last).unwrap_or_default();
             off <= widths.into_iter().fold(0.0, f64::max)
         })
+    }
+
+    /// Half the width of what was seen last, the narrowest of all targets of the model, px.
+    pub fn size_px(&self, solver: &Solver) -> Option<f64> {
+        let dimensions = solver.model().coordinates().len();
+        let known = solver.model().roles().iter().filter(|_| !self.last.is_empty());
+        let widths = known.filter_map(|roles| half_widths(roles, dimensions, &self.last)).flatten();
+        widths.reduce(f64::min)
     }
 
     /// The factor by which the area of the outline changed, up or down; 1 where unknown.
@@ -126,7 +153,7 @@ impl Memory {
         self.covariance = fit.worth.as_ref().and_then(|worth| worth.covariance.clone());
         self.reduced = candidate.attempt.reduced();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
-        self.variance = candidate.variance.or(self.variance);
+        self.ground = candidate.ground.or(self.ground);
         self.found = true;
     }
 

@@ -11,6 +11,7 @@
 
 pub(crate) mod evidence;
 mod memory;
+pub(crate) mod publish;
 mod reconsider;
 pub(crate) mod search;
 pub(crate) mod solver;
@@ -57,7 +58,7 @@ pub(crate) enum Followed {
     /// Believed.
     Kept(Box<Candidate>),
     /// A good fit that needs a second opinion, a bad one, or none.
-    Doubtful(Option<Candidate>),
+    Doubtful(Option<Box<Candidate>>),
 }
 
 /// One target.
@@ -81,13 +82,14 @@ impl Track {
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let attempt = solver.attempt(look, &start, control, margin)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, false)?;
-        let candidate = Candidate::of(solver, attempt, self.memory.variance);
+        let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
         let is_kept = candidate.attempt.is_good()
             && self.change(solver, &candidate) <= FADED
             && !self.is_jump(solver, look, &candidate)
             && self.is_near(solver, &candidate, time_s);
-        Ok(if is_kept { Followed::Kept(Box::new(candidate)) } else { Followed::Doubtful(Some(candidate)) })
+        let candidate = Box::new(candidate);
+        Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
     }
 
     /// Decides after a search: the doubtful fit, the best candidate that nobody has taken, or nothing.
@@ -95,7 +97,7 @@ impl Track {
         &self,
         solver: &Solver,
         look: &Look,
-        doubtful: Option<Candidate>,
+        doubtful: Option<Box<Candidate>>,
         search: &mut Search,
         time_s: f64,
     ) -> Outcome {
@@ -107,7 +109,8 @@ impl Track {
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
             let sure = candidate.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min);
-            (sure && suits(&candidate)).then_some(candidate)
+            let guess = !self.is_confirmed() && search.is_guess(&candidate);
+            (sure && !guess && suits(&candidate)).then_some(candidate)
         });
         let good = doubtful.as_ref().is_some_and(|candidate| candidate.attempt.is_good());
         match (doubtful.filter(|_| good), found) {
@@ -120,13 +123,13 @@ impl Track {
                     search.claim(found.index);
                     return Outcome::Seen(Box::new(found.candidate));
                 }
-                Outcome::Seen(Box::new(warm))
+                Outcome::Seen(warm)
             }
             (None, Some(found)) => {
                 search.claim(found.index);
                 Outcome::Seen(Box::new(found.candidate))
             }
-            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Outcome::Seen(Box::new(warm)),
+            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Outcome::Seen(warm),
             _ => self.missing(solver, look, search.failure.clone(), time_s),
         }
     }
@@ -143,8 +146,9 @@ impl Track {
 
     /// The same candidate with what speaks against it, given what was expected.
     fn expecting(&self, solver: &Solver, mut candidate: Candidate, time_s: f64) -> Candidate {
+        let is_near = self.is_near(solver, &candidate, time_s);
         if let Some(evidence) = &mut candidate.evidence {
-            let distance = self.memory.distance(solver, &candidate.attempt, time_s);
+            let distance = self.memory.distance(solver, &candidate.attempt, time_s).filter(|_| !is_near);
             evidence.distance = distance.map_or(0.0, Predicted::excess);
             evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);
         }

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use isophote_jit::{PlaneView, Window};
+use isophote_jit::{PlaneView, Slices, Window};
 use isophote_symbolic::Model;
 
 use super::window::{Margin, Reach, half_widths, holds, shape};
@@ -13,9 +13,9 @@ use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::{Ending, Rejection};
 use crate::fit::{Fit, View, fit};
 use crate::frame::Frame;
+use crate::mask::Mask;
 use crate::options::TrackerOptions;
 use crate::stage::QUANTISATION;
-use crate::start::Mask;
 
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;
@@ -119,6 +119,23 @@ impl Solver {
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
         Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection })
+    }
+
+    /// The same in a frame of that size; `None` where nothing of the domain is inside.
+    pub fn reach_window(&self, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
+        self.reach.window(self.model(), parameters, margin, whole)
+    }
+
+    /// The pixel value at which the camera clips; infinite where it does not.
+    pub fn limit(&self, look: &Look) -> Option<f64> {
+        self.view(
+            look,
+            Window { width: 1, height: 1, slices: Slices { count: [1, 1], ..look.window.slices }, ..look.window },
+        )
+        .saturation
+        .iter()
+        .copied()
+        .reduce(f64::min)
     }
 
     /// True when windows around targets are smaller than the frame.

@@ -75,6 +75,31 @@ fn coasting_goes_on_as_the_target_does_and_knows_less_and_less() {
 }
 
 #[test]
+fn a_prediction_is_where_the_target_will_be() {
+    let predict = Some(crate::PredictOptions { horizon_s: 0.5, steps: 10 });
+    let mut tracker = tracker(TrackerOptions { predict, ..TrackerOptions::default() });
+    let path = |number: f64| [60.0 + 2.0 * number, 200.0 - 1.0 * number];
+    let mut last = None;
+    for number in 0..30 {
+        let estimate = tracker.track(&frame(number, vec![spot(path(number as f64), [16.0, 12.0], 120.0)]));
+        assert_eq!(estimate.ahead.len(), 10, "{estimate:?}");
+        last = Some(estimate);
+    }
+    let mut before = 0.0;
+    for (step, ahead) in last.unwrap().ahead.iter().enumerate() {
+        assert!((ahead.after_s - 0.05 * (step + 1) as f64).abs() < 1e-12);
+        let [x, y] = path(29.0 + 60.0 * ahead.after_s);
+        let deviation = ahead.covariance[0][0].sqrt();
+        assert!((ahead.centre[0] - x).hypot(ahead.centre[1] - y) < 4.0 * deviation, "{ahead:?}");
+        assert!((ahead.velocity[0] - 120.0).abs() < 10.0 && (ahead.velocity[1] + 60.0).abs() < 10.0, "{ahead:?}");
+        assert!(deviation > before && ahead.covariance.len() == 4);
+        before = deviation;
+    }
+    let blank = tracker.track(&Picture { noise: 1.5, ..Picture::new(320, 240, vec![]) }.frame().with_sequence(30));
+    assert!(blank.state == TrackState::Coasting && blank.ahead.len() == 10, "{blank:?}");
+}
+
+#[test]
 fn what_comes_up_elsewhere_while_the_target_is_hidden_is_not_the_target() {
     let options = TrackerOptions { motion: MotionOptions { coast_s: 0.2, ..Default::default() }, ..Default::default() };
     let mut tracker = tracker(options);
@@ -131,10 +156,7 @@ fn a_target_that_is_not_there_stays_wanted_and_takes_no_other() {
 
 #[test]
 fn a_faint_target_is_told_from_bright_things_of_other_shapes() {
-    let disc = |x: f64, y: f64, half: [f64; 2]| Spot {
-        profile: Profile::Disc,
-        ..spot([x, y], half, 200.0)
-    };
+    let disc = |x: f64, y: f64, half: [f64; 2]| Spot { profile: Profile::Disc, ..spot([x, y], half, 200.0) };
     let clutter = vec![disc(50.0, 50.0, [18.0, 14.0]), disc(260.0, 60.0, [30.0, 4.0]), disc(60.0, 190.0, [3.0, 3.0])];
     for (number, amplitude) in [150.0, 60.0, 25.0].into_iter().enumerate() {
         let target = spot([190.0, 150.0], [20.0, 14.0], amplitude);
@@ -180,4 +202,46 @@ fn a_tracked_target_is_fitted_in_a_window_of_its_own() {
     let window = solver.window(&look, &whole.parameters, super::window::Margin::even(0.1, 3.0));
     assert!(window.width < 70 && window.height < 60, "{window:?}");
     assert!(tracker.track(&frame).pixels as f64 >= 0.99 * whole.pixels as f64);
+}
+
+#[test]
+fn lost_and_found_again() {
+    let motion = MotionOptions { coast_s: 1.5 / 60.0, ..Default::default() };
+    let options = TrackerOptions { motion, ..TrackerOptions::default() };
+    let mut tracker = tracker(options);
+    let frame = |x: f64, amplitude: f64, sequence: u64| {
+        let spots = if amplitude > 0.0 { vec![spot([x, 60.0], [16.0, 12.0], amplitude)] } else { vec![] };
+        Picture { noise: 2.0, seed: sequence, ..Picture::new(160, 120, spots) }.frame().with_sequence(sequence)
+    };
+    use TrackState::{Coasting, Lost, Searching, Tracking};
+    let script = [
+        (0.0, 0.0, Searching),
+        (50.0, 120.0, Tracking),
+        (53.0, 120.0, Tracking),
+        (56.0, 20.0, Tracking), // fainter
+        (59.0, 0.0, Coasting),
+        (62.0, 0.0, Lost),
+        (110.0, 120.0, Tracking), // elsewhere
+        (40.0, 120.0, Tracking),  // a jump: the warm fit fails, a cold one finds it
+        (43.0, 600.0, Tracking),  // overexposed
+        (46.0, 120.0, Tracking),
+    ];
+    for (sequence, (x, amplitude, state)) in script.into_iter().enumerate() {
+        let estimate = tracker.track(&frame(x, amplitude, sequence as u64));
+        assert_eq!(estimate.state, state, "frame {sequence}: {estimate:?}");
+        assert_eq!(estimate.sequence, sequence as u64);
+        if state == Tracking {
+            let bx = estimate.parameters[0];
+            assert!((bx - x).abs() < 0.5, "frame {sequence}: {bx}");
+            assert_eq!(estimate.saturated > 0.0, amplitude > 240.0);
+        }
+        if state == Lost {
+            assert!((estimate.parameters[0] - 56.0).abs() < 0.5, "the last good one: {estimate:?}");
+            assert!(estimate.objective.is_none() && !estimate.converged);
+        }
+        if state == Coasting {
+            assert!((estimate.parameters[0] - 59.0).abs() < 0.5, "predicted: {estimate:?}");
+            assert!(estimate.objective.is_none() && estimate.covariance.is_some() && !estimate.converged);
+        }
+    }
 }
