@@ -2,15 +2,14 @@
 //!
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
-use std::sync::Arc;
-
-use isophote_jit::{Kernel, PixelFormat, PlaneView, Sums, Window};
+use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
+use crate::loops::{Loops, Totals};
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
@@ -20,6 +19,9 @@ pub(crate) struct View<'a> {
     pub window: Window,
     /// One limit a plane.
     pub saturation: Vec<f64>,
+    /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
+    /// a step below it on.
+    limits: Vec<f64>,
     pub layout: Layout,
     /// What the lane's rounding does to a residual, in pixel values.
     pub rounding: f64,
@@ -41,15 +43,21 @@ impl<'a> View<'a> {
             Precision::F64 => f64::EPSILON,
         };
         let layout = Layout::of(&planes);
-        View { planes, window, saturation, layout, rounding: lane * largest }
+        let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
+        let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
+        View { planes, window, saturation, limits, layout, rounding: lane * largest }
     }
 }
 
 impl View<'_> {
     /// Pixels are integers.
     pub fn holds_whole_values(&self) -> bool {
-        self.planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16))
+        self.planes.iter().all(is_whole)
     }
+}
+
+fn is_whole(plane: &PlaneView) -> bool {
+    matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16)
 }
 
 /// A magnitude that pixel values do not exceed; floats without a limit are looked at.
@@ -118,12 +126,12 @@ fn fit_controlled(
     let model = compiled.model();
     let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
     for (index, stage) in model.stages().iter().enumerate() {
-        let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
+        let gradient = compiled.loops(Job::Stage(index), control, &view.layout)?;
         let value = match value_kind(model, stage.method) {
             ValueKind::Full => Job::Report,
             ValueKind::Entry => Job::Value,
         };
-        let value = compiled.kernel(value, control, &view.layout)?;
+        let value = compiled.loops(value, control, &view.layout)?;
         let free = indices(&stage.parameters);
         let count = free.len();
         let mut problem =
@@ -144,8 +152,8 @@ fn fit_controlled(
             return Ok(fit);
         }
     }
-    let gradient = compiled.kernel(Job::Covariance, Control::Dropping, &view.layout)?;
-    let value = compiled.kernel(Job::Value, Control::Dropping, &view.layout)?;
+    let gradient = compiled.loops(Job::Covariance, Control::Dropping, &view.layout)?;
+    let value = compiled.loops(Job::Value, Control::Dropping, &view.layout)?;
     let count = compiled.last_parameters().len();
     let mut problem = Kernels { compiled, view, constants, gradient, value, count, curvature: Curvature::GaussNewton };
     match problem.worth(&fit.parameters)? {
@@ -177,31 +185,30 @@ struct Kernels<'a> {
     compiled: &'a Compiled,
     view: &'a View<'a>,
     constants: &'a [f64],
-    gradient: Arc<Kernel>,
-    value: Arc<Kernel>,
+    gradient: Loops,
+    value: Loops,
     /// Free parameters of the gradient kernel.
     count: usize,
     curvature: Curvature,
 }
 
 impl Kernels<'_> {
-    fn run(&self, kernel: &Kernel, parameters: &[f64], entry: &[f64]) -> Option<Sums> {
+    fn run(&self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Option<Totals> {
         let bindings =
-            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.saturation, shift: &[] };
-        // The view was made for the kernel's model, so only a bug could refuse it; the stage then ends as not finite.
-        kernel.sums(&bindings, &self.view.planes, self.view.window).ok()
+            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
+        loops.sums(&bindings, &self.view.planes, self.view.window)
     }
 
     /// The pass that nothing follows.
     fn worth(&mut self, end: &[f64]) -> Result<Option<Worth>, CompileFailure> {
         let Some(sums) = self.run(&self.gradient, end, end) else { return Ok(None) };
         let Some(quadratic) = quadratic(&sums.outputs, self.count, self.curvature) else { return Ok(None) };
-        let (mut objective, mut chi_square) = (quadratic.objective, quadratic.objective);
+        let (mut objective, mut chi_square) = (quadratic.objective, sums.seen[0]);
         let noise = self.compiled.model().has_noise();
         if noise {
-            let report = self.compiled.kernel(Job::Report, Control::Dropping, &self.view.layout)?;
-            match self.run(&report, end, end).as_ref().map(|sums| sums.outputs.as_slice()) {
-                Some(&[full, chi]) => (objective, chi_square) = (full, chi),
+            let report = self.compiled.loops(Job::Report, Control::Dropping, &self.view.layout)?;
+            match self.run(&report, end, end).as_ref().map(|sums| (sums.outputs.as_slice(), sums.seen.as_slice())) {
+                Some((&[full, _], &[_, chi])) => (objective, chi_square) = (full, chi),
                 _ => return Ok(None),
             }
         }

@@ -20,6 +20,7 @@ mod estimate;
 mod fit;
 mod frame;
 mod grey;
+mod loops;
 mod options;
 #[cfg(test)]
 mod picture;
