@@ -49,10 +49,8 @@ pub fn table(all: &[Measured]) -> String {
 /// As a figure: the means of all rows, and the shares of some.
 pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
     let told: Vec<&Measured> = rows.iter().copied().filter(|measured| measured.tracking.failed < 0.5).collect();
-    let label = |(i, measured): (usize, &&Measured)| (i as f64, measured.task.condition.name.replace("_S", " "));
-    let mut ticks: Vec<(f64, String)> = told.iter().enumerate().map(label).collect();
-    // Every second name has room.
-    ticks.iter_mut().skip(1).step_by(2).for_each(|tick| tick.1.clear());
+    let label = |(i, measured): (usize, &&Measured)| (i as f64, measured.task.condition.name.to_string());
+    let ticks: Vec<(f64, String)> = told.iter().enumerate().map(label).collect();
     let last = told.len().max(2) as f64 - 0.5;
     let limit = |value: f64| Series {
         name: format!("{value}"),
@@ -63,7 +61,7 @@ pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
     let dots = told.iter().enumerate().map(|(i, measured)| [i as f64, measured.tracking.nees.mean]).collect();
     let means = Panel {
         title: "Mean NEES of the centre, tracking".to_string(),
-        x: Axis { name: "condition".to_string(), range: [-0.5, last], ticks, logarithmic: false },
+        x: Axis { name: String::new(), range: [-0.5, last], ticks, logarithmic: false },
         y: Axis::new("eᵀC⁻¹e", [1.5, 4.0], &[1.5, 2.0, 2.5, 3.0, 3.5, 4.0], false),
         series: vec![
             Series { name: "all rows of the table".to_string(), colour: COLOURS[0], style: Style::Dots, points: dots },

@@ -100,8 +100,8 @@ pub fn saturation_figure(curve: &Curve) -> String {
         series: vec![
             series("semi-axis", 0, Style::Line, along(&|m| 100.0 * m.tracking.size.mean)),
             series("brightness", 3, Style::Line, along(&|m| 100.0 * m.tracking.brightness.mean)),
-            series("semi-axis, saturation ignored", 1, Style::Line, ignored(|row| row.1)),
-            series("brightness, ignored", 4, Style::Line, ignored(|row| row.2)),
+            series("semi-axis, all pixels fitted", 1, Style::Line, ignored(|row| row.1)),
+            series("brightness, all pixels fitted", 4, Style::Line, ignored(|row| row.2)),
         ],
         cells: Vec::new(),
     };

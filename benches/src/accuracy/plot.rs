@@ -7,6 +7,8 @@ use std::fmt::Write;
 /// Colours of series, in order.
 pub const COLOURS: [&str; 5] = ["#4389d8", "#cf7a2f", "#3f9b6c", "#9a6bd1", "#c2556b"];
 const TEXT: &str = "#767e88";
+/// From so many names on they stand aslant.
+const CROWDED: usize = 10;
 const PANEL: [f64; 2] = [430.0, 330.0];
 /// Where a panel's axes meet, from its top left; its upper and right rim.
 const ORIGIN: [f64; 2] = [62.0, 240.0];
@@ -112,7 +114,15 @@ impl Panel {
         for (value, name) in &self.x.ticks {
             let [x, _] = self.place([*value, self.y.range[0]]);
             line(format!("<path d=\"M{x:.1} {base}v4\" stroke=\"{TEXT}\"/>"));
-            line(format!("<text x=\"{x:.1}\" y=\"{}\" text-anchor=\"middle\">{name}</text>", base + 17.0));
+            let y = base + 17.0;
+            line(match self.x.ticks.len() > CROWDED {
+                true => format!(
+                    "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"end\" font-size=\"9\" transform=\"rotate(-45 {x:.1} {y})\">{name}</text>",
+                    x + 6.0,
+                    y - 4.0
+                ),
+                false => format!("<text x=\"{x:.1}\" y=\"{y}\" text-anchor=\"middle\">{name}</text>"),
+            });
         }
         line(format!("<path d=\"M{left} {TOP}V{base}H{RIGHT}\" fill=\"none\" stroke=\"{TEXT}\"/>"));
         line(format!("<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>", base + 34.0, self.x.name));
@@ -138,7 +148,7 @@ impl Panel {
             right - left - 2.0,
             bottom - top - 2.0,
             COLOURS[0],
-            0.08 + 0.72 * cell.shade
+            0.05 + 0.35 * cell.shade
         ));
         let (middle, height) = ((left + right) / 2.0 - 1.0, (top + bottom) / 2.0 + 3.0);
         line(format!("<text x=\"{middle:.1}\" y=\"{height:.1}\" text-anchor=\"middle\">{}</text>", cell.text));
