@@ -15,6 +15,8 @@ pub mod foreign;
 pub mod frame;
 pub mod page;
 pub mod race;
+pub mod scene;
+pub mod search;
 pub mod speed;
 pub mod windows;
 

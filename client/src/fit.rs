@@ -96,6 +96,7 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
         start: Numbers::merged(&args.start).map_err(Failure::Usage)?,
         constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
         camera: args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?,
+        ..TrackerOptions::default()
     };
     if let Some(path) = &args.target {
         let _kept: serde_json::Map<String, serde_json::Value> = json(path, "a target document (a JSON object)")?;

@@ -65,6 +65,7 @@ mod square;
 mod steps;
 mod text;
 mod tree;
+mod variant;
 mod weighed;
 
 pub use bodies::{BodyFlops, Part};
@@ -77,6 +78,7 @@ pub use function::{Function1, Function2};
 pub use likelihood::{Loss, Saturated};
 pub use limits::{LIMITS, Limits};
 pub use model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, Stage, Start, Summand};
-pub use objective::{Objective, ValueKind};
+pub use objective::{Objective, Prediction, ValueKind};
 pub use program::*;
 pub use proof::{Form, Proof};
+pub use variant::Variant;

@@ -9,7 +9,7 @@ use crate::bodies::Part;
 use crate::diagnostic::{Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
 use crate::likelihood::{Loss, Saturated, Shape};
-use crate::objective::{Objective, ValueKind};
+use crate::objective::{Objective, Prediction, ValueKind};
 use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
 
 /// An unknown of the fit.
@@ -219,7 +219,8 @@ impl Formulas {
 
     /// The same for another entry of `observed`.
     pub fn of_entry(&self, Observation { observed, intensity, shown, noise }: Observation) -> Formulas {
-        Formulas { observed, intensity, shown, noise, ..self.clone() }
+        let entries = vec![Observation { observed, intensity, shown, noise }];
+        Formulas { observed, intensity, shown, noise, entries, ..self.clone() }
     }
 }
 
@@ -375,6 +376,17 @@ impl Model {
         self.formulas.entries.iter().map(|entry| self.formulas.graph.evaluate(entry.observed, &leaf)).sum()
     }
 
+    /// True when the model says something about a place: no domain, or one that holds there. One value a coordinate.
+    pub fn domain_holds(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> bool {
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Parameter(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            Node::Coordinate(c) => place[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.domain.is_none_or(|domain| self.formulas.graph.evaluate(domain, &leaf) == 1.0)
+    }
+
     /// F, its gradient and its Hessian for a subset of the parameters.
     pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         Objective::derive(self, subset, method)
@@ -391,6 +403,11 @@ impl Model {
     /// their shifts.
     pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
         crate::objective::rendering(self, lowering)
+    }
+
+    /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
+    pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
+        crate::objective::prediction(self, what, lowering)
     }
 
     pub(crate) fn names(&self, outputs: Vec<String>) -> Names {

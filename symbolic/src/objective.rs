@@ -28,6 +28,15 @@ pub enum ValueKind {
     Full,
 }
 
+/// What a plane of predictions holds.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Prediction {
+    /// The intensity, as it is fitted; NaN outside of the domain.
+    Intensity,
+    /// A pixel's variance.
+    Variance,
+}
+
 /// What is to be summed; see the module's text.
 #[derive(Clone, Debug)]
 pub struct Objective {
@@ -335,6 +344,33 @@ pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Di
     let intensity = graph.substitute(model.formulas.shown, &mut shifted);
     let program = schedule::plane(&mut graph, intensity, lowering, model.names(vec!["intensity".into()]));
     Origin::of(model).checked(&graph, program)
+}
+
+/// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
+/// NaN outside; or its variance, where that reads no channel.
+pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
+    let mut graph = model.formulas.graph.clone();
+    let value = match what {
+        Prediction::Intensity => {
+            let intensity = model.formulas.intensity;
+            match model.formulas.domain {
+                Some(domain) => {
+                    let outside = graph.number(f64::NAN);
+                    graph.select(domain, intensity, outside)
+                }
+                None => intensity,
+            }
+        }
+        Prediction::Variance => match model.formulas.noise {
+            Some(noise) => noise,
+            None => graph.number(1.0),
+        },
+    };
+    if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
+        return None;
+    }
+    let program = schedule::plane(&mut graph, value, lowering, model.names(vec!["prediction".into()]));
+    Some(Origin::of(model).checked(&graph, program))
 }
 
 /// The pixel's variance; `held` reads it at the entry parameters.

@@ -5,16 +5,26 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 use crate::compiled::Control;
 use crate::fit::View;
 use crate::grey::{Grey, Mixture};
-use crate::start::{Sight, Sign, Wanted, find};
+use crate::start::{Mask, Sight, Sign, Wanted, find};
 
-/// Starting values to try, and how.
+/// What a cold start may begin with.
 pub(crate) struct Cold {
+    /// What may be the target, the likeliest first.
+    pub sights: Vec<Starts>,
+    /// Whether the window holds saturated pixels.
+    pub control: Control,
+    /// Variance of a pixel of the background; `None` when nobody looked.
+    pub variance: Option<f64>,
+    /// The first of them stands where the target was said to be.
+    pub is_placed: bool,
+}
+
+/// Starting values to try for one thing that may be the target.
+pub(crate) struct Starts {
     /// Full parameter vectors.
     pub starts: Vec<Vec<f64>>,
     /// To be tried when none of the others leads to a believable fit: a tighter outline.
     pub tighter: Option<Vec<f64>>,
-    /// Whether the window holds saturated pixels.
-    pub control: Control,
 }
 
 /// From this many saturated pixels on, what is seen of the amplitude is too little, …
@@ -27,9 +37,16 @@ const BRIGHTER: f64 = 2.5;
 const TIGHTER: f64 = 2.5;
 
 impl Cold {
-    /// `given` numbers first, then the model's own numbers, then what its estimators see. `None` when an estimator is
-    /// needed and there is no target for it.
-    pub fn look(model: &Model, view: &View, constants: &[f64], given: &[Option<f64>]) -> Option<Cold> {
+    /// `given` numbers first, then the model's own numbers, then what its estimators see: of up to `sights_max` things for
+    /// a model of one target. `None` when an estimator is needed and there is no target for it.
+    pub fn look(
+        model: &Model,
+        view: &View,
+        constants: &[f64],
+        given: &[Option<f64>],
+        sights_max: usize,
+        masks: Vec<Mask>,
+    ) -> Option<Cold> {
         let estimators: Vec<Option<Estimator>> = model
             .parameters()
             .iter()
@@ -43,41 +60,59 @@ impl Cold {
         let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
         let origin = view.window.first().map(|at| at as f64);
-        let targets = if estimators.iter().any(Option::is_some) {
-            let targets = find(&grey, &wanted(model, given, origin));
-            if targets.len() < model.roles().len().max(1) {
-                return None;
-            }
-            targets
-        } else {
-            Vec::new()
-        };
-        let start = |brighter: f64, tighter: f64| -> Vec<f64> {
-            let parameters = model.parameters().iter().enumerate();
-            let value =
-                |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
-                    (Some(number), _) | (None, Start::Number(number)) => number,
-                    (None, Start::Estimator(estimator)) => {
-                        let value = target_of(model, &targets, index).value(estimator, origin);
-                        match estimator {
-                            Estimator::Amplitude => brighter * value,
-                            Estimator::Extent(..) => tighter * value,
-                            Estimator::Size(_) => value / tighter.sqrt(),
-                            _ => value,
-                        }
-                    }
-                };
-            parameters.map(value).collect()
-        };
-        let mut starts = vec![start(1.0, 1.0)];
-        let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
-        if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
-            starts.push(start(BRIGHTER, 1.0));
+        if estimators.iter().all(Option::is_none) {
+            let sights = vec![starts(model, given, &[], &estimators, origin)];
+            return Some(Cold { sights, control, variance: None, is_placed: true });
         }
-        let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
-        let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
-        Some(Cold { starts, tighter, control })
+        let targets = model.roles().len().max(1);
+        let several = if targets == 1 { sights_max } else { 1 };
+        let mut wanted = wanted(model, given, origin);
+        (wanted.targets_max, wanted.faint, wanted.masks) = (targets.max(several), several > 1, masks);
+        let found = find(&grey, &wanted);
+        if found.sights.len() < targets {
+            return None;
+        }
+        let sights = match targets {
+            1 => found.sights.iter().map(std::slice::from_ref).collect(),
+            _ => vec![&found.sights[..targets]],
+        };
+        let sights = sights.into_iter().map(|sights| starts(model, given, sights, &estimators, origin)).collect();
+        Some(Cold { sights, control, variance: Some(found.noise.powi(2)), is_placed: wanted.near.is_some() })
     }
+}
+
+/// The starting values for the targets seen, one for each of the model's roles.
+fn starts(
+    model: &Model,
+    given: &[Option<f64>],
+    targets: &[Sight],
+    estimators: &[Option<Estimator>],
+    origin: [f64; 4],
+) -> Starts {
+    let start = |brighter: f64, tighter: f64| -> Vec<f64> {
+        let parameters = model.parameters().iter().enumerate();
+        let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
+            (Some(number), _) | (None, Start::Number(number)) => number,
+            (None, Start::Estimator(estimator)) => {
+                let value = target_of(model, targets, index).value(estimator, origin);
+                match estimator {
+                    Estimator::Amplitude => brighter * value,
+                    Estimator::Extent(..) => tighter * value,
+                    Estimator::Size(_) => value / tighter.sqrt(),
+                    _ => value,
+                }
+            }
+        };
+        parameters.map(value).collect()
+    };
+    let mut starts = vec![start(1.0, 1.0)];
+    let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
+    if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
+        starts.push(start(BRIGHTER, 1.0));
+    }
+    let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
+    let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
+    Starts { starts, tighter }
 }
 
 /// The target whose roles name the parameter, else the first.
@@ -107,5 +142,5 @@ fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 4]) -> Wanted {
         (_, Some(max)) if max <= 0.0 => Some(Sign::Dark),
         _ => None,
     });
-    Wanted { sign, near, targets_max: model.roles().len().max(1) }
+    Wanted { sign, near, ..Wanted::default() }
 }

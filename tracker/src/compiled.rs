@@ -3,13 +3,14 @@
 //! What comes in: a checked model. What goes out: kernels, compiled when first asked for and shared by all trackers of the
 //! model. It never knows a frame's pixels.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, PlaneView, has_fma};
 use isophote_symbolic::{
     Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Stage, Summand, ValueKind,
 };
 
+use crate::alternatives::Alternatives;
 use crate::loops::Loops;
 use crate::trust::Curvature;
 use crate::workers::{InTurn, Workers};
@@ -95,6 +96,7 @@ pub struct Compiled {
     parts: Arc<Vec<Part>>,
     cache: Arc<KernelCache>,
     ready: Mutex<Vec<Ready>>,
+    alternatives: Arc<OnceLock<Result<Arc<Alternatives>, CompileFailure>>>,
 }
 
 /// Kernels held; beyond, the oldest is let go (an unusual mixture of pixel formats, or a hostile one).
@@ -121,13 +123,14 @@ impl Compiled {
         workers: &dyn Workers,
     ) -> Result<Compiled, CompileFailure> {
         let parts = Arc::new(parts(&model, workers)?);
-        Ok(Compiled { model, precision, parts, cache, ready: Mutex::default() })
+        Ok(Compiled { model, precision, parts, cache, ready: Mutex::default(), alternatives: Arc::default() })
     }
 
     /// The same programs and cache, holding no kernel yet: for one who gives his kernels back when he is done.
     pub fn share(&self) -> Compiled {
         let (model, parts, cache) = (self.model.clone(), self.parts.clone(), self.cache.clone());
-        Compiled { model, precision: self.precision, parts, cache, ready: Mutex::default() }
+        let alternatives = self.alternatives.clone();
+        Compiled { model, precision: self.precision, parts, cache, ready: Mutex::default(), alternatives }
     }
 
     /// The model.
@@ -138,6 +141,12 @@ impl Compiled {
     /// Arithmetic of the pixel loops.
     pub fn precision(&self) -> Precision {
         self.precision
+    }
+
+    /// What is tried when the model does not describe a picture; derived when first asked for.
+    pub(crate) fn alternatives(&self) -> Result<Arc<Alternatives>, CompileFailure> {
+        let new = || Alternatives::new(self, &self.cache).map(Arc::new);
+        self.alternatives.get_or_init(new).clone()
     }
 
     /// Free parameters of the last stage.

@@ -50,6 +50,15 @@ impl<'a> View<'a> {
 }
 
 impl View<'_> {
+    /// The same part of a copy of the picture in fractions, with the limits that pixels were rounded to.
+    pub fn with_planes<'b>(&self, planes: Vec<PlaneView<'b>>, precision: Precision) -> View<'b> {
+        let mut view = View::new(planes, self.window, Some(f64::INFINITY), precision);
+        view.saturation.clone_from(&self.limits);
+        view.limits.clone_from(&self.limits);
+        view.rounding = self.rounding;
+        view
+    }
+
     /// Pixels are integers.
     pub fn holds_whole_values(&self) -> bool {
         self.planes.iter().all(is_whole)
@@ -110,7 +119,7 @@ pub(crate) fn fit(
 ) -> Result<Fit, CompileFailure> {
     let fit = fit_controlled(compiled, view, constants, start, control)?;
     let clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
-    if control == Control::Dropping || !clipped {
+    if control != Control::Plain || !clipped {
         return Ok(fit);
     }
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
@@ -152,11 +161,12 @@ fn fit_controlled(
             return Ok(fit);
         }
     }
-    let gradient = compiled.loops(Job::Covariance, Control::Dropping, &view.layout)?;
-    let value = compiled.loops(Job::Value, Control::Dropping, &view.layout)?;
+    let control = if control == Control::Blind { control } else { Control::Dropping };
+    let gradient = compiled.loops(Job::Covariance, control, &view.layout)?;
+    let value = compiled.loops(Job::Value, control, &view.layout)?;
     let count = compiled.last_parameters().len();
     let mut problem = Kernels { compiled, view, constants, gradient, value, count, curvature: Curvature::GaussNewton };
-    match problem.worth(&fit.parameters)? {
+    match problem.worth(&fit.parameters, control)? {
         Some(worth) => {
             if worth.covariance.is_none() {
                 fit.ending = Ending::Singular;
@@ -200,13 +210,13 @@ impl Kernels<'_> {
     }
 
     /// The pass that nothing follows.
-    fn worth(&mut self, end: &[f64]) -> Result<Option<Worth>, CompileFailure> {
+    fn worth(&mut self, end: &[f64], control: Control) -> Result<Option<Worth>, CompileFailure> {
         let Some(sums) = self.run(&self.gradient, end, end) else { return Ok(None) };
         let Some(quadratic) = quadratic(&sums.outputs, self.count, self.curvature) else { return Ok(None) };
         let (mut objective, mut chi_square) = (quadratic.objective, sums.seen[0]);
         let noise = self.compiled.model().has_noise();
         if noise {
-            let report = self.compiled.loops(Job::Report, Control::Dropping, &self.view.layout)?;
+            let report = self.compiled.loops(Job::Report, control, &self.view.layout)?;
             match self.run(&report, end, end).as_ref().map(|sums| (sums.outputs.as_slice(), sums.seen.as_slice())) {
                 Some((&[full, _], &[_, chi])) => (objective, chi_square) = (full, chi),
                 _ => return Ok(None),

@@ -3,7 +3,7 @@ use super::*;
 use crate::frame::Plane;
 use crate::picture::{Picture, Profile, Spot};
 use crate::workers::InTurn;
-use isophote_jit::{PixelFormat, Slices};
+use isophote_jit::{PixelFormat, Slices, Window};
 use isophote_symbolic::{Model, Precision};
 
 const SPOT: &str = include_str!("../../models/spot.toml");
@@ -159,18 +159,20 @@ fn a_shrinking_domain_is_said() {
 
 #[test]
 fn lost_and_found_again() {
-    let mut tracker = tracker(SPOT, &[]);
+    let motion = crate::MotionOptions { coast_s: 1.5 / 60.0, ..Default::default() };
+    let options = TrackerOptions { motion, ..TrackerOptions::default() };
+    let mut tracker = Tracker::new(compiled(SPOT, Precision::F32), options).unwrap();
     let frame = |x: f64, amplitude: f64, sequence: u64| {
         let spots = if amplitude > 0.0 { vec![spot(x, 60.0, [16.0, 12.0], 0.2, amplitude)] } else { vec![] };
         Picture { noise: 2.0, seed: sequence, ..Picture::new(160, 120, spots) }.frame().with_sequence(sequence)
     };
-    use TrackState::{Lost, Searching, Tracking};
+    use TrackState::{Coasting, Lost, Searching, Tracking};
     let script = [
         (0.0, 0.0, Searching),
         (50.0, 120.0, Tracking),
         (53.0, 120.0, Tracking),
         (56.0, 20.0, Tracking), // fainter
-        (59.0, 0.0, Lost),
+        (59.0, 0.0, Coasting),
         (62.0, 0.0, Lost),
         (110.0, 120.0, Tracking), // elsewhere
         (40.0, 120.0, Tracking),  // a jump: the warm fit fails, a cold one finds it
@@ -189,6 +191,10 @@ fn lost_and_found_again() {
         if state == Lost {
             assert!((named(&tracker, &estimate, "bx") - 56.0).abs() < 0.5, "the last good one: {estimate:?}");
             assert!(estimate.objective.is_none() && !estimate.converged);
+        }
+        if state == Coasting {
+            assert!((named(&tracker, &estimate, "bx") - 59.0).abs() < 0.5, "predicted: {estimate:?}");
+            assert!(estimate.objective.is_none() && estimate.covariance.is_some() && !estimate.converged);
         }
     }
 }

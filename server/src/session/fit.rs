@@ -41,6 +41,7 @@ impl Fitter {
 
     fn swap(&mut self, swap: Swap) {
         let carried = self.tracker.swap(swap.compiled, swap.options);
+        self.shared.hub.keep(&self.tracker.names());
         self.active = swap.active;
         let active_since_frame = self.next_frame.unwrap_or(0);
         {
@@ -53,12 +54,34 @@ impl Fitter {
     }
 
     fn fit(&mut self, delivery: &Delivery) {
+        let frame = &delivery.captured.frame;
+        let start_ns = monotonic_ns();
+        let results = self.tracker.track_all(frame);
+        let end_ns = monotonic_ns();
+        let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
+        self.next_frame = Some(frame.sequence + 1);
+        self.shared.status().fitted(frame, end_ns, lost);
+        let estimates: Vec<Arc<Estimate>> =
+            results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
+        for estimate in &estimates {
+            self.shared.hub.publish(estimate.clone());
+        }
+        if let Some(first) = estimates.into_iter().next() {
+            self.answer(delivery, first);
+        }
+    }
+
+    /// The tracker's result with what only the session knows.
+    fn estimate(
+        &self,
+        delivery: &Delivery,
+        result: &isophote_tracker::Estimate,
+        start_ns: u64,
+        end_ns: u64,
+    ) -> Estimate {
         let captured = &delivery.captured;
         let frame = &captured.frame;
-        let start_ns = monotonic_ns();
-        let result = self.tracker.track(frame);
-        let end_ns = monotonic_ns();
-        let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, &result);
+        let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, result);
         estimate.session = Some(self.name.clone());
         estimate.file = captured.file.clone();
         estimate.capture_ns = frame.capture_ns;
@@ -68,12 +91,7 @@ impl Fitter {
         let wait_ns = frame.capture_ns.map(|capture_ns| start_ns.saturating_sub(capture_ns));
         let fit = end_ns.saturating_sub(start_ns) / 1000;
         estimate.timing_us = Some(Timing { wait: wait_ns.map(|ns| ns / 1000), fit });
-        let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
-        self.next_frame = Some(frame.sequence + 1);
-        let estimate = Arc::new(estimate);
-        self.shared.status().fitted(frame, end_ns, lost);
-        self.shared.hub.publish(estimate.clone());
-        self.answer(delivery, estimate);
+        estimate
     }
 
     /// Whoever pushed the frame to this session gets its estimate.

@@ -8,7 +8,7 @@ mod swap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use isophote_tracker::{Camera, Tracker};
+use isophote_tracker::{Camera, TrackError, Tracker};
 use tokio::sync::oneshot;
 
 use crate::clock::{elapsed_ms, monotonic_ns};
@@ -223,13 +223,14 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
 }
 
 /// The key of the option that a tracker refuses.
-fn wrong_options(document: &SessionDocument, entry: &Entry, error: &isophote_tracker::TrackError) -> Problem {
+fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
-    let key = match (parameter, constant) {
-        (Some(name), _) => format!("start.{name}"),
-        (None, Some(name)) => format!("constants.{name}"),
-        (None, None) => "model".to_string(),
+    let key = match (parameter, constant, error) {
+        (_, _, TrackError::Range { name, .. }) => format!("options.{name}"),
+        (Some(name), _, _) => format!("start.{name}"),
+        (None, Some(name), _) => format!("constants.{name}"),
+        (None, None, _) => "model".to_string(),
     };
     Problem::wrong_key("wrong-value", &key, error.to_string())
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use isophote_tracker::{Camera, Compiled, TrackerOptions};
+use isophote_tracker::{Camera, Compiled, MotionOptions, TrackerOptions};
 use tokio::sync::oneshot;
 
 use crate::registry::Entry;
@@ -63,6 +63,13 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
         start: known(&document.start, &|name| model.parameter(name).is_some()),
         constants: known(&document.constants, &|name| model.constant(name).is_some()),
         camera: camera.clone(),
+        targets: document.options.targets,
+        motion: MotionOptions {
+            acceleration_px_s2: document.options.motion.acceleration_px_s2,
+            coast_s: document.options.motion.coast_s,
+            ..MotionOptions::default()
+        },
+        confidence_min: document.options.confidence_min,
     }
 }
 

@@ -37,13 +37,49 @@ pub struct SessionDocument {
 }
 
 /// Options of a session.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SessionOptions {
     /// Arithmetic of the pixel loops.
     pub precision: Precision,
+    /// How many targets to follow, each an instance of the model: one estimate a frame for each.
+    pub targets: usize,
+    /// What a search finds is taken for a target from this confidence on, 0 … 1.
+    pub confidence_min: f64,
+    /// How targets move.
+    pub motion: MotionDocument,
     /// What exposure is for; this build neither advises nor controls it.
     pub exposure: ExposureOptions,
+}
+
+impl Default for SessionOptions {
+    fn default() -> SessionOptions {
+        SessionOptions {
+            precision: Precision::default(),
+            targets: 1,
+            confidence_min: 0.0,
+            motion: MotionDocument::default(),
+            exposure: ExposureOptions::default(),
+        }
+    }
+}
+
+/// How targets move.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionDocument {
+    /// Standard deviation of the acceleration, px/s²; follows what is seen when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acceleration_px_s2: Option<f64>,
+    /// For so long a target that is not seen is predicted; then it is lost. s.
+    pub coast_s: f64,
+}
+
+impl Default for MotionDocument {
+    fn default() -> MotionDocument {
+        let isophote_tracker::MotionOptions { acceleration_px_s2, coast_s, .. } = Default::default();
+        MotionDocument { acceleration_px_s2, coast_s }
+    }
 }
 
 /// What exposure is for.

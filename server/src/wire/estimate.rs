@@ -46,6 +46,12 @@ pub struct Estimate {
     /// The sum of r²/σ² (r² without noise) over pixels less free parameters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reduced_chi_square: Option<f64>,
+    /// ln L of the pixels that took part.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub log_likelihood: Option<f64>,
+    /// The probability that the thing tracked is the target.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub confidence: Option<f64>,
     /// Pixels that took part in the last pass.
     pub pixels: u64,
     /// Share of the domain's pixels that are saturated, 0 … 1.
@@ -121,6 +127,8 @@ impl Estimate {
             covariance: result.covariance.clone().filter(|rows| rows.iter().flatten().all(|v| v.is_finite())),
             objective: result.objective.filter(|v| v.is_finite()),
             reduced_chi_square: result.reduced_chi_square.filter(|v| v.is_finite()),
+            log_likelihood: result.log_likelihood,
+            confidence: result.confidence.filter(|v| v.is_finite()),
             pixels: result.pixels,
             saturated: if result.saturated.is_finite() { result.saturated } else { 0.0 },
             iterations: result.iterations.clone(),

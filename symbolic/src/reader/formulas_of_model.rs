@@ -110,7 +110,7 @@ pub(crate) fn read_model(
     let mut list = Vec::new();
     for ((shown, observed), noise) in intensity.into_iter().zip(observed).zip(noise) {
         let mean = averaged(&mut graph, shown, likelihood.quadrature, coordinates);
-        let noise = noise.map(|noise| if mean == shown { noise } else { replaced(&mut graph, noise, shown, mean) });
+        let noise = noise.map(|noise| if mean == shown { noise } else { graph.replaced(noise, shown, mean) });
         list.push(Observation { observed, intensity: mean, shown, noise });
     }
     let Observation { observed, intensity, shown, noise } = list[0];
@@ -180,16 +180,6 @@ fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize)
         terms.push((graph.substitute(value, &mut shifted), weight));
     }
     graph.sum(0.0, terms)
-}
-
-/// `node` with `new` in the place of `old`.
-fn replaced(graph: &mut Graph, node: NodeId, old: NodeId, new: NodeId) -> NodeId {
-    let mut map = rustc_hash::FxHashMap::default();
-    for id in graph.reachable(&[node]) {
-        let next = if id == old { new } else { graph.rebuild(id, &map) };
-        map.insert(id, next);
-    }
-    map[&node]
 }
 
 #[cfg(test)]
