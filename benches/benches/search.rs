@@ -17,7 +17,10 @@ fn main() {
         });
         let rows = search::rows(&compiled, frames);
         text += &format!("### {title}\n\n{}\n", search::table(&rows));
-        text += &format!("A frame in which the target is followed takes, median (least–most): {}.\n\n", followed.join(", "));
+        text += &format!(
+            "A frame in which the target is followed takes, median (least–most): {}.\n\n",
+            followed.join(", ")
+        );
         text += &format!("{}\n", search::reliability(&rows));
         println!("{title}: logistic regression on contrast and misfit {:.2?}", search::regression(&rows));
     }

@@ -62,9 +62,7 @@ pub fn compiled(with_noise: bool) -> Arc<Compiled> {
 }
 
 fn is_at(parameters: &[f64], target: Option<&Thing>) -> bool {
-    target.is_some_and(|target| {
-        (parameters[0] - target.centre[0]).hypot(parameters[1] - target.centre[1]) < RIGHT_PX
-    })
+    target.is_some_and(|target| (parameters[0] - target.centre[0]).hypot(parameters[1] - target.centre[1]) < RIGHT_PX)
 }
 
 /// Cold starts of a fresh tracker in seeded frames.
@@ -117,7 +115,9 @@ pub fn rows(compiled: &Arc<Compiled>, frames: usize) -> Vec<Row> {
 
 /// The table of how often and how long.
 pub fn table(rows: &[Row]) -> String {
-    let mut text = "| frame | frames | right | wrong | right, careful | wrong, careful | ms |\n|---|---|---|---|---|---|---|\n".to_string();
+    let mut text =
+        "| frame | frames | right | wrong | right, careful | wrong, careful | ms |\n|---|---|---|---|---|---|---|\n"
+            .to_string();
     for Row { name, counted, median_ms, .. } in rows {
         let share = |count: usize| format!("{:.2} %", 100.0 * count as f64 / counted.frames as f64);
         let Counted { frames, right, wrong, right_careful, wrong_careful } = *counted;
