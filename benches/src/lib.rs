@@ -15,6 +15,7 @@ pub mod foreign;
 pub mod frame;
 pub mod page;
 pub mod race;
+pub mod real;
 pub mod scene;
 pub mod search;
 pub mod speed;

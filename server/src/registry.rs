@@ -148,7 +148,7 @@ pub struct Registry {
 }
 
 /// The shipped documents.
-const SHIPPED: [&str; 19] = [
+const SHIPPED: [&str; 20] = [
     include_str!("../../models/bead.toml"),
     include_str!("../../models/blob-3d.toml"),
     include_str!("../../models/blob-4d.toml"),
@@ -156,6 +156,7 @@ const SHIPPED: [&str; 19] = [
     include_str!("../../models/dark-disc.toml"),
     include_str!("../../models/gaussian-pixel.toml"),
     include_str!("../../models/gaussian.toml"),
+    include_str!("../../models/laser-beam.toml"),
     include_str!("../../models/moffat.toml"),
     include_str!("../../models/profile-1d.toml"),
     include_str!("../../models/rational-spot.toml"),

@@ -144,7 +144,7 @@ const fn row(condition: &'static str, document: &'static str, goal: [Option<f64>
 const CLEAR: [Option<f64>; 2] = [Some(1.06), Some(1.06)];
 
 /// The table: which document is fitted in which condition, and what is to be reached.
-pub const ROWS: [Row; 17] = [
+pub const ROWS: [Row; 18] = [
     row("S0", "spot-plane", CLEAR),
     row("S10", "spot-plane", CLEAR),
     row("S30", "spot-plane", CLEAR),
@@ -152,6 +152,7 @@ pub const ROWS: [Row; 17] = [
     row("dark", "spot-plane", [Some(1.08), Some(1.08)]),
     row("glareLin", "spot-plane", CLEAR),
     row("glareLobe", "spot-plane", [Some(6.4), Some(6.4)]),
+    row("glareLobe", "spot-quadratic", [Some(6.4), Some(6.4)]),
     Row { known: lamp, ..row("glareLobe", "spot-lobe", [Some(1.18), Some(1.18)]) },
     row("occl25", "spot-plane", [Some(6.0), Some(1.1)]),
     row("blind40", "spot-plane", [None, Some(4.2)]),

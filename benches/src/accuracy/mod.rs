@@ -10,11 +10,16 @@
 //!              drawn      └────► bound (CRLB) ────────────────────────────┘
 //! ```
 
+pub mod basin;
 pub mod bound;
 pub mod condition;
+pub mod consistency;
+pub mod curves;
 pub mod document;
 pub mod light;
 pub mod peers;
+pub mod plot;
+pub mod report;
 pub mod run;
 pub mod scene;
 pub mod sensor;

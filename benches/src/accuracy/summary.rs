@@ -1,5 +1,6 @@
 //! Many trials in few numbers.
 
+use super::consistency::{SHARES, quantile};
 use super::trial::{Outcome, Trial};
 
 /// Mean and standard deviation.
@@ -46,6 +47,8 @@ pub struct Summary {
     pub brightness: Spread,
     /// Of the centre; 2 when honest.
     pub nees: Spread,
+    /// Shares of frames whose error lies inside the ellipse that should hold [`SHARES`] of them.
+    pub inside: [f64; SHARES.len()],
     /// χ²/ν, median.
     pub reduced: f64,
     /// One call, median, µs.
@@ -58,6 +61,8 @@ impl Summary {
         let good: Vec<&Trial> = outcomes.iter().filter_map(|outcome| outcome.trial.as_ref()).collect();
         let frames = outcomes.len();
         let square: f64 = good.iter().map(|trial| trial.error.iter().map(|e| e * e).sum::<f64>()).sum();
+        let nees: Vec<f64> = good.iter().filter_map(|trial| trial.nees).collect();
+        let below = |share: f64| nees.iter().filter(|one| **one < quantile(share)).count() as f64 / nees.len() as f64;
         Summary {
             frames,
             failed: 1.0 - good.len() as f64 / frames as f64,
@@ -65,7 +70,8 @@ impl Summary {
             rmse_px: (square / (2 * good.len()) as f64).sqrt(),
             size: Spread::of(good.iter().map(|trial| trial.size)),
             brightness: Spread::of(good.iter().map(|trial| trial.brightness)),
-            nees: Spread::of(good.iter().filter_map(|trial| trial.nees)),
+            nees: Spread::of(nees.iter().copied()),
+            inside: SHARES.map(below),
             reduced: median(good.iter().filter_map(|trial| trial.reduced)),
             time_us: median(outcomes.iter().map(|outcome| outcome.time_us)),
         }

@@ -53,7 +53,7 @@ fn percent(spread: &Spread) -> String {
 }
 
 /// Size, brightness, covariance and time, from the tracking start.
-pub fn worth(all: &[Measured]) -> String {
+pub fn worth(all: &[&Measured]) -> String {
     let mut table = String::from(
         "| condition | document | semi-axis: bias, sd, % | brightness: bias, sd, % | NEES of the centre | χ²/ν | cold, µs | tracking, µs |\n\
          |---|---|---|---|---|---|---|---|\n",
