@@ -34,6 +34,8 @@ pub enum Saturated {
     /// It is left out.
     #[default]
     Dropped,
+    /// It is left out where it is predicted to be near the limit, whatever it shows.
+    Predicted,
     /// It says that there was at least that much light.
     Censored,
 }

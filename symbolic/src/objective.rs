@@ -11,6 +11,7 @@ use crate::bodies::Part;
 use crate::derivation::{Cuts, Derivation, Target};
 use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
+use crate::likelihood::Saturated;
 use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
 use crate::monomial::whole_output;
@@ -27,6 +28,9 @@ pub enum ValueKind {
     /// Σ r²/σ² + ln σ² at the parameters themselves, for the report. Two outputs: F, and Σ r²/σ².
     Full,
 }
+
+/// Predicted to be within so many standard deviations of the limit is near it.
+const NEAR_LIMIT: f64 = 3.0;
 
 /// What a plane of predictions holds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -403,7 +407,23 @@ pub(crate) fn residual(graph: &mut Graph, model: &Model) -> NodeId {
 
 /// Where the model holds, at the entry parameters; of pixels at their limit those.
 fn entry_domain(graph: &mut Graph, model: &Model) -> Option<NodeId> {
-    let domain = model.formulas.domain.map(|d| at_entry(graph, d));
+    let mut domain = model.formulas.domain.map(|d| at_entry(graph, d));
+    if let (Saturated::Predicted, Node::Channel(channel)) =
+        (model.formulas.saturated, graph.node(model.formulas.observed).clone())
+    {
+        let limit = graph.input(Input::Saturation(channel));
+        let intensity = at_entry(graph, model.formulas.intensity);
+        let deviation = match model.formulas.noise {
+            Some(noise) => {
+                let noise = at_entry(graph, noise);
+                graph.sqrt(noise)
+            }
+            None => graph.number(0.0),
+        };
+        let most = graph.sum(0.0, [(limit, 1.0), (deviation, -NEAR_LIMIT)]);
+        let below = graph.compare(Comparison::Lt, intensity, most);
+        domain = Some(domain.map_or(below, |domain| graph.and(domain, below)));
+    }
     let Some(channel) = model.formulas.clipped else { return domain };
     let (limit, pixel) = (graph.input(Input::Saturation(channel)), graph.channel(channel));
     let clipped = graph.compare(Comparison::Le, limit, pixel);

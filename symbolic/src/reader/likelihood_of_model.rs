@@ -27,10 +27,11 @@ fn read_saturated(faults: &mut Faults, entry: &Entry) -> Option<Saturated> {
     let text = faults.text("model.saturated", entry)?;
     match &*text.value {
         "dropped" => Some(Saturated::Dropped),
+        "predicted" => Some(Saturated::Predicted),
         "censored" => Some(Saturated::Censored),
         other => {
             let message = format!("{} is not a way to treat saturated pixels", quoted(other));
-            let help = "write \"dropped\" (they are left out) or \"censored\" (they say \"at least that\")";
+            let help = "write \"dropped\" (they are left out), \"predicted\" (those predicted to be at the limit are) or \"censored\" (they say \"at least that\")";
             faults.tell("unknown-name", "model.saturated", entry.span, message, help);
             None
         }

@@ -12,6 +12,7 @@ use nalgebra::DMatrix;
 
 use super::ExposureGoal;
 use crate::compiled::{Control, Job, Layout, lowering};
+use crate::loops::Loops;
 use crate::track::solver::Solver;
 use crate::track::window::{Margin, shape};
 
@@ -25,7 +26,7 @@ const FAR_PX: f64 = 512.0;
 /// What renders the model, and what sums its information.
 pub(crate) struct Kernels {
     render: Arc<Kernel>,
-    information: Arc<Kernel>,
+    information: Loops,
 }
 
 /// One exposure.
@@ -47,7 +48,7 @@ impl Kernels {
         let render = Arc::new(Kernel::compile(&program, &options).ok()?);
         let pixel = [0u8; 4];
         let plane = PlaneView::new(PixelFormat::F32, &pixel, 1, 1, 4, 4).ok()?;
-        let information = solver.compiled.kernel(Job::Covariance, Control::Dropping, &Layout::of(&[plane])).ok()?;
+        let information = solver.compiled.loops(Job::Covariance, Control::Dropping, &Layout::of(&[plane])).ok()?;
         Some(Kernels { render, information })
     }
 }
@@ -79,7 +80,7 @@ pub(crate) fn tried(
     let plane = PlaneView::stack(PixelFormat::F32, &bytes, [width, height, depth, length], strides).ok()?;
     let limit = [limit - HALF_STEP];
     let bindings = Bindings { shift: &[], ..bindings(&limit) };
-    let sums = kernels.information.sums(&bindings, &[plane], window).ok()?;
+    let sums = kernels.information.sums(&bindings, &[plane], window)?;
     let order = solver.compiled.last_parameters();
     let n = order.len();
     let upper = sums.outputs.get(1 + n..).filter(|upper| upper.len() == n * (n + 1) / 2)?;
