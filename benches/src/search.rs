@@ -143,7 +143,7 @@ pub fn rows(compiled: &Arc<Compiled>, frames: usize) -> Vec<Row> {
         scene.clutter.retain(|thing| thing.profile != Profile::Spot);
         scene
     };
-    rows.push(measure(&format!("no target, others of other shapes"), compiled, frames, scene));
+    rows.push(measure("no target, others of other shapes", compiled, frames, scene));
     rows
 }
 
