@@ -1,5 +1,6 @@
-//! What others reach on the same conditions: the best of 18 methods of OpenCV, ViSP, photutils, scipy and Cpufit that were
+//! What others reach on the same conditions: the best of 17 methods of OpenCV, ViSP, photutils, scipy and Cpufit that were
 //! measured by the prototypes this bench follows, on 150 frames a condition (±4 %; slow methods 12 to 25 frames, ±10 to 20 %).
+//! Left out: photutils' 0.82 on small_S0, which is below the bound and comes from 12 frames.
 
 /// RMSE/CRLB of the centre by the best peer, and who it is; `None`: no method answered.
 pub const PEERS: [(&str, Option<(f64, &str)>); 14] = [
