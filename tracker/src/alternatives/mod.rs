@@ -36,8 +36,9 @@ const PIXELS_MIN: usize = 40;
 const STARTS: usize = 2;
 /// Nothing farther from a target than this many outlines is looked at.
 const REACH: f64 = 1.5;
-/// Outliers are looked for among residuals of this many times their deviation first: a start may be some way off.
-const SCALES: [f64; ROUNDS] = [3.0, 1.0];
+/// How many times their deviation residuals are taken to have, round by round, when outliers are looked for: as it is, and
+/// more at first, for starts that are some way off.
+const SCALES: [&[f64]; 2] = [&[1.0], &[3.0, 1.0]];
 /// Degrees of the polynomial that is added to the background.
 const DEGREES: [u32; 3] = [1, 2, 3];
 
@@ -133,32 +134,37 @@ impl Alternatives {
             }
         }
         let mut found: Vec<(f64, Candidate)> = Vec::new();
-        let mut add = |fitted: &Fitted, candidate: Option<Candidate>| {
-            let candidate = candidate.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate)));
-            found.extend(candidate);
-        };
-        for start in &starts {
-            let choice = Choice { degree: 0, robust: false, hidden: 0.0 };
-            add(own, own.run(view, constants, start, choice, false)?);
-            for ground in &self.grounds {
-                let choice = Choice { degree: ground.degree, ..choice };
-                add(&ground.plain, ground.plain.run(view, constants, start, choice, false)?);
-                let choice = Choice { robust: true, ..choice };
-                let Some(robust) = ground.robust.run(view, constants, start, choice, false)? else { continue };
-                // What is hidden is known now, and the rest counts in full.
-                add(&ground.plain, ground.plain.run(view, constants, &robust.fit.parameters, choice, true)?);
-                add(&ground.robust, Some(robust));
-            }
-        }
-        if std::env::var("DEBUG_ALT").is_ok() {
-            eprintln!("limit {limit:.3}");
-            for (cost, c) in &found { eprintln!("  {cost:.4} {:?} {:?}", c.choice, &c.fit.parameters[..5]); }
-        }
-        // Of those that explain all that they look at, else of all, the one that explains most.
         let is_fine = |candidate: &Candidate| {
             let reduced = candidate.fit.worth.as_ref().and_then(|worth| worth.reduced);
             reduced.is_some_and(|reduced| reduced <= MISFIT)
         };
+        let add = |found: &mut Vec<(f64, Candidate)>, fitted: &Fitted, candidate: Option<Candidate>| {
+            found.extend(candidate.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
+        };
+        let choice = Choice { degree: 0, robust: false, hidden: 0.0 };
+        for start in &starts {
+            add(&mut found, own, own.run(view, constants, start, choice, &[1.0], false)?);
+            for ground in &self.grounds {
+                let choice = Choice { degree: ground.degree, ..choice };
+                add(&mut found, &ground.plain, ground.plain.run(view, constants, start, choice, &[1.0], false)?);
+            }
+        }
+        // Something stands in front of the target: the simplest background with which all that is seen is explained.
+        for ground in &self.grounds {
+            if found.iter().any(|(_, candidate)| is_fine(candidate)) {
+                break;
+            }
+            let choice = Choice { degree: ground.degree, robust: true, ..choice };
+            for (start, scales) in starts.iter().flat_map(|start| SCALES.map(|scales| (start, scales))) {
+                let Some(robust) = ground.robust.run(view, constants, start, choice, scales, false)? else { continue };
+                // What is hidden is known now, and the rest counts in full.
+                let parameters = &robust.fit.parameters;
+                let refined = ground.plain.run(view, constants, parameters, choice, &[1.0], true)?;
+                add(&mut found, &ground.plain, refined);
+                add(&mut found, &ground.robust, Some(robust));
+            }
+        }
+        // Of those that explain all that they look at, else of all, the one that explains most.
         let best = found.into_iter().filter(|(cost, _)| *cost < limit);
         let rank = |a: &(f64, Candidate), b: &(f64, Candidate)| {
             (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(a.0.total_cmp(&b.0))
@@ -177,14 +183,16 @@ impl Fitted {
         self.compiled.last_parameters().len()
     }
 
-    /// Fits from a start, which may lack the parameters of the background; `None` when that is no fit. With `hidden`
-    /// outliers that hang together are left out from the first round on.
+    /// Fits from a start, which may lack the parameters of the background; `None` when that is no fit. `scales` are those of
+    /// the rounds, the last one of all that follow. With `hidden` outliers that hang together are left out from the first
+    /// round on.
     fn run(
         &self,
         view: &View,
         constants: &[f64],
         start: &[f64],
         choice: Choice,
+        scales: &[f64],
         hidden: bool,
     ) -> Result<Option<Candidate>, CompileFailure> {
         let known = constants_for(self.compiled.model(), constants, view);
@@ -192,12 +200,11 @@ impl Fitted {
         parameters.resize(self.compiled.model().parameters().len(), 0.0);
         let mut last: Option<Fit> = None;
         let mut mask = None;
-        let robust = self.compiled.model().loss() != Loss::Squares;
-        for round in 0..ROUNDS {
+        for round in 0..ROUNDS.max(scales.len()) {
             let Some(seen) = self.predictions.residuals(view, &parameters, &known, false) else { return Ok(None) };
             let found = Mask::of(view, &seen, round == 0 && !hidden, hidden.then_some(OUTLIER));
             // Without anything hidden a second round would be the first one over again.
-            if round > 0 && found.is_none() && mask.is_none() && !robust {
+            if round >= scales.len() && found.is_none() && mask.is_none() {
                 break;
             }
             let precision = self.compiled.precision();
@@ -208,8 +215,8 @@ impl Fitted {
                 None => (view, Control::Dropping),
             };
             let mut constants = known.clone();
-            if let Some(scale) = constants.last_mut().filter(|_| robust) {
-                *scale = SCALES[round];
+            if let Some(scale) = constants.last_mut() {
+                *scale = scales[round.min(scales.len() - 1)];
             }
             let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64) {
@@ -236,7 +243,7 @@ impl Fitted {
         let choice = Choice { degree: 0, robust: true, hidden: 0.0 };
         let mut tried = Vec::new();
         for start in &starts {
-            let Some(candidate) = self.run(view, constants, start, choice, false)? else { continue };
+            let Some(candidate) = self.run(view, constants, start, choice, SCALES[0], false)? else { continue };
             let cost = self.cost(view, constants, &candidate.fit.parameters, None);
             tried.extend(cost.map(|cost| (cost, candidate.fit.parameters)));
         }
