@@ -140,8 +140,8 @@ impl Shape {
             Shape::Clipped(loss) => {
                 let z = variance.map_or_else(|| residual.clone(), |v| residual.mul(&v.sqrt().power(-1)));
                 match loss {
-                    Loss::Tukey(c) if !(z.value < N::from(c)) => Hyper::fixed(N::from(bend(c).0)),
-                    Loss::Huber(c) if !(z.value < N::from(c)) => {
+                    Loss::Tukey(c) if z.value >= N::from(c) => Hyper::fixed(N::from(bend(c).0)),
+                    Loss::Huber(c) if z.value >= N::from(c) => {
                         let (value, slope) = bend(c);
                         Hyper::fixed(N::from(value - slope * c)).add(&z.scaled(slope))
                     }
@@ -179,8 +179,8 @@ impl Shape {
                 let z = residual / deviation;
                 let zero = N::from(0.0);
                 match loss {
-                    Loss::Tukey(c) if !(z < N::from(c)) => [N::from(bend(c).0), zero, zero],
-                    Loss::Huber(c) if !(z < N::from(c)) => {
+                    Loss::Tukey(c) if z >= N::from(c) => [N::from(bend(c).0), zero, zero],
+                    Loss::Huber(c) if z >= N::from(c) => {
                         let (value, slope) = bend(c);
                         [N::from(value - slope * c) + N::from(slope) * z, N::from(slope) / deviation, zero]
                     }

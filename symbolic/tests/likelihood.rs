@@ -50,7 +50,7 @@ impl Pixels for Picture {
         let f = if s <= 1.0 { (1.0 - s).powi(2) * (1.0 + s / 2.0) } else { 0.0 };
         let noise = ((x * 7919 + y * 104_729 + channel * 31) % 97) as f64 / 24.0 - 2.0;
         // One pixel in forty is far off.
-        let outlier = if (x * 31 + y * 17) % 40 == 0 { 60.0 } else { 0.0 };
+        let outlier = if (x * 31 + y * 17).is_multiple_of(40) { 60.0 } else { 0.0 };
         (20.0 + (300.0 - 80.0 * channel as f64) * f + noise + outlier).round().min(255.0)
     }
 }
@@ -83,8 +83,8 @@ fn agrees_with_differences(model: &Model, method: Method) {
             // With ln σ² in F the variances are those of the parameters themselves.
             sums(program, &moved, start).outputs
         };
-        for i in 0..free.len() {
-            let h = 1e-4 * start[i];
+        for (i, value_of) in start.iter().enumerate() {
+            let h = 1e-4 * value_of;
             let (up, down) = (at(i, h, &value)[0], at(i, -h, &value)[0]);
             let (difference, gradient) = ((up - down) / (2.0 * h), here.outputs[1 + i]);
             let scale = here.outputs[1 + free.len() + (0..i).map(|k| free.len() - k).sum::<usize>()].abs().sqrt();
@@ -112,4 +112,63 @@ fn every_likelihood_has_the_derivatives_of_its_f() {
             }
         }
     }
+}
+
+/// Three channels that see two lights in different mixtures, and what one number a channel costs and says.
+#[test]
+fn several_observed_values_are_summed_one_by_one() {
+    let text = SPOT
+        .replace("channels = [\"phi\"]", "channels = [\"r\", \"g\", \"b\"]")
+        .replace("intensity = \"v0 + v1 * f\"", "intensity = \"[v0 + v1 * f, v0 + 0.25 * v1 * f, v0 + 0.1 * v1 * f]\"");
+    let model = Model::from_toml(&text.replace("LIKELIHOOD", &format!("{NOISE}\nsaturated = \"censored\""))).unwrap();
+    assert_eq!((model.entries(), model.summands().len()), (3, 6));
+    let weak = sums_of(&model, 2);
+    let strong = sums_of(&model, 0);
+    // The weak channel is nowhere at its limit, the strong one is.
+    assert!(strong[1].pixels > 20 && weak[1].pixels == 0, "{} {}", strong[1].pixels, weak[1].pixels);
+    assert_eq!(strong[0].pixels + strong[0].saturated, weak[0].pixels + weak[0].saturated);
+}
+
+/// Of one entry: the sums below the limit, and those at it.
+fn sums_of(model: &Model, entry: usize) -> Vec<interpreter::Outcome> {
+    let summands = model.summands();
+    let pair = summands.chunks(2).nth(entry).unwrap();
+    let of = |summand: &isophote_symbolic::Summand| {
+        let lowering = Lowering { fma: false, drop_saturated: !summand.is_clipped };
+        let objective = summand.model.objective(&every(model), Method::GaussNewton).unwrap();
+        sums(&objective.program(lowering).unwrap(), &POINT, &POINT)
+    };
+    pair.iter().map(of).collect()
+}
+
+/// A polynomial is added where the model has none of it, and a pixel that is no number is left out.
+#[test]
+fn variants_have_what_the_model_lacks_and_skip_what_is_blind() {
+    let variant = |degree| isophote_symbolic::Variant {
+        degree,
+        loss: isophote_symbolic::Loss::Tukey(5.0),
+        saturated: Saturated::Dropped,
+        reach: 1.5,
+    };
+    let flat = spot(NOISE);
+    let sloped = SPOT.replace("v1 = {", "gx = { start = 0.0 }\ngy = { start = 0.0 }\nv1 = {");
+    let sloped = sloped.replace("v0 + v1 * f", "v0 + gx * x + gy * (y - by) + v1 * f");
+    let sloped = Model::from_toml(&sloped.replace("LIKELIHOOD", NOISE)).unwrap();
+    let added = |model: &Model, degree| model.variant(variant(degree)).parameters().len() - model.parameters().len();
+    assert_eq!((added(&flat, 0), added(&flat, 1), added(&flat, 2), added(&flat, 3)), (0, 2, 5, 9));
+    assert_eq!((added(&sloped, 1), added(&sloped, 2)), (0, 3));
+
+    struct Blinded;
+    impl Pixels for Blinded {
+        fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
+            if x < 18 { f64::NAN } else { Picture.at(channel, x, y) }
+        }
+    }
+    let objective = flat.objective(&every(&flat), Method::GaussNewton).unwrap().skipping_nan();
+    let program = objective.program(Lowering { fma: false, drop_saturated: true }).unwrap();
+    let bindings =
+        Bindings { parameters: &POINT, entry: &POINT, constants: &[0.05, 0.75], saturation: &[254.5], shift: &[] };
+    let outcome = interpreter::run(&program, Precision::F64, &bindings, &Blinded, WINDOW, None);
+    let whole = sums(&program, &POINT, &POINT);
+    assert!(outcome.outputs.iter().all(|sum| sum.is_finite()) && outcome.pixels < whole.pixels && outcome.pixels > 100);
 }

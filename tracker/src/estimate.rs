@@ -1,6 +1,8 @@
 //! `Estimate`: what one frame says about one target, and how the fit that says so ended.
 
 use isophote_symbolic::ParameterId;
+
+use crate::alternatives::Alternative;
 use serde::{Deserialize, Serialize};
 
 use crate::exposure::ExposureAdvice;
@@ -179,6 +181,8 @@ pub struct Estimate {
     pub rejection: Option<Rejection>,
     /// How each stage went.
     pub stages: Vec<StageReport>,
+    /// What was fitted in the model's place, when that left too much unexplained.
+    pub alternative: Option<Alternative>,
 }
 
 impl Estimate {

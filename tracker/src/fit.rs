@@ -6,7 +6,7 @@ use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
-use crate::alternatives::Choice;
+use crate::alternatives::Alternative;
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
@@ -93,7 +93,7 @@ pub(crate) struct Fit {
     /// Absent when the ending is not that of a fit.
     pub worth: Option<Worth>,
     /// What differs from the model, when an alternative was fitted.
-    pub choice: Option<Choice>,
+    pub choice: Option<Alternative>,
 }
 
 /// What the end point is worth, by a last pass that leaves saturated pixels out.
@@ -136,7 +136,8 @@ fn fit_controlled(
     control: Control,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
-    let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None, choice: None };
+    let mut fit =
+        Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None, choice: None };
     for (index, stage) in model.stages().iter().enumerate() {
         let gradient = compiled.loops(Job::Stage(index), control, &view.layout)?;
         let value = match value_kind(model, stage.method) {

@@ -37,6 +37,7 @@ mod tracker;
 mod trust;
 mod workers;
 
+pub use alternatives::Alternative;
 pub use camera::{Camera, Distortion, Intrinsics};
 pub use compiled::{CompileFailure, Compiled};
 pub use contour::{Contour, contours};

@@ -2,7 +2,7 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, TrackState};
+pub use isophote_tracker::{Ahead, Alternative, Ending, ExposureAdvice, Rejection, TrackState};
 use serde::{Deserialize, Serialize};
 
 use super::Named;
@@ -77,6 +77,9 @@ pub struct Estimate {
     /// Where the target will be, when the session asks for it.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub predict: Vec<Ahead>,
+    /// What was fitted in the model's place, when that left too much unexplained.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub alternative: Option<Alternative>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -146,6 +149,7 @@ impl Estimate {
                 .then_some(Illumination { background, brightness }),
             exposure_advice: result.exposure_advice.clone(),
             predict: result.ahead.clone(),
+            alternative: result.alternative,
             truth: None,
             timing_us: None,
         }

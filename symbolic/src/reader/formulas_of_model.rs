@@ -99,7 +99,8 @@ pub(crate) fn read_model(
     let is_channel = |node: &NodeId| matches!(reader.graph.node(*node), Node::Channel(_));
     if likelihood.saturated != Saturated::Dropped && !observed.iter().all(is_channel) {
         let span = get(model, "saturated").map_or(at, |e| e.span);
-        let message = "a mixture of channels has no limit of its own: at its limit a channel says too little of the mixture";
+        let message =
+            "a mixture of channels has no limit of its own: at its limit a channel says too little of the mixture";
         let help = "fit the channels as they are: `observed = \"[r, g, b]\"`, with the mixing in `intensity`";
         reader.faults.tell("bad-formula", "model.saturated", span, message, help);
         return None;

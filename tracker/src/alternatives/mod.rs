@@ -9,11 +9,14 @@
 
 mod blind;
 mod residuals;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
+use serde::{Deserialize, Serialize};
 
 use self::blind::{Mask, Painted};
 use self::residuals::Predictions;
@@ -63,8 +66,8 @@ pub(crate) struct Alternatives {
 }
 
 /// What is different about a fit that was chosen over the plain one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Choice {
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Alternative {
     /// Of the polynomial added to the background.
     pub degree: u32,
     /// Outliers did not count.
@@ -76,7 +79,7 @@ pub(crate) struct Choice {
 /// A fit, and what it left out.
 struct Candidate {
     fit: Fit,
-    choice: Choice,
+    choice: Alternative,
 }
 
 impl Alternatives {
@@ -144,11 +147,11 @@ impl Alternatives {
             let admitted = candidate.filter(|candidate| admit(&candidate.fit));
             found.extend(admitted.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
         };
-        let choice = Choice { degree: 0, robust: false, hidden: 0.0 };
+        let choice = Alternative { degree: 0, robust: false, hidden: 0.0 };
         for start in &starts {
             add(&mut found, own, own.run(view, constants, start, choice, &[1.0], false)?);
             for ground in &self.grounds {
-                let choice = Choice { degree: ground.degree, ..choice };
+                let choice = Alternative { degree: ground.degree, ..choice };
                 add(&mut found, &ground.plain, ground.plain.run(view, constants, start, choice, &[1.0], false)?);
             }
         }
@@ -159,7 +162,7 @@ impl Alternatives {
             if found.iter().any(|(_, candidate)| is_fine(candidate)) && (number > 0 || !is_blinded) {
                 break;
             }
-            let choice = Choice { degree: ground.degree, robust: true, ..choice };
+            let choice = Alternative { degree: ground.degree, robust: true, ..choice };
             for (start, scales) in starts.iter().flat_map(|start| SCALES.map(|scales| (start, scales))) {
                 let Some(robust) = ground.robust.run(view, constants, start, choice, scales, false)? else { continue };
                 // What is hidden is known now, and the rest counts in full.
@@ -196,7 +199,7 @@ impl Fitted {
         view: &View,
         constants: &[f64],
         start: &[f64],
-        choice: Choice,
+        choice: Alternative,
         scales: &[f64],
         hidden: bool,
     ) -> Result<Option<Candidate>, CompileFailure> {
@@ -224,7 +227,8 @@ impl Fitted {
                 *scale = scales[round.min(scales.len() - 1)];
             }
             let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
-            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64) {
+            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64)
+            {
                 return Ok(None);
             }
             parameters.clone_from(&fitted.parameters);
@@ -240,12 +244,12 @@ impl Fitted {
             Some(blind as f64 / inside.count().max(1) as f64)
         };
         let hidden = mask.as_ref().and_then(share).unwrap_or(0.0);
-        Ok(Some(Candidate { fit, choice: Choice { hidden, ..choice } }))
+        Ok(Some(Candidate { fit, choice: Alternative { hidden, ..choice } }))
     }
 
     /// The first of some starts, and those of the others that lead to the least cost, each over its own domain.
     fn likely(&self, view: &View, constants: &[f64], starts: Vec<Vec<f64>>) -> Result<Vec<Vec<f64>>, CompileFailure> {
-        let choice = Choice { degree: 0, robust: true, hidden: 0.0 };
+        let choice = Alternative { degree: 0, robust: true, hidden: 0.0 };
         let mut tried = Vec::new();
         for start in &starts {
             let Some(candidate) = self.run(view, constants, start, choice, SCALES[0], false)? else { continue };

@@ -40,7 +40,8 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
     };
     let good = state == TrackState::Tracking;
     let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
-    let (stages, worth) = attempt.fit.map_or((Vec::new(), None), |fit| (fit.stages, fit.worth));
+    let (stages, worth, alternative) =
+        attempt.fit.map_or((Vec::new(), None, None), |fit| (fit.stages, fit.worth, fit.choice));
     let told = worth.as_ref().filter(|_| good);
     Estimate {
         target: name,
@@ -63,6 +64,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
         ending: attempt.ending,
         rejection: attempt.rejection.filter(|_| !good),
         stages,
+        alternative: alternative.filter(|_| good),
     }
 }
 
