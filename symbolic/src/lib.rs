@@ -58,6 +58,7 @@ mod proof;
 mod rank;
 mod reader;
 mod registers;
+mod sample;
 mod schedule;
 mod search;
 mod square;
@@ -78,3 +79,4 @@ pub use model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, 
 pub use objective::{Objective, ValueKind};
 pub use program::*;
 pub use proof::{Form, Proof};
+pub use sample::Sample;

@@ -195,6 +195,9 @@ fn made_up(parameter: &Parameter, centre: [f64; 4], random: &mut Random) -> f64 
             Estimator::Amplitude => {
                 (150.0 + 30.0 * jitter) * if parameter.max.is_some_and(|m| m <= 0.0) { -1.0 } else { 1.0 }
             }
+            Estimator::Position(2) => 1000.0 * (1.0 + 0.1 * jitter),
+            Estimator::Position(_) => 20.0 * jitter,
+            Estimator::Orientation(_) => 0.2 * jitter,
         },
     };
     let inside = parameter.min.is_none_or(|min| value > min) && parameter.max.is_none_or(|max| value < max);

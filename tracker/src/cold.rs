@@ -5,6 +5,7 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 use crate::compiled::Control;
 use crate::fit::View;
 use crate::grey::{Grey, Mixture};
+use crate::pose;
 use crate::start::{Sight, Sign, Wanted, find};
 
 /// Starting values to try, and how.
@@ -43,6 +44,9 @@ impl Cold {
         let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
         let origin = view.window.first().map(|at| at as f64);
+        if estimators.iter().any(|e| matches!(e, Some(Estimator::Position(_) | Estimator::Orientation(_)))) {
+            return Cold::look_for_pose(model, constants, &grey, given, origin, control);
+        }
         let targets = if estimators.iter().any(Option::is_some) {
             let targets = find(&grey, &wanted(model, given, origin));
             if targets.len() < model.roles().len().max(1) {
@@ -77,6 +81,43 @@ impl Cold {
         let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
         let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
         Some(Cold { starts, tighter, control })
+    }
+
+    /// Starts for every pose that suits the spots, and again brighter where spots are clipped.
+    fn look_for_pose(
+        model: &Model,
+        constants: &[f64],
+        grey: &Grey,
+        given: &[Option<f64>],
+        origin: [f64; 4],
+        control: Control,
+    ) -> Option<Cold> {
+        let geometry = pose::Geometry::of(model, constants)?;
+        let spots = &geometry.target.spots;
+        let sights = find(grey, &Wanted { targets_max: spots.len() + pose::SPARE, ..wanted(model, given, origin) });
+        let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
+        let mut starts = Vec::new();
+        for pose_start in pose::starts(&geometry, &sights, origin) {
+            let sight_of = |parameter: usize| {
+                let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
+                let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());
+                let spot = spots.iter().position(|spot| Some(&spot.name) == name);
+                let own = spot.and_then(|spot| pose_start.sights[spot]);
+                own.or_else(|| pose_start.sights.iter().flatten().next().copied()).map(|index| &sights[index])
+            };
+            for brighter in if clipped { vec![1.0, BRIGHTER] } else { vec![1.0] } {
+                let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match parameter.start {
+                    Start::Number(number) => Some(number),
+                    Start::Estimator(Estimator::Amplitude) => Some(brighter * sight_of(index)?.amplitude),
+                    Start::Estimator(estimator) => Some(sight_of(index)?.value(estimator, origin)),
+                };
+                let mut start = model.parameters().iter().enumerate().map(value).collect::<Option<Vec<f64>>>()?;
+                geometry.put(&pose_start.pose, &mut start);
+                start.iter_mut().zip(given).for_each(|(start, given)| *start = given.unwrap_or(*start));
+                starts.push(start);
+            }
+        }
+        (!starts.is_empty()).then_some(Cold { starts, tighter: None, control })
     }
 }
 

@@ -3,6 +3,8 @@
 use isophote_symbolic::ParameterId;
 use serde::{Deserialize, Serialize};
 
+use crate::pose::Pose;
+
 /// Whether the target is followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -141,6 +143,8 @@ pub struct Estimate {
     pub rejection: Option<Rejection>,
     /// How each stage went.
     pub stages: Vec<StageReport>,
+    /// Where the target is, when lens and target are known and the model shows its spots.
+    pub pose: Option<Pose>,
 }
 
 impl Estimate {

@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
+use crate::pose::Geometry;
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
@@ -116,6 +117,8 @@ fn fit_controlled(
     control: Control,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
+    let geometry = Geometry::of(model, constants);
+    let parts = geometry.map_or_else(|| vec![view.window], |geometry| geometry.windows(start, view.window));
     let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
     for (index, stage) in model.stages().iter().enumerate() {
         let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
@@ -126,8 +129,16 @@ fn fit_controlled(
         let value = compiled.kernel(value, control, &view.layout)?;
         let free = indices(&stage.parameters);
         let count = free.len();
-        let mut problem =
-            Kernels { compiled, view, constants, gradient, value, count, curvature: curvature(stage.method) };
+        let mut problem = Kernels {
+            compiled,
+            view,
+            parts: &parts,
+            constants,
+            gradient,
+            value,
+            count,
+            curvature: curvature(stage.method),
+        };
         let rules = Rules {
             free,
             iterations: stage.iterations,
@@ -147,7 +158,8 @@ fn fit_controlled(
     let gradient = compiled.kernel(Job::Covariance, Control::Dropping, &view.layout)?;
     let value = compiled.kernel(Job::Value, Control::Dropping, &view.layout)?;
     let count = compiled.last_parameters().len();
-    let mut problem = Kernels { compiled, view, constants, gradient, value, count, curvature: Curvature::GaussNewton };
+    let mut problem =
+        Kernels { compiled, view, parts: &parts, constants, gradient, value, count, curvature: Curvature::GaussNewton };
     match problem.worth(&fit.parameters)? {
         Some(worth) => {
             if worth.covariance.is_none() {
@@ -176,6 +188,8 @@ fn indices(parameters: &[ParameterId]) -> Vec<usize> {
 struct Kernels<'a> {
     compiled: &'a Compiled,
     view: &'a View<'a>,
+    /// Windows without a common pixel: the view's, or what of it the target can be in.
+    parts: &'a [Window],
     constants: &'a [f64],
     gradient: Arc<Kernel>,
     value: Arc<Kernel>,
@@ -189,7 +203,16 @@ impl Kernels<'_> {
         let bindings =
             Bindings { parameters, entry, constants: self.constants, saturation: &self.view.saturation, shift: &[] };
         // The view was made for the kernel's model, so only a bug could refuse it; the stage then ends as not finite.
-        kernel.sums(&bindings, &self.view.planes, self.view.window).ok()
+        let sums = |part: &Window| kernel.sums(&bindings, &self.view.planes, *part).ok();
+        let (first, others) = self.parts.split_first()?;
+        let mut total = sums(first)?;
+        for part in others {
+            let more = sums(part)?;
+            total.outputs.iter_mut().zip(more.outputs).for_each(|(total, more)| *total += more);
+            total.pixels += more.pixels;
+            total.saturated += more.saturated;
+        }
+        Some(total)
     }
 
     /// The pass that nothing follows.

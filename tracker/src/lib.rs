@@ -23,6 +23,7 @@ mod grey;
 mod options;
 #[cfg(test)]
 mod picture;
+mod pose;
 mod report;
 mod stage;
 mod start;
@@ -30,12 +31,13 @@ mod tracker;
 mod trust;
 mod workers;
 
-pub use camera::{Camera, Distortion, Intrinsics};
+pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
 pub use compiled::{CompileFailure, Compiled};
 pub use contour::{Contour, contours};
 pub use estimate::{Ending, Estimate, Rejection, StageReport, TrackState};
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{TrackError, TrackerOptions};
+pub use pose::{Alternative, Pose, Target, TargetError, TargetSpot, geometry};
 pub use report::{CheckReport, StageCost};
 pub use tracker::{Carried, Tracker};
 pub use workers::{InTurn, Workers};

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use isophote_jit::Window;
 use isophote_symbolic::{Model, Precision};
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Distortion, IntrinsicsError};
+use crate::pose::{Target, TargetError};
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -16,10 +17,13 @@ pub struct TrackerOptions {
     pub window: Option<Window>,
     /// Numbers that take the place of a parameter's own start, by name.
     pub start: BTreeMap<String, f64>,
-    /// Values of constants, by name. What is missing here comes from the camera (`gain`, `read_noise`), else from the model.
+    /// Values of constants, by name. What is missing here comes from the camera (`gain`, `read_noise`, `fx` …), then
+    /// from the target (`red_x` …), else from the model.
     pub constants: BTreeMap<String, f64>,
     /// The camera.
     pub camera: Camera,
+    /// The rigid target that the spots belong to.
+    pub target: Option<Target>,
 }
 
 /// Why options do not fit a model.
@@ -56,6 +60,20 @@ pub enum TrackError {
         name: String,
         /// As given.
         value: f64,
+    },
+    /// The lens cannot be.
+    #[error(transparent)]
+    Intrinsics(#[from] IntrinsicsError),
+    /// The target cannot be.
+    #[error(transparent)]
+    Target(#[from] TargetError),
+    /// The formulas of the model bend light otherwise than the lens.
+    #[error(
+        "the model's formulas have no `{wanted}`, which the camera's lens needs: take a model for lenses of this kind"
+    )]
+    Lens {
+        /// The constant that is missing.
+        wanted: String,
     },
     /// Kernels and options disagree.
     #[error("the options say {wanted:?}, the kernels are for {compiled:?}")]
@@ -96,12 +114,36 @@ impl TrackerOptions {
                 return Err(TrackError::NotFinite { name: name.clone(), value });
             }
         }
+        self.target.as_ref().map_or(Ok(()), Target::check)?;
+        self.check_lens(model)
+    }
+
+    /// A model that has the lens in its formulas must have all of it.
+    fn check_lens(&self, model: &Model) -> Result<(), TrackError> {
+        let Some(lens) = &self.camera.intrinsics else { return Ok(()) };
+        lens.check()?;
+        if model.constant("fx").is_none() {
+            return Ok(());
+        }
+        if lens.model == Distortion::Fisheye {
+            return Err(TrackError::Lens { wanted: "fisheye lens".into() });
+        }
+        for name in ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"] {
+            let wanted = format!("lens_{name}");
+            if lens.coefficient(name).is_some_and(|value| value != 0.0) && model.constant(&wanted).is_none() {
+                return Err(TrackError::Lens { wanted });
+            }
+        }
         Ok(())
     }
 
     /// All constants of the model, in its order.
     pub(crate) fn constants_of(&self, model: &Model) -> Vec<f64> {
-        let value = |name: &str| self.constants.get(name).copied().or_else(|| self.camera.constant(name));
+        let of_target = |name: &str| self.target.as_ref().and_then(|target| target.constant(name));
+        let value = |name: &str| {
+            let given = self.constants.get(name).copied();
+            given.or_else(|| self.camera.constant(name)).or_else(|| of_target(name))
+        };
         model.constants().iter().map(|constant| value(&constant.name).unwrap_or(constant.value)).collect()
     }
 

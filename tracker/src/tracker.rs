@@ -19,6 +19,7 @@ use crate::estimate::{Ending, Estimate, Rejection, TrackState};
 use crate::fit::{Fit, View, fit};
 use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
+use crate::pose::{Fitted, Geometry, Pose, of_ellipses};
 use crate::stage::QUANTISATION;
 
 /// A brightness of less than this many standard deviations is nothing.
@@ -135,12 +136,14 @@ impl Tracker {
             }
             false => frame,
         };
-        let attempt = match self.view(frame) {
-            Some(view) => self.attempt(&view).unwrap_or(Attempt::none(Ending::NoKernel)),
+        let view = self.view(frame);
+        let attempt = match &view {
+            Some(view) => self.attempt(view).unwrap_or(Attempt::none(Ending::NoKernel)),
             None => Attempt::none(Ending::WrongFrame),
         };
+        let pose = view.and_then(|view| self.pose(&view, &attempt));
         self.remember(&attempt);
-        self.publish(frame, attempt)
+        Estimate { pose, ..self.publish(frame, attempt) }
     }
 
     /// The part of a frame to look at; `None` when the frame does not suit the model.
@@ -270,11 +273,38 @@ impl Tracker {
         None
     }
 
+    /// From the parameters where they are a pose, else from the spots' ellipses where lens and target are given.
+    fn pose(&self, view: &View, attempt: &Attempt) -> Option<Pose> {
+        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good())?;
+        let (model, order) = (self.compiled.model(), self.compiled.last_parameters());
+        let covariance = fit.worth.as_ref()?.covariance.as_ref();
+        if let Some(geometry) = Geometry::of(model, &self.constants) {
+            return Some(geometry.published(&fit.parameters, order, covariance));
+        }
+        let (lens, target) = (self.options.camera.intrinsics.as_ref()?, self.options.target.as_ref()?);
+        let saturation = match view.saturation[..] {
+            [limit] => limit,
+            _ => f64::INFINITY,
+        };
+        let fitted = Fitted {
+            parameters: &fit.parameters,
+            constants: &self.constants,
+            order,
+            covariance: covariance?,
+            saturation,
+        };
+        of_ellipses(model, lens, target, &fitted)
+    }
+
     fn remember(&mut self, attempt: &Attempt) {
         let memory = &mut self.memory;
         match &attempt.fit {
             Some(fit) if attempt.is_good() => {
-                memory.warm = Some(fit.parameters.iter().copied().map(Some).collect());
+                let mut next = fit.parameters.clone();
+                if let Some(geometry) = Geometry::of(self.compiled.model(), &self.constants) {
+                    geometry.fold(&mut next);
+                }
+                memory.warm = Some(next.into_iter().map(Some).collect());
                 memory.last = fit.parameters.clone();
                 memory.reduced = attempt.reduced();
                 memory.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
@@ -318,6 +348,7 @@ impl Tracker {
             ending: attempt.ending,
             rejection: attempt.rejection,
             stages,
+            pose: None,
         }
     }
 }

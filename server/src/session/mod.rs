@@ -8,7 +8,7 @@ mod swap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use isophote_tracker::{Camera, Tracker};
+use isophote_tracker::{Camera, TrackError, Tracker};
 use tokio::sync::oneshot;
 
 use crate::clock::{elapsed_ms, monotonic_ns};
@@ -180,9 +180,6 @@ impl Session {
 fn check_document(document: &SessionDocument) -> Result<(), Problem> {
     let absent =
         |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
-    if !document.target.is_empty() {
-        return absent("target", "fits no pose, so a session's target must be {}");
-    }
     if document.options.exposure.control {
         return absent("options.exposure.control", "does not control exposure");
     }
@@ -223,13 +220,17 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
 }
 
 /// The key of the option that a tracker refuses.
-fn wrong_options(document: &SessionDocument, entry: &Entry, error: &isophote_tracker::TrackError) -> Problem {
+fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant) {
         (Some(name), _) => format!("start.{name}"),
         (None, Some(name)) => format!("constants.{name}"),
-        (None, None) => "model".to_string(),
+        (None, None) => match error {
+            TrackError::Target(_) => "target".to_string(),
+            TrackError::Intrinsics(_) => "camera.intrinsics".to_string(),
+            _ => "model".to_string(),
+        },
     };
     Problem::wrong_key("wrong-value", &key, error.to_string())
 }

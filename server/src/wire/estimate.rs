@@ -65,6 +65,9 @@ pub struct Estimate {
     /// Background and brightness, when the model has a role for one of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub illumination: Option<Illumination>,
+    /// Where the target is, when the lens and the target are known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub pose: Option<tracker::Pose>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -130,6 +133,7 @@ impl Estimate {
             indefinite_steps: result.indefinite_steps(),
             illumination: (background.is_some() || brightness.is_some())
                 .then_some(Illumination { background, brightness }),
+            pose: result.pose.clone(),
             truth: None,
             timing_us: None,
         }
