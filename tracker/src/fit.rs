@@ -118,7 +118,8 @@ fn fit_controlled(
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let geometry = Geometry::of(model, constants);
-    let parts = geometry.map_or_else(|| vec![view.window], |geometry| geometry.windows(start, view.window));
+    let parts =
+        geometry.map_or_else(|| vec![view.window], |geometry| geometry.windows(model, start, constants, view.window));
     let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
     for (index, stage) in model.stages().iter().enumerate() {
         let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;

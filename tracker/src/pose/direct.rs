@@ -10,9 +10,8 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use super::Pose;
 use super::measured::row_major;
-use super::profile::REACH;
 use super::rigid::Rigid;
-use super::seen::outline;
+use super::seen::{Five, outline};
 use super::target::{Target, TargetSpot};
 use crate::camera::{Distortion, Intrinsics};
 
@@ -30,9 +29,13 @@ const NUDGE: f64 = 1e-6;
 /// Beyond this length of m the other triple is taken, which is shorter than 1/1.2.
 const FOLD: f64 = 1.2;
 /// A spot's part of the picture ends this far beyond the domain, as a share of the spot, …
-const MARGIN: f64 = 0.15;
+const MARGIN: f64 = 0.05;
 /// … and this many pixels.
-const MARGIN_PX: f64 = 3.0;
+const MARGIN_PX: f64 = 2.0;
+/// Contours that a domain may end at.
+const REACHES: [f64; 6] = [1.4, 1.7, 2.3, 3.0, 4.5, 9.0];
+/// Places along each.
+const BEARINGS: usize = 8;
 
 impl Geometry {
     /// `None` when the model's parameters are no pose, or constants that it needs are missing or make no camera or target.
@@ -101,21 +104,22 @@ impl Geometry {
         }
     }
 
-    /// The pixels that the spots can be in: a window around each, those that touch made one. The whole `window` where a spot
-    /// cannot be projected.
-    pub fn windows(&self, parameters: &[f64], window: Window) -> Vec<Window> {
+    /// The pixels that the domain can hold: a window around each spot, those that touch made one. The whole `window` where a
+    /// spot cannot be projected, or the domain reaches far beyond the spots.
+    pub fn windows(&self, model: &Model, parameters: &[f64], constants: &[f64], window: Window) -> Vec<Window> {
         let pose = self.pose(parameters);
+        let outlines: Option<Vec<Five>> =
+            self.target.spots.iter().map(|spot| outline(&self.lens, &pose, spot)).collect();
+        let Some(outlines) = outlines else { return vec![window] };
+        let Some(reach) = reach(model, parameters, constants, &outlines) else { return vec![window] };
         let mut boxes: Vec<[f64; 4]> = Vec::new();
-        for spot in &self.target.spots {
-            let Some(ellipse) = outline(&self.lens, &pose, spot) else { return vec![window] };
+        for ellipse in outlines {
             let determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3];
-            let half = |a: f64| (REACH * a / determinant).sqrt() * (1.0 + MARGIN) + MARGIN_PX;
+            let half = |a: f64| (reach * a / determinant).sqrt() * (1.0 + MARGIN) + MARGIN_PX;
             let (w, h) = (half(ellipse[4]), half(ellipse[2]));
             let mut own = [ellipse[0] - w, ellipse[1] - h, ellipse[0] + w, ellipse[1] + h];
             // A box that grows may touch another one.
-            while let Some(i) = boxes.iter().position(|b| {
-                b[0] <= own[2] + 1.0 && own[0] <= b[2] + 1.0 && b[1] <= own[3] + 1.0 && own[1] <= b[3] + 1.0
-            }) {
+            while let Some(i) = boxes.iter().position(|other| touch(other, &own)) {
                 let other = boxes.swap_remove(i);
                 own = [own[0].min(other[0]), own[1].min(other[1]), own[2].max(other[2]), own[3].max(other[3])];
             }
@@ -170,6 +174,26 @@ impl Geometry {
     }
 }
 
+/// Boxes that share pixels, or would when their sides are rounded outwards.
+fn touch(a: &[f64; 4], b: &[f64; 4]) -> bool {
+    (0..2).all(|k| a[k] <= b[k + 2] + 2.0 && b[k] <= a[k + 2] + 2.0)
+}
+
+/// The least of some s beyond which the domain holds nothing, by places around each spot; `None` when it reaches far.
+fn reach(model: &Model, parameters: &[f64], constants: &[f64], outlines: &[Five]) -> Option<f64> {
+    let around = |s: f64| -> Vec<Vec<f64>> {
+        let place = |ellipse: &Five, k: usize| {
+            let (sin, cos) = (std::f64::consts::TAU * k as f64 / BEARINGS as f64).sin_cos();
+            let own = ellipse[2] * cos * cos + 2.0 * ellipse[3] * cos * sin + ellipse[4] * sin * sin;
+            let radius = (s / own).sqrt();
+            vec![ellipse[0] + radius * cos, ellipse[1] + radius * sin]
+        };
+        outlines.iter().flat_map(|ellipse| (0..BEARINGS).map(move |k| place(ellipse, k))).collect()
+    };
+    let outside = |s: &&f64| !model.samples(&around(**s), parameters, constants).iter().any(|sample| sample.inside);
+    REACHES.iter().find(outside).copied()
+}
+
 /// The pixels of `window` inside of a box.
 fn part(window: Window, [x0, y0, x1, y1]: [f64; 4]) -> Option<Window> {
     let span = |first: usize, count: usize, low: f64, high: f64| {
@@ -181,3 +205,7 @@ fn part(window: Window, [x0, y0, x1, y1]: [f64; 4]) -> Option<Window> {
     let (y, height) = span(window.y, window.height, y0, y1)?;
     Some(Window { x, y, width, height, ..window })
 }
+
+#[cfg(test)]
+#[path = "direct_tests.rs"]
+mod tests;
