@@ -5,6 +5,7 @@
 use isophote_benches::page;
 use isophote_benches::pose::cell::{CELLS, Documents, run};
 use isophote_benches::pose::table::{branches, consistency, errors};
+use isophote_benches::pose::thesis;
 
 /// Frames of a cell.
 const FRAMES: usize = 200;
@@ -28,8 +29,9 @@ fn main() {
         consistency(&all),
         branches(&all)
     );
-    println!("{text}");
+    println!("{text}\n{}", thesis::table());
     if std::env::var("UPDATE_EXPECT").is_ok() {
         page::write_to("pose-accuracy.md", "table", &text);
+        page::write_to("pose.md", "thesis", &thesis::table());
     }
 }

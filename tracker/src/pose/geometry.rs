@@ -19,6 +19,12 @@ pub fn bounds(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot) -> Option<[f64
     Some([x, y, (a3 / determinant).sqrt(), (a1 / determinant).sqrt()])
 }
 
+/// The ellipse (x, y, a1, a2, a3) of the picture of a spot's contour s = 1, px, px⁻². `None` where it is not in front of the
+/// camera.
+pub fn outline_ellipse(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot) -> Option<[f64; 5]> {
+    outline(lens, pose, spot).map(Into::into)
+}
+
 /// The ellipse (x, y, a1, a2, a3) that a fit of `model` sees of a spot, whose table of roles has the spot's name; from the
 /// profile that the model has with these parameters and constants. `saturation`: pixel values from there on do not take part.
 pub fn fitted_ellipse(
