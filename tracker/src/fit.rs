@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use isophote_jit::{Kernel, PixelFormat, PlaneView, Sums, Window};
-use isophote_symbolic::{Bindings, ParameterId, Precision, ValueKind};
+use isophote_symbolic::{Bindings, Model, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
@@ -117,9 +117,7 @@ fn fit_controlled(
     control: Control,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
-    let geometry = Geometry::of(model, constants);
-    let parts =
-        geometry.map_or_else(|| vec![view.window], |geometry| geometry.windows(model, start, constants, view.window));
+    let parts = parts(model, view, constants, start);
     let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
     for (index, stage) in model.stages().iter().enumerate() {
         let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
@@ -171,6 +169,38 @@ fn fit_controlled(
         None => fit.ending = Ending::NonFinite,
     }
     Ok(fit)
+}
+
+/// The windows to look at for a fit that begins at `start`.
+fn parts(model: &Model, view: &View, constants: &[f64], start: &[f64]) -> Vec<Window> {
+    let windows = |geometry: Geometry| geometry.windows(model, start, constants, view.window);
+    Geometry::of(model, constants).map_or_else(|| vec![view.window], windows)
+}
+
+/// By how much F (with noise: minus twice the log-likelihood) is larger at `b` than at `a`, the mean over the pixels of
+/// either.
+pub(crate) fn difference(
+    compiled: &Compiled,
+    view: &View,
+    constants: &[f64],
+    a: &[f64],
+    b: &[f64],
+) -> Result<Option<f64>, CompileFailure> {
+    let model = compiled.model();
+    let job = if model.has_noise() { Job::Report } else { Job::Value };
+    let value = compiled.kernel(job, Control::Dropping, &view.layout)?;
+    let mut sum = 0.0;
+    for entry in [a, b] {
+        let parts = parts(model, view, constants, entry);
+        let gradient = value.clone(); // not run
+        let curvature = Curvature::GaussNewton;
+        let kernels =
+            Kernels { compiled, view, parts: &parts, constants, gradient, value: value.clone(), count: 0, curvature };
+        let at = |point: &[f64]| kernels.run(&value, point, entry)?.outputs.first().copied();
+        let (Some(at_a), Some(at_b)) = (at(a), at(b)) else { return Ok(None) };
+        sum += at_b - at_a;
+    }
+    Ok(Some(0.5 * sum))
 }
 
 /// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.

@@ -22,6 +22,10 @@ use crate::options::{TrackError, TrackerOptions};
 use crate::pose::{Fitted, Geometry, Pose, of_ellipses};
 use crate::stage::QUANTISATION;
 
+#[path = "rival.rs"]
+mod rival;
+use rival::Rival;
+
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;
 /// A reduced χ² this many times the last one asks for a second opinion.
@@ -51,6 +55,8 @@ struct Memory {
     clipped: bool,
     /// The target was found once.
     found: bool,
+    /// The other pose that may be the true one.
+    rival: Option<Rival>,
 }
 
 /// What a swap does to the parameters of the new model.
@@ -67,11 +73,13 @@ struct Attempt {
     fit: Option<Fit>,
     ending: Ending,
     rejection: Option<Rejection>,
+    /// Of poses: the runner-up.
+    rival: Option<Rival>,
 }
 
 impl Attempt {
     fn none(ending: Ending) -> Attempt {
-        Attempt { fit: None, ending, rejection: Some(Rejection::Ending) }
+        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None }
     }
 
     fn is_good(&self) -> bool {
@@ -185,7 +193,8 @@ impl Tracker {
         let full: Option<Vec<f64>> = warm.iter().copied().collect();
         let Some(start) = full else { return self.cold(view, warm) };
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
-        Ok(self.judged(fit(&self.compiled, view, &self.constants, &start, control)?, view))
+        let warm = self.judged(fit(&self.compiled, view, &self.constants, &start, control)?, view);
+        self.against_rival(view, warm, control)
     }
 
     /// From starting values: `given` numbers first, then the model's own, then what the window shows. The believable fit
@@ -195,6 +204,7 @@ impl Tracker {
             return Ok(Attempt::none(Ending::NoTarget));
         };
         let mut best: Option<Attempt> = None;
+        let mut others = Vec::new();
         for start in cold.starts.iter().chain(&cold.tighter) {
             let last_resort = Some(start) == cold.tighter.as_ref();
             if last_resort && best.as_ref().is_some_and(Attempt::is_good) {
@@ -203,10 +213,12 @@ impl Tracker {
             let attempt = self.judged(fit(&self.compiled, view, &self.constants, start, cold.control)?, view);
             let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
             if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
-                best = Some(attempt);
+                others.extend(best.replace(attempt));
+            } else {
+                others.push(attempt);
             }
         }
-        Ok(best.unwrap_or(Attempt::none(Ending::NoTarget)))
+        self.likeliest_pose(view, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
     }
 
     /// By which factor a brightness changed since the last good fit, up or down, the largest of all targets; 1 where unknown.
@@ -230,7 +242,7 @@ impl Tracker {
     /// A fit, and why it is not believed.
     fn judged(&self, fit: Fit, view: &View) -> Attempt {
         let rejection = self.rejection(&fit, view);
-        Attempt { ending: fit.ending, fit: Some(fit), rejection }
+        Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None }
     }
 
     fn rejection(&self, fit: &Fit, view: &View) -> Option<Rejection> {
@@ -279,7 +291,8 @@ impl Tracker {
         let (model, order) = (self.compiled.model(), self.compiled.last_parameters());
         let covariance = fit.worth.as_ref()?.covariance.as_ref();
         if let Some(geometry) = Geometry::of(model, &self.constants) {
-            return Some(geometry.published(&fit.parameters, order, covariance));
+            let alternatives = attempt.rival.iter().filter_map(|rival| rival.alternative(&geometry)).collect();
+            return Some(Pose { alternatives, ..geometry.published(&fit.parameters, order, covariance) });
         }
         let (lens, target) = (self.options.camera.intrinsics.as_ref()?, self.options.target.as_ref()?);
         let saturation = match view.saturation[..] {
@@ -306,6 +319,7 @@ impl Tracker {
                 }
                 memory.warm = Some(next.into_iter().map(Some).collect());
                 memory.last = fit.parameters.clone();
+                memory.rival = attempt.rival.clone();
                 memory.reduced = attempt.reduced();
                 memory.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
                 memory.found = true;
@@ -313,6 +327,7 @@ impl Tracker {
             _ => {
                 memory.warm = None;
                 memory.reduced = None;
+                memory.rival = None;
             }
         }
     }

@@ -168,3 +168,33 @@ fn long_rodrigues_parameters_are_folded() {
     assert!((geometry.pose(&parameters).rotation - before.rotation).norm() < 1e-12);
     assert!(parameters[geometry.orientation[0].index()].abs() < 0.8);
 }
+
+/// Far away, the two tilts of one spot differ by less than the noise: both are told, the true one among them, until frames
+/// have decided; near by there is no doubt.
+#[test]
+fn two_tilts_that_look_alike_are_both_told() {
+    let lens = lens(Distortion::None, &[]);
+    let compiled = model("spot-pose");
+    let mut doubtful = 0;
+    for seed in 0..4 {
+        let truth = pose([0.25, -0.1, 0.0], [40.0, 20.0, 3000.0]);
+        let mut tracker = Tracker::new(compiled.clone(), options(&lens)).unwrap();
+        for frame_number in 0..3 {
+            let estimate = tracker.track(&frame(&truth, &[[0.0; 3]], &lens, 100 * seed + frame_number));
+            let found = estimate.pose.unwrap();
+            let others = found.alternatives.iter().map(|a| (a.position_mm, a.orientation_xyzw));
+            let all: Vec<Rigid> = std::iter::once((found.position_mm, found.orientation_xyzw))
+                .chain(others)
+                .map(|(position, q)| Rigid::of_quaternion(position, q))
+                .collect();
+            let off = |p: &Rigid| p.rotation.column(2).angle(&truth.rotation.column(2));
+            assert!(all.iter().map(off).fold(f64::INFINITY, f64::min) < 0.05, "{seed}: {all:?}");
+            assert!(found.alternatives.iter().all(|a| (0.0..10.0).contains(&a.delta_chi_square)));
+            doubtful += found.alternatives.len();
+        }
+    }
+    assert!(doubtful > 0);
+    let truth = pose([0.5, -0.4, 0.0], [40.0, 20.0, 400.0]);
+    let mut tracker = Tracker::new(compiled, options(&lens)).unwrap();
+    assert!(tracker.track(&frame(&truth, &[[0.0; 3]], &lens, 7)).pose.unwrap().alternatives.is_empty());
+}
