@@ -1,6 +1,6 @@
 //! `cargo bench -p isophote-benches --bench pose [-- FRAMES]`: poses of three spots, by every method, against the truth and
 //! the Cramér–Rao bound. With `UPDATE_EXPECT=1` it writes docs/pose-accuracy.md anew.
-#![allow(missing_docs, clippy::unwrap_used)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::page;
 use isophote_benches::pose::cell::{CELLS, Documents, run};

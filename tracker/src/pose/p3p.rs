@@ -78,7 +78,8 @@ fn polished(mut s: Vector3<f64>, sides: &Vector3<f64>, cosines: &Vector3<f64>) -
         let Some(step) = slopes.lu().solve(&rest(&s)) else { break };
         let next = s - step;
         // At a double root the matrix is singular; a step that does not help ends the polish.
-        if !(rest(&next).norm() < rest(&s).norm()) {
+        let nearer = rest(&next).norm() < rest(&s).norm();
+        if !nearer {
             break;
         }
         s = next;

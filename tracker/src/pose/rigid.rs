@@ -95,8 +95,13 @@ mod tests {
     use super::*;
 
     fn poses() -> impl Iterator<Item = Rigid> {
-        let axes =
-            [[0.3, -0.5, 1.2], [0.0, 0.0, 0.0], [3.1, 0.1, 0.2], [-2.0, 1.0, -1.5], [0.0, 0.0, 3.141_592_653_589]];
+        let axes = [
+            [0.3, -0.5, 1.2],
+            [0.0, 0.0, 0.0],
+            [3.1, 0.1, 0.2],
+            [-2.0, 1.0, -1.5],
+            [0.0, 0.0, std::f64::consts::PI - 1e-9],
+        ];
         axes.into_iter().map(|axis| Rigid {
             rotation: Rotation3::new(Vector3::from(axis)).into_inner(),
             translation: Vector3::new(10.0, -20.0, 900.0),
