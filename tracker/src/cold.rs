@@ -44,8 +44,9 @@ impl Cold {
         let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
         let origin = view.window.first().map(|at| at as f64);
-        if estimators.iter().any(|e| matches!(e, Some(Estimator::Position(_) | Estimator::Orientation(_)))) {
-            return Cold::look_for_pose(model, constants, &grey, given, origin, control);
+        if let Some(geometry) = pose::Geometry::of(model, constants).filter(|_| estimators.iter().any(Option::is_some))
+        {
+            return Cold::look_for_pose(model, &geometry, &grey, given, origin, control);
         }
         let targets = if estimators.iter().any(Option::is_some) {
             let targets = find(&grey, &wanted(model, given, origin));
@@ -86,18 +87,17 @@ impl Cold {
     /// Starts for every pose that suits the spots, and again brighter where spots are clipped.
     fn look_for_pose(
         model: &Model,
-        constants: &[f64],
+        geometry: &pose::Geometry,
         grey: &Grey,
         given: &[Option<f64>],
         origin: [f64; 4],
         control: Control,
     ) -> Option<Cold> {
-        let geometry = pose::Geometry::of(model, constants)?;
         let spots = &geometry.target.spots;
         let sights = find(grey, &Wanted { targets_max: spots.len() + pose::SPARE, ..wanted(model, given, origin) });
         let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
         let mut starts = Vec::new();
-        for pose_start in pose::starts(&geometry, &sights, origin) {
+        for pose_start in pose::starts(geometry, &sights, origin) {
             let sight_of = |parameter: usize| {
                 let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
                 let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());

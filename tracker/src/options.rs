@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use isophote_jit::Window;
-use isophote_symbolic::{Model, Precision};
+use isophote_symbolic::{Estimator, Model, Precision, Start};
 
 use crate::camera::{Camera, Distortion, IntrinsicsError};
-use crate::pose::{Target, TargetError};
+use crate::pose::{Geometry, Target, TargetError};
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -75,6 +75,15 @@ pub enum TrackError {
         /// The constant that is missing.
         wanted: String,
     },
+    /// A start by `pose.…` without what a pose needs.
+    #[error(
+        "`{name}` starts at a pose: that needs the roles `position` and `orientation`, the constants `fx`, `fy`, `cx`, `cy`, \
+         and for each spot's table of roles, `red` say, `red_x`, `red_y` and `red_radius`, all of which make sense"
+    )]
+    NoGeometry {
+        /// The parameter.
+        name: String,
+    },
     /// Kernels and options disagree.
     #[error("the options say {wanted:?}, the kernels are for {compiled:?}")]
     Precision {
@@ -115,6 +124,14 @@ impl TrackerOptions {
             }
         }
         self.target.as_ref().map_or(Ok(()), Target::check)?;
+        let is_pose =
+            |start: &Start| matches!(start, Start::Estimator(Estimator::Position(_) | Estimator::Orientation(_)));
+        let starts_at_pose = model.parameters().iter().find(|parameter| is_pose(&parameter.start));
+        if let Some(parameter) = starts_at_pose
+            && Geometry::of(model, &self.constants_of(model)).is_none()
+        {
+            return Err(TrackError::NoGeometry { name: parameter.name.clone() });
+        }
         self.check_lens(model)
     }
 

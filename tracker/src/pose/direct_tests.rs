@@ -156,6 +156,22 @@ fn a_target_document_takes_the_place_of_the_constants() {
 }
 
 #[test]
+fn given_starts_count_and_missing_constants_are_told() {
+    let lens = lens(Distortion::None, &[]);
+    let truth = pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]);
+    let names = ["tx", "ty", "tz", "m1", "m2", "m3"];
+    let near: Vec<f64> = truth.translation.iter().chain(truth.rodrigues().iter()).map(|v| v * 1.002).collect();
+    let start = names.iter().map(|name| (*name).to_string()).zip(near).collect();
+    let mut tracker = Tracker::new(model("three-spots-pose"), TrackerOptions { start, ..options(&lens) }).unwrap();
+    assert_close(&tracker.track(&frame(&truth, &FLAT, &lens, 9)).pose.unwrap(), &truth);
+
+    let text = include_str!("../../../models/spot-pose.toml").replace("spot_radius", "size");
+    let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
+    let refused = Tracker::new(compiled, options(&lens));
+    assert_eq!(refused.err(), Some(TrackError::NoGeometry { name: "tx".into() }));
+}
+
+#[test]
 fn long_rodrigues_parameters_are_folded() {
     let compiled = model("three-spots-pose");
     let constants: Vec<f64> = compiled.model().constants().iter().map(|c| c.value).collect();
