@@ -221,7 +221,7 @@ impl Tracker {
         self.likeliest_pose(view, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
     }
 
-    /// By which factor a brightness changed since the last good fit, up or down, the largest of all targets; 1 where unknown.
+    /// By which factor a brightness changed since the last good fit, up or down, the largest of all targets (of a pose's spots the least); 1 where unknown.
     fn brightness_change(&self, attempt: &Attempt) -> f64 {
         let Some(fit) = &attempt.fit else { return 1.0 };
         let ratio = |roles: &Roles| {
@@ -229,7 +229,14 @@ impl Tracker {
             let (old, new) = (self.memory.last.get(index)?.abs(), fit.parameters[index].abs());
             Some((new / old).max(old / new))
         };
-        self.compiled.model().roles().iter().filter_map(ratio).fold(1.0, f64::max)
+        let ratios = self.compiled.model().roles().iter().filter_map(ratio);
+        // A pose goes on while one of its spots is as it was.
+        if self.fits_pose() { ratios.reduce(f64::min).unwrap_or(1.0) } else { ratios.fold(1.0, f64::max) }
+    }
+
+    /// The parameters are a pose.
+    fn fits_pose(&self) -> bool {
+        self.compiled.model().roles().iter().any(|roles| !roles.position.is_empty())
     }
 
     /// A χ²/ν far above the last one.
@@ -254,6 +261,8 @@ impl Tracker {
             return Some(Rejection::OutsideBounds);
         }
         let (first, size) = (view.window.first(), view.window.size());
+        // A pose has spots to spare: it is believed while one of them shines.
+        let mut shining = false;
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
                 let place = fit.parameters[parameter.index()] - first as f64;
@@ -278,11 +287,12 @@ impl Tracker {
                 let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
                 Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
             });
-            if brightness.is_some_and(|significance| significance < SIGNIFICANT) {
+            shining |= brightness.is_some_and(|significance| significance >= SIGNIFICANT);
+            if !self.fits_pose() && brightness.is_some_and(|significance| significance < SIGNIFICANT) {
                 return Some(Rejection::Faint);
             }
         }
-        None
+        (self.fits_pose() && !shining).then_some(Rejection::Faint)
     }
 
     /// From the parameters where they are a pose, else from the spots' ellipses where lens and target are given.

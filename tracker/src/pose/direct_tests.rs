@@ -171,6 +171,24 @@ fn given_starts_count_and_missing_constants_are_told() {
     assert_eq!(refused.err(), Some(TrackError::NoGeometry { name: "tx".into() }));
 }
 
+/// The third spot is covered while the target is tracked; then all of them are.
+#[test]
+fn two_spots_carry_the_pose_on() {
+    let lens = lens(Distortion::None, &[]);
+    let mut tracker = Tracker::new(model("three-spots-pose"), options(&lens)).unwrap();
+    let at = |step: f64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(Vector6::repeat(0.004) * step));
+    assert_close(&tracker.track(&frame(&at(0.0), &FLAT, &lens, 1)).pose.unwrap(), &at(0.0));
+    for step in 1..4_u32 {
+        let truth = at(f64::from(step));
+        let estimate = tracker.track(&frame(&truth, &FLAT[..2], &lens, 10 + u64::from(step)));
+        assert_eq!(estimate.state, TrackState::Tracking, "{step} {:?}", estimate.rejection);
+        assert_close(&estimate.pose.unwrap(), &truth);
+    }
+    let estimate = tracker.track(&frame(&at(4.0), &[], &lens, 20));
+    assert_ne!(estimate.state, TrackState::Tracking);
+    assert!(estimate.pose.is_none());
+}
+
 #[test]
 fn long_rodrigues_parameters_are_folded() {
     let compiled = model("three-spots-pose");
