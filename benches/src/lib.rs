@@ -4,6 +4,7 @@
 //! [docs/flops.md](../../docs/flops.md), whose counts a test compares with the page, and of [docs/speed.md](../../docs/speed.md).
 #![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
 
+pub mod accuracy;
 pub mod against;
 pub mod appendix;
 pub mod compile_time;
@@ -16,6 +17,9 @@ pub mod page;
 #[allow(missing_docs)] // fields of tables
 pub mod pose;
 pub mod race;
+pub mod real;
+pub mod scene;
+pub mod search;
 pub mod speed;
 pub mod windows;
 

@@ -18,6 +18,7 @@
 
 pub mod decode;
 pub mod encode;
+mod exposure;
 mod levels;
 pub mod limits;
 mod motion;
@@ -34,6 +35,7 @@ mod truth;
 
 pub use decode::decode;
 pub use encode::encode_png;
+pub use exposure::Exposure;
 pub use limits::LIMITS;
 pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};

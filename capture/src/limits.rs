@@ -17,6 +17,8 @@ pub struct Limits {
     pub samples: u32,
     /// Bits of a pixel of a synthetic frame.
     pub bits: u32,
+    /// Frames until an exposure of a synthetic source is applied.
+    pub exposure_latency: u32,
 }
 
 /// The bounds in force.
@@ -28,4 +30,5 @@ pub const LIMITS: Limits = Limits {
     columns: 256,
     samples: 32,
     bits: 16,
+    exposure_latency: 64,
 };

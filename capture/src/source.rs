@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use isophote_tracker::Frame;
 
+use crate::exposure::Exposure;
+
 /// One frame and what is known about it besides its pixels.
 #[derive(Clone, Debug)]
 pub struct Captured {
@@ -28,6 +30,11 @@ pub trait FrameSource: Send {
 
     /// Size of the first frame, inner coordinate first, where it is known beforehand.
     fn size(&self) -> Option<Vec<usize>>;
+
+    /// The knob of a source whose exposure can be set.
+    fn exposure(&self) -> Option<Exposure> {
+        None
+    }
 }
 
 /// Why a source cannot deliver. Every message names the file and says what would help.

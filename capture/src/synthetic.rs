@@ -1,6 +1,6 @@
 //! The synthetic camera: any model, rendered with sub-pixel samples, motion, noise and saturation; the truth with each frame.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use isophote_jit::{PixelFormat, Slices, Window};
@@ -8,6 +8,7 @@ use isophote_symbolic::{Diagnostics, Estimator, Model, Start};
 use isophote_tracker::{Frame, Plane};
 use serde::{Deserialize, Serialize};
 
+use crate::exposure::Exposure;
 use crate::limits::LIMITS;
 use crate::motion::{Motion, MotionFault};
 use crate::noise::{ReadOut, Sensor};
@@ -58,6 +59,8 @@ pub struct SyntheticSpec {
     pub saturation: f64,
     /// Of the noise; same seed, same frames.
     pub seed: u64,
+    /// Frames between setting an exposure and the first frame that has it.
+    pub exposure_latency: u32,
 }
 
 impl SyntheticSpec {
@@ -85,6 +88,7 @@ impl SyntheticSpec {
             read_noise_e: 0.0,
             saturation: 255.0,
             seed: 1,
+            exposure_latency: 2,
         }
     }
 }
@@ -156,6 +160,9 @@ pub struct Synthetic {
     frame: u64,
     scratch: Scratch,
     means: Vec<f32>,
+    exposure: Exposure,
+    /// Exposures on their way: that of the next frame is the first.
+    exposures: VecDeque<f64>,
 }
 
 impl Synthetic {
@@ -181,7 +188,22 @@ impl Synthetic {
         let electrons_per_dn = spec.full_well_e / spec.saturation;
         let sensor = Sensor { saturation: spec.saturation, electrons_per_dn, read_noise_e: spec.read_noise_e };
         let (read_out, scratch, means) = (ReadOut::new(sensor), Scratch::default(), Vec::new());
-        Ok(Synthetic { spec, size, scene, motion, parameters, constants, read_out, frame: 0, scratch, means })
+        let exposures = std::iter::repeat_n(1.0, spec.exposure_latency as usize).collect();
+        let exposure = Exposure::default();
+        Ok(Synthetic {
+            spec,
+            size,
+            scene,
+            motion,
+            parameters,
+            constants,
+            read_out,
+            frame: 0,
+            scratch,
+            means,
+            exposure,
+            exposures,
+        })
     }
 
     /// What was asked for.
@@ -203,7 +225,13 @@ impl Synthetic {
         Ok(parameters)
     }
 
-    fn pixels(&mut self, frame: u64) -> Result<Plane, SourceError> {
+    /// The exposure of the next frame: what was set so many frames ago.
+    fn take_exposure(&mut self) -> f64 {
+        self.exposures.push_back(self.exposure.get());
+        self.exposures.pop_front().unwrap_or(1.0)
+    }
+
+    fn pixels(&mut self, frame: u64, exposure: f64) -> Result<Plane, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
         let numbers = Numbers { parameters: &parameters, constants: &self.constants };
@@ -218,6 +246,9 @@ impl Synthetic {
             let band = Window { x: 0, y, width, height: BAND_ROWS.min(height - y), slices };
             self.means.resize(width * band.height, 0.0);
             self.scene.render(&numbers, band, &mut self.scratch, &mut self.means).map_err(fault)?;
+            if exposure != 1.0 {
+                self.means.iter_mut().for_each(|mean| *mean *= exposure as f32);
+            }
             for means in self.means.chunks_exact(width) {
                 self.read_out.row(means, &mut row);
                 match format {
@@ -235,8 +266,17 @@ impl FrameSource for Synthetic {
     fn next(&mut self) -> Result<Option<Captured>, SourceError> {
         let frame = self.frame;
         self.frame += 1;
-        let plane = self.pixels(frame)?;
-        let truth = self.truth(frame)?;
+        let exposure = self.take_exposure();
+        let plane = self.pixels(frame, exposure)?;
+        let mut truth = self.truth(frame)?;
+        // Targets may share a background: a set names it once.
+        let roles = self.spec.model.roles().iter();
+        let light: BTreeSet<_> = roles.flat_map(|roles| roles.background.iter().chain(&roles.brightness)).collect();
+        for parameter in light.into_iter().filter(|_| exposure != 1.0) {
+            if let Some(value) = truth.get_mut(&self.spec.model.parameters()[parameter.index()].name) {
+                *value *= exposure;
+            }
+        }
         let made = Frame::new(&self.size, vec![plane])
             .map_err(|error| SourceError::Synthetic { frame, reason: error.to_string() })?;
         Ok(Some(Captured { frame: made.with_sequence(frame), file: None, truth: Some(truth) }))
@@ -249,6 +289,10 @@ impl FrameSource for Synthetic {
 
     fn size(&self) -> Option<Vec<usize>> {
         Some(self.size.clone())
+    }
+
+    fn exposure(&self) -> Option<Exposure> {
+        Some(self.exposure.clone())
     }
 }
 
@@ -285,6 +329,8 @@ fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     let (saturation, range) =
         (spec.saturation, format!("at least 1 and at most {largest}, the largest of {} bits", spec.bits));
     in_range("saturation", saturation, (1.0..=largest).contains(&saturation), &range)?;
+    let latency = f64::from(spec.exposure_latency);
+    in_range("exposure_latency", latency, spec.exposure_latency <= LIMITS.exposure_latency, "0 to 64")?;
     in_range("rate_hz", spec.rate_hz, spec.rate_hz > 0.0, "positive")?;
     in_range("full_well_e", spec.full_well_e, spec.full_well_e >= 0.0, "0 (no noise) or positive")?;
     in_range("read_noise_e", spec.read_noise_e, spec.read_noise_e >= 0.0, "0 or positive")

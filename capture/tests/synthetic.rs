@@ -210,3 +210,37 @@ fn faults_say_what_would_be_right() {
     assert!(message.starts_with("frame 1: the motion of `bx` is inf at t = 0.01666"), "{message}");
     assert!(camera.next().is_ok(), "the frame after is fine again");
 }
+
+/// An exposure is applied so many frames after it was set, to the light and to what is told about it.
+#[test]
+fn an_exposure_is_applied_some_frames_later() {
+    let model = shipped("spot");
+    for latency in [0, 2, 5] {
+        let spec = SyntheticSpec {
+            width: 64,
+            height: 48,
+            set: [("v0".to_string(), 10.0), ("v1".to_string(), 60.0)].into(),
+            exposure_latency: latency,
+            ..SyntheticSpec::new(model.clone())
+        };
+        let mut source = Synthetic::new(spec).unwrap();
+        let exposure = source.exposure().unwrap();
+        let told: Vec<[f64; 3]> = (0..12)
+            .map(|number| {
+                if number == 3 {
+                    exposure.set(2.0);
+                    exposure.set(f64::NAN); // is left alone
+                }
+                let captured = source.next().unwrap().unwrap();
+                let truth = captured.truth.unwrap();
+                [truth["v0"], truth["v1"], captured.frame.plane_view(0).pixel(0, 0)]
+            })
+            .collect();
+        for (number, told) in told.iter().enumerate() {
+            let factor = if number >= 3 + latency as usize { 2.0 } else { 1.0 };
+            assert_eq!(*told, [10.0 * factor, 60.0 * factor, 10.0 * factor], "latency {latency}, frame {number}");
+        }
+    }
+    let spec = SyntheticSpec { exposure_latency: 65, ..SyntheticSpec::new(model) };
+    assert!(Synthetic::new(spec).err().unwrap().to_string().contains("exposure_latency is 65"));
+}

@@ -11,7 +11,7 @@ use isophote_jit::Window;
 use isophote_server::{Threads, wire};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{
-    Camera, Compiled, Estimate, Intrinsics, Pose, Target, TrackState, Tracker, TrackerOptions, contours,
+    Camera, Compiled, Estimate, ExposureGoal, Intrinsics, Pose, Target, TrackState, Tracker, TrackerOptions, contours,
 };
 
 use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
@@ -101,6 +101,8 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
         constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
         camera: args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?,
         target: args.target.as_deref().map(target).transpose()?,
+        exposure: Some(ExposureGoal::Centre),
+        ..TrackerOptions::default()
     };
     let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads).map_err(|failure| {
         Failure::model(&args.model.display().to_string(), &isophote_server::explain::diagnostics(&failure))

@@ -65,11 +65,11 @@ type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
 /// there is one that rounds after every operation, and one that multiplies and adds with one rounding.
 #[repr(C)]
 pub(crate) struct Functions {
-    scalar1: [Scalar1; 12],
+    scalar1: [Scalar1; 14],
     scalar2: [Scalar2; 2],
-    single1: [[Lanes1<f32, 4>; 12]; 2],
+    single1: [[Lanes1<f32, 4>; 14]; 2],
     single2: [[Lanes2<f32, 4>; 2]; 2],
-    double1: [[Lanes1<f64, 2>; 12]; 2],
+    double1: [[Lanes1<f64, 2>; 14]; 2],
     double2: [[Lanes2<f64, 2>; 2]; 2],
 }
 
@@ -90,7 +90,7 @@ impl Functions {
             Precision::F32 => std::mem::offset_of!(Functions, single1),
             Precision::F64 => std::mem::offset_of!(Functions, double1),
         };
-        let at = usize::from(machine.fused) * Function1::ALL.len() + function as usize;
+        let at = usize::from(machine.fused) * Function1::EVERY.len() + function as usize;
         (table + at * Self::SLOT) as i32
     }
     /// The byte offset of a function's form for lanes on that machine.
@@ -105,14 +105,14 @@ impl Functions {
 }
 
 extern "C" fn scalar1<const F: usize>(x: f64) -> f64 {
-    Function1::ALL[F].value(x)
+    Function1::EVERY[F].value(x)
 }
 extern "C" fn scalar2<const F: usize>(x: f64, y: f64) -> f64 {
     Function2::ALL[F].value(x, y)
 }
 extern "C" fn single1<const F: usize, const FUSED: bool>(lanes: &mut [f32; 4]) {
     let machine = Plain { fused: FUSED };
-    *lanes = lanes.map(|x| Function1::ALL[F].value_with(machine, Accuracy::Single, f64::from(x)) as f32);
+    *lanes = lanes.map(|x| Function1::EVERY[F].value_with(machine, Accuracy::Single, f64::from(x)) as f32);
 }
 extern "C" fn single2<const F: usize, const FUSED: bool>(lanes: &mut [f32; 4], others: &[f32; 4]) {
     let machine = Plain { fused: FUSED };
@@ -122,7 +122,7 @@ extern "C" fn single2<const F: usize, const FUSED: bool>(lanes: &mut [f32; 4], o
 }
 extern "C" fn double1<const F: usize, const FUSED: bool>(lanes: &mut [f64; 2]) {
     let machine = Plain { fused: FUSED };
-    *lanes = lanes.map(|x| Function1::ALL[F].value_with(machine, Accuracy::Double, x));
+    *lanes = lanes.map(|x| Function1::EVERY[F].value_with(machine, Accuracy::Double, x));
 }
 extern "C" fn double2<const F: usize, const FUSED: bool>(lanes: &mut [f64; 2], others: &[f64; 2]) {
     let machine = Plain { fused: FUSED };
@@ -131,7 +131,7 @@ extern "C" fn double2<const F: usize, const FUSED: bool>(lanes: &mut [f64; 2], o
     }
 }
 
-macro_rules! twelve {
+macro_rules! every {
     ($f:ident $(, $fused:literal)?) => {
         [
             $f::<0 $(, $fused)?>,
@@ -146,17 +146,19 @@ macro_rules! twelve {
             $f::<9 $(, $fused)?>,
             $f::<10 $(, $fused)?>,
             $f::<11 $(, $fused)?>,
+            $f::<12 $(, $fused)?>,
+            $f::<13 $(, $fused)?>,
         ]
     };
 }
 
 /// The table that every kernel is handed.
 pub(crate) static FUNCTIONS: Functions = Functions {
-    scalar1: twelve!(scalar1),
+    scalar1: every!(scalar1),
     scalar2: [scalar2::<0>, scalar2::<1>],
-    single1: [twelve!(single1, false), twelve!(single1, true)],
+    single1: [every!(single1, false), every!(single1, true)],
     single2: [[single2::<0, false>, single2::<1, false>], [single2::<0, true>, single2::<1, true>]],
-    double1: [twelve!(double1, false), twelve!(double1, true)],
+    double1: [every!(double1, false), every!(double1, true)],
     double2: [[double2::<0, false>, double2::<1, false>], [double2::<0, true>, double2::<1, true>]],
 };
 
@@ -166,7 +168,7 @@ mod tests {
 
     #[test]
     fn the_numeric_value_of_a_function_is_its_place_in_all() {
-        assert!(Function1::ALL.iter().enumerate().all(|(i, f)| *f as usize == i));
+        assert!(Function1::EVERY.iter().enumerate().all(|(i, f)| *f as usize == i));
         assert!(Function2::ALL.iter().enumerate().all(|(i, f)| *f as usize == i));
     }
 }

@@ -146,6 +146,17 @@ impl<'a> PlaneView<'a> {
         self.strides[0] == self.format.bytes_per_pixel()
     }
 
+    /// `count` pixels of 8 bit of a row, from `place` on; `None` for other formats, or where they are not packed or not all
+    /// inside.
+    pub fn bytes_of_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
+        let inside = (0..4).all(|axis| place[axis] < self.size[axis]) && place[0] + count <= self.size[0];
+        if self.format != PixelFormat::U8 || !self.is_packed() || !inside {
+            return None;
+        }
+        let first: usize = place.iter().zip(self.strides).map(|(at, stride)| at * stride).sum();
+        self.bytes.get(first..first + count)
+    }
+
     /// The value of pixel (x, y) of the first slice, exactly. Panics outside the plane, as a slice does.
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> f64 {

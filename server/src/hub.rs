@@ -1,6 +1,7 @@
 //! From one fit thread to many subscribers. Publishing never waits: a slow subscriber loses messages and is told how many.
+//! Each target is a stream of its own: what is newest, and what was dropped, is told for each.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
@@ -13,7 +14,7 @@ use crate::wire::Estimate;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// The newest estimate, whenever it has credit.
+    /// The newest estimate of each target, whenever it has credit.
     #[default]
     Latest,
     /// Every estimate, up to the queue's bound; then the oldest go.
@@ -42,12 +43,13 @@ pub struct Hub {
 #[derive(Default)]
 struct State {
     subscribers: Vec<Arc<Subscriber>>,
-    last: Option<Arc<Estimate>>,
+    /// By target.
+    last: BTreeMap<String, Arc<Estimate>>,
     end: Option<End>,
 }
 
 struct Subscriber {
-    capacity: usize,
+    mode: Mode,
     queue: Mutex<Queue>,
     wake: Notify,
 }
@@ -66,7 +68,7 @@ impl Hub {
     /// Hands an estimate to every subscriber.
     pub fn publish(&self, estimate: Arc<Estimate>) {
         let mut state = lock(&self.state);
-        state.last = Some(estimate.clone());
+        state.last.insert(estimate.target.clone(), estimate.clone());
         for subscriber in &state.subscribers {
             subscriber.push(estimate.clone());
         }
@@ -82,9 +84,14 @@ impl Hub {
         state.end = Some(end);
     }
 
-    /// The last estimate.
+    /// The last estimate, of the first target where there are several.
     pub fn last(&self) -> Option<Arc<Estimate>> {
-        lock(&self.state).last.clone()
+        lock(&self.state).last.first_key_value().map(|(_, estimate)| estimate.clone())
+    }
+
+    /// Forgets targets that the session does not follow any more.
+    pub fn keep(&self, targets: &[String]) {
+        lock(&self.state).last.retain(|target, _| targets.contains(target));
     }
 
     /// A new subscriber. In mode `latest` it begins with the last estimate, in mode `all` with the next one.
@@ -95,19 +102,20 @@ impl Hub {
         }
         let mut queue = Queue { waiting: VecDeque::new(), end: state.end.clone() };
         if mode == Mode::Latest {
-            queue.waiting.extend(state.last.clone());
+            queue.waiting.extend(state.last.values().cloned());
         }
-        let capacity = if mode == Mode::Latest { 1 } else { LIMITS.queue };
-        let subscriber = Arc::new(Subscriber { capacity, queue: Mutex::new(queue), wake: Notify::new() });
+        let subscriber = Arc::new(Subscriber { mode, queue: Mutex::new(queue), wake: Notify::new() });
         state.subscribers.push(subscriber.clone());
-        Ok(Subscription { hub: self.clone(), subscriber, mode, last_frame: None })
+        Ok(Subscription { hub: self.clone(), subscriber, last_frames: BTreeMap::new() })
     }
 }
 
 impl Subscriber {
     fn push(&self, estimate: Arc<Estimate>) {
         let mut queue = lock(&self.queue);
-        if queue.waiting.len() == self.capacity {
+        if self.mode == Mode::Latest {
+            queue.waiting.retain(|waiting| waiting.target != estimate.target);
+        } else if queue.waiting.len() == LIMITS.queue {
             queue.waiting.pop_front();
         }
         queue.waiting.push_back(estimate);
@@ -129,14 +137,14 @@ pub enum Next {
 pub struct Subscription {
     hub: Arc<Hub>,
     subscriber: Arc<Subscriber>,
-    mode: Mode,
-    last_frame: Option<u64>,
+    /// By target.
+    last_frames: BTreeMap<String, u64>,
 }
 
 impl Subscription {
     /// What was asked for.
     pub fn mode(&self) -> Mode {
-        self.mode
+        self.subscriber.mode
     }
 
     /// The next estimate, as soon as there is one. Nothing is lost when the future is dropped.
@@ -172,8 +180,8 @@ impl Subscription {
         };
         drop(queue);
         let mut estimate = Box::new(Estimate::clone(&estimate));
-        estimate.dropped = self.last_frame.map_or(0, |last| estimate.frame.saturating_sub(last).saturating_sub(1));
-        self.last_frame = Some(estimate.frame);
+        let last = self.last_frames.insert(estimate.target.clone(), estimate.frame);
+        estimate.dropped = last.map_or(0, |last| estimate.frame.saturating_sub(last).saturating_sub(1));
         Some(Next::Estimate(estimate))
     }
 }
@@ -190,8 +198,12 @@ mod tests {
     use super::*;
 
     fn estimate(frame: u64) -> Arc<Estimate> {
+        estimate_of("0", frame)
+    }
+
+    fn estimate_of(target: &str, frame: u64) -> Arc<Estimate> {
         let document = serde_json::json!({
-            "target": "0", "frame": frame, "model": "m@sha256:0", "state": "tracking", "parameters": {}, "order": [],
+            "target": target, "frame": frame, "model": "m@sha256:0", "state": "tracking", "parameters": {}, "order": [],
             "pixels": 0, "saturated": 0.0, "iterations": [], "converged": true, "ending": "small-step",
         });
         Arc::new(serde_json::from_value(document).unwrap())
@@ -223,6 +235,28 @@ mod tests {
         assert_eq!(drain(&mut all), [(10, 0), (11, 0), (12, 0)]);
         assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()), [(12, 0)], "begins with the last one");
         assert_eq!(drain(&mut hub.subscribe(Mode::All).unwrap()), []);
+    }
+
+    #[test]
+    fn each_target_is_a_stream_of_its_own() {
+        let hub = Arc::new(Hub::default());
+        let mut latest = hub.subscribe(Mode::Latest).unwrap();
+        let mut all = hub.subscribe(Mode::All).unwrap();
+        for frame in [1, 2, 5] {
+            hub.publish(estimate_of("0", frame));
+            hub.publish(estimate_of("1", frame));
+        }
+        assert_eq!(drain(&mut latest), [(5, 0), (5, 0)], "the newest of each");
+        assert_eq!(drain(&mut all), [(1, 0), (1, 0), (2, 0), (2, 0), (5, 2), (5, 2)]);
+        for frame in [6, 7] {
+            hub.publish(estimate_of("0", frame));
+            hub.publish(estimate_of("1", frame));
+        }
+        assert_eq!(drain(&mut latest), [(7, 1), (7, 1)]);
+        assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()).len(), 2);
+        assert_eq!(hub.last().unwrap().target, "0");
+        hub.keep(&["1".to_string()]);
+        assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()), [(7, 0)]);
     }
 
     #[test]

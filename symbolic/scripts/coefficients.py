@@ -95,6 +95,10 @@ a = lambda t: c * (1 + t) / (1 - t)
 g = lambda t: exp(a(t) ** 2) * erfc(a(t))
 table("ERFC", "1 − erf a = e^(−a²) P(t), t = (a − 2.5)/(a + 2.5), 1 ≤ a ≤ 6", g, (t(1), t(6)),
       lambda t, p: (p - g(t)) * exp(-a(t) ** 2) / erf(a(t)), (9, 18))
+c, scaled = mpf(2), lambda a: exp(a ** 2) * erfc(a) if a < mpf("1e7") else 1 / (a * sqrt(pi)) * (1 - 1 / (2 * a * a))
+g = lambda t: (1 + 2 * a(t)) * scaled(a(t))
+table("TAIL", "e^(a²) (1 − erf a) (1 + 2a) = P(t), t = (a − 2)/(a + 2), a ≥ 0", g, (-1, "0.99999999"),
+      lambda t, p: p / g(t) - 1, (14, 27))
 parts("LN_2", "ln 2", log(2), (32, 53))
 parts("LN_2_DOUBLE", "ln 2", log(2), (42, 42, 53))
 parts("HALF_PI", "π/2", pi / 2, (33, 33, 33, 53))

@@ -13,11 +13,10 @@ use std::collections::BTreeSet;
 use rustc_hash::FxHashMap;
 
 use crate::diagnostic::Diagnostics;
-use crate::function::Function1;
 use crate::graph::{Bits, Graph, Node, NodeId};
 use crate::jet::{jet, pair};
 use crate::model::{Lowering, Method, Model};
-use crate::objective::{Origin, variance};
+use crate::objective::{Origin, residual, variance};
 use crate::program::{
     AccumulatorId, ChannelId, Comparison, CoordinateId, Input, InputId, Instruction, Level, Op, ParameterId, PixelSet,
     Program, Sink, TotalId, Value,
@@ -155,33 +154,24 @@ fn entries(
     part: Part,
 ) -> Vec<(String, NodeId)> {
     let newton = method == Method::Newton;
-    let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
+    let residual = residual(graph, model);
     let variance = variance(graph, model, !newton);
     let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let variables: BTreeSet<NodeId> = parameters.iter().copied().collect();
     let name = |i: usize| &model.parameters[subset[i].index()].name;
     let zero = graph.number(0.0);
-    // Newton: F = r²/σ² (+ ln σ²) itself; else 2 r r_u/σ² and 2 r_u r_v/σ².
-    let weight: Vec<(NodeId, i32)> = variance.map(|v| (v, -1)).into_iter().collect();
-    let root = if newton {
-        let chi = graph.product(1.0, [(residual, 2)].into_iter().chain(weight.clone()));
-        match variance {
-            Some(v) => {
-                let log = graph.call1(Function1::Log, v);
-                graph.add2(chi, log)
-            }
-            None => chi,
-        }
-    } else {
-        residual
-    };
+    // Newton: F itself; else L r_u and Q r_u r_v.
+    let (total, own) = model.formulas.shape().jet(graph, newton, &[residual], variance);
+    let entry = |node: Option<&NodeId>| node.copied().unwrap_or(zero);
+    let (l, q) = (entry(own.first.get(&residual)), entry(own.second.get(&(residual, residual))));
+    let root = if newton { total } else { residual };
     let jet = jet(graph, root, &variables, newton && part.has_hessian());
     let first: Vec<NodeId> = parameters.iter().map(|u| jet.first.get(u).copied().unwrap_or(zero)).collect();
     let mut list = Vec::new();
     for i in (0..parameters.len()).filter(|_| part.has_gradient()) {
         let node = match newton {
             true => first[i],
-            false => graph.product(2.0, [(residual, 1), (first[i], 1)].into_iter().chain(weight.clone())),
+            false => graph.product(1.0, [(l, 1), (first[i], 1)]),
         };
         list.push((format!("dF/d{}", name(i)), node));
     }
@@ -189,7 +179,7 @@ fn entries(
         for j in i..parameters.len() {
             let node = match newton {
                 true => jet.second.get(&pair(parameters[i], parameters[j])).copied().unwrap_or(zero),
-                false => graph.product(2.0, [(first[i], 1), (first[j], 1)].into_iter().chain(weight.clone())),
+                false => graph.product(1.0, [(q, 1), (first[i], 1), (first[j], 1)]),
             };
             list.push((format!("d2F/d{}d{}", name(i), name(j)), node));
         }

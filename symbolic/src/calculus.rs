@@ -34,6 +34,14 @@ pub(crate) fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
             let slope = N::two_over_root_pi() * (-(x * x)).call1(Function1::Exp);
             (f, slope, -(two * x * slope))
         }
+        Function1::LogTail => {
+            let hazard = x.call1(Function1::Hazard);
+            (f, -hazard, -(hazard * (hazard - x)))
+        }
+        Function1::Hazard => {
+            let slope = f * (f - x);
+            (f, slope, slope * (f + f - x) - f)
+        }
     }
 }
 

@@ -12,6 +12,7 @@ use crate::absorb::{absorb, absorb_numbers};
 use crate::bodies::Part;
 use crate::graph::{Graph, Node, NodeId};
 use crate::jet::{Jet, compose, jet, pair, totals};
+use crate::likelihood::Shape;
 use crate::model::Lowering;
 use crate::monomial::{Polynomial, Splitter, whole_output};
 use crate::program::Cost;
@@ -26,6 +27,8 @@ pub(crate) struct Target<'a> {
     pub names: &'a [String],
     pub residual: NodeId,
     pub variance: Option<NodeId>,
+    /// What F is of them.
+    pub shape: Shape,
     /// The full Hessian, not JᵀWJ.
     pub newton: bool,
     /// What is summed of it.
@@ -78,7 +81,7 @@ impl Derivation {
         tops.extend(target.variance.filter(|_| target.newton));
         let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.newton)).collect();
         let (tops, jets, variance) = absorb(&mut graph, &tops, &jets, target.variance, cuts.unify);
-        let (value, mut form) = top_form(&mut graph, target.newton, &tops, &jets, variance)?;
+        let (value, mut form) = top_form(&mut graph, target, &tops, &jets, variance)?;
         if !target.part.has_hessian() {
             form.second.clear();
         }
@@ -241,22 +244,12 @@ pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
 /// F and its form over cuts and parameters: the top variables eliminated.
 fn top_form(
     graph: &mut Graph,
-    newton: bool,
+    target: &Target<'_>,
     tops: &[NodeId],
     jets: &[Jet],
     variance: Option<NodeId>,
 ) -> Option<(NodeId, Jet)> {
-    let mut factors = vec![(tops[0], 2)];
-    factors.extend(variance.map(|v| (v, -1)));
-    let square = graph.product(1.0, factors);
-    let value = match (variance, newton) {
-        (Some(v), true) => {
-            let log = graph.call1(crate::function::Function1::Log, v);
-            graph.add2(square, log)
-        }
-        _ => square,
-    };
-    let top = jet(graph, value, &tops.iter().copied().collect(), true);
+    let (value, top) = target.shape.jet(graph, target.newton, tops, variance);
     let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
     let form = compose(graph, &top, &|t| of[&t]);
     (!graph.overflowed()).then_some((value, form))

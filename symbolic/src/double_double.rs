@@ -1,8 +1,8 @@
 //! Double-double numbers: the referee of the self-check.
 //!
 //! What comes in: f64 values. What goes out: a number hi + lo of about 32 digits (106 bits), |lo| ≤ ½ ulp(hi), for the
-//! operators and for every function of [`crate::function`]; at least 28 digits for arguments of ordinary size. The range is that
-//! of f64; a result below 1e-290 has fewer digits. NaN and infinities follow f64.
+//! operators and for every function of the language; at least 28 digits for arguments of ordinary size (likelihood's own
+//! functions are as exact as f64). The range is that of f64; below 1e-290 there are fewer digits. NaN, ∞ follow f64.
 //! It must never know: programs, formulas. It is written to be right, not to be fast.
 //!
 //! Sums and products: Dekker 1971, Knuth's two-sum. Functions: argument reduction with three-part constants, then a series
@@ -284,6 +284,7 @@ impl DoubleDouble {
             Function1::Cosh => self.cosh(),
             Function1::Tanh => self.tanh(),
             Function1::Erf => self.erf(),
+            Function1::LogTail | Function1::Hazard => function.value(self.to_f64()).into(),
         }
     }
 

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use crate::diagnostic::{Diagnostics, quoted};
 use crate::document::{Entry, Item, Key, Text, to_json};
-use crate::elaborate::{Binding, Elaborator, Function, Matrix, Workings};
+use crate::elaborate::{Binding, Elaborator, Function, Matrix, Workings, fault};
 use crate::graph::{Graph, Node, NodeId};
 use crate::limits::LIMITS;
 use crate::parser::{Expr, Kind, parse};
@@ -149,12 +149,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
     }
 
     /// A formula of `[model]`.
-    fn formula(
-        &mut self,
-        key: &str,
-        entry: &Entry,
-        f: fn(&mut Elaborator<'_>, &Expr) -> Option<NodeId>,
-    ) -> Option<NodeId> {
+    fn formula<T>(&mut self, key: &str, entry: &Entry, f: fn(&mut Elaborator<'_>, &Expr) -> Option<T>) -> Option<T> {
         if let Item::Integer(_) | Item::Float(_) = entry.item {
             let value = to_json(entry).to_string();
             self.faults.tell("wrong-type", key, entry.span, "formulas are strings", format!("write `\"{value}\"`"));
@@ -167,13 +162,32 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         self.work_out(&parsed.expr, text, key, f).filter(|_| is_readable)
     }
 
-    /// From here on formulas may say `intensity`, unless the document uses the name for something else.
-    pub fn name_intensity(&mut self, intensity: Option<NodeId>) {
-        let binding = intensity.map_or(Binding::Poisoned, |node| {
-            self.graph.set_opaque(node);
-            Binding::Value(Matrix::scalar(node))
-        });
-        self.names.entry("intensity".into()).or_insert(binding);
+    /// A formula over `intensity`, which is a number here, unless the document uses the name for something else.
+    pub fn number_of_intensity(&mut self, key: &str, entry: &Entry, intensity: Option<NodeId>) -> Option<NodeId> {
+        let own = self.names.get("intensity").cloned();
+        if own.is_none() {
+            let binding = intensity.map_or(Binding::Poisoned, |node| Binding::Value(Matrix::scalar(node)));
+            self.names.insert("intensity".into(), binding);
+        }
+        let value = self.number(key, entry);
+        if own.is_none() {
+            self.names.remove("intensity");
+        }
+        value
+    }
+
+    /// A formula whose value is a number or a column of numbers.
+    pub fn column(&mut self, key: &str, entry: &Entry) -> Option<Vec<NodeId>> {
+        self.formula(key, entry, |e, expr| {
+            let value = e.number_matrix(expr).ok()?;
+            if value.columns != 1 {
+                let message = format!("this is {} where a scalar or a column is needed", value.size());
+                e.faults
+                    .push(fault("shape", expr, message).help("one entry for each value that is fitted: `[r, g, b]`"));
+                return None;
+            }
+            Some(value.entries)
+        })
     }
 
     /// A formula whose value is a number.
@@ -189,8 +203,8 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
     pub fn check_levels(
         &mut self,
         model: &[(Key, Entry)],
-        intensity: Option<NodeId>,
-        observed: Option<NodeId>,
+        intensity: &[NodeId],
+        observed: &[NodeId],
         domain: Option<NodeId>,
         constraints: &[Option<NodeId>],
     ) {
@@ -202,9 +216,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         let reads = |reader: &Self, node: NodeId, wanted: fn(&Node) -> bool| {
             reader.graph.reachable(&[node]).iter().any(|n| wanted(reader.graph.node(*n)))
         };
-        if let Some(node) = observed
-            && reads(self, node, |n| matches!(n, Node::Input(Input::Parameter(_))))
-        {
+        if observed.iter().any(|node| reads(self, *node, |n| matches!(n, Node::Input(Input::Parameter(_))))) {
             tell(
                 self,
                 "model.observed",
@@ -222,9 +234,9 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
                 "it is a condition on coordinates and parameters",
             );
         }
-        if let Some(node) = intensity
+        if !intensity.is_empty()
             && !self.workings.lacks_names
-            && !reads(self, node, |n| matches!(n, Node::Input(Input::Parameter(_))))
+            && !intensity.iter().any(|node| reads(self, *node, |n| matches!(n, Node::Input(Input::Parameter(_)))))
         {
             tell(self, "model.intensity", "`intensity` depends on no parameter", "there is nothing to fit");
         }

@@ -22,6 +22,10 @@ pub enum Function1 {
     Cosh,
     Tanh,
     Erf,
+    /// ln Q(z), Q the upper tail of the normal distribution; no word of the language.
+    LogTail,
+    /// φ(z)/Q(z); no word of the language.
+    Hazard,
 }
 
 /// Functions of two arguments.
@@ -36,13 +40,19 @@ pub enum Function2 {
 }
 
 impl Function1 {
-    /// Every function, in the order of the numeric value.
+    /// The functions of the language, in the order of the numeric value.
     pub const ALL: [Function1; 12] = {
         use Function1::*;
         [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf]
     };
 
-    /// The name in the formula language.
+    /// Those and the ones that a likelihood needs, in the order of the numeric value.
+    pub const EVERY: [Function1; 14] = {
+        use Function1::*;
+        [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf, LogTail, Hazard]
+    };
+
+    /// The name, in the formula language if it is a word of it.
     pub fn name(self) -> &'static str {
         match self {
             Function1::Exp => "exp",
@@ -57,6 +67,8 @@ impl Function1 {
             Function1::Cosh => "cosh",
             Function1::Tanh => "tanh",
             Function1::Erf => "erf",
+            Function1::LogTail => "log_tail",
+            Function1::Hazard => "hazard",
         }
     }
 

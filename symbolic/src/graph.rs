@@ -387,6 +387,16 @@ impl Graph {
         map[&root]
     }
 
+    /// `node` with `new` in the place of `old`.
+    pub fn replaced(&mut self, node: NodeId, old: NodeId, new: NodeId) -> NodeId {
+        let mut map = FxHashMap::default();
+        for id in self.reachable(&[node]) {
+            let next = if id == old { new } else { self.rebuild(id, &map) };
+            map.insert(id, next);
+        }
+        map[&node]
+    }
+
     /// `id` with its operands mapped.
     pub fn rebuild(&mut self, id: NodeId, map: &FxHashMap<NodeId, NodeId>) -> NodeId {
         let at = |n: &NodeId| map.get(n).copied().unwrap_or(*n);

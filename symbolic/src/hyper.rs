@@ -105,7 +105,7 @@ impl<N: Number> Hyper<N> {
         self.binary(b, &Two { value: self.value + b.value, a: one, b: one, aa: zero, ab: zero, bb: zero })
     }
 
-    fn scaled(&self, by: f64) -> Hyper<N> {
+    pub fn scaled(&self, by: f64) -> Hyper<N> {
         let by = N::from(by);
         self.unary((by * self.value, by, N::from(0.0)))
     }
@@ -134,7 +134,7 @@ impl<N: Number> Hyper<N> {
         self.unary((whole(n), N::from(first) * slope, N::from(second) * bend))
     }
 
-    fn sqrt(&self) -> Hyper<N> {
+    pub fn sqrt(&self) -> Hyper<N> {
         let root = self.value.sqrt();
         let slope = N::from(0.5) / root;
         self.unary((root, slope, -(slope / (N::from(2.0) * self.value))))

@@ -242,6 +242,18 @@ fn derivatives(graph: &mut Graph, function: Function1, a: NodeId, value: NodeId)
             let d1 = graph.product(std::f64::consts::FRAC_2_SQRT_PI, [(bell, 1)]);
             (d1, graph.product(-2.0, [(a, 1), (d1, 1)]))
         }
+        Function1::LogTail => {
+            let hazard = graph.call1(Function1::Hazard, a);
+            let excess = graph.sub(hazard, a);
+            (graph.scale(-1.0, hazard), graph.product(-1.0, [(hazard, 1), (excess, 1)]))
+        }
+        Function1::Hazard => {
+            let excess = graph.sub(value, a);
+            let d1 = graph.product(1.0, [(value, 1), (excess, 1)]);
+            let twice = graph.add2(value, excess);
+            let product = graph.mul(d1, twice);
+            (d1, graph.sub(product, value))
+        }
     }
 }
 

@@ -23,6 +23,8 @@ pub struct Limits {
     pub channels: usize,
     /// Stages of a document.
     pub stages: usize,
+    /// Gauss points of a pixel, a side.
+    pub gauss_points: usize,
     /// Iterations of a stage.
     pub iterations: u32,
     /// Terms of one `sum` or `product`.
@@ -57,6 +59,7 @@ pub const LIMITS: Limits = Limits {
     coordinates: 4,
     channels: 8,
     stages: 8,
+    gauss_points: 5,
     iterations: 1000,
     terms: 1024,
     arguments: 16,

@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::bodies::Part;
 use crate::diagnostic::{Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
-use crate::objective::{Objective, ValueKind};
-use crate::program::{ConstantId, Input, Names, ParameterId, Program};
+use crate::likelihood::{Loss, Saturated, Shape};
+use crate::objective::{Objective, Prediction, ValueKind};
+use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
 
 /// An unknown of the fit.
 #[derive(Clone, PartialEq, Debug)]
@@ -199,15 +200,55 @@ pub struct Lowering {
     pub drop_saturated: bool,
 }
 
-/// The formulas of a model, as nodes.
+/// The formulas of a model, as nodes: those of one entry of `observed`, the first as a rule.
 #[derive(Clone, Debug)]
 pub(crate) struct Formulas {
     pub graph: Graph,
     pub observed: NodeId,
+    /// The mean over the pixel's Gauss points.
     pub intensity: NodeId,
+    /// The intensity at a point: what is rendered.
+    pub shown: NodeId,
     pub domain: Option<NodeId>,
     pub noise: Option<NodeId>,
     pub constraints: Vec<NodeId>,
+    pub loss: Loss,
+    pub saturated: Saturated,
+    /// Only pixels at this channel's limit.
+    pub clipped: Option<ChannelId>,
+    /// All entries of `observed`; never empty.
+    pub entries: Vec<Observation>,
+}
+
+/// One entry of `observed` and its prediction.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Observation {
+    pub observed: NodeId,
+    pub intensity: NodeId,
+    pub shown: NodeId,
+    pub noise: Option<NodeId>,
+}
+
+impl Formulas {
+    /// What F is of a residual.
+    pub fn shape(&self) -> Shape {
+        if self.clipped.is_some() { Shape::Clipped(self.loss) } else { Shape::Seen(self.loss) }
+    }
+
+    /// The same for another entry of `observed`.
+    pub fn of_entry(&self, Observation { observed, intensity, shown, noise }: Observation) -> Formulas {
+        let entries = vec![Observation { observed, intensity, shown, noise }];
+        Formulas { observed, intensity, shown, noise, entries, ..self.clone() }
+    }
+}
+
+/// A part of a model's F; see [`Model::summands`].
+#[derive(Clone, Debug)]
+pub struct Summand {
+    /// The model whose F it is.
+    pub model: Model,
+    /// It sums pixels at their limit, and no others.
+    pub is_clipped: bool,
 }
 
 /// A checked document.
@@ -289,6 +330,39 @@ impl Model {
     pub fn has_noise(&self) -> bool {
         self.formulas.noise.is_some()
     }
+    /// What becomes of pixels at their limit.
+    pub fn saturated(&self) -> Saturated {
+        self.formulas.saturated
+    }
+    /// How residuals count.
+    pub fn loss(&self) -> Loss {
+        self.formulas.loss
+    }
+    /// Entries of `observed`: values that a pixel is fitted by.
+    pub fn entries(&self) -> usize {
+        self.formulas.entries.len()
+    }
+
+    /// Models whose F add up to this one's: one for each entry of `observed`, this model itself when there is one only,
+    /// each followed by one of the pixels at their limit where those are censored. What is derived from a model is of
+    /// its first entry, and of pixels below their limit.
+    pub fn summands(&self) -> Vec<Summand> {
+        let mut summands = Vec::new();
+        for entry in &self.formulas.entries {
+            let formulas = self.formulas.of_entry(*entry);
+            let clipped = match (self.formulas.saturated, formulas.graph.node(entry.observed)) {
+                (Saturated::Censored, Node::Channel(channel)) => {
+                    Some(Formulas { clipped: Some(*channel), ..formulas.clone() })
+                }
+                _ => None,
+            };
+            let of = |formulas: Formulas, is_clipped| Summand { model: Model { formulas, ..self.clone() }, is_clipped };
+            summands.push(of(formulas, false));
+            summands.extend(clipped.map(|formulas| of(formulas, true)));
+        }
+        summands
+    }
+
     /// The parameter nearest in spelling, for messages.
     pub fn nearest_name(&self, name: &str) -> Option<&str> {
         let names =
@@ -310,14 +384,25 @@ impl Model {
             && self.formulas.constraints.iter().all(|c| self.formulas.graph.evaluate(*c, &leaf) == 1.0)
     }
 
-    /// `observed` of one pixel, from the values of its channels.
+    /// `observed` of one pixel, from the values of its channels; the sum of its entries.
     pub fn observed(&self, channels: &[f64], constants: &[f64]) -> f64 {
         let leaf = |node: &Node| match node {
             Node::Channel(c) => channels[c.index()],
             Node::Input(Input::Constant(c)) => constants[c.index()],
             _ => f64::NAN,
         };
-        self.formulas.graph.evaluate(self.formulas.observed, &leaf)
+        self.formulas.entries.iter().map(|entry| self.formulas.graph.evaluate(entry.observed, &leaf)).sum()
+    }
+
+    /// True when the model says something about a place: no domain, or one that holds there. One value a coordinate.
+    pub fn domain_holds(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> bool {
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Parameter(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            Node::Coordinate(c) => place[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.domain.is_none_or(|domain| self.formulas.graph.evaluate(domain, &leaf) == 1.0)
     }
 
     /// F, its gradient and its Hessian for a subset of the parameters.
@@ -332,9 +417,15 @@ impl Model {
     pub fn value_objective(&self, kind: ValueKind) -> Result<Objective, Diagnostics> {
         Objective::value(self, kind)
     }
-    /// The program that adds the model's intensity to a plane, at coordinates plus their shifts.
+    /// The program that adds the intensity (the entry of the model's first observation) to a plane, at coordinates plus
+    /// their shifts.
     pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
         crate::objective::rendering(self, lowering)
+    }
+
+    /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
+    pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
+        crate::objective::prediction(self, what, lowering)
     }
 
     pub(crate) fn names(&self, outputs: Vec<String>) -> Names {

@@ -11,10 +11,11 @@ use crate::bodies::Part;
 use crate::derivation::{Cuts, Derivation, Target};
 use crate::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::graph::{Graph, Node, NodeId};
+use crate::likelihood::Saturated;
 use crate::limits::LIMITS;
 use crate::model::{Lowering, Method, Model};
 use crate::monomial::whole_output;
-use crate::program::{Cost, Input, Level, ParameterId, Program};
+use crate::program::{Comparison, Cost, Input, Level, ParameterId, Program};
 use crate::proof::{Claim, Errors, Form, Proof, is_small_f32};
 use crate::schedule::{self, Output, Sums};
 use crate::search;
@@ -26,6 +27,20 @@ pub enum ValueKind {
     Entry,
     /// Σ r²/σ² + ln σ² at the parameters themselves, for the report. Two outputs: F, and Σ r²/σ².
     Full,
+}
+
+/// Predicted to be within so many standard deviations of the limit is near it.
+const NEAR_LIMIT: f64 = 3.0;
+
+/// What a plane of predictions holds.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Prediction {
+    /// The intensity, as it is fitted; NaN outside of the domain.
+    Intensity,
+    /// The intensity everywhere.
+    Unbounded,
+    /// A pixel's variance.
+    Variance,
 }
 
 /// What is to be summed; see the module's text.
@@ -64,6 +79,24 @@ impl Objective {
         self.origin.checked(&graph, program)
     }
 
+    /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
+    /// of a picture.
+    pub fn skipping_nan(&self) -> Objective {
+        let mut objective = Objective { checked: None, ..self.clone() };
+        let graph = &mut objective.graph;
+        let summed = objective.sums.summed(graph);
+        for id in graph.reachable(&summed) {
+            if let Node::Channel(_) = graph.node(id) {
+                let is_number = graph.compare(Comparison::Eq, id, id);
+                objective.domain = Some(match objective.domain {
+                    Some(domain) => graph.and(domain, is_number),
+                    None => is_number,
+                });
+            }
+        }
+        objective
+    }
+
     /// What the loop nest costs, F itself left out (the convention of the flops table).
     pub fn cost(&self, lowering: Lowering) -> Result<Cost, Diagnostics> {
         let mut graph = self.graph.clone();
@@ -87,19 +120,19 @@ impl Objective {
 
     pub(crate) fn value(model: &Model, kind: ValueKind) -> Result<Objective, Diagnostics> {
         let mut graph = model.formulas.graph.clone();
-        let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
-        let square = graph.product(1.0, [(residual, 2)]);
+        let residual = residual(&mut graph, model);
         let variance = variance(&mut graph, model, kind == ValueKind::Entry);
-        let chi = variance.map_or(square, |v| graph.product(1.0, [(square, 1), (v, -1)]));
+        let shape = model.formulas.shape();
+        let chi = shape.value(&mut graph, residual, variance);
         let chi_square = whole_output(&mut graph, "chi2", chi);
         let outputs = match (kind, variance) {
             (ValueKind::Entry, _) => vec![chi_square],
-            (ValueKind::Full, None) => vec![Output { name: "F".into(), ..chi_square.clone() }, chi_square],
-            (ValueKind::Full, Some(v)) => {
+            (ValueKind::Full, Some(v)) if shape.has_logarithm() => {
                 let log = graph.call1(crate::function::Function1::Log, v);
                 let total = graph.add2(chi, log);
                 vec![whole_output(&mut graph, "F", total), chi_square]
             }
+            (ValueKind::Full, _) => vec![Output { name: "F".into(), ..chi_square.clone() }, chi_square],
         };
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());
         let domain = entry_domain(&mut graph, model);
@@ -126,6 +159,7 @@ impl Objective {
             graph,
             residual: *residual,
             variance: *variance,
+            shape: model.formulas.shape(),
             domain: *domain,
             parameters,
             newton: *newton,
@@ -184,7 +218,7 @@ struct Setting<'a> {
 impl<'a> Setting<'a> {
     fn new(model: &'a Model, subset: &[ParameterId], method: Method) -> Setting<'a> {
         let mut graph = model.formulas.graph.clone();
-        let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
+        let residual = residual(&mut graph, model);
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
         let newton = method == Method::Newton;
@@ -201,7 +235,8 @@ impl<'a> Setting<'a> {
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
         let newton = *newton && (part.has_hessian() || variance.is_some());
         let (residual, variance) = (*residual, *variance);
-        let target = Target { parameters, names: &names, residual, variance, newton, part };
+        let shape = model.formulas.shape();
+        let target = Target { parameters, names: &names, residual, variance, shape, newton, part };
         let derived = match form {
             Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
@@ -312,9 +347,37 @@ pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Di
         }
         _ => None,
     };
-    let intensity = graph.substitute(model.formulas.intensity, &mut shifted);
+    let intensity = graph.substitute(model.formulas.shown, &mut shifted);
     let program = schedule::plane(&mut graph, intensity, lowering, model.names(vec!["intensity".into()]));
     Origin::of(model).checked(&graph, program)
+}
+
+/// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
+/// NaN outside; or its variance, where that reads no channel.
+pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
+    let mut graph = model.formulas.graph.clone();
+    let value = match what {
+        Prediction::Intensity => {
+            let intensity = model.formulas.intensity;
+            match model.formulas.domain {
+                Some(domain) => {
+                    let outside = graph.number(f64::NAN);
+                    graph.select(domain, intensity, outside)
+                }
+                None => intensity,
+            }
+        }
+        Prediction::Unbounded => model.formulas.intensity,
+        Prediction::Variance => match model.formulas.noise {
+            Some(noise) => noise,
+            None => graph.number(1.0),
+        },
+    };
+    if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
+        return None;
+    }
+    let program = schedule::plane(&mut graph, value, lowering, model.names(vec!["prediction".into()]));
+    Some(Origin::of(model).checked(&graph, program))
 }
 
 /// The pixel's variance; `held` reads it at the entry parameters.
@@ -333,6 +396,36 @@ fn at_entry(graph: &mut Graph, node: NodeId) -> NodeId {
     graph.substitute(node, &mut entry)
 }
 
+/// observed − intensity; of a pixel at its limit that limit − intensity.
+pub(crate) fn residual(graph: &mut Graph, model: &Model) -> NodeId {
+    let observed = match model.formulas.clipped {
+        Some(channel) => graph.input(Input::Saturation(channel)),
+        None => model.formulas.observed,
+    };
+    graph.sub(observed, model.formulas.intensity)
+}
+
+/// Where the model holds, at the entry parameters; of pixels at their limit those.
 fn entry_domain(graph: &mut Graph, model: &Model) -> Option<NodeId> {
-    model.formulas.domain.map(|d| at_entry(graph, d))
+    let mut domain = model.formulas.domain.map(|d| at_entry(graph, d));
+    if let (Saturated::Predicted, Node::Channel(channel)) =
+        (model.formulas.saturated, graph.node(model.formulas.observed).clone())
+    {
+        let limit = graph.input(Input::Saturation(channel));
+        let intensity = at_entry(graph, model.formulas.intensity);
+        let deviation = match model.formulas.noise {
+            Some(noise) => {
+                let noise = at_entry(graph, noise);
+                graph.sqrt(noise)
+            }
+            None => graph.number(0.0),
+        };
+        let most = graph.sum(0.0, [(limit, 1.0), (deviation, -NEAR_LIMIT)]);
+        let below = graph.compare(Comparison::Lt, intensity, most);
+        domain = Some(domain.map_or(below, |domain| graph.and(domain, below)));
+    }
+    let Some(channel) = model.formulas.clipped else { return domain };
+    let (limit, pixel) = (graph.input(Input::Saturation(channel)), graph.channel(channel));
+    let clipped = graph.compare(Comparison::Le, limit, pixel);
+    Some(domain.map_or(clipped, |domain| graph.and(domain, clipped)))
 }

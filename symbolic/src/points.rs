@@ -17,6 +17,9 @@ const SIZE: f64 = 12.0;
 pub(crate) const FAR: [f64; 4] = [300.3, 200.7, 20.3, 10.7];
 pub(crate) const NEAR: [f64; 4] = [0.3, -0.3, 0.3, -0.3];
 
+/// The limit of every channel, a pixel value of the targets.
+pub(crate) const LIMIT: f64 = 120.0;
+
 /// Random numbers that are the same every time.
 pub(crate) struct Random(pub u64);
 
@@ -51,7 +54,7 @@ impl<N: Number> Point<N> {
         match input {
             Input::Parameter(p) | Input::Entry(p) => self.parameters[p.index()],
             Input::Constant(c) => self.constants[c.index()],
-            Input::Saturation(_) => N::from(f64::MAX),
+            Input::Saturation(_) => N::from(LIMIT),
             Input::Shift(_) => N::from(0.0),
         }
     }
@@ -155,7 +158,7 @@ pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: 
         _ => 0.0,
     };
     let formulas = &model.formulas;
-    let roots = [formulas.intensity];
+    let roots = [formulas.shown];
     let mut evaluator = Evaluator::new(&formulas.graph, &roots, &[], Order::First, &inputs);
     for _ in 0..channels {
         for row in 0..height * depth * length {

@@ -9,16 +9,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calculus::derivatives;
 use crate::double_double::DoubleDouble;
 use crate::evaluate::{Number, Sample, evaluate_at};
-use crate::function::Function1;
 use crate::graph::{Graph, Node, NodeId};
 use crate::hyper::{Evaluator, Hyper, Order};
 use crate::interpreter;
+use crate::likelihood::{Loss, Shape};
 use crate::model::Model;
 use crate::modular::Modular;
-use crate::points::{FAR, NEAR, Point, Random, centre, columns_around, picture, plausible};
+use crate::points::{FAR, LIMIT, NEAR, Point, Random, centre, columns_around, picture, plausible};
 use crate::program::{Bindings, Precision, Program};
 use crate::weighed::Weighed;
 
@@ -77,6 +76,7 @@ pub(crate) struct Claim<'a> {
     pub graph: &'a Graph,
     pub residual: NodeId,
     pub variance: Option<NodeId>,
+    pub shape: Shape,
     pub domain: Option<NodeId>,
     pub parameters: &'a [NodeId],
     pub newton: bool,
@@ -105,7 +105,8 @@ impl Claim<'_> {
     /// Nothing when the program does not compute what it claims to.
     pub fn check(&self, program: &Program) -> Option<Errors> {
         let reachable = self.graph.reachable(&[self.residual]);
-        let is_conditional = reachable.iter().any(|n| matches!(self.graph.node(*n), Node::Select(..) | Node::Abs(_)));
+        let is_conditional = self.shape != Shape::Seen(Loss::Squares)
+            || reachable.iter().any(|n| matches!(self.graph.node(*n), Node::Select(..) | Node::Abs(_)));
         let seeds = 0..if is_conditional { CONDITIONAL_POINTS } else { 1 };
         let exact = seeds.into_iter().all(|seed| self.agrees_exactly(program, &mut Random(seed)));
         let points: Vec<Point<f64>> =
@@ -133,7 +134,6 @@ impl Claim<'_> {
         let n = self.parameters.len() as u16;
         let pairs = || (0..n).flat_map(|i| (i..n).map(move |j| (i, j)));
         let mut outputs = vec![N::from(0.0); 1 + usize::from(n) + pairs().count()];
-        let two = N::from(2.0);
         for (row, outer) in point.rows.iter().enumerate() {
             for (column, x) in point.columns.iter().enumerate() {
                 let leaf = |node: &Node| match node {
@@ -147,21 +147,16 @@ impl Claim<'_> {
                 let residual = &values[0];
                 let mut entries = Vec::with_capacity(outputs.len());
                 if self.newton {
-                    let mut f = residual.power(2);
-                    if let Some(variance) = values.get(1) {
-                        f = f
-                            .mul(&variance.power(-1))
-                            .add(&variance.unary(derivatives(Function1::Log, variance.value)));
-                    }
+                    let f = self.shape.newton(residual, values.get(1));
                     entries.push(f.value);
                     entries.extend((0..n).map(|u| f.gradient(u)));
                     entries.extend(pairs().map(|(u, v)| f.hessian(u, v)));
                 } else {
-                    let weight = values.get(1).map_or(N::from(1.0), |variance| N::from(1.0) / variance.value);
+                    let [value, l, q] = self.shape.direct(residual.value, values.get(1).map(|v| v.value));
                     let slope = |u| Hyper::gradient(residual, u);
-                    entries.push(residual.value * residual.value * weight);
-                    entries.extend((0..n).map(|u| two * residual.value * slope(u) * weight));
-                    entries.extend(pairs().map(|(u, v)| two * slope(u) * slope(v) * weight));
+                    entries.push(value);
+                    entries.extend((0..n).map(|u| l * slope(u)));
+                    entries.extend(pairs().map(|(u, v)| q * slope(u) * slope(v)));
                 }
                 outputs.iter_mut().zip(entries).for_each(|(sum, entry)| *sum = *sum + entry);
             }
@@ -290,7 +285,8 @@ impl Claim<'_> {
             let point = plausible(self.model, centre(self.model, FAR), &mut random);
             let picture = picture(self.model, &point, height, &mut random);
             let constants = &point.constants;
-            let saturation = vec![f64::INFINITY; self.model.channels.len()];
+            let limit = if matches!(self.shape, Shape::Clipped(_)) { LIMIT } else { f64::INFINITY };
+            let saturation = vec![limit; self.model.channels.len()];
             let bindings = Bindings {
                 parameters: &point.parameters,
                 entry: &point.parameters,
@@ -363,6 +359,7 @@ domain = "s <= 1"
             graph: &graph,
             residual,
             variance: None,
+            shape: model.formulas.shape(),
             domain: model.formulas.domain,
             parameters: &parameters,
             newton: method == Method::Newton,

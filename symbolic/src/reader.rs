@@ -2,6 +2,7 @@
 
 mod faults;
 mod formulas_of_model;
+mod likelihood_of_model;
 mod roles;
 mod stages;
 
@@ -79,7 +80,7 @@ pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Resul
         Some(entry) => match &entry.item {
             Item::Table(model) => {
                 reader.faults.known("model", model, &MODEL);
-                read_model(reader, model, entry.span, &channels)
+                read_model(reader, model, entry.span, &channels, coordinates.len())
             }
             _ => {
                 faults.wrong_type("model", entry, "a table");

@@ -5,17 +5,38 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 use crate::compiled::Control;
 use crate::fit::View;
 use crate::grey::{Grey, Mixture};
+use crate::halved::find_halved;
+use crate::mask::Mask;
 use crate::pose;
 use crate::start::{Sight, Sign, Wanted, find};
 
-/// Starting values to try, and how.
+/// What a cold start may begin with.
 pub(crate) struct Cold {
+    /// What may be the target, the likeliest first.
+    pub sights: Vec<Starts>,
+    /// Whether the window holds saturated pixels.
+    pub control: Control,
+    /// Variance of a pixel of the background; `None` when nobody looked.
+    pub variance: Option<f64>,
+    /// The first of them stands where the target was said to be.
+    pub is_placed: bool,
+}
+
+/// How closely a picture is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Grain {
+    /// Pixel by pixel.
+    Full,
+    /// Four pixels at a time.
+    Halved,
+}
+
+/// Starting values to try for one thing that may be the target.
+pub(crate) struct Starts {
     /// Full parameter vectors.
     pub starts: Vec<Vec<f64>>,
     /// To be tried when none of the others leads to a believable fit: a tighter outline.
     pub tighter: Option<Vec<f64>>,
-    /// Whether the window holds saturated pixels.
-    pub control: Control,
 }
 
 /// From this many saturated pixels on, what is seen of the amplitude is too little, …
@@ -28,9 +49,17 @@ const BRIGHTER: f64 = 2.5;
 const TIGHTER: f64 = 2.5;
 
 impl Cold {
-    /// `given` numbers first, then the model's own numbers, then what its estimators see. `None` when an estimator is
-    /// needed and there is no target for it.
-    pub fn look(model: &Model, view: &View, constants: &[f64], given: &[Option<f64>]) -> Option<Cold> {
+    /// `given` numbers first, then the model's own numbers, then what its estimators see: of up to `sights_max` things for
+    /// a model of one target. `None` when an estimator is needed and there is no target for it.
+    pub fn look(
+        model: &Model,
+        view: &View,
+        constants: &[f64],
+        given: &[Option<f64>],
+        sights_max: usize,
+        masks: Vec<Mask>,
+        grain: Grain,
+    ) -> Option<Cold> {
         let estimators: Vec<Option<Estimator>> = model
             .parameters()
             .iter()
@@ -41,84 +70,104 @@ impl Cold {
             })
             .collect();
         let mixture = Mixture::observed(model, constants);
-        let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
+        let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
+        let grey = read(&view.planes, view.window, &view.saturation, &mixture);
         let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
         let origin = view.window.first().map(|at| at as f64);
-        if let Some(geometry) = pose::Geometry::of(model, constants).filter(|_| estimators.iter().any(Option::is_some))
-        {
-            return Cold::look_for_pose(model, &geometry, &grey, given, origin, control);
+        if estimators.iter().all(Option::is_none) {
+            let sights = vec![starts(model, given, &[], &estimators, origin)];
+            return Some(Cold { sights, control, variance: None, is_placed: true });
         }
-        let targets = if estimators.iter().any(Option::is_some) {
-            let targets = find(&grey, &wanted(model, given, origin));
-            if targets.len() < model.roles().len().max(1) {
-                return None;
-            }
-            targets
-        } else {
-            Vec::new()
-        };
-        let start = |brighter: f64, tighter: f64| -> Vec<f64> {
-            let parameters = model.parameters().iter().enumerate();
-            let value =
-                |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
-                    (Some(number), _) | (None, Start::Number(number)) => number,
-                    (None, Start::Estimator(estimator)) => {
-                        let value = target_of(model, &targets, index).value(estimator, origin);
-                        match estimator {
-                            Estimator::Amplitude => brighter * value,
-                            Estimator::Extent(..) => tighter * value,
-                            Estimator::Size(_) => value / tighter.sqrt(),
-                            _ => value,
-                        }
-                    }
-                };
-            parameters.map(value).collect()
-        };
-        let mut starts = vec![start(1.0, 1.0)];
-        let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
-        if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
-            starts.push(start(BRIGHTER, 1.0));
+        let mut wanted = wanted(model, given, origin);
+        if let Some(geometry) = pose::Geometry::of(model, constants) {
+            (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
+            let found = find(&grey, &wanted);
+            let starts = pose_starts(model, &geometry, &found.sights, given, origin)?;
+            let (sights, variance) = (vec![Starts { starts, tighter: None }], Some(found.noise.powi(2)));
+            return Some(Cold { sights, control, variance, is_placed: false });
         }
-        let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
-        let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
-        Some(Cold { starts, tighter, control })
+        let targets = model.roles().len().max(1);
+        let several = if targets == 1 { sights_max } else { 1 };
+        (wanted.targets_max, wanted.faint, wanted.masks) = (targets.max(several), several > 1, masks);
+        let found = if grain == Grain::Halved { find_halved(&grey, &wanted) } else { find(&grey, &wanted) };
+        if found.sights.len() < targets {
+            return None;
+        }
+        let sights = match targets {
+            1 => found.sights.iter().map(std::slice::from_ref).collect(),
+            _ => vec![&found.sights[..targets]],
+        };
+        let sights = sights.into_iter().map(|sights| starts(model, given, sights, &estimators, origin)).collect();
+        Some(Cold { sights, control, variance: Some(found.noise.powi(2)), is_placed: wanted.near.is_some() })
     }
+}
 
-    /// Starts for every pose that suits the spots, and again brighter where spots are clipped.
-    fn look_for_pose(
-        model: &Model,
-        geometry: &pose::Geometry,
-        grey: &Grey,
-        given: &[Option<f64>],
-        origin: [f64; 4],
-        control: Control,
-    ) -> Option<Cold> {
-        let spots = &geometry.target.spots;
-        let sights = find(grey, &Wanted { targets_max: spots.len() + pose::SPARE, ..wanted(model, given, origin) });
-        let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
-        let mut starts = Vec::new();
-        for pose_start in pose::starts(geometry, &sights, origin) {
-            let sight_of = |parameter: usize| {
-                let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
-                let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());
-                let spot = spots.iter().position(|spot| Some(&spot.name) == name);
-                let own = spot.and_then(|spot| pose_start.sights[spot]);
-                own.or_else(|| pose_start.sights.iter().flatten().next().copied()).map(|index| &sights[index])
-            };
-            for brighter in if clipped { vec![1.0, BRIGHTER] } else { vec![1.0] } {
-                let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match parameter.start {
-                    Start::Number(number) => Some(number),
-                    Start::Estimator(Estimator::Amplitude) => Some(brighter * sight_of(index)?.amplitude),
-                    Start::Estimator(estimator) => Some(sight_of(index)?.value(estimator, origin)),
-                };
-                let mut start = model.parameters().iter().enumerate().map(value).collect::<Option<Vec<f64>>>()?;
-                geometry.put(&pose_start.pose, &mut start);
-                start.iter_mut().zip(given).for_each(|(start, given)| *start = given.unwrap_or(*start));
-                starts.push(start);
+/// The starting values for the targets seen, one for each of the model's roles.
+fn starts(
+    model: &Model,
+    given: &[Option<f64>],
+    targets: &[Sight],
+    estimators: &[Option<Estimator>],
+    origin: [f64; 4],
+) -> Starts {
+    let start = |brighter: f64, tighter: f64| -> Vec<f64> {
+        let parameters = model.parameters().iter().enumerate();
+        let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
+            (Some(number), _) | (None, Start::Number(number)) => number,
+            (None, Start::Estimator(estimator)) => {
+                let value = target_of(model, targets, index).value(estimator, origin);
+                match estimator {
+                    Estimator::Amplitude => brighter * value,
+                    Estimator::Extent(..) => tighter * value,
+                    Estimator::Size(_) => value / tighter.sqrt(),
+                    _ => value,
+                }
             }
-        }
-        (!starts.is_empty()).then_some(Cold { starts, tighter: None, control })
+        };
+        parameters.map(value).collect()
+    };
+    let mut starts = vec![start(1.0, 1.0)];
+    let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
+    if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
+        starts.push(start(BRIGHTER, 1.0));
     }
+    let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
+    let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
+    Starts { starts, tighter }
+}
+
+/// Starts for every pose that suits the spots, and again brighter where spots are clipped; `None` when no pose does.
+fn pose_starts(
+    model: &Model,
+    geometry: &pose::Geometry,
+    sights: &[Sight],
+    given: &[Option<f64>],
+    origin: [f64; 4],
+) -> Option<Vec<Vec<f64>>> {
+    let spots = &geometry.target.spots;
+    let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
+    let mut starts = Vec::new();
+    for pose_start in pose::starts(geometry, sights, origin) {
+        let sight_of = |parameter: usize| {
+            let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
+            let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());
+            let spot = spots.iter().position(|spot| Some(&spot.name) == name);
+            let own = spot.and_then(|spot| pose_start.sights[spot]);
+            own.or_else(|| pose_start.sights.iter().flatten().next().copied()).map(|index| &sights[index])
+        };
+        for brighter in if clipped { vec![1.0, BRIGHTER] } else { vec![1.0] } {
+            let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match parameter.start {
+                Start::Number(number) => Some(number),
+                Start::Estimator(Estimator::Amplitude) => Some(brighter * sight_of(index)?.amplitude),
+                Start::Estimator(estimator) => Some(sight_of(index)?.value(estimator, origin)),
+            };
+            let mut start = model.parameters().iter().enumerate().map(value).collect::<Option<Vec<f64>>>()?;
+            geometry.put(&pose_start.pose, &mut start);
+            start.iter_mut().zip(given).for_each(|(start, given)| *start = given.unwrap_or(*start));
+            starts.push(start);
+        }
+    }
+    (!starts.is_empty()).then_some(starts)
 }
 
 /// The target whose roles name the parameter, else the first.
@@ -148,5 +197,5 @@ fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 4]) -> Wanted {
         (_, Some(max)) if max <= 0.0 => Some(Sign::Dark),
         _ => None,
     });
-    Wanted { sign, near, targets_max: model.roles().len().max(1) }
+    Wanted { sign, near, ..Wanted::default() }
 }

@@ -3,11 +3,15 @@
 //! What comes in: a checked model. What goes out: kernels, compiled when first asked for and shared by all trackers of the
 //! model. It never knows a frame's pixels.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, PlaneView, has_fma};
-use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Stage, ValueKind};
+use isophote_symbolic::{
+    Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Stage, Summand, ValueKind,
+};
 
+use crate::alternatives::Alternatives;
+use crate::loops::Loops;
 use crate::trust::Curvature;
 use crate::workers::{InTurn, Workers};
 
@@ -31,8 +35,10 @@ fn messages(diagnostics: &Diagnostics) -> String {
 pub(crate) enum Control {
     /// It does not; for frames without them.
     Plain,
-    /// It leaves them out and counts them.
+    /// It leaves them out and counts them; where they are censored, kernels of their own sum them.
     Dropping,
+    /// It leaves pixels out that are no numbers as well; for pictures that are blind in places.
+    Blind,
 }
 
 /// What a kernel sums.
@@ -65,15 +71,18 @@ impl Layout {
     }
 }
 
-struct Pair {
+/// A job for one of the model's summands.
+struct Part {
     job: Job,
+    is_clipped: bool,
     plain: Program,
     dropping: Program,
+    objective: Objective,
 }
 
 struct Ready {
-    /// Index into the programs.
-    pair: usize,
+    /// Index into the parts.
+    part: usize,
     control: Control,
     layout: Layout,
     kernel: Arc<Kernel>,
@@ -84,9 +93,10 @@ struct Ready {
 pub struct Compiled {
     model: Arc<Model>,
     precision: Precision,
-    pairs: Arc<Vec<Pair>>,
+    parts: Arc<Vec<Part>>,
     cache: Arc<KernelCache>,
     ready: Mutex<Vec<Ready>>,
+    alternatives: Arc<OnceLock<Result<Arc<Alternatives>, CompileFailure>>>,
 }
 
 /// Kernels held; beyond, the oldest is let go (an unusual mixture of pixel formats, or a hostile one).
@@ -112,14 +122,15 @@ impl Compiled {
         cache: Arc<KernelCache>,
         workers: &dyn Workers,
     ) -> Result<Compiled, CompileFailure> {
-        let pairs = Arc::new(pairs(&model, workers)?);
-        Ok(Compiled { model, precision, pairs, cache, ready: Mutex::default() })
+        let parts = Arc::new(parts(&model, workers)?);
+        Ok(Compiled { model, precision, parts, cache, ready: Mutex::default(), alternatives: Arc::default() })
     }
 
     /// The same programs and cache, holding no kernel yet: for one who gives his kernels back when he is done.
     pub fn share(&self) -> Compiled {
-        let (model, pairs, cache) = (self.model.clone(), self.pairs.clone(), self.cache.clone());
-        Compiled { model, precision: self.precision, pairs, cache, ready: Mutex::default() }
+        let (model, parts, cache) = (self.model.clone(), self.parts.clone(), self.cache.clone());
+        let alternatives = self.alternatives.clone();
+        Compiled { model, precision: self.precision, parts, cache, ready: Mutex::default(), alternatives }
     }
 
     /// The model.
@@ -130,6 +141,12 @@ impl Compiled {
     /// Arithmetic of the pixel loops.
     pub fn precision(&self) -> Precision {
         self.precision
+    }
+
+    /// What is tried when the model does not describe a picture; derived when first asked for.
+    pub(crate) fn alternatives(&self) -> Result<Arc<Alternatives>, CompileFailure> {
+        let new = || Alternatives::new(self, &self.cache).map(Arc::new);
+        self.alternatives.get_or_init(new).clone()
     }
 
     /// Free parameters of the last stage.
@@ -144,35 +161,56 @@ impl Compiled {
     pub fn warm(&self, format: PixelFormat, workers: &dyn Workers) -> Result<(), CompileFailure> {
         let channels = self.model.channels().len();
         let layout = Layout { formats: vec![format; channels], packed: channels == 1 };
-        let both = |pair: &Pair| [Control::Plain, Control::Dropping].map(|control| (pair.job, control));
-        let variants: Vec<(Job, Control)> = self.pairs.iter().flat_map(both).collect();
+        let both = |part: usize| {
+            // Pixels at their limit are looked at when there are some.
+            let plain = (!self.parts[part].is_clipped).then_some((part, Control::Plain));
+            plain.into_iter().chain([(part, Control::Dropping)])
+        };
+        let variants: Vec<(usize, Control)> = (0..self.parts.len()).flat_map(both).collect();
         let compiled = all(variants.len(), workers, &|i| {
-            let (job, control) = variants[i];
-            self.kernel(job, control, &layout).map(drop)
+            let (part, control) = variants[i];
+            self.kernel(part, control, &layout).map(drop)
         });
         compiled.map(drop)
     }
 
-    /// The kernel for a job, compiled now if need be.
-    pub(crate) fn kernel(&self, job: Job, control: Control, layout: &Layout) -> Result<Arc<Kernel>, CompileFailure> {
+    /// The kernels for a job, compiled now if need be.
+    pub(crate) fn loops(&self, job: Job, control: Control, layout: &Layout) -> Result<Loops, CompileFailure> {
         // A last stage with a Gauss–Newton Hessian serves the covariance as well.
-        let last = self.model.stages().len().saturating_sub(1);
-        let served = |pair: &Pair| pair.job == job;
-        let index = match self.pairs.iter().position(served) {
-            Some(index) => index,
-            None => last,
-        };
+        let last = Job::Stage(self.model.stages().len().saturating_sub(1));
+        let job = if self.parts.iter().any(|part| part.job == job) { job } else { last };
+        let mut loops = Loops { seen: Vec::new(), clipped: Vec::new() };
+        for (index, part) in self.parts.iter().enumerate().filter(|(_, part)| part.job == job) {
+            match part.is_clipped {
+                false => loops.seen.push(self.kernel(index, control, layout)?),
+                true if control == Control::Plain => {}
+                true => loops.clipped.push(self.kernel(index, control, layout)?),
+            }
+        }
+        Ok(loops)
+    }
+
+    /// The kernel of a part, compiled now if need be.
+    fn kernel(&self, index: usize, control: Control, layout: &Layout) -> Result<Arc<Kernel>, CompileFailure> {
+        let part = &self.parts[index];
+        // Pixels at their limit are numbers.
+        let control = if part.is_clipped { Control::Plain } else { control };
         let find = |ready: &[Ready]| {
-            let same = |r: &&Ready| r.pair == index && r.control == control && r.layout == *layout;
+            let same = |r: &&Ready| r.part == index && r.control == control && r.layout == *layout;
             ready.iter().find(same).map(|r| r.kernel.clone())
         };
         if let Some(kernel) = find(&self.ready.lock().unwrap_or_else(PoisonError::into_inner)) {
             return Ok(kernel);
         }
         // Outside of the lock: it may take milliseconds.
+        let skipping;
         let program = match control {
-            Control::Plain => &self.pairs[index].plain,
-            Control::Dropping => &self.pairs[index].dropping,
+            Control::Plain => &part.plain,
+            Control::Dropping => &part.dropping,
+            Control::Blind => {
+                skipping = part.objective.skipping_nan().program(lowering(control)).map_err(CompileFailure::Model)?;
+                &skipping
+            }
         };
         let options =
             KernelOptions { precision: self.precision, formats: layout.formats.clone(), packed: layout.packed };
@@ -183,7 +221,7 @@ impl Compiled {
             if ready.len() == KERNELS_MAX {
                 ready.remove(0);
             }
-            ready.push(Ready { pair: index, control, layout: layout.clone(), kernel: kernel.clone() });
+            ready.push(Ready { part: index, control, layout: layout.clone(), kernel: kernel.clone() });
         }
         Ok(kernel)
     }
@@ -206,8 +244,8 @@ fn all<T: Send + Sync>(
     each.map(|(i, one)| one.into_inner().unwrap_or_else(PoisonError::into_inner).unwrap_or_else(|| make(i))).collect()
 }
 
-/// Every job of a model and its programs.
-fn pairs(model: &Model, workers: &dyn Workers) -> Result<Vec<Pair>, CompileFailure> {
+/// Every job of a model, for each of its summands.
+fn parts(model: &Model, workers: &dyn Workers) -> Result<Vec<Part>, CompileFailure> {
     let stages = model.stages().iter().enumerate();
     let mut jobs: Vec<Job> = stages.map(|(index, _)| Job::Stage(index)).collect();
     if model.stages().last().is_some_and(|last| curvature(last.method) == Curvature::Full) {
@@ -217,11 +255,13 @@ fn pairs(model: &Model, workers: &dyn Workers) -> Result<Vec<Pair>, CompileFailu
     if model.has_noise() {
         jobs.push(Job::Report);
     }
-    all(jobs.len(), workers, &|i| programs(model, jobs[i]))
+    let summands = model.summands();
+    let count = summands.len();
+    all(jobs.len() * count, workers, &|i| part(&summands[i % count], jobs[i / count]))
 }
 
 /// The programs of a job.
-fn programs(model: &Model, job: Job) -> Result<Pair, CompileFailure> {
+fn part(Summand { model, is_clipped }: &Summand, job: Job) -> Result<Part, CompileFailure> {
     let objective = match job {
         Job::Stage(index) => {
             let Stage { parameters, method, .. } = &model.stages()[index];
@@ -231,26 +271,18 @@ fn programs(model: &Model, job: Job) -> Result<Pair, CompileFailure> {
             let last = model.stages().last().map_or(&[][..], |stage| &stage.parameters);
             model.objective(last, Method::GaussNewton)
         }
-        Job::Value => return value(model, job, ValueKind::Entry),
-        Job::Report => return value(model, job, ValueKind::Full),
+        Job::Value => model.value_objective(ValueKind::Entry),
+        Job::Report => model.value_objective(ValueKind::Full),
     };
     let objective = objective.map_err(CompileFailure::Model)?;
-    pair(job, |lowering| objective.program(lowering))
-}
-
-fn value(model: &Model, job: Job, kind: ValueKind) -> Result<Pair, CompileFailure> {
-    let objective = model.value_objective(kind).map_err(CompileFailure::Model)?;
-    pair(job, |lowering| objective.program(lowering))
-}
-
-fn pair(job: Job, program: impl Fn(Lowering) -> Result<Program, Diagnostics>) -> Result<Pair, CompileFailure> {
-    let lowered = |control| program(lowering(control)).map_err(CompileFailure::Model);
-    Ok(Pair { job, plain: lowered(Control::Plain)?, dropping: lowered(Control::Dropping)? })
+    let lowered = |control| objective.program(lowering(control)).map_err(CompileFailure::Model);
+    let (plain, dropping) = (lowered(Control::Plain)?, lowered(Control::Dropping)?);
+    Ok(Part { job, is_clipped: *is_clipped, plain, dropping, objective })
 }
 
 /// How programs are lowered on this machine.
 pub(crate) fn lowering(control: Control) -> Lowering {
-    Lowering { fma: has_fma(), drop_saturated: control == Control::Dropping }
+    Lowering { fma: has_fma(), drop_saturated: control != Control::Plain }
 }
 
 /// Which F a stage's steps are compared by. Newton differentiates the variance as well, so its F has ln σ² and variances of

@@ -3,6 +3,7 @@
 use isophote_symbolic::ParameterId;
 use serde::{Deserialize, Serialize};
 
+use crate::exposure::ExposureAdvice;
 use crate::pose::Pose;
 
 /// Whether the target is followed.
@@ -86,6 +87,18 @@ pub struct StageReport {
 }
 
 impl StageReport {
+    /// The report of a stage that was run again from where `earlier` had ended.
+    pub(crate) fn after(self, earlier: &StageReport) -> StageReport {
+        StageReport {
+            iterations: earlier.iterations + self.iterations,
+            passes: earlier.passes + self.passes,
+            indefinite_steps: earlier.indefinite_steps + self.indefinite_steps,
+            pixels_first: earlier.pixels_first,
+            pixels_least: earlier.pixels_least.min(self.pixels_least),
+            ..self
+        }
+    }
+
     /// True when the domain lost more than half of its pixels on the way.
     pub fn domain_shrank(&self) -> bool {
         2 * self.pixels_least < self.pixels_first
@@ -108,6 +121,20 @@ pub enum Rejection {
     OutsideBounds,
 }
 
+/// Where a target will be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ahead {
+    /// So long after the frame, s.
+    pub after_s: f64,
+    /// The centre's coordinates, px; of all targets of the model, in the order of their roles. Of a model whose parameters are
+    /// a pose: its position, mm. What follows then has mm in the place of px.
+    pub centre: Vec<f64>,
+    /// Their velocities, px/s.
+    pub velocity: Vec<f64>,
+    /// Of the coordinates, then the velocities, in this order; rows of px², px²/s and px²/s².
+    pub covariance: Vec<Vec<f64>>,
+}
+
 /// What one frame says about one target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
@@ -119,16 +146,27 @@ pub struct Estimate {
     pub capture_ns: Option<u64>,
     /// Whether the target is followed.
     pub state: TrackState,
-    /// All parameters in document order; of the last good frame when `state` is lost; empty when never found.
+    /// All parameters in document order; predicted when `state` is coasting; of the last good frame when it is lost; empty
+    /// when never found.
     pub parameters: Vec<f64>,
     /// The free parameters of the last stage.
     pub order: Vec<ParameterId>,
-    /// Their covariance, rows and columns in `order`. Absent when singular or when no fit is behind it.
+    /// Their covariance, rows and columns in `order`. Absent when singular or when no fit is behind it; that of the
+    /// prediction when `state` is coasting.
     pub covariance: Option<Vec<Vec<f64>>>,
     /// F, without a factor ½.
     pub objective: Option<f64>,
     /// χ² over pixels minus free parameters; with `noise` near 1 for a good model.
     pub reduced_chi_square: Option<f64>,
+    /// ln L of the frame's pixels in the domain.
+    pub log_likelihood: Option<f64>,
+    /// The probability that the thing tracked is the target; absent where the model does not say what is bright, or is that of a
+    /// pose, and where nothing was seen.
+    pub confidence: Option<f64>,
+    /// What exposure would be best, when it was asked for and the target was seen.
+    pub exposure_advice: Option<ExposureAdvice>,
+    /// Where the target will be, when that was asked for and its motion is known.
+    pub ahead: Vec<Ahead>,
     /// Pixels that the last pass used.
     pub pixels: u64,
     /// The share of the domain's pixels that are saturated.

@@ -2,15 +2,15 @@
 //!
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
-use std::sync::Arc;
-
-use isophote_jit::{Kernel, PixelFormat, PlaneView, Sums, Window};
+use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Model, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
+use crate::alternatives::Choice;
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
+use crate::loops::{Loops, Totals};
 use crate::pose::Geometry;
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
@@ -21,6 +21,9 @@ pub(crate) struct View<'a> {
     pub window: Window,
     /// One limit a plane.
     pub saturation: Vec<f64>,
+    /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
+    /// a step below it on.
+    limits: Vec<f64>,
     pub layout: Layout,
     /// What the lane's rounding does to a residual, in pixel values.
     pub rounding: f64,
@@ -42,15 +45,30 @@ impl<'a> View<'a> {
             Precision::F64 => f64::EPSILON,
         };
         let layout = Layout::of(&planes);
-        View { planes, window, saturation, layout, rounding: lane * largest }
+        let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
+        let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
+        View { planes, window, saturation, limits, layout, rounding: lane * largest }
     }
 }
 
 impl View<'_> {
+    /// The same part of a copy of the picture in fractions, with the limits that pixels were rounded to.
+    pub fn with_planes<'b>(&self, planes: Vec<PlaneView<'b>>, precision: Precision) -> View<'b> {
+        let mut view = View::new(planes, self.window, Some(f64::INFINITY), precision);
+        view.saturation.clone_from(&self.limits);
+        view.limits.clone_from(&self.limits);
+        view.rounding = self.rounding;
+        view
+    }
+
     /// Pixels are integers.
     pub fn holds_whole_values(&self) -> bool {
-        self.planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16))
+        self.planes.iter().all(is_whole)
     }
+}
+
+fn is_whole(plane: &PlaneView) -> bool {
+    matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16)
 }
 
 /// A magnitude that pixel values do not exceed; floats without a limit are looked at.
@@ -75,6 +93,8 @@ pub(crate) struct Fit {
     pub stages: Vec<StageReport>,
     /// Absent when the ending is not that of a fit.
     pub worth: Option<Worth>,
+    /// What differs from the model, when an alternative was fitted.
+    pub choice: Option<Choice>,
 }
 
 /// What the end point is worth, by a last pass that leaves saturated pixels out.
@@ -103,7 +123,7 @@ pub(crate) fn fit(
 ) -> Result<Fit, CompileFailure> {
     let fit = fit_controlled(compiled, view, constants, start, control)?;
     let clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
-    if control == Control::Dropping || !clipped {
+    if control != Control::Plain || !clipped {
         return Ok(fit);
     }
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
@@ -118,14 +138,15 @@ fn fit_controlled(
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
-    let mut fit = Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None };
+    let mut fit =
+        Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None, choice: None };
     for (index, stage) in model.stages().iter().enumerate() {
-        let gradient = compiled.kernel(Job::Stage(index), control, &view.layout)?;
+        let gradient = compiled.loops(Job::Stage(index), control, &view.layout)?;
         let value = match value_kind(model, stage.method) {
             ValueKind::Full => Job::Report,
             ValueKind::Entry => Job::Value,
         };
-        let value = compiled.kernel(value, control, &view.layout)?;
+        let value = compiled.loops(value, control, &view.layout)?;
         let free = indices(&stage.parameters);
         let count = free.len();
         let mut problem = Kernels {
@@ -154,12 +175,13 @@ fn fit_controlled(
             return Ok(fit);
         }
     }
-    let gradient = compiled.kernel(Job::Covariance, Control::Dropping, &view.layout)?;
-    let value = compiled.kernel(Job::Value, Control::Dropping, &view.layout)?;
+    let control = if control == Control::Blind { control } else { Control::Dropping };
+    let gradient = compiled.loops(Job::Covariance, control, &view.layout)?;
+    let value = compiled.loops(Job::Value, control, &view.layout)?;
     let count = compiled.last_parameters().len();
     let mut problem =
         Kernels { compiled, view, parts: &parts, constants, gradient, value, count, curvature: Curvature::GaussNewton };
-    match problem.worth(&fit.parameters)? {
+    match problem.worth(&fit.parameters, control)? {
         Some(worth) => {
             if worth.covariance.is_none() {
                 fit.ending = Ending::Singular;
@@ -188,7 +210,7 @@ pub(crate) fn difference(
 ) -> Result<Option<f64>, CompileFailure> {
     let model = compiled.model();
     let job = if model.has_noise() { Job::Report } else { Job::Value };
-    let value = compiled.kernel(job, Control::Dropping, &view.layout)?;
+    let value = compiled.loops(job, Control::Dropping, &view.layout)?;
     let mut sum = 0.0;
     for entry in [a, b] {
         let parts = parts(model, view, constants, entry);
@@ -222,40 +244,35 @@ struct Kernels<'a> {
     /// Windows without a common pixel: the view's, or what of it the target can be in.
     parts: &'a [Window],
     constants: &'a [f64],
-    gradient: Arc<Kernel>,
-    value: Arc<Kernel>,
+    gradient: Loops,
+    value: Loops,
     /// Free parameters of the gradient kernel.
     count: usize,
     curvature: Curvature,
 }
 
 impl Kernels<'_> {
-    fn run(&self, kernel: &Kernel, parameters: &[f64], entry: &[f64]) -> Option<Sums> {
+    fn run(&self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Option<Totals> {
         let bindings =
-            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.saturation, shift: &[] };
-        // The view was made for the kernel's model, so only a bug could refuse it; the stage then ends as not finite.
-        let sums = |part: &Window| kernel.sums(&bindings, &self.view.planes, *part).ok();
+            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
         let (first, others) = self.parts.split_first()?;
-        let mut total = sums(first)?;
+        let mut totals = loops.sums(&bindings, &self.view.planes, *first)?;
         for part in others {
-            let more = sums(part)?;
-            total.outputs.iter_mut().zip(more.outputs).for_each(|(total, more)| *total += more);
-            total.pixels += more.pixels;
-            total.saturated += more.saturated;
+            totals.add(loops.sums(&bindings, &self.view.planes, *part)?);
         }
-        Some(total)
+        Some(totals)
     }
 
     /// The pass that nothing follows.
-    fn worth(&mut self, end: &[f64]) -> Result<Option<Worth>, CompileFailure> {
+    fn worth(&mut self, end: &[f64], control: Control) -> Result<Option<Worth>, CompileFailure> {
         let Some(sums) = self.run(&self.gradient, end, end) else { return Ok(None) };
         let Some(quadratic) = quadratic(&sums.outputs, self.count, self.curvature) else { return Ok(None) };
-        let (mut objective, mut chi_square) = (quadratic.objective, quadratic.objective);
+        let (mut objective, mut chi_square) = (quadratic.objective, sums.seen[0]);
         let noise = self.compiled.model().has_noise();
         if noise {
-            let report = self.compiled.kernel(Job::Report, Control::Dropping, &self.view.layout)?;
-            match self.run(&report, end, end).as_ref().map(|sums| sums.outputs.as_slice()) {
-                Some(&[full, chi]) => (objective, chi_square) = (full, chi),
+            let report = self.compiled.loops(Job::Report, control, &self.view.layout)?;
+            match self.run(&report, end, end).as_ref().map(|sums| (sums.outputs.as_slice(), sums.seen.as_slice())) {
+                Some((&[full, _], &[_, chi])) => (objective, chi_square) = (full, chi),
                 _ => return Ok(None),
             }
         }

@@ -31,6 +31,11 @@ impl Mixture {
         if is_linear { mixture } else { Mixture::mean(channels) }
     }
 
+    /// `observed` of a pixel that is saturated in all planes.
+    fn limit(&self, saturation: &[f64]) -> f64 {
+        self.at(saturation.iter().zip(&self.weights).map(|(l, w)| if *w > 0.0 { *l } else { 0.0 }))
+    }
+
     fn at(&self, values: impl Iterator<Item = f64>) -> f64 {
         self.weights.iter().zip(values).map(|(weight, value)| weight * value).sum::<f64>() + self.constant
     }
@@ -56,25 +61,32 @@ impl Grey {
     /// Reads a window that lies inside the planes; `saturation` is one limit a plane. A pixel that is saturated in any
     /// plane reads as the largest value that there is.
     pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
-        let limit = mixture.at(saturation.iter().zip(&mixture.weights).map(|(l, w)| if *w > 0.0 { *l } else { 0.0 }));
+        let limit = mixture.limit(saturation);
         let mut values = Vec::with_capacity(window.pixels());
         let size = window.size();
-        let [x0, y0, z0, w0] = window.first();
         for row in 0..size[1..].iter().product() {
-            let [y, z, w] = outer_of(row, size);
-            for x in x0..x0 + window.width {
-                let (mut sum, mut clipped) = (mixture.constant, false);
-                for ((plane, limit), weight) in planes.iter().zip(saturation).zip(&mixture.weights) {
-                    let value = plane.pixel_at([x, y0 + y, z0 + z, w0 + w]);
-                    clipped |= value >= *limit && *weight != 0.0;
-                    sum += weight * value;
-                }
-                values.push(if clipped { sum.max(limit) } else { sum });
+            read_row(planes, window, row, saturation, mixture, &mut values);
+        }
+        Grey { values, size, saturation: limit, step: step(planes, mixture) }
+    }
+
+    /// The same picture with half the pixels along x and y, each the mean of four: for a coarse look at a large picture.
+    pub fn read_halved(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
+        let [width, height, depth, length] = window.size();
+        let size = [width / 2, height / 2, depth, length];
+        let mut values = Vec::with_capacity(size.iter().product());
+        let (mut upper, mut lower) = (Vec::with_capacity(width), Vec::with_capacity(width));
+        for slice in 0..depth * length {
+            for y in 0..size[1] {
+                upper.clear();
+                lower.clear();
+                read_row(planes, window, slice * height + 2 * y, saturation, mixture, &mut upper);
+                read_row(planes, window, slice * height + 2 * y + 1, saturation, mixture, &mut lower);
+                let cells = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+                values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
             }
         }
-        let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
-        let largest = mixture.weights.iter().fold(0.0, |largest: f64, weight| largest.max(weight.abs()));
-        Grey { values, size, saturation: limit, step: if whole { largest } else { 0.0 } }
+        Grey { values, size, saturation: mixture.limit(saturation), step: 0.5 * step(planes, mixture) }
     }
 
     /// How many dimensions it extends in, at least one: 1 for a single row, 2 for a single slice.
@@ -125,6 +137,45 @@ impl Grey {
             stride *= self.size[axis];
         }
         along
+    }
+}
+
+/// The step between two values of the mixture; 0 for fractions.
+fn step(planes: &[PlaneView], mixture: &Mixture) -> f64 {
+    let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
+    let largest = mixture.weights.iter().fold(0.0, |largest: f64, weight| largest.max(weight.abs()));
+    if whole { largest } else { 0.0 }
+}
+
+/// Appends one row of the window.
+fn read_row(
+    planes: &[PlaneView],
+    window: Window,
+    row: usize,
+    saturation: &[f64],
+    mixture: &Mixture,
+    values: &mut Vec<f64>,
+) {
+    let [y, z, w] = outer_of(row, window.size());
+    let [x0, y0, z0, w0] = window.first();
+    if let ([plane], [weight], [limit]) = (planes, &mixture.weights[..], saturation)
+        && *weight == 1.0
+        && mixture.constant == 0.0
+        && *limit >= f64::from(u8::MAX)
+        && let Some(bytes) = plane.bytes_of_row([x0, y0 + y, z0 + z, w0 + w], window.width)
+    {
+        values.extend(bytes.iter().map(|byte| f64::from(*byte)));
+        return;
+    }
+    let largest = mixture.limit(saturation);
+    for x in x0..x0 + window.width {
+        let (mut sum, mut clipped) = (mixture.constant, false);
+        for ((plane, limit), weight) in planes.iter().zip(saturation).zip(&mixture.weights) {
+            let value = plane.pixel_at([x, y0 + y, z0 + z, w0 + w]);
+            clipped |= value >= *limit && *weight != 0.0;
+            sum += weight * value;
+        }
+        values.push(if clipped { sum.max(largest) } else { sum });
     }
 }
 

@@ -4,12 +4,13 @@
 //! the parameters with their covariance, the track's state, and how the fit ended.
 //!
 //! ```text
-//! frame ─► start ───► stage ─► stage ─► … ─► covariance ─► tracker ──► estimate
-//!          moments    trust region on        Fisher         believe,
-//!                     scaled normal equations               lose, find again
+//! frame ─► start ───► stage ─► stage ─► … ─► covariance ─► track ──► estimate
+//!          moments,   trust region on        Fisher         predict, believe,
+//!          prediction scaled normal equations               coast, lose, find again
 //! ```
 //! It must never know a clock, a thread, a file or a socket: times come with the frame, timings are taken above.
 
+mod alternatives;
 mod background;
 mod camera;
 mod cold;
@@ -17,9 +18,14 @@ mod compiled;
 mod component;
 mod contour;
 mod estimate;
+mod exposure;
 mod fit;
 mod frame;
 mod grey;
+mod halved;
+mod loops;
+mod mask;
+mod motion;
 mod options;
 #[cfg(test)]
 mod picture;
@@ -27,6 +33,7 @@ mod pose;
 mod report;
 mod stage;
 mod start;
+mod track;
 mod tracker;
 mod trust;
 mod workers;
@@ -34,10 +41,13 @@ mod workers;
 pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
 pub use compiled::{CompileFailure, Compiled};
 pub use contour::{Contour, contours};
-pub use estimate::{Ending, Estimate, Rejection, StageReport, TrackState};
+pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, TrackState};
+pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
-pub use options::{TrackError, TrackerOptions};
+pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
 pub use pose::{Alternative, Pose, Target, TargetError, TargetSpot, geometry};
 pub use report::{CheckReport, StageCost};
+pub use track::evidence::Evidence;
+pub use track::search::Sighting;
 pub use tracker::{Carried, Tracker};
 pub use workers::{InTurn, Workers};

@@ -6,10 +6,11 @@ use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
 use crate::camera::{Camera, Distortion, IntrinsicsError};
+use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, Target, TargetError};
 
 /// What a session says beside the model.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct TrackerOptions {
     /// Arithmetic of the pixel loops; the kernels must have been compiled for it.
     pub precision: Precision,
@@ -24,7 +25,67 @@ pub struct TrackerOptions {
     pub camera: Camera,
     /// The rigid target that the spots belong to.
     pub target: Option<Target>,
+    /// How many targets to follow, each an instance of the model.
+    pub targets: usize,
+    /// How they move.
+    pub motion: MotionOptions,
+    /// How far ahead each estimate looks; not at all when absent.
+    pub predict: Option<PredictOptions>,
+    /// What exposure is advised for; no advice when absent.
+    pub exposure: Option<ExposureGoal>,
+    /// What a search finds is taken for the target from this confidence on, 0 … 1.
+    pub confidence_min: f64,
 }
+
+/// How targets move, and for how long one that is not seen is believed to go on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionOptions {
+    /// Standard deviation of the acceleration, px/s². Follows what is seen when absent.
+    pub acceleration_px_s2: Option<f64>,
+    /// Time from frame to frame where frames carry no time, s.
+    pub period_s: f64,
+    /// For so long a target that was seen at least three times in a row is predicted while it is not seen; then it is lost. s.
+    pub coast_s: f64,
+}
+
+impl Default for MotionOptions {
+    fn default() -> MotionOptions {
+        MotionOptions { acceleration_px_s2: None, period_s: 1.0 / 60.0, coast_s: 0.5 }
+    }
+}
+
+impl Default for TrackerOptions {
+    fn default() -> TrackerOptions {
+        TrackerOptions {
+            precision: Precision::default(),
+            window: None,
+            start: BTreeMap::new(),
+            constants: BTreeMap::new(),
+            camera: Camera::default(),
+            target: None,
+            targets: 1,
+            motion: MotionOptions::default(),
+            predict: None,
+            exposure: None,
+            confidence_min: 0.0,
+        }
+    }
+}
+
+/// Looking ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictOptions {
+    /// To so much later, s.
+    pub horizon_s: f64,
+    /// In so many equal steps.
+    pub steps: usize,
+}
+
+/// Steps of a prediction.
+pub const PREDICT_STEPS_MAX: usize = 256;
+
+/// Targets that one tracker may follow.
+pub const TARGETS_MAX: usize = 64;
 
 /// Why options do not fit a model.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -84,6 +145,16 @@ pub enum TrackError {
         /// The parameter.
         name: String,
     },
+    /// A number of the options that cannot be.
+    #[error("{name} = {value} must be {range}")]
+    Range {
+        /// As in a session's options.
+        name: &'static str,
+        /// As given.
+        value: f64,
+        /// What would be right.
+        range: String,
+    },
     /// Kernels and options disagree.
     #[error("the options say {wanted:?}, the kernels are for {compiled:?}")]
     Precision {
@@ -96,6 +167,25 @@ pub enum TrackError {
 
 fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
+}
+
+impl MotionOptions {
+    fn check(&self) -> Result<(), TrackError> {
+        let positive = |name, value: f64| match value > 0.0 && value.is_finite() {
+            true => Ok(()),
+            false => Err(TrackError::Range { name, value, range: "a positive number".into() }),
+        };
+        positive("motion.period_s", self.period_s)?;
+        positive("motion.acceleration_px_s2", self.acceleration_px_s2.unwrap_or(1.0))?;
+        match self.coast_s >= 0.0 && self.coast_s.is_finite() {
+            true => Ok(()),
+            false => Err(TrackError::Range {
+                name: "motion.coast_s",
+                value: self.coast_s,
+                range: "0 (lost at once) or positive".into(),
+            }),
+        }
+    }
 }
 
 impl TrackerOptions {
@@ -114,6 +204,30 @@ impl TrackerOptions {
             if !inside || !value.is_finite() {
                 return Err(TrackError::OutsideBounds { name: name.clone(), value });
             }
+        }
+        self.motion.check()?;
+        if !(1..=TARGETS_MAX).contains(&self.targets) {
+            let range = format!("1 to {TARGETS_MAX}");
+            return Err(TrackError::Range { name: "targets", value: self.targets as f64, range });
+        }
+        if let Some(PredictOptions { horizon_s, steps }) = self.predict {
+            if !(horizon_s > 0.0 && horizon_s.is_finite()) {
+                let range = "a positive number".to_string();
+                return Err(TrackError::Range { name: "predict.horizon_s", value: horizon_s, range });
+            }
+            if !(1..=PREDICT_STEPS_MAX).contains(&steps) {
+                let range = format!("1 to {PREDICT_STEPS_MAX}");
+                return Err(TrackError::Range { name: "predict.steps", value: steps as f64, range });
+            }
+        }
+        if !(0.0..=1.0).contains(&self.confidence_min) {
+            let range = "0 to 1".to_string();
+            return Err(TrackError::Range { name: "confidence_min", value: self.confidence_min, range });
+        }
+        let is_several = model.roles().len() > 1 || model.roles().iter().any(|roles| !roles.position.is_empty());
+        if self.targets > 1 && is_several {
+            let range = "1 for a model that has several targets of its own, or a pose".to_string();
+            return Err(TrackError::Range { name: "targets", value: self.targets as f64, range });
         }
         for (name, &value) in &self.constants {
             if model.constant(name).is_none() {

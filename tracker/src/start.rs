@@ -1,12 +1,14 @@
 //! Starting values: where targets are, how large and how bright, from a window alone.
 //!
-//! What comes in: pixel values. What goes out: a [`Sight`] for each target, the most massive first: what the estimators of
-//! a document (`centroid.x`, `extent.xx`, …) stand for. It never knows a model.
+//! What comes in: pixel values. What goes out: a [`Sight`] for each thing that may be a target, the most massive first: what
+//! the estimators of a document (`centroid.x`, `extent.xx`, …) stand for. It never knows a model.
 //!
 //! 1. The background is a robust plane through the window's border.
 //! 2. What differs from it by a fifth of the largest difference, and from its noise, is a target; one that is smaller than
 //!    six pixels is not.
-//! 3. Its pixels' moments are centre and extent. Extent is that of the thresholded region, each pixel alike: it does not
+//! 3. Where more are wanted, the level is halved until the noise is met: what stands alone at a lower level is fainter than
+//!    what stood out before.
+//! 4. Its pixels' moments are centre and extent. Extent is that of the thresholded region, each pixel alike: it does not
 //!    change when the middle is saturated. `A = 0.7 C⁻¹/(n + 2)` in n dimensions, where C is the region's covariance: a
 //!    full ellipsoid `dᵀAd ≤ 1` has C = A⁻¹/(n + 2), and the region above a fifth covers about 0.7 of a spot's s.
 
@@ -16,10 +18,11 @@ use nalgebra::DMatrix;
 use crate::background::Background;
 use crate::component::{Component, Labels};
 use crate::grey::{Grey, place_of};
+use crate::mask::Mask;
 
 /// Which way a target differs from the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sign {
+pub(crate) enum Sign {
     /// Bright on dark.
     Bright,
     /// Dark on bright.
@@ -28,7 +31,7 @@ pub enum Sign {
 
 /// What to look for.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wanted {
+pub(crate) struct Wanted {
     /// Bright or dark; `None`: whichever is more.
     pub sign: Option<Sign>,
     /// Where the first target should be, in px of the window: of all targets that matter the nearest is taken, not the
@@ -36,11 +39,26 @@ pub struct Wanted {
     pub near: Option<[f64; 4]>,
     /// How many at most.
     pub targets_max: usize,
+    /// Fainter ones beside the brightest, down to the noise.
+    pub faint: bool,
+    /// What has fewer pixels is nothing; by default six.
+    pub pixels_min: Option<usize>,
+    /// Places that are taken.
+    pub masks: Vec<Mask>,
+}
+
+/// What was found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Found {
+    /// What may be targets.
+    pub sights: Vec<Sight>,
+    /// Standard deviation of a pixel of the background.
+    pub noise: f64,
 }
 
 /// Starting values of one target; px of the window.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sight {
+pub(crate) struct Sight {
     /// Centre; 0 in dimensions that the window does not extend in.
     pub centre: [f64; 4],
     /// A, px⁻²: the outline is dᵀAd = 1.
@@ -59,6 +77,8 @@ pub struct Sight {
 const THRESHOLD: f64 = 0.2;
 /// … and this many standard deviations of the background, unless that is more than half of the largest difference.
 const NOISE_FACTOR: f64 = 4.5;
+/// From one level to the next lower one.
+const LOWER: f64 = 0.5;
 /// The largest difference, smoothed, is a target only from this many standard deviations on: the largest of 300,000
 /// smoothed noise pixels reaches 1.6.
 const SIGNIFICANT: f64 = 3.0;
@@ -91,7 +111,7 @@ impl Sight {
 }
 
 /// Finds targets.
-pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Vec<Sight> {
+pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Found {
     let background = Background::fit(grey);
     let signs = match wanted.sign {
         Some(sign) => vec![sign],
@@ -102,7 +122,8 @@ pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Vec<Sight> {
     let volume = |sizes: &[f64]| sizes.iter().map(|size| size.max(1.0)).product::<f64>();
     let weight =
         |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * volume(&s.size[1..]));
-    found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default()
+    let sights = found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default();
+    Found { sights, noise: background.noise }
 }
 
 fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted) -> Vec<Sight> {
@@ -113,6 +134,7 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
             let first = background.at([0.0, y, z, w]);
             row.iter_mut().enumerate().for_each(|(x, value)| *value = factor * (*value - (first + slope * x as f64)));
         }
+        wanted.masks.iter().for_each(|mask| mask.clear(&mut values, grey.size));
         values
     };
     let smooth = difference(grey.smoothed());
@@ -123,10 +145,28 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
     let level = |peak: f64| (THRESHOLD * peak).max((NOISE_FACTOR * background.noise).min(0.5 * peak));
     let sharp = difference(grey.values.clone());
     let values = if level(peak) < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
-    let pixels_min = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
-    let mut components = Labels::new(values, grey.size).above(level(peak), pixels_min);
+    let usual = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
+    let pixels_min = wanted.pixels_min.unwrap_or(usual);
     // Smoothing makes nine pixels and more of a hot one.
-    components.retain(|component| component.pixels.iter().filter(|&&i| sharp[i] > level(peak)).count() >= pixels_min);
+    let above = |values: &[f64], level: f64| -> Vec<Component> {
+        let mut components = Labels::new(values, grey.size).above(level, pixels_min);
+        components.retain(|component| component.pixels.iter().filter(|&&i| sharp[i] > level).count() >= pixels_min);
+        components
+    };
+    let mut components = above(values, level(peak));
+    if wanted.faint {
+        let mut taken = vec![false; grey.values.len()];
+        components.iter().flat_map(|component| &component.pixels).for_each(|&i| taken[i] = true);
+        let (mut at, lowest) = (level(peak), (NOISE_FACTOR * background.noise).max(grey.step));
+        while at > lowest && components.len() < wanted.targets_max {
+            at = (LOWER * at).max(lowest);
+            let values = if at < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
+            let mut fainter = above(values, at);
+            fainter.retain(|component| !component.pixels.iter().any(|&i| taken[i]));
+            fainter.iter().flat_map(|component| &component.pixels).for_each(|&i| taken[i] = true);
+            components.extend(fainter);
+        }
+    }
     if let Some(near) = wanted.near {
         put_nearest_first(&mut components, grey.size, near);
     }

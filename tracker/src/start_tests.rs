@@ -15,6 +15,7 @@ fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {
         ),
         wanted,
     )
+    .sights
 }
 
 /// xx, xy, yy.
@@ -166,7 +167,7 @@ fn blobs_in_volumes() {
             20.0 + 0.1 * place[2] + 150.0 * (-2.0 * s).exp()
         };
         let grey = Grey { values: (0..count).map(value).collect(), size, saturation: 255.0, step: 1.0 };
-        let found = find(&grey, &Wanted::default());
+        let found = find(&grey, &Wanted::default()).sights;
         assert_eq!(found.len(), 1, "{found:?}");
         let found = &found[0];
         for axis in 0..4 {
@@ -177,6 +178,6 @@ fn blobs_in_volumes() {
         }
         assert!((found.amplitude / 150.0 - 1.0).abs() < 0.35 && found.extent[0][2].abs() < 1e-3, "{found:?}");
         let far = Wanted { near: Some([1.0, 2.0, 3.0, 4.0]), ..Wanted::default() };
-        assert_eq!(find(&grey, &far), std::slice::from_ref(found));
+        assert_eq!(find(&grey, &far).sights, std::slice::from_ref(found));
     }
 }

@@ -3,7 +3,7 @@ use super::*;
 use crate::frame::Plane;
 use crate::picture::{Picture, Profile, Spot};
 use crate::workers::InTurn;
-use isophote_jit::{PixelFormat, Slices};
+use isophote_jit::{PixelFormat, Slices, Window};
 use isophote_symbolic::{Model, Precision};
 
 const SPOT: &str = include_str!("../../models/spot.toml");
@@ -155,42 +155,6 @@ fn a_shrinking_domain_is_said() {
     assert_eq!(estimate.state, TrackState::Searching, "{estimate:?}");
     assert!(estimate.domain_shrank() && estimate.indefinite_steps() > 0, "{estimate:?}");
     assert!(estimate.parameters.is_empty() && estimate.covariance.is_none() && estimate.rejection.is_some());
-}
-
-#[test]
-fn lost_and_found_again() {
-    let mut tracker = tracker(SPOT, &[]);
-    let frame = |x: f64, amplitude: f64, sequence: u64| {
-        let spots = if amplitude > 0.0 { vec![spot(x, 60.0, [16.0, 12.0], 0.2, amplitude)] } else { vec![] };
-        Picture { noise: 2.0, seed: sequence, ..Picture::new(160, 120, spots) }.frame().with_sequence(sequence)
-    };
-    use TrackState::{Lost, Searching, Tracking};
-    let script = [
-        (0.0, 0.0, Searching),
-        (50.0, 120.0, Tracking),
-        (53.0, 120.0, Tracking),
-        (56.0, 20.0, Tracking), // fainter
-        (59.0, 0.0, Lost),
-        (62.0, 0.0, Lost),
-        (110.0, 120.0, Tracking), // elsewhere
-        (40.0, 120.0, Tracking),  // a jump: the warm fit fails, a cold one finds it
-        (43.0, 600.0, Tracking),  // overexposed
-        (46.0, 120.0, Tracking),
-    ];
-    for (sequence, (x, amplitude, state)) in script.into_iter().enumerate() {
-        let estimate = tracker.track(&frame(x, amplitude, sequence as u64));
-        assert_eq!(estimate.state, state, "frame {sequence}: {estimate:?}");
-        assert_eq!(estimate.sequence, sequence as u64);
-        if state == Tracking {
-            let bx = named(&tracker, &estimate, "bx");
-            assert!((bx - x).abs() < 0.5, "frame {sequence}: {bx}");
-            assert_eq!(estimate.saturated > 0.0, amplitude > 240.0);
-        }
-        if state == Lost {
-            assert!((named(&tracker, &estimate, "bx") - 56.0).abs() < 0.5, "the last good one: {estimate:?}");
-            assert!(estimate.objective.is_none() && !estimate.converged);
-        }
-    }
 }
 
 #[test]

@@ -64,6 +64,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         let decided = roots.iter().filter_map(|root| plan.pixels.iter().position(|v| v == root)).max();
         let before = state.clone();
         let mut used = None;
+        let mut join = None;
         if decided.is_none() {
             used = self.decide(&before, &mut state);
             self.sink(None, used, &mut state);
@@ -90,6 +91,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 Some(last) if at < last => {}
                 Some(last) if at == last => {
                     used = self.decide(&before, &mut state);
+                    join = used.map(|used| self.skip_when_empty(used, &state, running));
                     self.sink(None, used, &mut state);
                     plan.pixels[..=at].iter().for_each(|v| self.sink(Some(*v), used, &mut state));
                 }
@@ -97,7 +99,28 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
             }
         }
         self.emit.speak_for(None);
-        state
+        let Some((block, joined)) = join else { return state };
+        self.emit.b.ins().jump(block, &state.values());
+        self.emit.b.switch_to_block(block);
+        joined
+    }
+
+    /// Goes on only if any lane is `used`; else the group ends here, in a block that the rest of it comes to as well.
+    /// `running` offsets have been stepped.
+    fn skip_when_empty(&mut self, used: ir::Value, state: &Running, running: usize) -> (Block, Running) {
+        let mut skipped = state.clone();
+        let lanes = self.emit.lanes() as f64;
+        let step = vector(self.emit, |_| lanes);
+        for offset in &mut skipped.offsets[running..] {
+            *offset = self.emit.b.ins().fadd(*offset, step);
+        }
+        let block = self.emit.b.create_block();
+        let joined = state.parameters(self.emit, block);
+        let truth = self.emit.cast(self.emit.truth, used);
+        let bits = self.emit.b.ins().vhigh_bits(types::I32, truth);
+        let any = self.emit.b.ins().icmp_imm_s(IntCC::NotEqual, bits, 0);
+        self.emit.go_on_if(any, block, &skipped.values());
+        (block, joined)
     }
 
     /// The value of an offset in this group, and its running part in the next.

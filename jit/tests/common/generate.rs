@@ -100,7 +100,7 @@ impl Draft<'_> {
             (false, 11 | 12, ..) => (Op::Mul(a, b), false),
             (false, 13 | 14, ..) if self.variety.fma => (Op::Fma(a, b, c), false),
             (false, 15 | 16, Some(p), ..) => (Op::Select(p, a, b), false),
-            (false, 17, ..) if self.variety.calls => (Op::Call1(*self.random.pick(&Function1::ALL), a), false),
+            (false, 17, ..) if self.variety.calls => (Op::Call1(*self.random.pick(&Function1::EVERY), a), false),
             (false, 18, ..) if self.variety.calls && self.random.below(3) == 0 => {
                 (Op::Call2(*self.random.pick(&Function2::ALL), a, b), false)
             }

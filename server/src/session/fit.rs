@@ -2,14 +2,17 @@
 
 use std::sync::{Arc, PoisonError};
 
-use isophote_tracker::Tracker;
+use isophote_capture::Exposure;
+use isophote_tracker::{ControllerOptions, ExposureController, Tracker};
 
 use super::Shared;
 use super::inbox::{Delivery, Event, SourceEnd};
 use super::swap::{Active, Swap, Swapped};
 use crate::clock::monotonic_ns;
 use crate::hub::End;
-use crate::wire::{Estimate, Named, SessionState, Timing};
+use crate::problem::Problem;
+use crate::source::Source;
+use crate::wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 /// What the thread owns.
 pub struct Fitter {
@@ -21,8 +24,39 @@ pub struct Fitter {
     pub tracker: Tracker,
     /// The model in `tracker`: the two change together, here only.
     pub active: Active,
+    /// Sets the source's exposure, when the session asks for it.
+    pub light: Option<Light>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
+}
+
+/// A controller and the knob that it turns.
+pub struct Light {
+    controller: ExposureController,
+    exposure: Exposure,
+}
+
+impl Light {
+    /// What a session asks for; a problem when its source has no exposure to set.
+    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<Light>, Problem> {
+        if !options.exposure.control {
+            return Ok(None);
+        }
+        let message = "the source has no exposure that could be set";
+        let absent = || Problem::wrong_key("not-applicable", "options.exposure.control", message);
+        let exposure = source.exposure().ok_or_else(absent)?.clone();
+        let mut options = ControllerOptions::default();
+        if let SourceDocument::Synthetic(synthetic) = source.document() {
+            options.latency = u64::from(synthetic.exposure_latency);
+        }
+        Ok(Some(Light { controller: ExposureController::new(options), exposure }))
+    }
+
+    fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
+        if let Some(factor) = self.controller.step(estimate) {
+            self.exposure.set(factor);
+        }
+    }
 }
 
 impl Fitter {
@@ -41,6 +75,7 @@ impl Fitter {
 
     fn swap(&mut self, swap: Swap) {
         let carried = self.tracker.swap(swap.compiled, swap.options);
+        self.shared.hub.keep(&self.tracker.names());
         self.active = swap.active;
         let active_since_frame = self.next_frame.unwrap_or(0);
         {
@@ -53,12 +88,37 @@ impl Fitter {
     }
 
     fn fit(&mut self, delivery: &Delivery) {
+        let frame = &delivery.captured.frame;
+        let start_ns = monotonic_ns();
+        let results = self.tracker.track_all(frame);
+        let end_ns = monotonic_ns();
+        if let (Some(light), Some(first)) = (&mut self.light, results.first()) {
+            light.follow(first);
+        }
+        let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
+        self.next_frame = Some(frame.sequence + 1);
+        self.shared.status().fitted(frame, end_ns, lost);
+        let estimates: Vec<Arc<Estimate>> =
+            results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
+        for estimate in &estimates {
+            self.shared.hub.publish(estimate.clone());
+        }
+        if let Some(first) = estimates.into_iter().next() {
+            self.answer(delivery, first);
+        }
+    }
+
+    /// The tracker's result with what only the session knows.
+    fn estimate(
+        &self,
+        delivery: &Delivery,
+        result: &isophote_tracker::Estimate,
+        start_ns: u64,
+        end_ns: u64,
+    ) -> Estimate {
         let captured = &delivery.captured;
         let frame = &captured.frame;
-        let start_ns = monotonic_ns();
-        let result = self.tracker.track(frame);
-        let end_ns = monotonic_ns();
-        let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, &result);
+        let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, result);
         estimate.session = Some(self.name.clone());
         estimate.file = captured.file.clone();
         estimate.capture_ns = frame.capture_ns;
@@ -68,12 +128,7 @@ impl Fitter {
         let wait_ns = frame.capture_ns.map(|capture_ns| start_ns.saturating_sub(capture_ns));
         let fit = end_ns.saturating_sub(start_ns) / 1000;
         estimate.timing_us = Some(Timing { wait: wait_ns.map(|ns| ns / 1000), fit });
-        let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
-        self.next_frame = Some(frame.sequence + 1);
-        let estimate = Arc::new(estimate);
-        self.shared.status().fitted(frame, end_ns, lost);
-        self.shared.hub.publish(estimate.clone());
-        self.answer(delivery, estimate);
+        estimate
     }
 
     /// Whoever pushed the frame to this session gets its estimate.

@@ -20,7 +20,7 @@ use crate::registry::Entry;
 use crate::source::{Shape, Source};
 use crate::threads::Threads;
 use crate::wire::{SessionDocument, SessionView};
-use fit::Fitter;
+use fit::{Fitter, Light};
 use inbox::Inbox;
 use status::Status;
 pub use swap::Swapped;
@@ -77,7 +77,9 @@ impl Session {
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
-        let fitter = Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, next_frame: None };
+        let light = Light::of(&document.options, &source.source)?;
+        let fitter =
+            Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
         let thread = std::thread::Builder::new()
             .name(format!("fit {name}"))
             .spawn(move || fitter.run())
@@ -178,11 +180,6 @@ impl Session {
 
 /// What this build cannot honour is said, never ignored.
 fn check_document(document: &SessionDocument) -> Result<(), Problem> {
-    let absent =
-        |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
-    if document.options.exposure.control {
-        return absent("options.exposure.control", "does not control exposure");
-    }
     if let Some(window) = document.window {
         let slices = window.depth.unwrap_or(1).saturating_mul(window.length.unwrap_or(1));
         let pixels = window.width.saturating_mul(window.height).saturating_mul(slices);
@@ -223,14 +220,13 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
 fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
-    let key = match (parameter, constant) {
-        (Some(name), _) => format!("start.{name}"),
-        (None, Some(name)) => format!("constants.{name}"),
-        (None, None) => match error {
-            TrackError::Target(_) => "target".to_string(),
-            TrackError::Intrinsics(_) => "camera.intrinsics".to_string(),
-            _ => "model".to_string(),
-        },
+    let key = match (parameter, constant, error) {
+        (_, _, TrackError::Range { name, .. }) => format!("options.{name}"),
+        (Some(name), _, _) => format!("start.{name}"),
+        (None, Some(name), _) => format!("constants.{name}"),
+        (None, None, TrackError::Target(_)) => "target".to_string(),
+        (None, None, TrackError::Intrinsics(_)) => "camera.intrinsics".to_string(),
+        (None, None, _) => "model".to_string(),
     };
     Problem::wrong_key("wrong-value", &key, error.to_string())
 }

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use isophote_tracker::{Camera, Compiled, TrackerOptions};
+use isophote_tracker::{Camera, Compiled, MotionOptions, PredictOptions, TrackerOptions};
 use tokio::sync::oneshot;
 
 use crate::registry::Entry;
-use crate::wire::{SessionDocument, Window};
+use crate::wire::{PredictDocument, SessionDocument, Window};
 
 /// A model that fits, or will.
 #[derive(Clone)]
@@ -64,6 +64,18 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
         constants: known(&document.constants, &|name| model.constant(name).is_some()),
         camera: camera.clone(),
         target: document.target.clone(),
+        targets: document.options.targets,
+        motion: MotionOptions {
+            acceleration_px_s2: document.options.motion.acceleration_px_s2,
+            coast_s: document.options.motion.coast_s,
+            ..MotionOptions::default()
+        },
+        confidence_min: document.options.confidence_min,
+        exposure: Some(document.options.exposure.goal),
+        predict: document
+            .options
+            .predict
+            .map(|PredictDocument { horizon_s, steps }| PredictOptions { horizon_s, steps }),
     }
 }
 

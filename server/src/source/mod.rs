@@ -14,7 +14,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-use isophote_capture::{Captured, FrameSource};
+use isophote_capture::{Captured, Exposure, FrameSource};
 use isophote_jit::PixelFormat;
 
 use crate::clock::monotonic_ns;
@@ -52,6 +52,7 @@ pub enum Producer {
 pub struct Source {
     document: SourceDocument,
     shape: Shape,
+    exposure: Option<Exposure>,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
@@ -89,17 +90,26 @@ impl Source {
         };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let (pace, rate_hz) = (opened.pace, opened.rate_hz);
+        let exposure = match &opened.producer {
+            Producer::Frames(frames) => frames.exposure(),
+            Producer::Pushed => None,
+        };
         let worker = Worker { shared: shared.clone(), pace, schedule: Schedule::new(rate_hz), frame: 0 };
         let thread = std::thread::Builder::new()
             .name(format!("source {label}"))
             .spawn(move || worker.run(opened.producer))
             .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
-        Ok(Source { document, shape: opened.shape, shared, thread: Mutex::new(Some(thread)) })
+        Ok(Source { document, shape: opened.shape, exposure, shared, thread: Mutex::new(Some(thread)) })
     }
 
     /// What is known about its frames.
     pub fn shape(&self) -> &Shape {
         &self.shape
+    }
+
+    /// The knob of a source whose exposure can be set.
+    pub fn exposure(&self) -> Option<&Exposure> {
+        self.exposure.as_ref()
     }
 
     /// As put, defaults filled in.

@@ -65,6 +65,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         read_noise_e: document.read_noise_e,
         saturation,
         seed: document.seed,
+        exposure_latency: document.exposure_latency,
         ..typical
     };
     let source = Synthetic::new(spec)

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use isophote_symbolic::Precision;
+pub use isophote_tracker::ExposureGoal;
 use isophote_tracker::{Camera, Target};
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
@@ -37,13 +38,80 @@ pub struct SessionDocument {
 }
 
 /// Options of a session.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SessionOptions {
     /// Arithmetic of the pixel loops.
     pub precision: Precision,
-    /// What exposure is for; this build neither advises nor controls it.
+    /// How many targets to follow, each an instance of the model: one estimate a frame for each.
+    #[serde(skip_serializing_if = "is_one")]
+    pub targets: usize,
+    /// What a search finds is taken for a target from this confidence on, 0 … 1.
+    #[serde(skip_serializing_if = "is_nought")]
+    pub confidence_min: f64,
+    /// How targets move.
+    #[serde(skip_serializing_if = "MotionDocument::is_usual")]
+    pub motion: MotionDocument,
+    /// What exposure is for.
     pub exposure: ExposureOptions,
+    /// How far ahead each estimate looks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub predict: Option<PredictDocument>,
+}
+
+/// Looking ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PredictDocument {
+    /// To so much later, s.
+    pub horizon_s: f64,
+    /// In so many equal steps.
+    pub steps: usize,
+}
+
+impl Default for SessionOptions {
+    fn default() -> SessionOptions {
+        SessionOptions {
+            precision: Precision::default(),
+            targets: 1,
+            confidence_min: 0.0,
+            motion: MotionDocument::default(),
+            exposure: ExposureOptions::default(),
+            predict: None,
+        }
+    }
+}
+
+/// How targets move.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionDocument {
+    /// Standard deviation of the acceleration, px/s²; follows what is seen when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acceleration_px_s2: Option<f64>,
+    /// For so long a target that is not seen is predicted; then it is lost. s.
+    pub coast_s: f64,
+}
+
+fn is_one(count: &usize) -> bool {
+    *count == 1
+}
+
+fn is_nought(number: &f64) -> bool {
+    *number == 0.0
+}
+
+impl MotionDocument {
+    fn is_usual(&self) -> bool {
+        *self == MotionDocument::default()
+    }
+}
+
+impl Default for MotionDocument {
+    fn default() -> MotionDocument {
+        let isophote_tracker::MotionOptions { acceleration_px_s2, coast_s, .. } = Default::default();
+        MotionDocument { acceleration_px_s2, coast_s }
+    }
 }
 
 /// What exposure is for.
@@ -52,17 +120,8 @@ pub struct SessionOptions {
 pub struct ExposureOptions {
     /// What is to be measured best.
     pub goal: ExposureGoal,
-    /// Whether the camera's exposure is set by the session.
+    /// Whether the session sets the source's exposure, as advised for the first target.
     pub control: bool,
-}
-
-/// What is to be measured best.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ExposureGoal {
-    /// The centre.
-    #[default]
-    Centre,
 }
 
 /// A pixel rectangle.
@@ -207,6 +266,9 @@ pub struct SyntheticDocument {
     /// The same seed gives the same frames.
     #[serde(default = "default_seed")]
     pub seed: u64,
+    /// Frames from setting an exposure to the first frame that has it.
+    #[serde(default = "default_exposure_latency", skip_serializing_if = "is_default_exposure_latency")]
+    pub exposure_latency: u32,
 }
 
 impl SyntheticDocument {
@@ -325,6 +387,12 @@ fn default_bits() -> u32 {
 }
 fn default_samples() -> u32 {
     8
+}
+fn default_exposure_latency() -> u32 {
+    2
+}
+fn is_default_exposure_latency(frames: &u32) -> bool {
+    *frames == default_exposure_latency()
 }
 fn default_seed() -> u64 {
     1

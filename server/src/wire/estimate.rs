@@ -2,7 +2,7 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ending, Rejection, TrackState};
+pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, TrackState};
 use serde::{Deserialize, Serialize};
 
 use super::Named;
@@ -46,6 +46,12 @@ pub struct Estimate {
     /// The sum of r²/σ² (r² without noise) over pixels less free parameters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reduced_chi_square: Option<f64>,
+    /// ln L of the pixels that took part.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub log_likelihood: Option<f64>,
+    /// The probability that the thing tracked is the target.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub confidence: Option<f64>,
     /// Pixels that took part in the last pass.
     pub pixels: u64,
     /// Share of the domain's pixels that are saturated, 0 … 1.
@@ -68,6 +74,12 @@ pub struct Estimate {
     /// Where the target is, when the lens and the target are known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub pose: Option<tracker::Pose>,
+    /// What exposure would be best.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub exposure_advice: Option<ExposureAdvice>,
+    /// Where the target will be, when the session asks for it.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub predict: Vec<Ahead>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -124,6 +136,8 @@ impl Estimate {
             covariance: result.covariance.clone().filter(|rows| rows.iter().flatten().all(|v| v.is_finite())),
             objective: result.objective.filter(|v| v.is_finite()),
             reduced_chi_square: result.reduced_chi_square.filter(|v| v.is_finite()),
+            log_likelihood: result.log_likelihood,
+            confidence: result.confidence.filter(|v| v.is_finite()),
             pixels: result.pixels,
             saturated: if result.saturated.is_finite() { result.saturated } else { 0.0 },
             iterations: result.iterations.clone(),
@@ -134,6 +148,8 @@ impl Estimate {
             illumination: (background.is_some() || brightness.is_some())
                 .then_some(Illumination { background, brightness }),
             pose: result.pose.clone(),
+            exposure_advice: result.exposure_advice.clone(),
+            predict: result.ahead.clone(),
             truth: None,
             timing_us: None,
         }

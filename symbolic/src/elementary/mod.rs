@@ -17,6 +17,7 @@ mod large;
 mod logarithm;
 mod machine;
 mod power;
+mod tail;
 #[cfg(test)]
 mod tests;
 mod trigonometric;
@@ -55,6 +56,8 @@ pub fn call1<M: Machine>(m: &M, function: Function1, accuracy: Accuracy, x: M::N
         Function1::Cosh => hyperbolic::cosh(m, accuracy, x),
         Function1::Tanh => hyperbolic::tanh(m, accuracy, x),
         Function1::Erf => error_function::erf(m, accuracy, x),
+        Function1::LogTail => tail::log_tail(m, accuracy, x),
+        Function1::Hazard => tail::hazard(m, accuracy, x),
     }
 }
 

@@ -4,10 +4,12 @@
 
 mod client;
 mod commands;
+mod exposure;
 mod guards;
 mod malformed;
 mod models;
 mod sessions;
 mod streams;
 mod swaps;
+mod targets;
 mod volumes;

@@ -3,14 +3,15 @@
 //! What comes in: fits of a model whose parameters are a pose. What goes out: the likelier one, with the other as its
 //! [`Rival`]. The differences of their log-likelihoods add up from frame to frame, so that noise does not make the pose flip.
 
-use super::{Attempt, Tracker};
+use super::solver::{Attempt, Look, Solver};
+use super::window::Margin;
 use crate::compiled::{CompileFailure, Control};
-use crate::fit::{View, difference, fit};
+use crate::fit::{View, difference};
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
 
 /// The runner-up.
 #[derive(Clone, Debug)]
-pub(super) struct Rival {
+pub(crate) struct Rival {
     parameters: Vec<f64>,
     /// χ² by which it is worse, in all frames since both were found.
     delta: f64,
@@ -33,19 +34,20 @@ impl Rival {
     }
 }
 
-impl Tracker {
+impl Solver {
     /// Of believable fits the one of the largest likelihood, with the next as its rival. Each has a pixel set of its own, so
     /// that their χ² cannot be compared as they are. Models that fit no pose keep what they have.
-    pub(super) fn likeliest_pose(
+    pub fn likeliest_pose(
         &self,
-        view: &View,
+        look: &Look,
         mut best: Attempt,
         others: Vec<Attempt>,
     ) -> Result<Attempt, CompileFailure> {
-        let Some(geometry) = Geometry::of(self.compiled.model(), &self.constants) else { return Ok(best) };
+        let Some(geometry) = &self.geometry else { return Ok(best) };
+        let view = self.view(look, look.window);
         let mut rival: Option<Rival> = None;
         for other in others.into_iter().filter(Attempt::is_good) {
-            let Some(delta) = self.delta(view, &geometry, &best, &other)? else { continue };
+            let Some(delta) = self.delta(&view, geometry, &best, &other)? else { continue };
             let loser = if delta < 0.0 { std::mem::replace(&mut best, other) } else { other };
             let Some(fit) = loser.fit else { continue };
             // Whoever lost to the old best loses to the new one by more.
@@ -58,19 +60,20 @@ impl Tracker {
     }
 
     /// A warm fit and its rival's, on one more frame.
-    pub(super) fn against_rival(
+    pub fn against_rival(
         &self,
-        view: &View,
+        look: &Look,
         mut warm: Attempt,
+        rival: Option<&Rival>,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
-        let Some(rival) = self.memory.rival.as_ref().filter(|_| warm.is_good()) else { return Ok(warm) };
-        let Some(geometry) = Geometry::of(self.compiled.model(), &self.constants) else { return Ok(warm) };
-        let mut other = self.judged(fit(&self.compiled, view, &self.constants, &rival.parameters, control)?, view);
+        let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
+        let Some(geometry) = &self.geometry else { return Ok(warm) };
+        let mut other = self.attempt(look, &rival.parameters, control, Margin::NONE)?;
         if !other.is_good() {
             return Ok(warm);
         }
-        let Some(delta) = self.delta(view, &geometry, &warm, &other)? else { return Ok(warm) };
+        let Some(delta) = self.delta(&self.view(look, look.window), geometry, &warm, &other)? else { return Ok(warm) };
         let total = rival.delta + delta;
         if total < 0.0 {
             std::mem::swap(&mut warm, &mut other);

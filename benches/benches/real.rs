@@ -1,0 +1,26 @@
+//! `cargo bench -p isophote-benches --bench real`: photographs. They lie beside the repository, or where ISOPHOTE_REAL says;
+//! a set that is not there is skipped with a line. With `UPDATE_EXPECT=1` it writes docs/real.md when all are there.
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
+
+use isophote_benches::page;
+use isophote_benches::real::{beam, board, frames};
+
+fn main() {
+    let sets: [(&str, &str, fn() -> String); 3] = [
+        ("visp-mire2", "## A moving box", board::table),
+        ("laser", "## Laser beams, clipped", beam::clipped),
+        ("laser", "## Laser beams along their way", beam::caustic),
+    ];
+    let mut parts = vec![page::provenance("real", &["tracker", "jit", "symbolic", "benches/src", "models"])];
+    for (folder, title, table) in sets {
+        if frames::folder(folder).is_none() {
+            println!("{title}: no photographs in {folder}, skipped");
+            continue;
+        }
+        parts.push(format!("{title}\n\n{}", table()));
+    }
+    println!("{}", parts.join("\n\n"));
+    if std::env::var_os("UPDATE_EXPECT").is_some() && parts.len() > sets.len() {
+        page::write_to("real.md", "real", &parts.join("\n\n"));
+    }
+}

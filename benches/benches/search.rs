@@ -1,0 +1,32 @@
+//! `cargo bench -p isophote-benches --bench search [-- FRAMES]`: cold starts in seeded frames of 640 × 480 px, alone and among
+//! ten other things: how often the target is found, how often something else is taken for it, how long it takes, and how
+//! well the confidence holds. With `UPDATE_EXPECT=1` it writes docs/confidence.md.
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
+
+use isophote_benches::scene::height;
+use isophote_benches::{page, search};
+
+fn main() {
+    let frames = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(1000);
+    let mut text = String::new();
+    for (title, with_noise) in [("`spot`", false), ("`spot` with `noise`", true)] {
+        let compiled = search::compiled(with_noise);
+        let followed = [("S0", 0.0), ("S30", 0.3)].map(|(name, share)| {
+            let [median, least, most] = search::tracked_us(&compiled, height(share));
+            format!("{name} {median:.0} µs ({least:.0}–{most:.0})")
+        });
+        let rows = search::rows(&compiled, frames);
+        text += &format!("### {title}\n\n{}\n", search::table(&rows));
+        text += &format!(
+            "A frame in which the target is followed takes, median (least–most): {}.\n\n",
+            followed.join(", ")
+        );
+        text += &format!("{}\n", search::reliability(&rows));
+        println!("{title}: logistic regression on contrast and misfit {:.2?}", search::regression(&rows));
+    }
+    text += &page::provenance(&format!("search -- {frames}"), &["tracker", "symbolic", "jit", "models", "benches"]);
+    println!("{text}");
+    if std::env::var_os("UPDATE_EXPECT").is_some() {
+        page::write_to("confidence.md", "search", &text);
+    }
+}

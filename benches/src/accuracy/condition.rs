@@ -1,0 +1,166 @@
+//! The conditions: what a frame shows, and which shipped document is fitted to it.
+
+use super::scene::Scene;
+
+/// What shines beside the spot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Glare {
+    /// Nothing.
+    None,
+    /// A plane 40 DN higher than the ground, with this slope in DN/px.
+    Plane([f64; 2]),
+    /// A round Gaussian: height in DN, centre in px of the frame, standard deviation in px.
+    Lobe {
+        /// DN
+        height: f64,
+        /// px
+        centre: [f64; 2],
+        /// px
+        width: f64,
+    },
+}
+
+/// What a frame shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Condition {
+    /// As in the tables.
+    pub name: &'static str,
+    /// Side of the frame, px.
+    pub side_px: usize,
+    /// Semi-axes of the spot, the longer first, px.
+    pub semi_axes_px: [f64; 2],
+    /// DN of the ground.
+    pub background: f64,
+    /// Share of the spot's area that reaches 255 DN.
+    pub saturated: f64,
+    /// DN in the middle where nothing is saturated.
+    pub peak: f64,
+    /// What shines beside it.
+    pub glare: Glare,
+    /// Share of the spot's area that is hidden by a dark half plane, …
+    pub occluded: f64,
+    /// … that is washed out by a white one with a soft edge.
+    pub blinded: f64,
+    /// Way of the spot in an exposure, px; its direction is drawn.
+    pub motion_px: f64,
+    /// Standard deviation of the blur, px.
+    pub blur_px: f64,
+}
+
+/// 96 × 96 px, a spot of 20 × 14 px, nothing saturated.
+const PLAIN: Condition = Condition {
+    name: "S0",
+    side_px: 96,
+    semi_axes_px: [20.0, 14.0],
+    background: 20.0,
+    saturated: 0.0,
+    peak: 200.0,
+    glare: Glare::None,
+    occluded: 0.0,
+    blinded: 0.0,
+    motion_px: 0.0,
+    blur_px: 0.0,
+};
+const SMALL: Condition = Condition { side_px: 25, semi_axes_px: [4.5, 3.3], ..PLAIN };
+const LOBE: Glare = Glare::Lobe { height: 140.0, centre: [8.0, 12.0], width: 35.0 };
+
+/// All conditions, in the order of the tables. Where light matters less than what hides it, 10 or 30 % are saturated.
+pub const CONDITIONS: [Condition; 14] = [
+    PLAIN,
+    Condition { name: "S10", saturated: 0.1, ..PLAIN },
+    Condition { name: "S30", saturated: 0.3, ..PLAIN },
+    Condition { name: "S60", saturated: 0.6, ..PLAIN },
+    Condition { name: "dark", background: 8.0, peak: 30.0, ..PLAIN },
+    Condition { name: "glareLin", saturated: 0.3, glare: Glare::Plane([0.8, 0.5]), ..PLAIN },
+    Condition { name: "glareLobe", saturated: 0.3, glare: LOBE, ..PLAIN },
+    Condition { name: "occl25", saturated: 0.1, occluded: 0.25, ..PLAIN },
+    Condition { name: "blind40", saturated: 0.1, blinded: 0.4, ..PLAIN },
+    Condition { name: "motion6", saturated: 0.1, motion_px: 6.0, ..PLAIN },
+    Condition { name: "defocus2", saturated: 0.3, blur_px: 2.0, ..PLAIN },
+    Condition { name: "small_S0", ..SMALL },
+    Condition { name: "small_S30", saturated: 0.3, ..SMALL },
+    Condition { name: "big_S30", side_px: 220, semi_axes_px: [60.0, 42.0], saturated: 0.3, ..PLAIN },
+];
+
+/// The condition of that name.
+pub fn condition(name: &str) -> Condition {
+    *CONDITIONS.iter().find(|condition| condition.name == name).unwrap_or_else(|| panic!("no condition {name}"))
+}
+
+/// Starting values by name.
+pub type Known = Vec<(&'static str, f64)>;
+
+/// A condition, and the document that is fitted to it.
+#[derive(Clone, Copy)]
+pub struct Task {
+    /// What frames show.
+    pub condition: Condition,
+    /// A shipped document.
+    pub document: &'static str,
+    /// What is told to the tracker in both starts, beside the profile.
+    pub known: fn(&Scene) -> Known,
+}
+
+/// A row of the table of conditions.
+#[derive(Clone, Copy)]
+pub struct Row {
+    /// The condition's name.
+    pub condition: &'static str,
+    /// A shipped document.
+    pub document: &'static str,
+    /// See [`Task`].
+    pub known: fn(&Scene) -> Known,
+    /// RMSE/CRLB to reach: cold, tracking.
+    pub goal: [Option<f64>; 2],
+}
+
+impl Row {
+    /// What is measured.
+    pub fn task(&self) -> Task {
+        Task { condition: condition(self.condition), document: self.document, known: self.known }
+    }
+}
+
+/// Nothing.
+pub fn nothing(_: &Scene) -> Known {
+    Vec::new()
+}
+
+/// Where the lamp is, to 8 px, and its glow to 20 %.
+pub fn lamp(scene: &Scene) -> Known {
+    let Glare::Lobe { height, centre, width } = scene.condition.glare else { return Vec::new() };
+    vec![("lx", centre[0] - 8.0), ("ly", centre[1] + 8.0), ("lw", 1.2 * width), ("lh", 0.8 * height)]
+}
+
+/// The velocity, as a tracker predicts it.
+fn velocity(scene: &Scene) -> Known {
+    vec![("ux", scene.motion[0]), ("uy", scene.motion[1])]
+}
+
+const fn row(condition: &'static str, document: &'static str, goal: [Option<f64>; 2]) -> Row {
+    Row { condition, document, known: nothing, goal }
+}
+
+const CLEAR: [Option<f64>; 2] = [Some(1.06), Some(1.06)];
+
+/// The table: which document is fitted in which condition, and what is to be reached.
+pub const ROWS: [Row; 18] = [
+    row("S0", "spot-plane", CLEAR),
+    row("S10", "spot-plane", CLEAR),
+    row("S30", "spot-plane", CLEAR),
+    row("S60", "spot-plane", CLEAR),
+    row("dark", "spot-plane", [Some(1.08), Some(1.08)]),
+    row("glareLin", "spot-plane", CLEAR),
+    row("glareLobe", "spot-plane", [Some(6.4), Some(6.4)]),
+    row("glareLobe", "spot-quadratic", [Some(6.4), Some(6.4)]),
+    Row { known: lamp, ..row("glareLobe", "spot-lobe", [Some(1.18), Some(1.18)]) },
+    row("occl25", "spot-plane", [Some(6.0), Some(1.1)]),
+    row("blind40", "spot-plane", [None, Some(4.2)]),
+    row("motion6", "spot-plane", CLEAR),
+    Row { known: velocity, ..row("motion6", "spot-motion", CLEAR) },
+    row("defocus2", "spot-plane", CLEAR),
+    row("defocus2", "spot-psf", CLEAR),
+    row("small_S0", "spot-plane", CLEAR),
+    row("small_S30", "spot-plane", CLEAR),
+    row("big_S30", "spot-plane", CLEAR),
+];

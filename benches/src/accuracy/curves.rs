@@ -1,0 +1,195 @@
+//! Error against how bad the light is: saturation, a lobe of glare, occlusion.
+
+use std::fmt::Write;
+
+use super::condition::{Condition, Glare, Task, condition, lamp, nothing};
+use super::plot::{Axis, COLOURS, Panel, Series, Style, svg};
+use super::run::{Documents, Measured, measure};
+
+/// One curve's points: how bad the light is, and what came of it.
+pub struct Curve {
+    /// The document.
+    pub document: &'static str,
+    /// In the order of the badness.
+    pub points: Vec<(f64, Measured)>,
+}
+
+const SATURATED: [f64; 9] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9];
+const LOBES: [f64; 6] = [0.0, 20.0, 50.0, 100.0, 140.0, 200.0];
+const HIDDEN: [f64; 7] = [0.0, 0.05, 0.1, 0.2, 0.25, 0.35, 0.5];
+/// What a least-squares fit of all pixels makes of saturation, %: of the notes' prototypes, 60 frames each.
+const IGNORED: [(f64, f64, f64); 3] = [(10.0, 1.4, -4.3), (30.0, 9.0, -28.9), (60.0, 23.6, -72.3)];
+
+fn curve(
+    documents: &mut Documents,
+    frames: usize,
+    document: &'static str,
+    bad: &[f64],
+    of: impl Fn(f64) -> Condition,
+) -> Curve {
+    let known = if document == "spot-lobe" { lamp } else { nothing };
+    let point = |&value: &f64| {
+        let task = Task { condition: of(value), document, known };
+        (value, measure(&task, documents.get(document), frames))
+    };
+    Curve { document, points: bad.iter().map(point).collect() }
+}
+
+/// Saturation from none to nine tenths of the spot.
+pub fn saturation(documents: &mut Documents, frames: usize) -> Curve {
+    let of = |saturated| Condition { saturated, ..condition("S0") };
+    curve(documents, frames, "spot-plane", &SATURATED, of)
+}
+
+/// A lobe of growing height, by each document that may be taken for it.
+pub fn glare(documents: &mut Documents, frames: usize) -> Vec<Curve> {
+    let of = |height| match condition("glareLobe") {
+        Condition { glare: Glare::Lobe { centre, width, .. }, .. } if height > 0.0 => {
+            Condition { glare: Glare::Lobe { height, centre, width }, ..condition("glareLobe") }
+        }
+        other => Condition { glare: Glare::None, ..other },
+    };
+    let skip = |document: &str| usize::from(document == "spot-lobe"); // without a lobe there is none to find
+    ["spot-plane", "spot-quadratic", "spot-lobe"]
+        .map(|document| curve(documents, frames, document, &LOBES[skip(document)..], of))
+        .into()
+}
+
+/// A dark half plane that hides more and more.
+pub fn occlusion(documents: &mut Documents, frames: usize) -> Curve {
+    let of = |occluded| Condition { occluded, ..condition("S10") };
+    curve(documents, frames, "spot-plane", &HIDDEN, of)
+}
+
+/// RMSE/CRLB, or nothing where more than half of the frames failed.
+fn ratio(measured: &Measured, tracking: bool) -> f64 {
+    let summary = if tracking { &measured.tracking } else { &measured.cold };
+    if summary.failed > 0.5 { f64::NAN } else { summary.rmse_px / measured.bound_px }
+}
+
+fn series(name: &str, colour: usize, style: Style, points: Vec<[f64; 2]>) -> Series {
+    Series { name: name.to_string(), colour: COLOURS[colour], style, points }
+}
+
+/// RMSE/CRLB on a logarithmic axis.
+fn ratios() -> Axis {
+    Axis::new("RMSE/CRLB of the centre", [0.8, 200.0], &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0], true)
+}
+
+/// The figure of saturation.
+pub fn saturation_figure(curve: &Curve) -> String {
+    let along = |f: &dyn Fn(&Measured) -> f64| curve.points.iter().map(|(x, m)| [100.0 * x, f(m)]).collect::<Vec<_>>();
+    let x = Axis::new("% of the spot's area saturated", [0.0, 90.0], &[0.0, 10.0, 30.0, 45.0, 60.0, 75.0, 90.0], false);
+    let peers = vec![[0.0, 1.25], [10.0, 1.32], [30.0, 1.09], [60.0, 1.3]];
+    let centre = Panel {
+        title: "Centre".to_string(),
+        x: x.clone(),
+        y: Axis::new("RMSE/CRLB", [0.9, 1.5], &[0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5], false),
+        series: vec![
+            series("isophote, tracking", 0, Style::Line, along(&|m| ratio(m, true))),
+            series("isophote, cold", 2, Style::Dots, along(&|m| ratio(m, false))),
+            series("best peer", 1, Style::Dots, peers),
+        ],
+        cells: Vec::new(),
+    };
+    let ignored = |pick: fn(&(f64, f64, f64)) -> f64| IGNORED.iter().map(|row| [row.0, pick(row)]).collect::<Vec<_>>();
+    let worth = Panel {
+        title: "Size and brightness: mean error, %".to_string(),
+        x,
+        y: Axis::new("%", [-80.0, 40.0], &[-80.0, -60.0, -40.0, -20.0, 0.0, 20.0, 40.0], false),
+        series: vec![
+            series("semi-axis", 0, Style::Line, along(&|m| 100.0 * m.tracking.size.mean)),
+            series("brightness", 3, Style::Line, along(&|m| 100.0 * m.tracking.brightness.mean)),
+            series("semi-axis, all pixels fitted", 1, Style::Line, ignored(|row| row.1)),
+            series("brightness, all pixels fitted", 4, Style::Line, ignored(|row| row.2)),
+        ],
+        cells: Vec::new(),
+    };
+    svg("Error against saturation", &[centre, worth])
+}
+
+/// The figure of glare.
+pub fn glare_figure(curves: &[Curve]) -> String {
+    let x = Axis::new("height of the lobe, DN", [0.0, 200.0], &LOBES, false);
+    let each = |f: fn(&Measured) -> f64| -> Vec<Series> {
+        let one = |(i, curve): (usize, &Curve)| {
+            let points = curve.points.iter().map(|(x, m)| [*x, f(m)]).collect();
+            series(curve.document, [1, 2, 0][i], Style::Line, points)
+        };
+        curves.iter().enumerate().map(one).collect()
+    };
+    let mut centre = each(|m| ratio(m, true));
+    centre.push(series("best peer", 4, Style::Dots, vec![[140.0, 33.0]]));
+    let panels = [
+        Panel { title: "Centre, tracking".to_string(), x: x.clone(), y: ratios(), series: centre, cells: Vec::new() },
+        Panel {
+            title: "Brightness: mean error, %".to_string(),
+            x,
+            y: Axis::new("%", [-2.0, 2.0], &[-2.0, -1.0, 0.0, 1.0, 2.0], false),
+            series: each(|m| 100.0 * m.tracking.brightness.mean),
+            cells: Vec::new(),
+        },
+    ];
+    svg("Error against a lobe of glare", &panels)
+}
+
+/// The figure of occlusion.
+pub fn occlusion_figure(curve: &Curve) -> String {
+    let along = |f: &dyn Fn(&Measured) -> f64| curve.points.iter().map(|(x, m)| [100.0 * x, f(m)]).collect::<Vec<_>>();
+    let x = Axis::new("% of the spot's area hidden", [0.0, 50.0], &[0.0, 10.0, 20.0, 25.0, 35.0, 50.0], false);
+    let panels = [
+        Panel {
+            title: "Centre".to_string(),
+            x: x.clone(),
+            y: ratios(),
+            series: vec![
+                series("tracking", 0, Style::Line, along(&|m| ratio(m, true))),
+                series("cold", 2, Style::Line, along(&|m| ratio(m, false))),
+                series("best peer", 1, Style::Dots, vec![[25.0, 49.0]]),
+            ],
+            cells: Vec::new(),
+        },
+        Panel {
+            title: "Failures, %".to_string(),
+            x,
+            y: Axis::new("% of the frames", [0.0, 100.0], &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0], false),
+            series: vec![
+                series("tracking", 0, Style::Line, along(&|m| 100.0 * m.tracking.failed)),
+                series("cold", 2, Style::Line, along(&|m| 100.0 * m.cold.failed)),
+            ],
+            cells: Vec::new(),
+        },
+    ];
+    svg("Error against occlusion", &panels)
+}
+
+/// A table of curves.
+pub fn table(what: &str, curves: &[&Curve]) -> String {
+    let mut text = format!(
+        "| {what} | document | CRLB, px | cold: RMSE/CRLB, failed | tracking: RMSE/CRLB, failed | semi-axis, % | brightness, % |\n\
+         |---|---|---|---|---|---|---|\n"
+    );
+    for curve in curves {
+        for (value, m) in &curve.points {
+            let cell = |tracking: bool| {
+                let failed = if tracking { m.tracking.failed } else { m.cold.failed };
+                match ratio(m, tracking) {
+                    ratio if ratio.is_finite() => format!("{ratio:.2}, {:.1} %", 100.0 * failed),
+                    _ => format!("–, {:.1} %", 100.0 * failed),
+                }
+            };
+            writeln!(
+                text,
+                "| {value} | {} | {:.4} | {} | {} | {:+.3} | {:+.3} |",
+                curve.document,
+                m.bound_px,
+                cell(false),
+                cell(true),
+                100.0 * m.tracking.size.mean,
+                100.0 * m.tracking.brightness.mean
+            )
+            .unwrap();
+        }
+    }
+    text
+}

@@ -1,0 +1,213 @@
+//! A scene: one drawing of a condition, the light that it sends, and what of it can be seen.
+
+use super::condition::{Condition, Glare};
+use super::light::{Spot, blurred, profile, shape};
+use super::sensor::{FULL, Random};
+
+/// DN of what hides.
+const OCCLUDER: f64 = 5.0;
+/// DN of what blinds; its edge is the integral of a Gaussian of this many px, whose middle lies so far behind.
+const VEIL: f64 = 600.0;
+const VEIL_EDGE_PX: f64 = 4.0;
+const VEIL_BEHIND_PX: f64 = 8.0;
+/// DN by which the plane of glare lies over the ground.
+const PLANE_OVER: f64 = 40.0;
+/// Samples along a side of a pixel at the occluder's edge.
+const EDGE_SAMPLES: usize = 8;
+
+/// A half plane: everything with n·place > limit.
+#[derive(Clone, Copy, Debug)]
+struct HalfPlane {
+    normal: [f64; 2],
+    limit: f64,
+}
+
+/// One drawing of a condition.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Of what.
+    pub condition: Condition,
+    /// px
+    pub centre: [f64; 2],
+    /// A, px⁻²: xx, xy, yy.
+    pub shape: [f64; 3],
+    /// DN
+    pub brightness: f64,
+    /// px in an exposure
+    pub motion: [f64; 2],
+    edge: Option<HalfPlane>,
+}
+
+/// The unknowns of a scene: bx, by, a1, a2, a3, v0, v1, and where glare must be told from the spot its two slopes or, for a
+/// lobe that is modelled, its centre, width and height; all as differences from the truth after the seventh.
+pub type Unknowns = Vec<f64>;
+
+/// What the bound must estimate beside the spot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beside {
+    /// An even ground.
+    Even,
+    /// A ground that slopes.
+    Plane,
+    /// The lobe's centre, width and height.
+    Lobe,
+}
+
+impl Scene {
+    /// Phase, angle and directions by chance.
+    pub fn draw(condition: Condition, random: &mut Random) -> Scene {
+        let middle = (condition.side_px as f64 - 1.0) / 2.0;
+        let centre = [middle + random.uniform(-0.5, 0.5), middle + random.uniform(-0.5, 0.5)];
+        let shape = shape(condition.semi_axes_px, random.uniform(0.0, std::f64::consts::PI));
+        let over = FULL - condition.background;
+        let brightness = match condition.saturated {
+            share if share > 0.0 => over / profile(share), // area grows as s does
+            _ => condition.peak - condition.background,
+        };
+        let turn = random.uniform(0.0, std::f64::consts::TAU);
+        let motion = [condition.motion_px * turn.cos(), condition.motion_px * turn.sin()];
+        let hidden = condition.occluded.max(condition.blinded);
+        let edge = (hidden > 0.0).then(|| {
+            let normal = [turn.cos(), turn.sin()];
+            let [a1, a2, a3] = shape;
+            let [x, y] = normal;
+            // The ellipse reaches √(nᵀA⁻¹n) along n.
+            let radius = ((a3 * x * x - 2.0 * a2 * x * y + a1 * y * y) / (a1 * a3 - a2 * a2)).sqrt();
+            HalfPlane { normal, limit: x * centre[0] + y * centre[1] + chord(hidden) * radius }
+        });
+        Scene { condition, centre, shape, brightness, motion, edge }
+    }
+
+    /// The truth.
+    pub fn unknowns(&self, beside: Beside) -> Unknowns {
+        let ([bx, by], [a1, a2, a3]) = (self.centre, self.shape);
+        let extra = match beside {
+            Beside::Even => 0,
+            Beside::Plane => 2,
+            Beside::Lobe => 4,
+        };
+        let mut unknowns = vec![bx, by, a1, a2, a3, self.condition.background, self.brightness];
+        unknowns.resize(7 + extra, 0.0);
+        unknowns
+    }
+
+    /// The light of these unknowns where nothing hides or blinds, DN, unclipped.
+    pub fn light(&self, unknowns: &[f64]) -> Vec<f64> {
+        let side = self.condition.side_px;
+        let middle = (side as f64 - 1.0) / 2.0;
+        let lobe = match unknowns[7..] {
+            [x, y, width, height] => [x, y, width, height],
+            _ => [0.0; 4],
+        };
+        let [gx, gy] = if let [gx, gy] = unknowns[7..] { [gx, gy] } else { [0.0; 2] };
+        let ground = |i: usize| {
+            let (x, y) = ((i % side) as f64, (i / side) as f64);
+            let glare = match self.condition.glare {
+                Glare::None => 0.0,
+                Glare::Plane([px, py]) => PLANE_OVER + px * (x - middle) + py * (y - middle),
+                Glare::Lobe { height, centre: [lx, ly], width } => {
+                    let square = (x - lx - lobe[0]).powi(2) + (y - ly - lobe[1]).powi(2);
+                    (height + lobe[3]) * (-square / (2.0 * (width + lobe[2]).powi(2))).exp()
+                }
+            };
+            unknowns[5] + gx * (x - middle) + gy * (y - middle) + glare
+        };
+        let mut light: Vec<f64> = (0..side * side).map(ground).collect();
+        let spot = Spot {
+            centre: [unknowns[0], unknowns[1]],
+            shape: [unknowns[2], unknowns[3], unknowns[4]],
+            brightness: unknowns[6],
+            motion: self.motion,
+        };
+        spot.add_to(&mut light, side);
+        if self.condition.blur_px > 0.0 { blurred(&light, side, self.condition.blur_px) } else { light }
+    }
+
+    /// What reaches the camera, and which pixels show the scene as it is.
+    pub fn seen(&self) -> (Vec<f64>, Vec<bool>) {
+        let mut light = self.light(&self.unknowns(Beside::Even));
+        let mut kept = vec![true; light.len()];
+        let Some(edge) = self.edge else { return (light, kept) };
+        let side = self.condition.side_px;
+        for (i, (light, kept)) in light.iter_mut().zip(&mut kept).enumerate() {
+            let (x, y) = ((i % side) as f64, (i / side) as f64);
+            if self.condition.occluded > 0.0 {
+                let share = edge.covered(x, y);
+                *light = *light * (1.0 - share) + OCCLUDER * share;
+                *kept = share == 0.0;
+            } else {
+                let veil = VEIL * normal_cdf((edge.beyond(x, y) - VEIL_BEHIND_PX) / VEIL_EDGE_PX);
+                *light += veil;
+                *kept = veil < 0.5;
+            }
+        }
+        (light, kept)
+    }
+
+    /// How the last frame's answer is off: 1.5 px, 8 % and 20 %.
+    pub fn prior(&self, random: &mut Random) -> Vec<(&'static str, f64)> {
+        let [a1, a2, a3] = self.shape;
+        vec![
+            ("bx", self.centre[0] + 1.5 * random.normal()),
+            ("by", self.centre[1] + 1.5 * random.normal()),
+            ("a1", 1.08 * a1),
+            ("a2", 1.08 * a2),
+            ("a3", 0.95 * a3),
+            ("v0", self.condition.background),
+            ("v1", 0.8 * self.brightness),
+        ]
+    }
+}
+
+impl HalfPlane {
+    fn beyond(&self, x: f64, y: f64) -> f64 {
+        self.normal[0] * x + self.normal[1] * y - self.limit
+    }
+
+    /// The share of a pixel that lies in it.
+    fn covered(&self, x: f64, y: f64) -> f64 {
+        let sample = |k: usize| (k as f64 + 0.5) / EDGE_SAMPLES as f64 - 0.5;
+        let all = (0..EDGE_SAMPLES * EDGE_SAMPLES).map(|k| (sample(k % EDGE_SAMPLES), sample(k / EDGE_SAMPLES)));
+        let inside = all.filter(|(u, v)| self.beyond(x + u, y + v) > 0.0).count();
+        inside as f64 / (EDGE_SAMPLES * EDGE_SAMPLES) as f64
+    }
+}
+
+/// How far from a unit disc's middle the chord is that cuts off this share of its area: (acos t − t√(1 − t²))/π = share.
+fn chord(share: f64) -> f64 {
+    let (mut low, mut high) = (-1.0f64, 1.0f64);
+    for _ in 0..60 {
+        let t = (low + high) / 2.0;
+        let cut = (t.acos() - t * (1.0 - t * t).sqrt()) / std::f64::consts::PI;
+        if cut > share { low = t } else { high = t }
+    }
+    low
+}
+
+fn normal_cdf(x: f64) -> f64 {
+    0.5 * libm::erfc(-x / std::f64::consts::SQRT_2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accuracy::condition::condition;
+
+    /// Counted over the pixels of the spot: a pixel at the edge counts as hidden, hence 3 %.
+    #[test]
+    fn what_hides_covers_its_share() {
+        assert!((chord(0.25) - 0.4040).abs() < 1e-4 && (chord(0.4) - 0.158).abs() < 1e-3 && chord(0.5).abs() < 1e-9);
+        for number in 0..8 {
+            let scene = Scene::draw(condition("occl25"), &mut Random::of("hidden", number));
+            let (_, kept) = scene.seen();
+            let [a1, a2, a3] = scene.shape;
+            let inside = |i: &usize| {
+                let (u, v) = ((i % 96) as f64 - scene.centre[0], (i / 96) as f64 - scene.centre[1]);
+                a1 * u * u + 2.0 * a2 * u * v + a3 * v * v < 1.0
+            };
+            let spot: Vec<usize> = (0..kept.len()).filter(inside).collect();
+            let hidden = spot.iter().filter(|&&i| !kept[i]).count() as f64 / spot.len() as f64;
+            assert!((hidden - 0.25).abs() < 0.03, "{hidden}");
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! The camera: linear, 8 bits, 255 DN = 5000 electrons, 15 electrons of read noise, clipped at 255.
+
+use rand_distr::{Distribution, Poisson, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use rand_pcg::rand_core::{Rng, SeedableRng};
+
+/// Where it clips, DN.
+pub const FULL: f64 = 255.0;
+/// DN an electron.
+pub const GAIN: f64 = FULL / 5000.0;
+/// Electrons.
+pub const READ_E: f64 = 15.0;
+
+/// Variance of a pixel that is not clipped, DN², its rounding included.
+pub fn variance(mean: f64) -> f64 {
+    mean.max(0.0) * GAIN + (READ_E * GAIN).powi(2) + 1.0 / 12.0
+}
+
+/// The random numbers of one frame: a stream of its own for every name and number.
+pub struct Random(Pcg64Mcg);
+
+impl Random {
+    /// For frame `number` of what is called `name`.
+    pub fn of(name: &str, number: usize) -> Random {
+        // FNV-1a of the name, then the finaliser of SplitMix64, so that neighbours have nothing in common.
+        let fold = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
+        let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325, fold).wrapping_add(number as u64);
+        let x = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        Random(Pcg64Mcg::seed_from_u64(x ^ (x >> 31)))
+    }
+
+    /// Uniform between the two.
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.0.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+    }
+
+    /// Standard normal.
+    pub fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+
+    /// What the camera makes of this light (DN, unclipped).
+    pub fn exposed(&mut self, light: &[f64]) -> Vec<u8> {
+        light.iter().map(|&mean| self.pixel(mean)).collect()
+    }
+
+    fn pixel(&mut self, mean: f64) -> u8 {
+        let photons = Poisson::new(mean / GAIN).map_or(0.0, |poisson| poisson.sample(&mut self.0));
+        let electrons = photons + READ_E * self.normal();
+        (electrons * GAIN).round_ties_even().clamp(0.0, FULL) as u8
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 200,000 pixels; five standard errors. The variance of an unrounded pixel would be told apart: 1/12 is 17 errors.
+    #[test]
+    fn noise_has_the_variance_that_the_bound_assumes() {
+        let n = 200_000;
+        for mean in [8.0, 20.0, 150.0] {
+            let pixels = Random::of("variance", 0).exposed(&vec![mean; n]);
+            let average = pixels.iter().map(|&p| f64::from(p)).sum::<f64>() / n as f64;
+            let seen = pixels.iter().map(|&p| (f64::from(p) - average).powi(2)).sum::<f64>() / n as f64;
+            let expected = variance(mean);
+            assert!((average - mean).abs() < 5.0 * (expected / n as f64).sqrt(), "{average} for {mean}");
+            let error = 5.0 * expected * (2.0 / n as f64).sqrt();
+            assert!((seen - expected).abs() < error, "{seen} for {expected}");
+            assert!(mean > 100.0 || (seen - (expected - 1.0 / 12.0)).abs() > error, "rounding is not noticed");
+        }
+    }
+
+    #[test]
+    fn frames_have_streams_of_their_own() {
+        let draw = |name, number| Random::of(name, number).uniform(0.0, 1.0);
+        assert_eq!(draw("S0", 5), draw("S0", 5));
+        assert_ne!(draw("S0", 5), draw("S0", 6));
+        assert_ne!(draw("S0", 5), draw("S30", 5));
+    }
+}

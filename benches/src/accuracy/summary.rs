@@ -1,0 +1,86 @@
+//! Many trials in few numbers.
+
+use super::consistency::{SHARES, quantile};
+use super::trial::{Outcome, Trial};
+
+/// Mean and standard deviation.
+#[derive(Clone, Copy, Debug)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation of one.
+    pub deviation: f64,
+    /// How many.
+    pub count: usize,
+}
+
+impl Spread {
+    /// Of these numbers; NaN of none.
+    pub fn of(values: impl Iterator<Item = f64>) -> Spread {
+        let values: Vec<f64> = values.collect();
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let square = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+        Spread { mean, deviation: square.sqrt(), count: values.len() }
+    }
+
+    /// Standard error of the mean.
+    pub fn error(&self) -> f64 {
+        self.deviation / (self.count as f64).sqrt()
+    }
+}
+
+/// What many frames came to.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// Frames.
+    pub frames: usize,
+    /// Share without an answer, or with one that is astray.
+    pub failed: f64,
+    /// Share without an answer.
+    pub silent: f64,
+    /// Root mean square error of a coordinate of the centre, px, failures left out.
+    pub rmse_px: f64,
+    /// Of the longer semi-axis, relative.
+    pub size: Spread,
+    /// Relative.
+    pub brightness: Spread,
+    /// Of the centre; 2 when honest.
+    pub nees: Spread,
+    /// Shares of frames whose error lies inside the ellipse that should hold [`SHARES`] of them.
+    pub inside: [f64; SHARES.len()],
+    /// χ²/ν, median.
+    pub reduced: f64,
+    /// One call, median, µs.
+    pub time_us: f64,
+}
+
+impl Summary {
+    /// Of all outcomes of a row.
+    pub fn of(outcomes: &[Outcome]) -> Summary {
+        let good: Vec<&Trial> = outcomes.iter().filter_map(|outcome| outcome.trial.as_ref()).collect();
+        let frames = outcomes.len();
+        let square: f64 = good.iter().map(|trial| trial.error.iter().map(|e| e * e).sum::<f64>()).sum();
+        let nees: Vec<f64> = good.iter().filter_map(|trial| trial.nees).collect();
+        let below = |share: f64| nees.iter().filter(|one| **one < quantile(share)).count() as f64 / nees.len() as f64;
+        Summary {
+            frames,
+            failed: 1.0 - good.len() as f64 / frames as f64,
+            silent: outcomes.iter().filter(|outcome| outcome.silent).count() as f64 / frames as f64,
+            rmse_px: (square / (2 * good.len()) as f64).sqrt(),
+            size: Spread::of(good.iter().map(|trial| trial.size)),
+            brightness: Spread::of(good.iter().map(|trial| trial.brightness)),
+            nees: Spread::of(nees.iter().copied()),
+            inside: SHARES.map(below),
+            reduced: median(good.iter().filter_map(|trial| trial.reduced)),
+            time_us: median(outcomes.iter().map(|outcome| outcome.time_us)),
+        }
+    }
+}
+
+/// The middle one; NaN of none.
+pub fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut all: Vec<f64> = values.collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,71 @@
+//! A trial: one frame, one answer, and how far it is from the truth.
+
+use std::time::Instant;
+
+use isophote_tracker::Frame;
+
+use super::condition::Known;
+use super::document::{Answer, Document, semi_axes};
+use super::scene::Scene;
+
+/// From here on an answer is a failure, px.
+pub const ASTRAY_PX: f64 = 2.0;
+
+/// How one answer compares with the truth.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// Estimate less truth, px.
+    pub error: [f64; 2],
+    /// Relative error of the longer semi-axis.
+    pub size: f64,
+    /// … of the brightness.
+    pub brightness: f64,
+    /// eᵀC⁻¹e of the centre: 2 on average when the covariance is honest.
+    pub nees: Option<f64>,
+    /// χ²/ν
+    pub reduced: Option<f64>,
+}
+
+/// What came of one frame.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// `None`: no answer, or one more than [`ASTRAY_PX`] off.
+    pub trial: Option<Trial>,
+    /// No answer at all.
+    pub silent: bool,
+    /// Time of the one call.
+    pub time_us: f64,
+}
+
+/// Asks a fresh tracker.
+pub fn ask(document: &Document, frame: &Frame, scene: &Scene, start: &Known) -> Outcome {
+    let mut tracker = document.tracker(start);
+    let begin = Instant::now();
+    let estimate = tracker.track(frame);
+    let time_us = begin.elapsed().as_secs_f64() * 1e6;
+    let answer = document.answer(&estimate);
+    let silent = answer.is_none();
+    let trial = answer.map(|answer| Trial::of(&answer, scene)).filter(|trial| {
+        let [x, y] = trial.error;
+        x.hypot(y) < ASTRAY_PX
+    });
+    Outcome { trial, silent, time_us }
+}
+
+impl Trial {
+    /// Answer against truth.
+    pub fn of(answer: &Answer, scene: &Scene) -> Trial {
+        let error = [answer.centre[0] - scene.centre[0], answer.centre[1] - scene.centre[1]];
+        let nees = answer.covariance.map(|[xx, xy, yy]| {
+            let [x, y] = error;
+            (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+        });
+        Trial {
+            error,
+            size: semi_axes(answer.shape)[0] / semi_axes(scene.shape)[0] - 1.0,
+            brightness: answer.brightness / scene.brightness - 1.0,
+            nees,
+            reduced: answer.reduced,
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! Photographs of laser beams: what clipping does to size and brightness, and how the radius goes with the distance.
+
+use std::fmt::Write;
+
+use isophote_jit::Window;
+use isophote_tracker::Frame;
+use nalgebra::{Matrix3, Vector3};
+
+use super::fitted::{Fitted, axes, compiled, fit};
+use super::frames::{exposed, pictures};
+use crate::accuracy::summary::median;
+
+/// Shares of the beam's area (inside 1/e²) at the camera's limit.
+const SHARES: [f64; 4] = [0.05, 0.1, 0.25, 0.4];
+/// Documents, and the value at a share s of the area over the peak.
+const DOCUMENTS: [&str; 2] = ["gaussian", "laser-beam"];
+
+/// A window twice as wide as the beam, so that what lies far away costs no time.
+fn around(fitted: &Fitted, frame: &Frame) -> Window {
+    let half = (2.0 * axes(fitted)[0]).ceil();
+    let span = |at: f64, side: usize| {
+        let first = (at - half).max(0.0) as usize;
+        (first, ((at + half) as usize).min(side - 1) - first + 1)
+    };
+    let ((x, width), (y, height)) = (span(fitted["bx"], frame.width()), span(fitted["by"], frame.rows()));
+    Window { x, y, width, height, ..Window::whole(1, 1) }
+}
+
+fn profile(fitted: &Fitted, s: f64) -> f64 {
+    (-2.0 * s.powf(fitted.get("n").copied().unwrap_or(1.0))).exp()
+}
+
+/// How a clipped beam's fit differs from that of the photograph.
+struct Drift {
+    size: f64,
+    brightness: f64,
+    centre_px: f64,
+}
+
+/// The table of clipped beams, by document: medians and the worst of the unclipped photographs.
+pub fn clipped() -> String {
+    let mut text = String::from(
+        "| of the beam's area at 255 | document | beams | size error: median, worst, % | brightness error: median, worst, % | centre: median, px |\n\
+         |---|---|---|---|---|---|\n",
+    );
+    let photographs = pictures("laser");
+    let gaussian = compiled(&crate::text("gaussian"));
+    for name in DOCUMENTS {
+        let document = compiled(&crate::text(name));
+        let whole: Vec<_> = photographs
+            .iter()
+            .filter(|(_, frame)| {
+                (0..frame.width() * frame.rows())
+                    .all(|i| frame.plane_view(0).pixel(i % frame.width(), i / frame.width()) < 255.0)
+            })
+            .filter_map(|(_, frame)| {
+                let window = around(&fit(&gaussian, frame, None, 255.0, &Fitted::new())?, frame);
+                Some((frame, window, fit(&document, frame, Some(window), 255.0, &Fitted::new())?))
+            })
+            .collect();
+        for share in SHARES {
+            let drifts: Vec<Drift> = whole
+                .iter()
+                .filter_map(|(frame, window, whole)| {
+                    let gain = 255.0 / (whole["v0"] + whole["v1"] * profile(whole, share));
+                    let fitted = fit(&document, &exposed(frame, gain), Some(*window), 255.0, &Fitted::new())?;
+                    let size = (axes(&fitted)[0] * axes(&fitted)[1] / (axes(whole)[0] * axes(whole)[1])).sqrt() - 1.0;
+                    let centre_px = (fitted["bx"] - whole["bx"]).hypot(fitted["by"] - whole["by"]);
+                    Some(Drift { size, brightness: fitted["v1"] / (gain * whole["v1"]) - 1.0, centre_px })
+                })
+                .collect();
+            let both = |pick: fn(&Drift) -> f64| {
+                let worst = drifts.iter().map(|drift| pick(drift).abs()).fold(0.0, f64::max);
+                format!("{:.1}, {:.1}", 100.0 * median(drifts.iter().map(|d| pick(d).abs())), 100.0 * worst)
+            };
+            writeln!(
+                text,
+                "| {:.0} % | {name} | {} of {} | {} | {} | {:.2} |",
+                100.0 * share,
+                drifts.len(),
+                whole.len(),
+                both(|drift| drift.size),
+                both(|drift| drift.brightness),
+                median(drifts.iter().map(|drift| drift.centre_px))
+            )
+            .unwrap();
+        }
+    }
+    text
+}
+
+/// w² = w₀² + θ² (z − z₀)² is a parabola in z: its coefficients by least squares, and the largest relative misfit of w.
+fn hyperbola(points: &[(f64, f64)]) -> Option<(Vector3<f64>, f64)> {
+    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for (z, w) in points {
+        let row = Vector3::new(1.0, z / 100.0, (z / 100.0).powi(2));
+        // Equal relative weight for each radius.
+        let weight = w.powi(-4);
+        normal += row * row.transpose() * weight;
+        right += row * (w * w * weight);
+    }
+    let c = normal.cholesky()?.solve(&right);
+    let at = |z: f64| (c[0] + c[1] * z / 100.0 + c[2] * (z / 100.0).powi(2)).sqrt();
+    Some((c, points.iter().map(|(z, w)| (w / at(*z) - 1.0).abs()).fold(0.0, f64::max)))
+}
+
+/// The table of the two series whose distances are in the names.
+pub fn caustic() -> String {
+    let mut text = String::from(
+        "| series | axis | radius by distance in mm, px | waist, px | at, mm | largest misfit of a hyperbola, % |\n|---|---|---|---|---|---|\n",
+    );
+    let (document, gaussian) = (compiled(&crate::text("laser-beam")), compiled(&crate::text("gaussian")));
+    for series in ["k", "t"] {
+        let head = format!("{series}-");
+        let radii: Vec<(f64, [f64; 2])> = pictures("laser")
+            .iter()
+            .filter_map(|(name, frame)| {
+                let z: f64 = name.strip_prefix(&head)?.strip_suffix("mm")?.parse().ok()?;
+                let window = around(&fit(&gaussian, frame, None, 255.0, &Fitted::new())?, frame);
+                let fitted = fit(&document, frame, Some(window), 255.0, &Fitted::new())?;
+                // Radii along x and y, 1/√ of the outline's extent: they keep their meaning from image to image.
+                let [a1, a2, a3] = [fitted["a1"], fitted["a2"], fitted["a3"]];
+                let determinant = a1 * a3 - a2 * a2;
+                Some((z, [(a3 / determinant).sqrt(), (a1 / determinant).sqrt()]))
+            })
+            .collect();
+        for (axis, name) in ["x", "y"].into_iter().enumerate() {
+            let points: Vec<(f64, f64)> = radii.iter().map(|(z, w)| (*z, w[axis])).collect();
+            let Some((c, misfit)) = hyperbola(&points) else { continue };
+            let z0 = -c[1] / (2.0 * c[2]);
+            let list: Vec<String> = points.iter().map(|(z, w)| format!("{z}: {w:.1}")).collect();
+            writeln!(
+                text,
+                "| {series} | {name} | {} | {:.1} | {:.0} | {:.1} |",
+                list.join(", "),
+                (c[0] - c[2] * z0 * z0).sqrt(),
+                100.0 * z0,
+                100.0 * misfit
+            )
+            .unwrap();
+        }
+    }
+    text
+}

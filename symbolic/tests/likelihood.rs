@@ -1,0 +1,115 @@
+//! Robust losses, censored pixels, Gauss points and several observed values: what is derived is right, by the check that
+//! every program passes and by finite differences of F.
+#![allow(clippy::unwrap_used)]
+
+use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Saturated, ValueKind};
+
+/// A spot; LIKELIHOOD stands for further keys of `[model]`.
+const SPOT: &str = r#"
+name = "spot"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[parameters]
+bx = { start = "centroid.x" }
+by = { start = "centroid.y" }
+a1 = { start = "extent.xx", min = 0 }
+a2 = { start = "extent.xy" }
+a3 = { start = "extent.yy", min = 0 }
+v0 = { start = "background" }
+v1 = { start = "amplitude", min = 0 }
+[constants]
+gain = 0.05
+read_noise = 0.75
+[definitions]
+s = "a1 * (x - bx)^2 + 2 * a2 * (x - bx) * (y - by) + a3 * (y - by)^2"
+f = "if(s <= 1, (1 - s)^2 * (1 + s/2), 0)"
+[model]
+intensity = "v0 + v1 * f"
+domain = "s <= 2.2"
+LIKELIHOOD
+"#;
+
+const NOISE: &str = r#"noise = "read_noise^2 + gain * max(intensity, 0)""#;
+
+fn spot(likelihood: &str) -> Model {
+    Model::from_toml(&SPOT.replace("LIKELIHOOD", likelihood)).unwrap()
+}
+
+fn every(model: &Model) -> Vec<ParameterId> {
+    (0..model.parameters().len() as u32).map(ParameterId).collect()
+}
+
+/// A picture with a spot, in each channel at another height.
+struct Picture;
+
+impl Pixels for Picture {
+    fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
+        let (dx, dy) = (x as f64 - 20.3, y as f64 - 16.8);
+        let s = dx * dx / 130.0 + dy * dy / 80.0;
+        let f = if s <= 1.0 { (1.0 - s).powi(2) * (1.0 + s / 2.0) } else { 0.0 };
+        let noise = ((x * 7919 + y * 104_729 + channel * 31) % 97) as f64 / 24.0 - 2.0;
+        // One pixel in forty is far off.
+        let outlier = if (x * 31 + y * 17) % 40 == 0 { 60.0 } else { 0.0 };
+        (20.0 + (300.0 - 80.0 * channel as f64) * f + noise + outlier).round().min(255.0)
+    }
+}
+
+const WINDOW: Window = Window { x: 0, y: 0, width: 41, height: 33, slices: Slices::ONE };
+const POINT: [f64; 7] = [20.1, 17.0, 0.0081, 0.0004, 0.0118, 21.0, 280.0];
+
+fn sums(program: &isophote_symbolic::Program, parameters: &[f64], entry: &[f64]) -> interpreter::Outcome {
+    let bindings = Bindings { parameters, entry, constants: &[0.05, 0.75], saturation: &[254.5; 3], shift: &[] };
+    interpreter::run(program, Precision::F64, &bindings, &Picture, WINDOW, None)
+}
+
+/// The gradient and, of Newton's method, the Hessian of each summand against differences of its F.
+fn agrees_with_differences(model: &Model, method: Method) {
+    let free = every(model);
+    let start = &POINT[..free.len()];
+    for summand in model.summands() {
+        let lowering = Lowering { fma: false, drop_saturated: !summand.is_clipped };
+        let objective = summand.model.objective(&free, method).unwrap();
+        let proof = objective.proof().unwrap();
+        assert!(proof.exact || proof.error.unwrap() < 1e-11, "{proof:?}");
+        let kind = if method == Method::Newton { ValueKind::Full } else { ValueKind::Entry };
+        let value = summand.model.value_objective(kind).unwrap().program(lowering).unwrap();
+        let program = objective.program(lowering).unwrap();
+        let here = sums(&program, start, start);
+        assert!(here.pixels > 40, "{} pixels", here.pixels);
+        let at = |i: usize, h: f64, program| {
+            let mut moved = start.to_vec();
+            moved[i] += h;
+            // With ln σ² in F the variances are those of the parameters themselves.
+            sums(program, &moved, start).outputs
+        };
+        for i in 0..free.len() {
+            let h = 1e-4 * start[i];
+            let (up, down) = (at(i, h, &value)[0], at(i, -h, &value)[0]);
+            let (difference, gradient) = ((up - down) / (2.0 * h), here.outputs[1 + i]);
+            let scale = here.outputs[1 + free.len() + (0..i).map(|k| free.len() - k).sum::<usize>()].abs().sqrt();
+            // The rim moves over pixel centres, so that F is not smooth to all digits.
+            assert!(
+                (difference - gradient).abs() <= 2e-2 * scale + 1e-3 * gradient.abs(),
+                "{i}: {difference} {gradient}"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_likelihood_has_the_derivatives_of_its_f() {
+    for likelihood in ["", "loss = \"huber(1.5)\"", "loss = \"tukey(5)\"", "saturated = \"censored\""] {
+        for more in ["", "saturated = \"censored\"", "quadrature = 2"] {
+            if likelihood == more && !more.is_empty() {
+                continue;
+            }
+            let model = spot(&format!("{NOISE}\n{likelihood}\n{more}"));
+            let clipped = model.summands().iter().filter(|s| s.is_clipped).count();
+            assert_eq!(clipped, usize::from(model.saturated() == Saturated::Censored));
+            for method in [Method::GaussNewton, Method::Newton] {
+                agrees_with_differences(&model, method);
+            }
+        }
+    }
+}

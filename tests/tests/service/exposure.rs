@@ -1,0 +1,73 @@
+//! Exposure: advice with every estimate, and a session that follows it.
+
+use serde_json::{Value, json};
+
+use crate::client::{Running, session};
+
+/// A session whose source shows a spot of that height on a ground of a twentieth of it.
+fn document(height: f64, goal: &str, control: bool) -> Value {
+    let mut document = session("fit", 0.0);
+    document["source"]["set"]["v0"] = json!(0.05 * height);
+    document["source"]["set"]["v1"] = json!(height);
+    document["source"]["full_well_e"] = json!(5000);
+    document["source"]["read_noise_e"] = json!(15);
+    document["options"] = json!({"exposure": {"goal": goal, "control": control}});
+    document
+}
+
+/// The share of the outline that is saturated, by the domain's: the domain of models/spot.toml is 2.2 outlines large.
+fn share(estimate: &Value) -> f64 {
+    2.2 * estimate["saturated"].as_f64().unwrap()
+}
+
+#[test]
+fn a_session_that_controls_exposure_goes_where_the_centre_is_seen_best_and_stays_there() {
+    let service = Running::start();
+    for height in [560.0, 2.0] {
+        service.put("/v1/sessions/one", &document(height, "centre", true)).expect(201);
+        let mut socket = service.socket("one", "mode=all");
+        let mut last = Value::Null;
+        let mut changes = 0;
+        loop {
+            let estimate = socket.next().unwrap();
+            let frame = estimate["frame"].as_u64().unwrap();
+            if (20..60).contains(&frame) {
+                assert_eq!(estimate["state"], "tracking", "{estimate}");
+                assert!((0.1..0.32).contains(&share(&estimate)), "{height}: {estimate}");
+                let light = |estimate: &Value| estimate["truth"]["v1"].as_f64().unwrap();
+                changes += usize::from(!last.is_null() && light(&last) != light(&estimate));
+                last = estimate;
+            } else if frame >= 60 {
+                break;
+            }
+        }
+        assert!(changes <= 2, "{height}: it holds still, {changes}");
+        assert_eq!(service.delete("/v1/sessions/one").status, 204);
+    }
+}
+
+#[test]
+fn advice_says_what_would_be_best_for_which_goal() {
+    let service = Running::start();
+    let mut factors = Vec::new();
+    for goal in ["centre", "brightness"] {
+        service.put("/v1/sessions/one", &document(120.0, goal, false)).expect(201);
+        let view = service.wait_for("one", |view| view["last"]["exposure_advice"].is_object());
+        let advice = &view["last"]["exposure_advice"];
+        assert_eq!(advice["goal"], goal);
+        assert!(advice["why"].as_str().unwrap().contains("saturated"), "{advice}");
+        assert_eq!(view["last"]["truth"]["v1"], 120.0, "nobody touches the exposure");
+        factors.push(advice["factor"].as_f64().unwrap());
+        assert_eq!(service.delete("/v1/sessions/one").status, 204);
+    }
+    assert!(factors[0] > factors[1] && factors[1] > 1.2, "{factors:?}");
+}
+
+#[test]
+fn a_source_without_a_knob_is_told() {
+    let service = Running::start();
+    let pushed = json!({"source": {"kind": "pushed", "width": 64, "height": 64}, "model": "spot",
+                        "options": {"exposure": {"control": true}}});
+    let problem = service.put("/v1/sessions/one", &pushed).expect(422);
+    assert_eq!(problem["diagnostics"][0]["key"], "options.exposure.control");
+}

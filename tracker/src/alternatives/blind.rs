@@ -1,0 +1,146 @@
+//! What hides a target: saturated pixels that it does not explain, what lies near them, and what stands in front of it are
+//! taken out of the picture.
+//!
+//! What comes in: a picture and residuals. What goes out: a copy of the picture in which blind pixels are NaN. It never
+//! knows a fit.
+
+use isophote_jit::{PixelFormat, PlaneView};
+use isophote_symbolic::Precision;
+
+use super::residuals::Seen;
+use crate::fit::View;
+
+/// A saturated pixel is the target's where this share of the way from the background to the limit is predicted, while
+/// parameters are those of a start …
+const EXPLAINED_FIRST: f64 = 0.02;
+/// … and later.
+const EXPLAINED: f64 = 0.77;
+/// Glare dies away over so many px.
+const SPREAD_PX: usize = 12;
+/// The edge of what is in front of a target covers pixels in part, so many px beyond those that it covers whole.
+const EDGE_PX: usize = 2;
+/// Fewer blind pixels than this are a hot pixel or a rim.
+const PIXELS_MIN: usize = 12;
+
+/// Which pixels of a window are blind.
+pub(crate) struct Mask {
+    pub blind: Vec<bool>,
+}
+
+impl Mask {
+    /// What the residuals of a model say: `None` when nothing is hidden. With `outlier`, residuals of that many standard
+    /// deviations that hang together are of something in front of the target.
+    pub fn of(view: &View, seen: &[Seen], is_first: bool, outlier: Option<f64>) -> Option<Mask> {
+        let [width, height, ..] = view.window.size();
+        let mut blind = vec![false; view.window.pixels()];
+        for Seen { residuals, limit } in seen {
+            let floor = residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
+            let share = if is_first { EXPLAINED_FIRST } else { EXPLAINED };
+            let explained = floor + share * (limit - floor);
+            for residual in residuals.iter().filter(|r| r.saturated && r.predicted < explained) {
+                blind[residual.pixel] = true;
+            }
+        }
+        let glare = opened(&blind, width, height).map(|area| neighbourhood(&area, width, height, SPREAD_PX, false));
+        let hidden = outlier.and_then(|limit| {
+            let mut far = vec![false; view.window.pixels()];
+            let residuals = seen.iter().flat_map(|seen| &seen.residuals);
+            residuals.filter(|r| !r.saturated && r.whitened.abs() > limit).for_each(|r| far[r.pixel] = true);
+            Some(neighbourhood(&opened(&far, width, height)?, width, height, EDGE_PX, false))
+        });
+        let blind = match (glare, hidden) {
+            (Some(glare), Some(hidden)) => glare.iter().zip(hidden).map(|(a, b)| *a || b).collect(),
+            (glare, hidden) => glare.or(hidden)?,
+        };
+        Some(Mask { blind })
+    }
+}
+
+/// Without lines one or two pixels wide, which are rims: 3 × 3 opening. `None` when hardly a pixel is left.
+fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
+    let eroded = neighbourhood(truth, width, height, 1, true);
+    let opened = neighbourhood(&eroded, width, height, 1, false);
+    (opened.iter().filter(|holds| **holds).count() >= PIXELS_MIN).then_some(opened)
+}
+
+/// For each pixel whether all, or any, of those within `radius` along both axes hold; beyond the border nothing does.
+fn neighbourhood(truth: &[bool], width: usize, height: usize, radius: usize, all: bool) -> Vec<bool> {
+    let run = |values: &dyn Fn(usize) -> bool, count: usize| -> Vec<bool> {
+        let mut before = vec![0_usize; count + 1];
+        (0..count).for_each(|i| before[i + 1] = before[i] + usize::from(values(i)));
+        let holds = |i: usize| {
+            let (low, high) = (i.saturating_sub(radius), (i + radius + 1).min(count));
+            let found = before[high] - before[low];
+            if all { found == 2 * radius + 1 } else { found > 0 }
+        };
+        (0..count).map(holds).collect()
+    };
+    let rows: Vec<bool> = (0..height).flat_map(|y| run(&|x| truth[y * width + x], width)).collect();
+    let mut result = vec![false; truth.len()];
+    for x in 0..width {
+        for (y, holds) in run(&|y| rows[y * width + x], height).into_iter().enumerate() {
+            result[y * width + x] = holds;
+        }
+    }
+    result
+}
+
+/// A copy of what a view looks at, in f32, with NaN where it is blind. Pixels outside of the window are not copied.
+pub(crate) struct Painted {
+    planes: Vec<Vec<u8>>,
+    size: [usize; 2],
+}
+
+const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
+
+impl Painted {
+    pub fn new(view: &View, mask: &Mask) -> Painted {
+        let [x0, y0, ..] = view.window.first();
+        let [width, height, ..] = view.window.size();
+        let size = [x0 + width, y0 + height];
+        let copy = |plane: &PlaneView| {
+            let mut bytes = vec![0; size[0] * size[1] * BYTES];
+            for (pixel, blind) in mask.blind.iter().enumerate() {
+                let (x, y) = (x0 + pixel % width, y0 + pixel / width);
+                let value = if *blind { f32::NAN } else { plane.pixel_at([x, y, 0, 0]) as f32 };
+                let at = (y * size[0] + x) * BYTES;
+                bytes[at..at + BYTES].copy_from_slice(&value.to_ne_bytes());
+            }
+            bytes
+        };
+        Painted { planes: view.planes.iter().map(copy).collect(), size }
+    }
+
+    /// The same window of the copy.
+    pub fn view<'a>(&'a self, view: &View, precision: Precision) -> Option<View<'a>> {
+        let [width, height] = self.size;
+        let plane = |bytes: &'a Vec<u8>| {
+            PlaneView::new(PixelFormat::F32, bytes, width, height, width * BYTES, BYTES).ok()
+        };
+        let planes = self.planes.iter().map(plane).collect::<Option<Vec<_>>>()?;
+        Some(view.with_planes(planes, precision))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn opening_removes_lines_and_keeps_areas() {
+        let (width, height) = (20, 12);
+        let truth: Vec<bool> = (0..width * height)
+            .map(|i| {
+                let (x, y) = (i % width, i / width);
+                y == 2 || ((5..10).contains(&x) && (5..9).contains(&y))
+            })
+            .collect();
+        let opened = opened(&truth, width, height).expect("25 pixels");
+        for (i, opened) in opened.iter().enumerate() {
+            let (x, y) = (i % width, i / width);
+            assert_eq!(*opened, (5..10).contains(&x) && (5..9).contains(&y), "{x}, {y}");
+        }
+        let wide = neighbourhood(&opened, width, height, 2, false);
+        assert_eq!(wide.iter().filter(|w| **w).count(), 9 * 8);
+    }
+}

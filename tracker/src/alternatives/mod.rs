@@ -1,0 +1,340 @@
+//! Alternatives: what is tried when a model does not describe a picture: what is blind or hidden left out, a slope or a
+//! curve in the background, outliers that do not count.
+//!
+//! What comes in: a picture on which the plain fit left too much unexplained, and starting values. What goes out: the
+//! fit that explains most of the target's domain, each pixel that it does not explain counting a fixed cost (a robust
+//! information criterion). It never knows earlier frames.
+//!
+//! Only models that say how noisy a pixel is (`noise`) have alternatives: without it nothing says what is too much.
+
+mod blind;
+mod residuals;
+
+use std::sync::Arc;
+
+use isophote_jit::KernelCache;
+use isophote_symbolic::{Loss, Model, Saturated, Variant};
+
+use self::blind::{Mask, Painted};
+use self::residuals::Predictions;
+use crate::compiled::{CompileFailure, Compiled, Control};
+use crate::estimate::StageReport;
+use crate::fit::{Fit, View, fit};
+use crate::workers::InTurn;
+
+/// χ²/ν beyond which a plain fit is not taken as it is.
+pub(crate) const MISFIT: f64 = 1.35;
+/// What a pixel that is not explained costs at most; an explained one costs its squared residual.
+const COST: f64 = 16.0;
+/// Outliers are farther away than this many standard deviations.
+const OUTLIER: f64 = 5.0;
+/// Rounds of finding what is hidden and fitting the rest.
+const ROUNDS: usize = 2;
+/// Fewer pixels than this are no target.
+const PIXELS_MIN: usize = 40;
+/// So many of several starts are followed up.
+const STARTS: usize = 2;
+/// Nothing farther from a target than this many outlines is looked at.
+const REACH: f64 = 1.5;
+/// How many times their deviation residuals are taken to have, round by round, when outliers are looked for: as it is, and
+/// more at first, for starts that are some way off.
+const SCALES: [&[f64]; 2] = [&[1.0], &[3.0, 1.0]];
+/// Degrees of the polynomial that is added to the background.
+const DEGREES: [u32; 3] = [1, 2, 3];
+
+/// A model and its predictions, compiled.
+struct Fitted {
+    compiled: Arc<Compiled>,
+    predictions: Predictions,
+}
+
+/// A background, with which residuals count by their squares, or not at all when they are outliers.
+struct Ground {
+    degree: u32,
+    plain: Fitted,
+    robust: Fitted,
+}
+
+/// All alternatives of a model.
+pub(crate) struct Alternatives {
+    /// The model itself; absent when it has no alternatives.
+    own: Option<Fitted>,
+    grounds: Vec<Ground>,
+}
+
+/// What is different about a fit that was chosen over the plain one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Choice {
+    /// Of the polynomial added to the background.
+    pub degree: u32,
+    /// Outliers did not count.
+    pub robust: bool,
+    /// Share of the domain that was left out as blind or hidden.
+    pub hidden: f64,
+}
+
+/// A fit, and what it left out.
+struct Candidate {
+    fit: Fit,
+    choice: Choice,
+}
+
+impl Alternatives {
+    /// Derives them; kernels follow when they are needed. None for a model without noise or not of two coordinates.
+    pub fn new(compiled: &Compiled, cache: &Arc<KernelCache>) -> Result<Alternatives, CompileFailure> {
+        let model = compiled.model();
+        let mut alternatives = Alternatives { own: None, grounds: Vec::new() };
+        if !model.has_noise() || model.coordinates().len() != 2 {
+            return Ok(alternatives);
+        }
+        let precision = compiled.precision();
+        let fitted = |compiled: Arc<Compiled>| -> Result<Option<Fitted>, CompileFailure> {
+            let predictions = Predictions::new(compiled.model(), precision, cache)?;
+            Ok(predictions.map(|predictions| Fitted { compiled, predictions }))
+        };
+        let variant = |variant| -> Result<Option<Fitted>, CompileFailure> {
+            let model = Arc::new(model.variant(variant));
+            fitted(Arc::new(Compiled::with_cache(model, precision, cache.clone(), &InTurn)?))
+        };
+        let plain = Variant { degree: 0, loss: Loss::Squares, saturated: Saturated::Censored, reach: REACH };
+        let robust = Variant { loss: Loss::Tukey(OUTLIER), saturated: Saturated::Dropped, ..plain };
+        alternatives.own = variant(plain)?;
+        for degree in DEGREES {
+            let (plain, robust) = (variant(Variant { degree, ..plain })?, variant(Variant { degree, ..robust })?);
+            alternatives.grounds.extend(plain.zip(robust).map(|(plain, robust)| Ground { degree, plain, robust }));
+        }
+        Ok(alternatives)
+    }
+
+    /// The best of all alternatives from all starts; `None` when the `plain` fit is as good.
+    pub fn best(
+        &self,
+        view: &View,
+        constants: &[f64],
+        starts: &[Vec<f64>],
+        plain: Option<&Fit>,
+    ) -> Result<Option<Fit>, CompileFailure> {
+        let Some(own) = &self.own else { return Ok(None) };
+        let Some(first) = self.grounds.first() else { return Ok(None) };
+        let parameters = own.compiled.model().parameters().len();
+        let mut starts = starts.to_vec();
+        // All are compared over the same pixels, where it is known which these are.
+        let region = if let [start] = &starts[..] { own.region(view, constants, start) } else { None };
+        if starts.len() > 1 {
+            starts = first.robust.likely(view, constants, starts)?;
+        }
+        let cost = |fitted: &Fitted, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
+        let mut limit = f64::INFINITY;
+        if let Some(plain) = plain.filter(|fit| fit.worth.is_some()) {
+            limit = cost(own, plain).unwrap_or(limit);
+            let all = constants_for(own.compiled.model(), constants, view);
+            let seen = own.predictions.residuals(view, &plain.parameters, &all, false);
+            if seen.is_some_and(|seen| Mask::of(view, &seen, false, Some(OUTLIER)).is_none()) {
+                return Ok(None); // nothing but a target that is a little blurred or moved
+            }
+        }
+        let mut found: Vec<(f64, Candidate)> = Vec::new();
+        let is_fine = |candidate: &Candidate| {
+            let reduced = candidate.fit.worth.as_ref().and_then(|worth| worth.reduced);
+            reduced.is_some_and(|reduced| reduced <= MISFIT)
+        };
+        let add = |found: &mut Vec<(f64, Candidate)>, fitted: &Fitted, candidate: Option<Candidate>| {
+            found.extend(candidate.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
+        };
+        let choice = Choice { degree: 0, robust: false, hidden: 0.0 };
+        for start in &starts {
+            add(&mut found, own, own.run(view, constants, start, choice, &[1.0], false)?);
+            for ground in &self.grounds {
+                let choice = Choice { degree: ground.degree, ..choice };
+                add(&mut found, &ground.plain, ground.plain.run(view, constants, start, choice, &[1.0], false)?);
+            }
+        }
+        // Something stands in front of the target: the simplest background with which all that is seen is explained.
+        for ground in &self.grounds {
+            if found.iter().any(|(_, candidate)| is_fine(candidate)) {
+                break;
+            }
+            let choice = Choice { degree: ground.degree, robust: true, ..choice };
+            for (start, scales) in starts.iter().flat_map(|start| SCALES.map(|scales| (start, scales))) {
+                let Some(robust) = ground.robust.run(view, constants, start, choice, scales, false)? else { continue };
+                // What is hidden is known now, and the rest counts in full.
+                let parameters = &robust.fit.parameters;
+                let refined = ground.plain.run(view, constants, parameters, choice, &[1.0], true)?;
+                add(&mut found, &ground.plain, refined);
+                add(&mut found, &ground.robust, Some(robust));
+            }
+        }
+        // Of those that explain all that they look at, else of all, the one that explains most.
+        let best = found.into_iter().filter(|(cost, _)| *cost < limit);
+        let rank = |a: &(f64, Candidate), b: &(f64, Candidate)| {
+            (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(a.0.total_cmp(&b.0))
+        };
+        let best = best.min_by(rank);
+        Ok(best.map(|(_, Candidate { fit, choice })| Fit {
+            choice: Some(choice),
+            ..fit.shortened(parameters, own.compiled.last_parameters().len())
+        }))
+    }
+}
+
+impl Fitted {
+    /// How many parameters are free.
+    fn free(&self) -> usize {
+        self.compiled.last_parameters().len()
+    }
+
+    /// Fits from a start, which may lack the parameters of the background; `None` when that is no fit. `scales` are those of
+    /// the rounds, the last one of all that follow. With `hidden` outliers that hang together are left out from the first
+    /// round on.
+    fn run(
+        &self,
+        view: &View,
+        constants: &[f64],
+        start: &[f64],
+        choice: Choice,
+        scales: &[f64],
+        hidden: bool,
+    ) -> Result<Option<Candidate>, CompileFailure> {
+        let known = constants_for(self.compiled.model(), constants, view);
+        let mut parameters = start.to_vec();
+        parameters.resize(self.compiled.model().parameters().len(), 0.0);
+        let mut last: Option<Fit> = None;
+        let mut mask = None;
+        for round in 0..ROUNDS.max(scales.len()) {
+            let Some(seen) = self.predictions.residuals(view, &parameters, &known, false) else { return Ok(None) };
+            let found = Mask::of(view, &seen, round == 0 && !hidden, hidden.then_some(OUTLIER));
+            // Without anything hidden a second round would be the first one over again.
+            if round >= scales.len() && found.is_none() && mask.is_none() {
+                break;
+            }
+            let precision = self.compiled.precision();
+            let painted = found.as_ref().map(|mask| Painted::new(view, mask));
+            let blinded = painted.as_ref().and_then(|painted| painted.view(view, precision));
+            let (view, control) = match &blinded {
+                Some(blinded) => (blinded, Control::Blind),
+                None => (view, Control::Dropping),
+            };
+            let mut constants = known.clone();
+            if let Some(scale) = constants.last_mut() {
+                *scale = scales[round.min(scales.len() - 1)];
+            }
+            let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
+            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64) {
+                return Ok(None);
+            }
+            parameters.clone_from(&fitted.parameters);
+            last = Some(fitted);
+            mask = found;
+        }
+        let Some(fit) = last else { return Ok(None) };
+        let region = self.region(view, constants, &fit.parameters);
+        let share = |mask: &Mask| {
+            let region = region.as_ref()?;
+            let inside = mask.blind.iter().zip(region).filter(|(_, inside)| **inside);
+            let blind = inside.clone().filter(|(blind, _)| **blind).count();
+            Some(blind as f64 / inside.count().max(1) as f64)
+        };
+        let hidden = mask.as_ref().and_then(share).unwrap_or(0.0);
+        Ok(Some(Candidate { fit, choice: Choice { hidden, ..choice } }))
+    }
+
+    /// The first of some starts, and those of the others that lead to the least cost, each over its own domain.
+    fn likely(&self, view: &View, constants: &[f64], starts: Vec<Vec<f64>>) -> Result<Vec<Vec<f64>>, CompileFailure> {
+        let choice = Choice { degree: 0, robust: true, hidden: 0.0 };
+        let mut tried = Vec::new();
+        for start in &starts {
+            let Some(candidate) = self.run(view, constants, start, choice, SCALES[0], false)? else { continue };
+            let cost = self.cost(view, constants, &candidate.fit.parameters, None);
+            tried.extend(cost.map(|cost| (cost, candidate.fit.parameters)));
+        }
+        tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let count = starts[0].len();
+        let best = tried.into_iter().take(STARTS).map(|(_, mut parameters)| {
+            parameters.truncate(count);
+            parameters
+        });
+        Ok(starts.into_iter().take(1).chain(best).collect())
+    }
+
+    /// Which pixels of the window belong to the domain.
+    fn region(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<Vec<bool>> {
+        let constants = constants_for(self.compiled.model(), constants, view);
+        let seen = self.predictions.residuals(view, parameters, &constants, false)?;
+        let mut region = vec![false; view.window.pixels()];
+        seen.iter().flat_map(|seen| &seen.residuals).for_each(|residual| region[residual.pixel] = true);
+        Some(region)
+    }
+
+    /// The cost of a pixel of the region (without one, of the domain), and of the parameters: `mean min(z², 16) + k ln n / n`.
+    /// `None` when there is hardly a pixel.
+    fn cost(&self, view: &View, constants: &[f64], parameters: &[f64], region: Option<&[bool]>) -> Option<f64> {
+        let constants = constants_for(self.compiled.model(), constants, view);
+        let seen = self.predictions.residuals(view, parameters, &constants, region.is_some())?;
+        let (mut sum, mut count) = (0.0, 0_usize);
+        let residuals = seen.iter().flat_map(|seen| &seen.residuals);
+        for residual in residuals.filter(|residual| region.is_none_or(|region| region[residual.pixel])) {
+            sum += (residual.whitened * residual.whitened).min(COST);
+            count += 1;
+        }
+        let n = count as f64;
+        (count >= PIXELS_MIN).then(|| (sum + self.free() as f64 * n.ln()) / n)
+    }
+}
+
+/// The model's constants and those of the background: the polynomial is about the window's middle, in units of half its
+/// size.
+fn constants_for(model: &Model, constants: &[f64], view: &View) -> Vec<f64> {
+    let mut all = constants.to_vec();
+    if model.constants().len() > constants.len() {
+        let (first, size) = (view.window.first(), view.window.size());
+        all.extend((0..2).map(|axis| first[axis] as f64 + 0.5 * (size[axis] as f64 - 1.0)));
+        all.extend([0.5 * size[0].max(size[1]) as f64, 1.0]);
+    }
+    all
+}
+
+impl Fit {
+    /// Without the parameters that an alternative has beside the model's own.
+    fn shortened(mut self, parameters: usize, free: usize) -> Fit {
+        self.parameters.truncate(parameters);
+        if let Some(worth) = &mut self.worth {
+            worth.covariance = worth.covariance.take().map(|matrix| matrix.view((0, 0), (free, free)).into_owned());
+            worth.variance_alone = worth.variance_alone.rows(0, free).into_owned();
+        }
+        self
+    }
+}
+
+/// Starts beside one that is not sure of where the target is: shifted by shares of the target's half widths and rounder.
+/// Only for targets whose centre and outline are parameters.
+pub(crate) fn scattered(model: &Model, start: &[f64]) -> Vec<Vec<f64>> {
+    const SHIFTS: [[f64; 2]; 8] =
+        [[0.3, 0.0], [-0.3, 0.0], [0.0, 0.3], [0.0, -0.3], [0.25, 0.25], [-0.25, 0.25], [0.25, -0.25], [-0.25, -0.25]];
+    let mut starts = vec![start.to_vec()];
+    let [roles] = model.roles() else { return starts };
+    let (&[x, y], &[a1, a2, a3]) = (roles.centre.as_slice(), roles.shape.as_slice()) else { return starts };
+    let at = |parameter: isophote_symbolic::ParameterId| start[parameter.index()];
+    let half = [at(a1), at(a3)].map(|a| 1.0 / a.sqrt());
+    for [dx, dy] in SHIFTS {
+        let round = 0.5 * (at(a1) + at(a3)) * 0.7;
+        for shape in [[0.8 * at(a1), 0.8 * at(a2), 0.8 * at(a3)], [round, 0.0, round]] {
+            let mut moved = start.to_vec();
+            moved[x.index()] += dx * half[0];
+            moved[y.index()] += dy * half[1];
+            for (parameter, value) in [a1, a2, a3].into_iter().zip(shape) {
+                moved[parameter.index()] = value;
+            }
+            starts.push(moved);
+        }
+    }
+    starts
+}
+
+/// Reports of the stages that a document has, the last one's that of the alternative.
+pub(crate) fn reports(stages: &[StageReport], alternative: &Fit) -> Vec<StageReport> {
+    let mut reports = stages.to_vec();
+    if let (Some(last), Some(report)) = (reports.last_mut(), alternative.stages.last()) {
+        last.clone_from(report);
+    }
+    reports
+}

@@ -1,0 +1,177 @@
+//! A trial: what a target would tell with more or less light.
+//!
+//! What comes in: fitted parameters and a factor. What goes out: the Cramér–Rao bound of the goal, and the share of the target
+//! that would be saturated.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
+use isophote_symbolic::{Bindings, Precision, Roles};
+use nalgebra::DMatrix;
+
+use super::ExposureGoal;
+use crate::compiled::{Control, Job, Layout, lowering};
+use crate::loops::Loops;
+use crate::track::solver::Solver;
+use crate::track::window::{Margin, shape};
+
+/// Pixels of a window that is rendered, at most.
+const PIXELS_MAX: usize = 1 << 20;
+/// A pixel reads as saturated from half a step below the limit.
+const HALF_STEP: f64 = 0.5;
+/// A target is rendered this far from any edge, px.
+const FAR_PX: f64 = 512.0;
+
+/// What renders the model, and what sums its information.
+pub(crate) struct Kernels {
+    render: Arc<Kernel>,
+    information: Loops,
+}
+
+/// One exposure.
+pub(crate) struct Tried {
+    /// A variance.
+    pub bound: f64,
+    /// Of the target.
+    pub share: f64,
+}
+
+impl Kernels {
+    pub fn compile(solver: &Solver) -> Option<Kernels> {
+        let program = solver.model().rendering(lowering(Control::Plain)).ok()?;
+        let options = KernelOptions {
+            precision: Precision::F32,
+            formats: vec![PixelFormat::F32; program.channels()],
+            packed: true,
+        };
+        let render = Arc::new(Kernel::compile(&program, &options).ok()?);
+        let pixel = [0u8; 4];
+        let plane = PlaneView::new(PixelFormat::F32, &pixel, 1, 1, 4, 4).ok()?;
+        let information = solver.compiled.loops(Job::Covariance, Control::Dropping, &Layout::of(&[plane])).ok()?;
+        Some(Kernels { render, information })
+    }
+}
+
+/// The bound and the saturated share with so many times as much light.
+pub(crate) fn tried(
+    solver: &Solver,
+    kernels: &Kernels,
+    goal: ExposureGoal,
+    parameters: &[f64],
+    factor: f64,
+    limit: f64,
+) -> Option<Tried> {
+    let model = solver.model();
+    let (window, parameters) = moved(solver, &brighter(solver, parameters, factor))?;
+    let mut pixels = vec![0f32; window.pixels()];
+    let saturation = [f64::INFINITY];
+    let bindings = |saturation| Bindings {
+        parameters: &parameters,
+        entry: &parameters,
+        constants: &solver.constants,
+        saturation,
+        shift: &[0.0, 0.0],
+    };
+    kernels.render.render(&bindings(&saturation), window, &mut pixels).ok()?;
+    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_ne_bytes()).collect();
+    let [width, height, depth, length] = window.size();
+    let strides = [4, 4 * width, 4 * width * height, 4 * width * height * depth];
+    let plane = PlaneView::stack(PixelFormat::F32, &bytes, [width, height, depth, length], strides).ok()?;
+    let limit = [limit - HALF_STEP];
+    let bindings = Bindings { shift: &[], ..bindings(&limit) };
+    let sums = kernels.information.sums(&bindings, &[plane], window)?;
+    let order = solver.compiled.last_parameters();
+    let n = order.len();
+    let upper = sums.outputs.get(1 + n..).filter(|upper| upper.len() == n * (n + 1) / 2)?;
+    let mut information = DMatrix::zeros(n, n);
+    let mut entries = upper.iter();
+    for (i, j) in (0..n).flat_map(|i| (i..n).map(move |j| (i, j))) {
+        let entry = 0.5 * entries.next()?;
+        information[(i, j)] = entry;
+        information[(j, i)] = entry;
+    }
+    let saturated = pixels.iter().filter(|pixel| f64::from(**pixel) >= limit[0]).count() as f64;
+    let share = share(solver, &parameters, saturated, (sums.pixels + sums.saturated) as f64);
+    // Without `noise` a pixel's variance is thought to grow with the light, as that of electrons does.
+    let variance = if model.has_noise() { 1.0 } else { factor };
+    let bound = bound(solver, goal, &information, &parameters).map_or(f64::INFINITY, |bound| bound * variance);
+    Some(Tried { bound, share })
+}
+
+/// The saturated share of the area inside the outline; of the domain's where there is no outline.
+pub(crate) fn share(solver: &Solver, parameters: &[f64], saturated: f64, domain: f64) -> f64 {
+    let outline = |roles: &Roles| Some(PI / shape(roles, 2, parameters)?.determinant().sqrt());
+    let is_plane = solver.model().coordinates().len() == 2;
+    let areas: Option<Vec<f64>> = solver.model().roles().iter().map(outline).collect();
+    let area = areas.filter(|_| is_plane).map_or(domain, |areas| areas.iter().sum());
+    (saturated / area.max(1.0)).min(1.0)
+}
+
+/// The sum of the centres' variances, or the variance of the brightness relative to it; `None` when singular.
+fn bound(solver: &Solver, goal: ExposureGoal, information: &DMatrix<f64>, parameters: &[f64]) -> Option<f64> {
+    // Scaled to a unit diagonal: parameters differ by many orders of magnitude.
+    let scale = information.diagonal().map(|entry| entry.sqrt());
+    if !scale.iter().all(|d| *d > 0.0) {
+        return None;
+    }
+    let n = scale.len();
+    let scaled = DMatrix::from_fn(n, n, |i, j| information[(i, j)] / (scale[i] * scale[j]));
+    let inverse = scaled.cholesky()?.inverse();
+    let order = solver.compiled.last_parameters();
+    let variance = |parameter| {
+        let i = order.iter().position(|&p| p == parameter)?;
+        Some(inverse[(i, i)] / (scale[i] * scale[i]))
+    };
+    let roles = solver.model().roles();
+    match goal {
+        ExposureGoal::Centre => {
+            let centres: Option<Vec<f64>> = roles.iter().flat_map(|r| &r.centre).map(|p| variance(*p)).collect();
+            centres.filter(|centres| !centres.is_empty()).map(|centres| centres.iter().sum())
+        }
+        ExposureGoal::Brightness => {
+            let parameter = roles.first()?.brightness?;
+            Some(variance(parameter)? / parameters[parameter.index()].powi(2))
+        }
+    }
+}
+
+/// The parameters with more light: brightness and what the background is above black.
+fn brighter(solver: &Solver, parameters: &[f64], factor: f64) -> Vec<f64> {
+    let mut parameters = parameters.to_vec();
+    let black = solver.options.camera.black;
+    let mut grounds = Vec::new();
+    for roles in solver.model().roles() {
+        if let Some(brightness) = roles.brightness {
+            parameters[brightness.index()] *= factor;
+        }
+        grounds.extend(roles.background);
+    }
+    grounds.sort();
+    grounds.dedup(); // targets may share one
+    for ground in grounds {
+        parameters[ground.index()] = black + factor * (parameters[ground.index()] - black);
+    }
+    parameters
+}
+
+/// The window of the domain, moved to the corner, and the parameters with it.
+fn moved(solver: &Solver, parameters: &[f64]) -> Option<(Window, Vec<f64>)> {
+    let far = Window::of_size([1 << 20, 1 << 20, 1 << 10, 1 << 10]);
+    let mut parameters = parameters.to_vec();
+    // The target may stand at the frame's edge: it is rendered in the middle of nowhere.
+    for parameter in solver.model().roles().iter().flat_map(|roles| &roles.centre) {
+        parameters[parameter.index()] += FAR_PX;
+    }
+    let window = solver.reach_window(&parameters, Margin::NONE, far)?;
+    let first = window.first();
+    for roles in solver.model().roles() {
+        for (axis, parameter) in roles.centre.iter().enumerate() {
+            parameters[parameter.index()] -= first[axis] as f64;
+        }
+    }
+    let n = solver.model().coordinates().len();
+    let size: [usize; 4] = std::array::from_fn(|axis| if axis < n { window.size()[axis] } else { 1 });
+    let pixels = size.iter().try_fold(1usize, |pixels, side| pixels.checked_mul(*side))?;
+    (solver.reaches() && pixels <= PIXELS_MAX).then(|| (Window::of_size(size), parameters))
+}

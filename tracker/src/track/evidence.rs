@@ -1,0 +1,157 @@
+//! How sure: what a fit says for and against having the target, and the probability that follows.
+//!
+//! What comes in: a fit, and what was expected. What goes out: [`Evidence`], whose logistic function is the confidence.
+//!
+//! 1. *Contrast*, `ln (F₀/F)`: F₀ is F without the target, brightness 0 and the background fitted anew. F is a parabola in
+//!    both, so `F₀ − F = v²/var(v)`, where var(v) is the brightness' variance at unit noise when nothing but the background
+//!    is unknown beside it: no pass over pixels is needed. `½ (F₀ − F)` is the log-likelihood ratio against background alone.
+//! 2. *Misfit*, `ln (e/e₀)`, at least 0, with e the share of the target's light that the model leaves unexplained beyond the
+//!    noise, `(χ²/ν − 1)/((F₀ − F)/ν)`: a thing of another shape. No model is quite right, so e₀ is forgiven. Without
+//!    `noise` in the model the noise is that at the border of what was searched, with a variance that grows as the light.
+//! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate; none for a target that moved by less than
+//!    its own size.
+//! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
+//!
+//! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
+
+use isophote_symbolic::{ParameterId, Roles};
+use nalgebra::DMatrix;
+
+use super::solver::Solver;
+use crate::fit::{Fit, Worth};
+
+/// What the weights multiply, in the order of the list above, and the constant.
+const WEIGHTS: [f64; 4] = [2.4, -4.0, -0.7, -1.5];
+const CONSTANT: f64 = -3.0;
+
+/// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
+const LARGER: f64 = 1.0;
+/// e₀.
+const IMPERFECT: f64 = 0.002;
+/// A height of so many times what pixels hold can still be told.
+const HEIGHT_MAX: f64 = 3.0;
+/// χ²/ν may be larger than 1 by so many of its standard deviations, √(2/ν).
+const SCATTER: f64 = 3.0;
+
+/// What a search saw of the pixels beside the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ground {
+    /// Of a pixel of the background.
+    pub variance: f64,
+    /// The largest value that a pixel may have.
+    pub limit: f64,
+}
+
+/// For and against having the target.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Evidence {
+    /// ln (F₀/F).
+    pub contrast: f64,
+    /// ln (e/e₀).
+    pub misfit: f64,
+    /// Standard deviations beyond the gate.
+    pub distance: f64,
+    /// e-folds.
+    pub strangeness: f64,
+    /// ln of the log-likelihood ratio against background alone; it says that there is something, not that it is the target.
+    pub significance: f64,
+}
+
+impl Evidence {
+    /// More contrast than this says nothing more.
+    pub const CONTRAST_MAX: f64 = 4.0;
+
+    /// Of a fit alone; `ground` is for models that say nothing of noise. `None` when the model has no free brightness,
+    /// and for poses: the weights were not fitted to any.
+    pub(crate) fn of(solver: &Solver, fit: &Fit, ground: Option<Ground>) -> Option<Evidence> {
+        let worth = fit.worth.as_ref().filter(|_| !solver.fits_pose())?;
+        let gain = gain(solver, fit, worth)?;
+        let contrast = (1.0 + gain).ln();
+        let unit = match solver.model().has_noise() {
+            true => Some(1.0),
+            false => ground.map(|ground| ground.variance * light(solver, fit, ground.limit)),
+        };
+        let freedom = worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64;
+        let unexplained = |unit: f64| {
+            let reduced = worth.reduced? / unit;
+            Some((reduced - 1.0 - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
+        };
+        let misfit = unit.map_or(Some(0.0), |unit| Some((unexplained(unit)? / IMPERFECT).max(1.0).ln()))?;
+        let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
+        Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(), ..Evidence::default() })
+    }
+
+    /// By which one of several things is taken.
+    pub(crate) fn rank(&self) -> f64 {
+        self.log_odds() + LARGER * self.significance
+    }
+
+    /// The log odds.
+    pub fn log_odds(&self) -> f64 {
+        let seen = [self.contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
+        CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>()
+    }
+
+    /// The probability that the thing fitted is the target.
+    pub fn confidence(&self) -> f64 {
+        1.0 / (1.0 + (-self.log_odds()).exp())
+    }
+}
+
+/// By which factor a target's pixels are brighter than the background, on average: half its height, as far as the camera
+/// sees it.
+fn light(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
+    let value = |parameter: Option<ParameterId>| parameter.map(|parameter| fit.parameters[parameter.index()]);
+    let factor = |roles: &Roles| {
+        let (ground, height) = (value(roles.background)?, value(roles.brightness)?);
+        Some(1.0 + (0.5 * height.min(limit - ground) / ground.max(1.0)).max(0.0))
+    };
+    solver.model().roles().iter().filter_map(factor).fold(1.0, f64::max)
+}
+
+/// e-folds, twice, by which a target is higher than a camera lets one say: a height of many times what pixels hold is an
+/// extrapolation from a rim alone, and the rim of everything that is overexposed looks alike.
+fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
+    let value = |parameter: Option<ParameterId>| parameter.map(|parameter| fit.parameters[parameter.index()]);
+    let excess = |roles: &Roles| {
+        let seen = limit - value(roles.background)?;
+        Some(2.0 * (value(roles.brightness)? / (HEIGHT_MAX * seen.max(1.0))).max(1.0).ln())
+    };
+    solver.model().roles().iter().filter_map(excess).fold(0.0, f64::max)
+}
+
+/// `F₀/F − 1`, the least of all targets of the model.
+fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
+    let information = worth.covariance.clone()?.cholesky()?.inverse();
+    let order = solver.compiled.last_parameters();
+    let place = |parameter| order.iter().position(|&p| p == parameter);
+    let mut least = f64::INFINITY;
+    for roles in solver.model().roles() {
+        let brightness = place(roles.brightness?)?;
+        let background = roles.background.and_then(place);
+        let variance = alone(&information, brightness, background)?;
+        least = least.min(fit.parameters[order[brightness].index()].powi(2) / variance);
+    }
+    // Covariances of a model without noise are in units of χ²/ν, so F is ν there.
+    let freedom = worth.pixels.checked_sub(order.len() as u64).filter(|&n| n > 0)? as f64;
+    let reduced = if solver.model().has_noise() { worth.reduced? } else { 1.0 };
+    (least.is_finite() && reduced > 0.0).then(|| least / (freedom * reduced))
+}
+
+/// The variance of a parameter when only `other` is unknown beside it.
+fn alone(information: &DMatrix<f64>, parameter: usize, other: Option<usize>) -> Option<f64> {
+    let own = information[(parameter, parameter)];
+    let shared = other.map_or(0.0, |other| information[(parameter, other)].powi(2) / information[(other, other)]);
+    Some(1.0 / (own - shared)).filter(|variance| *variance > 0.0 && variance.is_finite())
+}
+
+/// ln L: `−½ (χ² + Σ ln σ² + n ln 2π)`; without `noise` with the variance that fits best, `−½ n (ln (2π F/n) + 1)`.
+pub(crate) fn log_likelihood(worth: &Worth, has_noise: bool) -> Option<f64> {
+    let n = worth.pixels as f64;
+    let turn = std::f64::consts::TAU;
+    let value = match has_noise {
+        true => -0.5 * (worth.objective + n * turn.ln()),
+        false => -0.5 * n * ((turn * worth.objective / n).ln() + 1.0),
+    };
+    value.is_finite().then_some(value)
+}

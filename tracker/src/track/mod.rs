@@ -1,0 +1,201 @@
+//! Tracks: what is remembered of a target from frame to frame, and what a frame is believed to say about it.
+//!
+//! What comes in: frames as a [`Look`], a [`Solver`]. What goes out: for each target an [`Outcome`]. It never knows a
+//! session, nor how an estimate is published.
+//!
+//! ```text
+//! predict ─► fit around the prediction ─► believed? ──────────────────────────► remember
+//!                                         └ no ─► search, what is taken masked ─► the best that may be it, or
+//!                                                                                 coast, or lose
+//! ```
+
+pub(crate) mod evidence;
+mod memory;
+mod posed;
+pub(crate) mod publish;
+mod reconsider;
+mod rival;
+pub(crate) mod search;
+pub(crate) mod solver;
+pub(crate) mod window;
+
+use crate::compiled::{CompileFailure, Control};
+use crate::motion::Predicted;
+use crate::options::TrackerOptions;
+use memory::Memory;
+use search::{Candidate, Search};
+use solver::{Attempt, Look, Solver};
+use window::Margin;
+
+/// A reduced χ² this many times the last one asks for a second opinion.
+const MISFIT: f64 = 9.0;
+/// A brightness that changed by more than this factor from one frame to the next asks for one, too: a fit that lost its
+/// target settles on whatever faint thing is near. So does an area.
+const FADED: f64 = 4.0;
+/// So many measurements make a track that coasts, and that takes only what suits it.
+const CONFIRMED: u32 = 3;
+/// The window around a prediction is larger than the domain by this share, …
+const MARGIN_SHARE: f64 = 0.1;
+/// … by so many px, …
+const MARGIN_PX: f64 = 3.0;
+/// … and by so many standard deviations of the prediction, …
+const MARGIN_DEVIATIONS: f64 = 3.0;
+/// … but by no more than this, px.
+const MARGIN_PX_MAX: f64 = 32.0;
+
+/// What a frame says about one target.
+pub(crate) enum Outcome {
+    /// There it is.
+    Seen(Box<Candidate>),
+    /// It is not; where it should be by now.
+    Coasting(Attempt, Predicted),
+    /// It is not, and nobody knows where it may be.
+    Missing(Attempt),
+}
+
+/// What became of the fit around the prediction.
+pub(crate) enum Followed {
+    /// Believed.
+    Kept(Box<Candidate>),
+    /// A good fit that needs a second opinion, a bad one, or none.
+    Doubtful(Option<Box<Candidate>>),
+}
+
+/// One target.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Track {
+    pub memory: Memory,
+}
+
+impl Track {
+    /// Fits around the prediction.
+    pub fn follow(&self, solver: &Solver, look: &Look, time_s: f64) -> Result<Followed, CompileFailure> {
+        let Some(start) = self.memory.start(solver, time_s) else { return Ok(Followed::Doubtful(None)) };
+        let mut margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+        if let Some(predicted) = self.memory.predicted(time_s) {
+            let (_, spread) = predicted.moving();
+            for (axis, px) in margin.px.iter_mut().enumerate().take(solver.model().coordinates().len()) {
+                let deviation = spread.get((axis, axis)).map_or(0.0, |variance| variance.sqrt());
+                *px = (*px + MARGIN_DEVIATIONS * deviation).min(MARGIN_PX_MAX);
+            }
+        }
+        let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
+        let attempt = solver.attempt(look, &start, control, margin)?;
+        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, false)?;
+        let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
+        let candidate = Candidate::of(solver, attempt, self.memory.ground);
+        let candidate = self.expecting(solver, candidate, time_s);
+        let is_kept = candidate.attempt.is_good()
+            && self.change(solver, &candidate) <= FADED
+            && !self.is_jump(solver, look, &candidate)
+            && self.is_near(solver, &candidate, time_s);
+        let candidate = Box::new(candidate);
+        Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
+    }
+
+    /// Decides after a search: the doubtful fit, the best candidate that nobody has taken, or nothing.
+    pub fn settle(
+        &self,
+        solver: &Solver,
+        look: &Look,
+        doubtful: Option<Box<Candidate>>,
+        search: &mut Search,
+        time_s: f64,
+    ) -> Outcome {
+        let suits = |candidate: &Candidate| {
+            !self.is_confirmed()
+                || self.is_near(solver, candidate, time_s)
+                || (solver.options.targets == 1 && self.change(solver, candidate) <= FADED)
+        };
+        let found = search.best(|candidate| {
+            let candidate = self.expecting(solver, candidate.clone(), time_s);
+            let sure = candidate.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min);
+            let guess = !self.is_confirmed() && search.is_guess(&candidate);
+            (sure && !guess && suits(&candidate)).then_some(candidate)
+        });
+        let good = doubtful.as_ref().is_some_and(|candidate| candidate.attempt.is_good());
+        match (doubtful.filter(|_| good), found) {
+            (Some(warm), Some(found)) => {
+                let (was, is) = (self.change(solver, &warm), self.change(solver, &found.candidate));
+                let truer = was > FADED && is < was;
+                let nearer = !self.is_near(solver, &warm, time_s) && self.is_near(solver, &found.candidate, time_s);
+                let better = found.candidate.attempt.reduced() < warm.attempt.reduced();
+                if truer || nearer || better || !suits(&warm) {
+                    search.claim(found.index);
+                    return Outcome::Seen(Box::new(found.candidate));
+                }
+                Outcome::Seen(warm)
+            }
+            (None, Some(found)) => {
+                search.claim(found.index);
+                Outcome::Seen(Box::new(found.candidate))
+            }
+            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Outcome::Seen(warm),
+            _ => self.missing(solver, look, search.failure.clone(), time_s),
+        }
+    }
+
+    fn missing(&self, solver: &Solver, look: &Look, attempt: Attempt, time_s: f64) -> Outcome {
+        let TrackerOptions { motion, .. } = &solver.options;
+        let predicted = self.memory.predicted(time_s).filter(|_| self.is_confirmed());
+        let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s);
+        match predicted.filter(|_| recent) {
+            Some(predicted) if inside(solver, look, &predicted) => Outcome::Coasting(attempt, predicted),
+            _ => Outcome::Missing(attempt),
+        }
+    }
+
+    /// The same candidate with what speaks against it, given what was expected.
+    fn expecting(&self, solver: &Solver, mut candidate: Candidate, time_s: f64) -> Candidate {
+        let is_near = self.is_near(solver, &candidate, time_s);
+        if let Some(evidence) = &mut candidate.evidence {
+            let distance = self.memory.distance(solver, &candidate.attempt, time_s).filter(|_| !is_near);
+            evidence.distance = distance.map_or(0.0, Predicted::excess);
+            evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);
+        }
+        candidate
+    }
+
+    fn is_confirmed(&self) -> bool {
+        self.memory.measurements() >= CONFIRMED
+    }
+
+    /// A followed target has taken the place: two tracks are one thing.
+    fn is_taken(&self, solver: &Solver, candidate: &Candidate, search: &Search) -> bool {
+        search.avoided.iter().any(|other| candidate.coincides(solver, other))
+    }
+
+    /// By which factor brightness or area changed since the last good fit, up or down; 1 where unknown.
+    fn change(&self, solver: &Solver, candidate: &Candidate) -> f64 {
+        let Some(fit) = &candidate.attempt.fit else { return 1.0 };
+        let brightness = solver.brightness_change(&self.memory.last, &fit.parameters).unwrap_or(1.0);
+        brightness.max(self.memory.area_change(solver, &fit.parameters))
+    }
+
+    /// A χ²/ν far above the last one.
+    fn is_jump(&self, solver: &Solver, look: &Look, candidate: &Candidate) -> bool {
+        let Some(fit) = &candidate.attempt.fit else { return false };
+        let rounding = solver.view(look, solver.window(look, &fit.parameters, Margin::NONE)).rounding;
+        let last = self.memory.reduced.map(|reduced| MISFIT * reduced.max(solver.least_reduced(rounding)));
+        last.is_some_and(|limit| candidate.attempt.reduced().is_some_and(|reduced| reduced > limit))
+    }
+
+    /// Inside the gate, or no farther off than the target is large; true where nothing was expected.
+    fn is_near(&self, solver: &Solver, candidate: &Candidate, time_s: f64) -> bool {
+        self.memory.is_near(solver, &candidate.attempt, time_s)
+    }
+}
+
+/// The predicted centres lie in the part of the frame that may be looked at.
+fn inside(solver: &Solver, look: &Look, predicted: &Predicted) -> bool {
+    let (state, _) = predicted.measurable();
+    let centres = solver.model().roles().iter().flat_map(|roles| roles.centre.iter().enumerate());
+    let (first, size) = (look.window.first(), look.window.size());
+    centres.zip(state.iter()).all(|((axis, _), at)| {
+        let place = at - first[axis] as f64;
+        place > -1.0 && place < size[axis] as f64
+    })
+}
+
+#[cfg(test)]
+mod tests;

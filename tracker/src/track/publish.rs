@@ -1,0 +1,76 @@
+//! From an outcome to an [`Estimate`], and into memory.
+
+use nalgebra::DMatrix;
+
+use super::Outcome;
+use super::evidence::log_likelihood;
+use super::memory::Memory;
+use super::solver::Solver;
+use crate::estimate::{Ending, Estimate, TrackState};
+
+/// What an estimate says about its frame and target.
+pub(crate) struct Told {
+    /// The target's id.
+    pub name: String,
+    pub sequence: u64,
+    pub capture_ns: Option<u64>,
+    /// On the clock of the predictions.
+    pub time_s: f64,
+    /// Pixel values from here on did not take part; infinite where `observed` is not a plane.
+    pub saturation: f64,
+}
+
+/// Remembers what a frame said about a target, and says it.
+pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, told: Told) -> Estimate {
+    let Told { name, sequence, capture_ns, time_s, saturation } = told;
+    let (state, attempt, covariance, parameters, confidence, pose) = match outcome {
+        Outcome::Seen(candidate) => {
+            memory.saw(solver, &candidate, time_s);
+            let confidence = candidate.confidence();
+            let covariance = memory.covariance.clone();
+            let pose = solver.pose(&candidate.attempt, saturation);
+            (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
+        }
+        Outcome::Coasting(attempt, predicted) => {
+            let (parameters, covariance) = memory.coasted(solver, &predicted);
+            let pose = solver.pose_of(&parameters, covariance.as_ref());
+            (TrackState::Coasting, attempt, covariance, parameters, None, pose)
+        }
+        Outcome::Missing(attempt) => {
+            memory.lose();
+            let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
+            (state, attempt, None, memory.last.clone(), None, None)
+        }
+    };
+    let good = state == TrackState::Tracking;
+    let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
+    let (stages, worth) = attempt.fit.map_or((Vec::new(), None), |fit| (fit.stages, fit.worth));
+    let told = worth.as_ref().filter(|_| good);
+    Estimate {
+        target: name,
+        sequence,
+        capture_ns,
+        state,
+        parameters,
+        order: solver.compiled.last_parameters().to_vec(),
+        covariance: covariance.as_ref().map(rows),
+        objective: told.map(|worth| worth.objective),
+        reduced_chi_square: told.and_then(|worth| worth.reduced),
+        log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
+        confidence,
+        exposure_advice: None,
+        ahead,
+        pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
+        saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
+        iterations: stages.iter().map(|stage| stage.iterations).collect(),
+        converged: good && attempt.ending == Ending::SmallStep,
+        ending: attempt.ending,
+        rejection: attempt.rejection.filter(|_| !good),
+        stages,
+        pose,
+    }
+}
+
+fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
+}

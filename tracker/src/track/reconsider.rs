@@ -1,0 +1,56 @@
+//! A second look at a fit that leaves too much unexplained: glare, something in front of the target, blindness.
+//!
+//! What comes in: an [`Attempt`], and where it started. What goes out: the attempt, or that of the alternative model that
+//! explains more. It never knows which track it is for.
+
+use super::solver::{Attempt, Look, Solver};
+use super::window::Margin;
+use crate::alternatives::{self, MISFIT};
+use crate::compiled::CompileFailure;
+
+/// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
+const ASTRAY: f64 = 4.0;
+
+impl Solver {
+    /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. A pose is taken as it is:
+    /// one whose spot is covered goes on from the others.
+    pub fn is_fine(&self, attempt: &Attempt, usual: Option<f64>) -> bool {
+        !self.model().has_noise()
+            || self.fits_pose()
+            || (attempt.is_good()
+                && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0)))
+    }
+
+    /// The attempt, when it is fine, else the best of the alternatives that begin at `start` as well; `scatter` tries
+    /// starts around it when the attempt is far off.
+    pub fn reconsidered(
+        &self,
+        look: &Look,
+        attempt: Attempt,
+        start: &[f64],
+        margin: Margin,
+        usual: Option<f64>,
+        scatter: bool,
+    ) -> Result<Attempt, CompileFailure> {
+        if self.is_fine(&attempt, usual) {
+            return Ok(attempt);
+        }
+        let astray = !attempt.is_good() || attempt.reduced().is_none_or(|reduced| reduced > ASTRAY);
+        let starts = match scatter && astray {
+            true => alternatives::scattered(self.model(), start),
+            false => vec![start.to_vec()],
+        };
+        let view = self.view(look, self.window(look, start, margin));
+        let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
+        let chosen = self.compiled.alternatives()?.best(&view, &self.constants, &starts, plain)?;
+        let Some(chosen) = chosen else { return Ok(attempt) };
+        let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);
+        let mut fit = chosen;
+        fit.stages = stages;
+        let rejection = self.rejection(&fit, &view, look.window);
+        Ok(match rejection {
+            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None },
+            Some(_) => attempt,
+        })
+    }
+}

@@ -1,0 +1,251 @@
+//! A search: everything in a frame that may be a target, each verified by a fit, the likeliest first.
+//!
+//! What comes in: a frame, starting values that are given, and targets that are followed already. What goes out:
+//! [`Candidate`]s. It never knows which track will take one.
+
+use super::evidence::{Evidence, Ground};
+use super::memory::Memory;
+use super::solver::{Attempt, Look, Solver};
+use super::window::{Margin, shape};
+use crate::cold::{Cold, Grain, Starts};
+use crate::compiled::{CompileFailure, Control};
+use crate::estimate::Ending;
+
+/// Things that are fitted at most, …
+const SIGHTS_MAX: usize = 24;
+/// The window around a thing that was seen is larger than the domain by this share …
+const MARGIN_SHARE: f64 = 0.5;
+/// … and by so many px.
+const MARGIN_PX: f64 = 6.0;
+/// Pictures of so many pixels are looked at four pixels at a time …
+const HALVED_PIXELS: usize = 100_000;
+/// … for targets that are not narrower than this from the middle to the rim, px.
+const HALVED_PX: f64 = 6.0;
+/// Of several things one that is the target with less than this probability is not taken.
+const UNLIKE: f64 = 0.003;
+/// Without a shape: fits that end this near to each other are of one thing, px.
+const COINCIDENCE_PX: f64 = 3.0;
+
+/// A fit of something that may be the target.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub attempt: Attempt,
+    /// Absent where the model does not say what is bright.
+    pub evidence: Option<Evidence>,
+    /// What is beside it, where that was looked at.
+    pub ground: Option<Ground>,
+}
+
+/// Something that may be the target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// Of the fit, all of the model's.
+    pub parameters: Vec<f64>,
+    /// For and against it; absent where the model does not say what is bright.
+    pub evidence: Option<Evidence>,
+}
+
+/// What a search came to.
+pub(crate) struct Search {
+    candidates: Vec<Candidate>,
+    claimed: Vec<bool>,
+    /// It was said where the target is, and there it was.
+    is_placed: bool,
+    /// What to report when there is none: the best of the fits that are not believed.
+    pub failure: Attempt,
+    /// Parameters of the targets that were followed already.
+    pub avoided: Vec<Vec<f64>>,
+    /// The most massive thing that no fit explains well.
+    doubtful: Option<Doubtful>,
+}
+
+/// A fit that leaves too much unexplained.
+struct Doubtful {
+    attempt: Attempt,
+    start: Vec<f64>,
+    ground: Option<Ground>,
+    is_placed: bool,
+}
+
+/// The best candidate, and its number.
+pub(crate) struct Pick {
+    pub index: usize,
+    pub candidate: Candidate,
+}
+
+impl Candidate {
+    /// With the evidence of the fit alone.
+    pub fn of(solver: &Solver, attempt: Attempt, ground: Option<Ground>) -> Candidate {
+        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good());
+        let evidence = fit.and_then(|fit| Evidence::of(solver, fit, ground));
+        Candidate { evidence, attempt, ground }
+    }
+
+    /// The probability that it is the target.
+    pub fn confidence(&self) -> Option<f64> {
+        self.evidence.as_ref().map(Evidence::confidence)
+    }
+
+    /// True when its centre lies inside the outline of something at `other`.
+    pub fn coincides(&self, solver: &Solver, other: &[f64]) -> bool {
+        let Some(fit) = &self.attempt.fit else { return false };
+        let dimensions = solver.model().coordinates().len();
+        solver.model().roles().iter().any(|roles| {
+            let off: Vec<f64> = roles.centre.iter().map(|p| fit.parameters[p.index()] - other[p.index()]).collect();
+            match shape(roles, dimensions, other).filter(|a| a.nrows() == off.len() && !off.is_empty()) {
+                Some(a) => {
+                    let term = |i: usize| (0..off.len()).map(|j| off[i] * a[(i, j)] * off[j]).sum::<f64>();
+                    (0..off.len()).map(term).sum::<f64>() <= 1.0
+                }
+                None => !off.is_empty() && off.iter().map(|d| d * d).sum::<f64>() <= COINCIDENCE_PX.powi(2),
+            }
+        })
+    }
+
+    fn rank(&self) -> f64 {
+        self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
+    }
+}
+
+impl Search {
+    /// Looks at the whole of what may be looked at. `given` numbers take the place of what is seen; `avoided` are the
+    /// parameters of targets that are followed already. `size_px`: half the target's width, when it is known. A large
+    /// picture is looked at four pixels at a time, and pixel by pixel only for what is small.
+    pub fn run(
+        solver: &Solver,
+        look: &Look,
+        given: &[Option<f64>],
+        avoided: Vec<Vec<f64>>,
+        size_px: Option<f64>,
+    ) -> Result<Search, CompileFailure> {
+        let (candidates, claimed, failure) = (Vec::new(), Vec::new(), Attempt::none(Ending::NoTarget));
+        let mut search = Search { candidates, claimed, is_placed: false, failure, avoided, doubtful: None };
+        let [width, height, ..] = look.window.size();
+        let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
+        if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
+            search.look(solver, look, given, Grain::Halved)?;
+        }
+        let is_small = size_px.is_some_and(|size| size < HALVED_PX);
+        if !coarse || is_small || (search.candidates.is_empty() && size_px.is_none()) {
+            search.look(solver, look, given, Grain::Full)?;
+        }
+        let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None);
+        if let Some(Doubtful { attempt, start, ground, is_placed }) = search.doubtful.take()
+            && !search.candidates.iter().any(is_fine)
+        {
+            let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+            let attempt = solver.reconsidered(look, attempt, &start, margin, None, !is_placed)?;
+            if attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
+                search.candidates.push(Candidate::of(solver, attempt, ground));
+            }
+        }
+        // Stable: where there is no evidence the most massive stays first.
+        search.candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()));
+        search.merge(solver);
+        search.claimed = vec![false; search.candidates.len()];
+        Ok(search)
+    }
+
+    fn look(
+        &mut self,
+        solver: &Solver,
+        look: &Look,
+        given: &[Option<f64>],
+        grain: Grain,
+    ) -> Result<(), CompileFailure> {
+        let masks = self.avoided.iter().filter_map(|parameters| solver.mask(look, parameters)).collect();
+        let sights_max = if solver.reaches() { SIGHTS_MAX } else { 1 };
+        let view = solver.view(look, look.window);
+        let Some(cold) = Cold::look(solver.model(), &view, &solver.constants, given, sights_max, masks, grain) else {
+            return Ok(());
+        };
+        let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
+        let ground = cold.variance.map(|variance| Ground { variance, limit });
+        for starts in &cold.sights {
+            let attempt = best(solver, look, starts, cold.control)?;
+            if self.doubtful.is_none() && !solver.is_fine(&attempt, None) {
+                let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
+                self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });
+            }
+            if attempt.is_good() {
+                let candidate = Candidate::of(solver, attempt, ground);
+                let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
+                self.candidates.extend((!is_avoided).then_some(candidate));
+                if cold.is_placed {
+                    self.is_placed = true;
+                    break; // it was said where, and there it is
+                }
+            } else if self.failure.fit.is_none() {
+                self.failure = attempt;
+            }
+        }
+        Ok(())
+    }
+
+    /// Of several fits of one thing the best remains.
+    fn merge(&mut self, solver: &Solver) {
+        let mut kept: Vec<Candidate> = Vec::new();
+        for candidate in self.candidates.drain(..) {
+            let parameters = |one: &Candidate| one.attempt.fit.as_ref().map(|fit| fit.parameters.clone());
+            let same = |other: &Candidate| {
+                let theirs = parameters(other).is_some_and(|other| candidate.coincides(solver, &other));
+                theirs || parameters(&candidate).is_some_and(|ours| other.coincides(solver, &ours))
+            };
+            if !kept.iter().any(same) {
+                kept.push(candidate);
+            }
+        }
+        self.candidates = kept;
+    }
+
+    /// True when one of several things must be taken on looks alone, and this one does not look like the target. A single
+    /// thing is taken even so: a rough model is better than none.
+    pub fn is_guess(&self, candidate: &Candidate) -> bool {
+        let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
+        unlike && !self.is_placed && self.candidates.len() > 1
+    }
+
+    /// The likeliest that nobody has claimed, of those that `admit` lets through.
+    pub fn best(&self, admit: impl Fn(&Candidate) -> Option<Candidate>) -> Option<Pick> {
+        let free = self.candidates.iter().enumerate().filter(|(index, _)| !self.claimed[*index]);
+        let admitted = free.filter_map(|(index, candidate)| Some(Pick { index, candidate: admit(candidate)? }));
+        // The first of equals.
+        admitted.reduce(|best, next| if next.candidate.rank() > best.candidate.rank() { next } else { best })
+    }
+
+    /// What there is, for people.
+    pub fn sightings(&self, solver: &Solver) -> Vec<Sighting> {
+        let sighting = |candidate: &Candidate| {
+            let strangeness = Memory::default().strangeness(solver, &candidate.attempt);
+            let evidence = candidate.evidence.map(|evidence| Evidence { strangeness, ..evidence });
+            Some(Sighting { parameters: candidate.attempt.fit.as_ref()?.parameters.clone(), evidence })
+        };
+        self.candidates.iter().filter_map(sighting).collect()
+    }
+
+    /// A track has taken it.
+    pub fn claim(&mut self, index: usize) {
+        self.claimed[index] = true;
+    }
+}
+
+/// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest.
+fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Result<Attempt, CompileFailure> {
+    let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+    let mut best: Option<Attempt> = None;
+    let mut others = Vec::new();
+    for start in starts.starts.iter().chain(&starts.tighter) {
+        let last_resort = Some(start) == starts.tighter.as_ref();
+        if last_resort && best.as_ref().is_some_and(Attempt::is_good) {
+            break;
+        }
+        let attempt = solver.attempt(look, start, control, margin)?;
+        let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
+        if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
+            others.extend(best.replace(attempt));
+        } else {
+            others.push(attempt);
+        }
+    }
+    solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
+}

@@ -1,0 +1,241 @@
+//! `Solver`: a model's kernels with a session's options, ready to fit a target anywhere in a frame.
+//!
+//! What comes in: a frame, starting values. What goes out: an [`Attempt`], a fit and whether it is believed. It never knows
+//! what was seen in earlier frames.
+
+use std::sync::Arc;
+
+use isophote_jit::{PlaneView, Slices, Window};
+use isophote_symbolic::Model;
+
+use super::rival::Rival;
+use super::window::{Margin, Reach, half_widths, holds, shape};
+use crate::compiled::{CompileFailure, Compiled, Control};
+use crate::estimate::{Ending, Rejection};
+use crate::fit::{Fit, View, fit};
+use crate::frame::Frame;
+use crate::mask::Mask;
+use crate::options::TrackerOptions;
+use crate::pose::Geometry;
+use crate::stage::QUANTISATION;
+
+/// A brightness of less than this many standard deviations is nothing.
+const SIGNIFICANT: f64 = 5.0;
+/// A fit whose domain leaves its window is repeated in a larger one, so many times.
+const WINDOWS: usize = 4;
+
+/// What a tracker of some model and session fits with.
+pub(crate) struct Solver {
+    pub compiled: Arc<Compiled>,
+    pub options: TrackerOptions,
+    pub constants: Vec<f64>,
+    /// Lens and target, when the model's parameters are a pose.
+    pub geometry: Option<Geometry>,
+    reach: Reach,
+}
+
+/// A frame's pixels that may be looked at.
+pub(crate) struct Look<'a> {
+    planes: Vec<PlaneView<'a>>,
+    pub window: Window,
+}
+
+/// One try on a frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Attempt {
+    pub fit: Option<Fit>,
+    pub ending: Ending,
+    pub rejection: Option<Rejection>,
+    /// Of poses: the runner-up.
+    pub rival: Option<Rival>,
+}
+
+impl Attempt {
+    /// Nothing was fitted.
+    pub fn none(ending: Ending) -> Attempt {
+        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None }
+    }
+
+    pub fn is_good(&self) -> bool {
+        self.rejection.is_none()
+    }
+
+    /// χ²/ν.
+    pub fn reduced(&self) -> Option<f64> {
+        self.fit.as_ref()?.worth.as_ref()?.reduced
+    }
+}
+
+impl Solver {
+    /// Options that suit the model.
+    pub fn new(compiled: Arc<Compiled>, options: TrackerOptions) -> Solver {
+        let constants = options.constants_of(compiled.model());
+        let reach = Reach::of(compiled.model(), &constants);
+        let geometry = Geometry::of(compiled.model(), &constants);
+        Solver { compiled, options, constants, geometry, reach }
+    }
+
+    pub fn model(&self) -> &Model {
+        self.compiled.model()
+    }
+
+    /// The part of a frame to look at; `None` when the frame does not suit the model.
+    pub fn look<'a>(&self, frame: &'a Frame) -> Option<Look<'a>> {
+        let model = self.model();
+        let dimensions = model.coordinates().len();
+        let suits = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
+        if !suits || frame.planes().len() != model.channels().len() {
+            return None;
+        }
+        let whole = Window::of_size(frame.sides());
+        let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
+        let planes = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
+        Some(Look { planes, window })
+    }
+
+    /// A part of what may be looked at.
+    pub fn view<'a>(&self, look: &Look<'a>, window: Window) -> View<'a> {
+        View::new(look.planes.clone(), window, self.options.camera.saturation, self.compiled.precision())
+    }
+
+    /// The window around targets with these parameters; all there is where that cannot be said.
+    pub fn window(&self, look: &Look, parameters: &[f64], margin: Margin) -> Window {
+        self.reach.window(self.model(), parameters, margin, look.window).unwrap_or(look.window)
+    }
+
+    /// Fits from `start` in the window around it, and in a larger one when the fit leads out of that.
+    pub fn attempt(
+        &self,
+        look: &Look,
+        start: &[f64],
+        control: Control,
+        margin: Margin,
+    ) -> Result<Attempt, CompileFailure> {
+        let mut window = self.window(look, start, margin);
+        let mut fitted = fit(&self.compiled, &self.view(look, window), &self.constants, start, control)?;
+        for _ in 1..WINDOWS {
+            if !fitted.ending.is_fit() || holds(window, self.window(look, &fitted.parameters, Margin::NONE)) {
+                break;
+            }
+            window = self.window(look, &fitted.parameters, margin);
+            let view = self.view(look, window);
+            let again = fit(&self.compiled, &view, &self.constants, &fitted.parameters, control)?;
+            let reports = again.stages.iter().zip(&fitted.stages);
+            let stages = reports.map(|(report, earlier)| report.clone().after(earlier)).collect();
+            fitted = Fit { stages, ..again };
+        }
+        let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
+        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None })
+    }
+
+    /// The same in a frame of that size; `None` where nothing of the domain is inside.
+    pub fn reach_window(&self, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
+        self.reach.window(self.model(), parameters, margin, whole)
+    }
+
+    /// The pixel value at which the camera clips; infinite where it does not.
+    pub fn limit(&self, look: &Look) -> Option<f64> {
+        self.view(
+            look,
+            Window { width: 1, height: 1, slices: Slices { count: [1, 1], ..look.window.slices }, ..look.window },
+        )
+        .saturation
+        .iter()
+        .copied()
+        .reduce(f64::min)
+    }
+
+    /// True when windows around targets are smaller than the frame.
+    pub fn reaches(&self) -> bool {
+        self.reach.is_known()
+    }
+
+    /// The domain of a target that is followed, to be left out of a search; `None` where it is not known.
+    pub fn mask(&self, look: &Look, parameters: &[f64]) -> Option<Mask> {
+        let window = self.window(look, parameters, Margin::NONE);
+        let roles = self.model().roles().first().filter(|_| self.reaches())?;
+        let dimensions = self.model().coordinates().len();
+        let (a, reach) = (shape(roles, dimensions, parameters)?, self.reach.outlines()?);
+        let origin = look.window.first();
+        let mut mask = Mask {
+            first: std::array::from_fn(|axis| window.first()[axis] - origin[axis]),
+            size: window.size(),
+            centre: [0.0; 4],
+            extent: [[0.0; 4]; 4],
+        };
+        for (axis, parameter) in roles.centre.iter().enumerate() {
+            mask.centre[axis] = parameters[parameter.index()] - origin[axis] as f64;
+            for other in 0..dimensions {
+                mask.extent[axis][other] = a[(axis, other)] / (reach * reach);
+            }
+        }
+        Some(mask)
+    }
+
+    /// Why a fit is not believed.
+    pub(super) fn rejection(&self, fit: &Fit, view: &View, whole: Window) -> Option<Rejection> {
+        let model = self.model();
+        if !fit.ending.is_fit() {
+            return Some(Rejection::Ending);
+        }
+        if !model.constraints_hold(&fit.parameters, &self.constants) {
+            return Some(Rejection::OutsideBounds);
+        }
+        let (first, size) = (whole.first(), whole.size());
+        let dimensions = model.coordinates().len();
+        // A pose has spots to spare: it is believed while one of them shines.
+        let mut shining = false;
+        for roles in model.roles() {
+            for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
+                let place = fit.parameters[parameter.index()] - first as f64;
+                if !(place >= -0.5 && place <= size as f64 - 0.5) {
+                    return Some(Rejection::OutsideWindow);
+                }
+            }
+            // The least eigenvalue of A belongs to the longest semi-axis, 1/√λ.
+            if let Some(a) = shape(roles, dimensions, &fit.parameters).filter(|_| dimensions > 1) {
+                let longest = size.into_iter().max().unwrap_or(1) as f64;
+                if a.symmetric_eigenvalues().min() * longest.powi(2) < 1.0 {
+                    return Some(Rejection::Oversized);
+                }
+            }
+            let brightness = roles.brightness.and_then(|parameter| {
+                let index = self.compiled.last_parameters().iter().position(|&p| p == parameter)?;
+                let worth = fit.worth.as_ref()?;
+                let variance = worth.covariance.as_ref().map_or(worth.variance_alone[index], |c| c[(index, index)]);
+                // Whole pixel values are rounded: a blank frame is not known better than that.
+                let floor = if view.holds_whole_values() && !model.has_noise() { QUANTISATION } else { 0.0 };
+                let reduced = worth.reduced.unwrap_or(0.0);
+                let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
+                Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
+            });
+            shining |= brightness.is_some_and(|significance| significance >= SIGNIFICANT);
+            if !self.fits_pose() && brightness.is_some_and(|significance| significance < SIGNIFICANT) {
+                return Some(Rejection::Faint);
+            }
+        }
+        (self.fits_pose() && !shining).then_some(Rejection::Faint)
+    }
+
+    /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.
+    pub fn least_reduced(&self, rounding: f64) -> f64 {
+        if self.model().has_noise() { 1.0 } else { QUANTISATION.max(rounding.powi(2)) }
+    }
+
+    /// The looks that a session's starts give.
+    pub fn given_looks(&self) -> (Option<f64>, Option<f64>) {
+        let start = self.options.start_of(self.model());
+        let known: Vec<f64> = start.iter().map(|value| value.unwrap_or(f64::NAN)).collect();
+        self.looks(&known)
+    }
+
+    /// ln of the product of the outlines' half widths and ln |brightness|, of the first target; absent without the roles.
+    pub fn looks(&self, parameters: &[f64]) -> (Option<f64>, Option<f64>) {
+        let Some(roles) = self.model().roles().first() else { return (None, None) };
+        let dimensions = self.model().coordinates().len();
+        let widths = half_widths(roles, dimensions, parameters);
+        let size = widths.map(|widths| widths.iter().product::<f64>().ln()).filter(|size| size.is_finite());
+        let brightness = roles.brightness.map(|parameter| parameters[parameter.index()].abs().ln());
+        (size.filter(|_| !roles.shape.is_empty()), brightness.filter(|brightness| brightness.is_finite()))
+    }
+}

@@ -1,0 +1,247 @@
+//! Tracks over time: blackouts, several targets, distractors.
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+
+use isophote_symbolic::{Model, Precision};
+
+use crate::picture::{Picture, Profile, Spot};
+use crate::{Compiled, Estimate, Frame, MotionOptions, TrackState, Tracker, TrackerOptions};
+
+const SPOT: &str = include_str!("../../../models/spot.toml");
+
+fn tracker(options: TrackerOptions) -> Tracker {
+    let model = Model::from_toml(SPOT).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
+    Tracker::new(Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap()), options).unwrap()
+}
+
+fn spot([x, y]: [f64; 2], half: [f64; 2], amplitude: f64) -> Spot {
+    Spot { centre: [x, y], half, angle: 0.3, amplitude, profile: Profile::Cubic(-0.5, -0.3) }
+}
+
+fn frame(number: u64, spots: Vec<Spot>) -> Frame {
+    Picture { noise: 1.5, seed: number, ..Picture::new(320, 240, spots) }.frame().with_sequence(number)
+}
+
+fn off(estimate: &Estimate, centre: [f64; 2]) -> f64 {
+    (estimate.parameters[0] - centre[0]).hypot(estimate.parameters[1] - centre[1])
+}
+
+/// A swinging target at 60 Hz.
+fn swing(number: u64) -> [f64; 2] {
+    let t = number as f64 / 60.0;
+    [160.0 + 70.0 * (2.5 * t).sin(), 120.0 + 40.0 * (1.7 * t).cos()]
+}
+
+#[test]
+fn after_a_blackout_of_two_seconds_it_is_there_again_within_three_frames() {
+    let mut tracker = tracker(TrackerOptions::default());
+    let mut states = Vec::new();
+    for number in 0..190 {
+        let dark = (30..150).contains(&number);
+        let spots = if dark { vec![] } else { vec![spot(swing(number), [16.0, 12.0], 120.0)] };
+        let estimate = tracker.track(&frame(number, spots));
+        if estimate.state == TrackState::Tracking {
+            assert!(off(&estimate, swing(number)) < 0.2, "frame {number}: {estimate:?}");
+        }
+        states.push(estimate.state);
+    }
+    let count = |state: TrackState, from: usize, to: usize| states[from..to].iter().filter(|s| **s == state).count();
+    assert_eq!(count(TrackState::Tracking, 0, 30), 30);
+    assert_eq!(count(TrackState::Coasting, 30, 60), 30, "half a second: {states:?}");
+    assert_eq!(count(TrackState::Lost, 60, 150), 90, "{states:?}");
+    assert!(count(TrackState::Tracking, 150, 153) >= 1 && count(TrackState::Tracking, 153, 190) == 37, "{states:?}");
+}
+
+#[test]
+fn coasting_goes_on_as_the_target_does_and_knows_less_and_less() {
+    let mut tracker = tracker(TrackerOptions::default());
+    let path = |number: u64| [60.0 + 2.0 * number as f64, 200.0 - 1.0 * number as f64];
+    let mut before = 0.0;
+    for number in 0..40 {
+        let hidden = number >= 25;
+        let spots = if hidden { vec![] } else { vec![spot(path(number), [16.0, 12.0], 120.0)] };
+        let estimate = tracker.track(&frame(number, spots));
+        if hidden {
+            assert_eq!(estimate.state, TrackState::Coasting, "{estimate:?}");
+            let deviation = estimate.covariance.as_ref().unwrap()[0][0].sqrt();
+            assert!(off(&estimate, path(number)) < 4.0 * deviation && deviation > before, "{number} {estimate:?}");
+            assert!(estimate.log_likelihood.is_none() && estimate.confidence.is_none() && !estimate.converged);
+            before = deviation;
+        }
+    }
+    let estimate = tracker.track(&frame(40, vec![spot(path(40), [16.0, 12.0], 120.0)]));
+    assert!(estimate.state == TrackState::Tracking && off(&estimate, path(40)) < 0.1, "{estimate:?}");
+}
+
+#[test]
+fn a_prediction_is_where_the_target_will_be() {
+    let predict = Some(crate::PredictOptions { horizon_s: 0.5, steps: 10 });
+    let mut tracker = tracker(TrackerOptions { predict, ..TrackerOptions::default() });
+    let path = |number: f64| [60.0 + 2.0 * number, 200.0 - 1.0 * number];
+    let mut last = None;
+    for number in 0..30 {
+        let estimate = tracker.track(&frame(number, vec![spot(path(number as f64), [16.0, 12.0], 120.0)]));
+        assert_eq!(estimate.ahead.len(), 10, "{estimate:?}");
+        last = Some(estimate);
+    }
+    let mut before = 0.0;
+    for (step, ahead) in last.unwrap().ahead.iter().enumerate() {
+        assert!((ahead.after_s - 0.05 * (step + 1) as f64).abs() < 1e-12);
+        let [x, y] = path(29.0 + 60.0 * ahead.after_s);
+        let deviation = ahead.covariance[0][0].sqrt();
+        assert!((ahead.centre[0] - x).hypot(ahead.centre[1] - y) < 4.0 * deviation, "{ahead:?}");
+        assert!((ahead.velocity[0] - 120.0).abs() < 10.0 && (ahead.velocity[1] + 60.0).abs() < 10.0, "{ahead:?}");
+        assert!(deviation > before && ahead.covariance.len() == 4);
+        before = deviation;
+    }
+    let blank = tracker.track(&Picture { noise: 1.5, ..Picture::new(320, 240, vec![]) }.frame().with_sequence(30));
+    assert!(blank.state == TrackState::Coasting && blank.ahead.len() == 10, "{blank:?}");
+}
+
+#[test]
+fn what_comes_up_elsewhere_while_the_target_is_hidden_is_not_the_target() {
+    let options = TrackerOptions { motion: MotionOptions { coast_s: 0.2, ..Default::default() }, ..Default::default() };
+    let mut tracker = tracker(options);
+    for number in 0..40 {
+        let hidden = (20..30).contains(&number);
+        let target = spot([80.0 + 0.5 * number as f64, 120.0], [16.0, 12.0], 120.0);
+        let other = spot([250.0, 60.0], [6.0, 5.0], 200.0);
+        let estimate = tracker.track(&frame(number, if hidden { vec![other] } else { vec![target, other] }));
+        let state = if hidden { TrackState::Coasting } else { TrackState::Tracking };
+        assert_eq!(estimate.state, state, "frame {number}: {estimate:?}");
+        assert!(off(&estimate, target.centre) < 3.0, "frame {number}: {estimate:?}");
+    }
+}
+
+#[test]
+fn several_targets_keep_their_names_when_they_pass_and_hide() {
+    let mut tracker = tracker(TrackerOptions { targets: 3, ..TrackerOptions::default() });
+    let at = |number: u64| {
+        let t = number as f64;
+        [[40.0 + 2.0 * t, 70.0 + 0.3 * t], [280.0 - 2.0 * t, 120.0 - 0.1 * t], [160.0, 190.0 - 0.4 * t]]
+    };
+    let mut names: Vec<Option<usize>> = vec![None; 3];
+    for number in 0..100 {
+        let mut spots: Vec<Spot> = at(number).iter().map(|centre| spot(*centre, [12.0, 9.0], 110.0)).collect();
+        if (40..46).contains(&number) {
+            spots.remove(2);
+        }
+        let estimates = tracker.track_all(&frame(number, spots));
+        assert_eq!(estimates.iter().map(|one| one.target.as_str()).collect::<Vec<_>>(), ["0", "1", "2"]);
+        for (name, estimate) in estimates.iter().enumerate() {
+            let nearest = (0..3).find(|&k| off(estimate, at(number)[k]) < 3.0);
+            let nearest = nearest.unwrap_or_else(|| panic!("frame {number}: {estimate:?}"));
+            assert_eq!(*names[name].get_or_insert(nearest), nearest, "frame {number}: {estimate:?}");
+            let hidden = nearest == 2 && (40..46).contains(&number);
+            let state = if hidden { TrackState::Coasting } else { TrackState::Tracking };
+            assert_eq!(estimate.state, state, "frame {number}: {estimate:?}");
+        }
+        assert!((0..3).all(|k| names.contains(&Some(k))), "each has one: {names:?}");
+    }
+}
+
+#[test]
+fn a_target_that_is_not_there_stays_wanted_and_takes_no_other() {
+    let mut tracker = tracker(TrackerOptions { targets: 2, ..TrackerOptions::default() });
+    let (first, second) = (spot([90.0, 100.0], [16.0, 12.0], 120.0), spot([220.0, 140.0], [14.0, 12.0], 100.0));
+    for number in 0..10 {
+        let spots = if number < 5 { vec![first] } else { vec![first, second] };
+        let estimates = tracker.track_all(&frame(number, spots));
+        assert!(estimates[0].state == TrackState::Tracking && off(&estimates[0], first.centre) < 0.1);
+        let state = if number < 5 { TrackState::Searching } else { TrackState::Tracking };
+        assert_eq!(estimates[1].state, state, "frame {number}: {:?}", estimates[1]);
+    }
+}
+
+#[test]
+fn a_faint_target_is_told_from_bright_things_of_other_shapes() {
+    let disc = |x: f64, y: f64, half: [f64; 2]| Spot { profile: Profile::Disc, ..spot([x, y], half, 200.0) };
+    let clutter = vec![disc(50.0, 50.0, [18.0, 14.0]), disc(260.0, 60.0, [30.0, 4.0]), disc(60.0, 190.0, [3.0, 3.0])];
+    for (number, amplitude) in [150.0, 60.0, 25.0].into_iter().enumerate() {
+        let target = spot([190.0, 150.0], [20.0, 14.0], amplitude);
+        let spots = [clutter.clone(), vec![target]].concat();
+        let estimate = tracker(TrackerOptions::default()).track(&frame(number as u64, spots));
+        assert!(estimate.state == TrackState::Tracking && off(&estimate, target.centre) < 0.5, "{estimate:?}");
+    }
+}
+
+#[test]
+fn the_expected_one_of_two_alike_is_taken() {
+    let (small, large) = (spot([80.0, 100.0], [9.0, 7.0], 120.0), spot([220.0, 140.0], [24.0, 18.0], 120.0));
+    let extent = |spot: &Spot| {
+        let [a1, a2, a3] = spot.extent();
+        [("a1".to_string(), a1), ("a2".to_string(), a2), ("a3".to_string(), a3)].into()
+    };
+    for wanted in [small, large] {
+        let options = TrackerOptions { start: extent(&wanted), ..TrackerOptions::default() };
+        let estimate = tracker(options).track(&frame(1, vec![small, large]));
+        assert!(off(&estimate, wanted.centre) < 0.2, "{estimate:?}");
+    }
+}
+
+#[test]
+fn a_search_that_wants_to_be_sure_takes_nothing_of_another_shape() {
+    let bar = Spot { profile: Profile::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
+    let sure = TrackerOptions { confidence_min: 0.5, ..TrackerOptions::default() };
+    assert_eq!(tracker(sure.clone()).track(&frame(1, vec![bar])).state, TrackState::Searching);
+    let target = spot([150.0, 180.0], [20.0, 14.0], 120.0);
+    let estimate = tracker(sure).track(&frame(1, vec![bar, target]));
+    assert!(estimate.state == TrackState::Tracking && off(&estimate, target.centre) < 0.2, "{estimate:?}");
+    assert!(estimate.confidence.unwrap() > 0.9, "{estimate:?}");
+}
+
+#[test]
+fn a_tracked_target_is_fitted_in_a_window_of_its_own() {
+    let target = spot([160.0, 120.0], [16.0, 12.0], 120.0);
+    let mut tracker = tracker(TrackerOptions::default());
+    let whole = tracker.track(&frame(0, vec![target]));
+    let solver = &tracker.solver;
+    let frame = frame(1, vec![target]);
+    let look = solver.look(&frame).unwrap();
+    let window = solver.window(&look, &whole.parameters, super::window::Margin::even(0.1, 3.0));
+    assert!(window.width < 70 && window.height < 60, "{window:?}");
+    assert!(tracker.track(&frame).pixels as f64 >= 0.99 * whole.pixels as f64);
+}
+
+#[test]
+fn lost_and_found_again() {
+    let motion = MotionOptions { coast_s: 1.5 / 60.0, ..Default::default() };
+    let options = TrackerOptions { motion, ..TrackerOptions::default() };
+    let mut tracker = tracker(options);
+    let frame = |x: f64, amplitude: f64, sequence: u64| {
+        let spots = if amplitude > 0.0 { vec![spot([x, 60.0], [16.0, 12.0], amplitude)] } else { vec![] };
+        Picture { noise: 2.0, seed: sequence, ..Picture::new(160, 120, spots) }.frame().with_sequence(sequence)
+    };
+    use TrackState::{Coasting, Lost, Searching, Tracking};
+    let script = [
+        (0.0, 0.0, Searching),
+        (50.0, 120.0, Tracking),
+        (53.0, 120.0, Tracking),
+        (56.0, 20.0, Tracking), // fainter
+        (59.0, 0.0, Coasting),
+        (62.0, 0.0, Lost),
+        (110.0, 120.0, Tracking), // elsewhere
+        (40.0, 120.0, Tracking),  // a jump: the warm fit fails, a cold one finds it
+        (43.0, 600.0, Tracking),  // overexposed
+        (46.0, 120.0, Tracking),
+    ];
+    for (sequence, (x, amplitude, state)) in script.into_iter().enumerate() {
+        let estimate = tracker.track(&frame(x, amplitude, sequence as u64));
+        assert_eq!(estimate.state, state, "frame {sequence}: {estimate:?}");
+        assert_eq!(estimate.sequence, sequence as u64);
+        if state == Tracking {
+            let bx = estimate.parameters[0];
+            assert!((bx - x).abs() < 0.5, "frame {sequence}: {bx}");
+            assert_eq!(estimate.saturated > 0.0, amplitude > 240.0);
+        }
+        if state == Lost {
+            assert!((estimate.parameters[0] - 56.0).abs() < 0.5, "the last good one: {estimate:?}");
+            assert!(estimate.objective.is_none() && !estimate.converged);
+        }
+        if state == Coasting {
+            assert!((estimate.parameters[0] - 59.0).abs() < 0.5, "predicted: {estimate:?}");
+            assert!(estimate.objective.is_none() && estimate.covariance.is_some() && !estimate.converged);
+        }
+    }
+}
