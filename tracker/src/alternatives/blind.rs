@@ -17,8 +17,8 @@ const EXPLAINED_FIRST: f64 = 0.02;
 const EXPLAINED: f64 = 0.77;
 /// Glare dies away over so many px.
 const SPREAD_PX: usize = 12;
-/// The edge of what is in front of a target covers pixels in part, so many px beyond those that it covers whole.
-const EDGE_PX: usize = 2;
+/// The edge of what is in front of a target covers pixels in part, so many px beyond those that are far off.
+const EDGE_PX: usize = 1;
 /// Fewer blind pixels than this are a hot pixel or a rim.
 const PIXELS_MIN: usize = 12;
 

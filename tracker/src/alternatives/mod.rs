@@ -106,13 +106,14 @@ impl Alternatives {
         Ok(alternatives)
     }
 
-    /// The best of all alternatives from all starts; `None` when the `plain` fit is as good.
+    /// The best of all alternatives from all starts that `admit` lets through; `None` when the `plain` fit is as good.
     pub fn best(
         &self,
         view: &View,
         constants: &[f64],
         starts: &[Vec<f64>],
         plain: Option<&Fit>,
+        admit: &dyn Fn(&Fit) -> bool,
     ) -> Result<Option<Fit>, CompileFailure> {
         let Some(own) = &self.own else { return Ok(None) };
         let Some(first) = self.grounds.first() else { return Ok(None) };
@@ -139,7 +140,8 @@ impl Alternatives {
             reduced.is_some_and(|reduced| reduced <= MISFIT)
         };
         let add = |found: &mut Vec<(f64, Candidate)>, fitted: &Fitted, candidate: Option<Candidate>| {
-            found.extend(candidate.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
+            let admitted = candidate.filter(|candidate| admit(&candidate.fit));
+            found.extend(admitted.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
         };
         let choice = Choice { degree: 0, robust: false, hidden: 0.0 };
         for start in &starts {
@@ -162,6 +164,13 @@ impl Alternatives {
                 let refined = ground.plain.run(view, constants, parameters, choice, &[1.0], true)?;
                 add(&mut found, &ground.plain, refined);
                 add(&mut found, &ground.robust, Some(robust));
+            }
+        }
+        if std::env::var("DEBUG_ALT").is_ok() {
+            eprintln!("limit {limit:.3}");
+            for (cost, c) in &found {
+                let w = c.fit.worth.as_ref().unwrap();
+                eprintln!("  {cost:.4} red {:.3} px {} {:?} {:?} {:?}", w.reduced.unwrap(), w.pixels, c.choice, c.fit.ending, &c.fit.parameters[..5]);
             }
         }
         // Of those that explain all that they look at, else of all, the one that explains most.

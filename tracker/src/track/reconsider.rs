@@ -3,13 +3,17 @@
 //! What comes in: an [`Attempt`], and where it started. What goes out: the attempt, or that of the alternative model that
 //! explains more. It never knows which track it is for.
 
+use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::alternatives::{self, MISFIT};
 use crate::compiled::CompileFailure;
+use crate::fit::Fit;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
 const ASTRAY: f64 = 4.0;
+/// The area of an alternative is at most so many times that of the start, or that part of it.
+const SIZES: f64 = 4.0;
 
 impl Solver {
     /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. A pose is taken as it is:
@@ -42,7 +46,16 @@ impl Solver {
         };
         let view = self.view(look, self.window(look, start, margin));
         let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
-        let chosen = self.compiled.alternatives()?.best(&view, &self.constants, &starts, plain)?;
+        // An alternative with more freedom may settle on anything near: it must be a target of about that size, and there.
+        let admit = |fit: &Fit| {
+            let same = |(now, before): (Option<f64>, Option<f64>)| {
+                now.zip(before).is_none_or(|(now, before)| (now - before).abs() <= SIZES.ln())
+            };
+            self.rejection(fit, &view, look.window).is_none()
+                && same((self.looks(&fit.parameters).0, self.looks(start).0))
+                && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None).coincides(self, start)
+        };
+        let chosen = self.compiled.alternatives()?.best(&view, &self.constants, &starts, plain, &admit)?;
         let Some(chosen) = chosen else { return Ok(attempt) };
         let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);
         let mut fit = chosen;
