@@ -44,7 +44,6 @@ pub fn ask(document: &Document, frame: &Frame, scene: &Scene, start: &Known) -> 
     let estimate = tracker.track(frame);
     let time_us = begin.elapsed().as_secs_f64() * 1e6;
     let answer = document.answer(&estimate);
-    if std::env::var("DEBUG_ALT").is_ok() { eprintln!("TRIAL {:?} truth {:?}", answer.as_ref().map(|a| (a.centre, Trial::of(a, scene).error)), scene.centre); }
     let silent = answer.is_none();
     let trial = answer.map(|answer| Trial::of(&answer, scene)).filter(|trial| {
         let [x, y] = trial.error;

@@ -166,13 +166,6 @@ impl Alternatives {
                 add(&mut found, &ground.robust, Some(robust));
             }
         }
-        if std::env::var("DEBUG_ALT").is_ok() {
-            eprintln!("limit {limit:.3}");
-            for (cost, c) in &found {
-                let w = c.fit.worth.as_ref().unwrap();
-                eprintln!("  {cost:.4} red {:.3} px {} {:?} {:?} {:?}", w.reduced.unwrap(), w.pixels, c.choice, c.fit.ending, &c.fit.parameters[..5]);
-            }
-        }
         // Of those that explain all that they look at, else of all, the one that explains most.
         let best = found.into_iter().filter(|(cost, _)| *cost < limit);
         let rank = |a: &(f64, Candidate), b: &(f64, Candidate)| {

@@ -9,9 +9,9 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::*;
 use crate::compiled::Compiled;
-use crate::estimate::TrackState;
+use crate::estimate::{Estimate, TrackState};
 use crate::frame::{Frame, Plane};
-use crate::options::{TrackError, TrackerOptions};
+use crate::options::{MotionOptions, TrackError, TrackerOptions};
 use crate::picture::Noise;
 use crate::tracker::Tracker;
 use crate::{Camera, Pose};
@@ -184,9 +184,51 @@ fn two_spots_carry_the_pose_on() {
         assert_eq!(estimate.state, TrackState::Tracking, "{step} {:?}", estimate.rejection);
         assert_close(&estimate.pose.unwrap(), &truth);
     }
-    let estimate = tracker.track(&frame(&at(4.0), &[], &lens, 20));
-    assert_ne!(estimate.state, TrackState::Tracking);
-    assert!(estimate.pose.is_none());
+    let seen = variances(&tracker.track(&frame(&at(4.0), &FLAT, &lens, 19)));
+    let estimate = tracker.track(&frame(&at(5.0), &[], &lens, 20));
+    assert_eq!(estimate.state, TrackState::Coasting);
+    assert!(estimate.pose.as_ref().unwrap().alternatives.is_empty());
+    let predicted = variances(&estimate);
+    assert!(predicted.iter().zip(seen).take(3).all(|(later, sooner)| *later > sooner), "{predicted:?} {seen:?}");
+}
+
+/// Of the position and the small rotation.
+fn variances(estimate: &Estimate) -> [f64; 6] {
+    let covariance = estimate.pose.as_ref().unwrap().covariance.as_ref().unwrap();
+    std::array::from_fn(|i| covariance[7 * i])
+}
+
+/// The position goes on with its velocity while nothing is seen, and is lost after a while.
+#[test]
+fn a_pose_coasts() {
+    let lens = lens(Distortion::None, &[]);
+    let motion = MotionOptions { coast_s: 0.05, ..MotionOptions::default() }; // three frames
+    let mut tracker = Tracker::new(model("three-spots-pose"), TrackerOptions { motion, ..options(&lens) }).unwrap();
+    let step = Vector6::new(2.0, -1.0, 5.0, 0.0, 0.0, 0.0);
+    let at = |n: u64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(step * n as f64));
+    let numbered = |n: u64, spots: &[[f64; 3]]| {
+        let mut frame = frame(&at(n), spots, &lens, 30 + n);
+        frame.sequence = n;
+        frame
+    };
+    for n in 0..8 {
+        let estimate = tracker.track(&numbered(n, &FLAT));
+        assert_eq!(estimate.state, TrackState::Tracking, "{n} {:?}", estimate.rejection);
+    }
+    for n in 8..10 {
+        let estimate = tracker.track(&numbered(n, &[]));
+        assert_eq!(estimate.state, TrackState::Coasting);
+        let variances = variances(&estimate);
+        let off = at(n).translation - Vector3::from(estimate.pose.unwrap().position_mm);
+        assert!(off.norm() < 1.5, "{n}: {off:?}");
+        assert!(off.iter().zip(variances).all(|(off, variance)| off * off < 16.0 * variance), "{off:?} {variances:?}");
+    }
+    let back = tracker.track(&numbered(10, &FLAT));
+    assert_eq!(back.state, TrackState::Tracking);
+    assert_close(&back.pose.unwrap(), &at(10));
+    let states: Vec<_> = (11..16).map(|n| tracker.track(&numbered(n, &[]))).collect();
+    assert_eq!(states[0].state, TrackState::Coasting);
+    assert!(states[4].state == TrackState::Lost && states[4].pose.is_none());
 }
 
 #[test]
