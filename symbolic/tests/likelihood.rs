@@ -50,7 +50,7 @@ impl Pixels for Picture {
         let f = if s <= 1.0 { (1.0 - s).powi(2) * (1.0 + s / 2.0) } else { 0.0 };
         let noise = ((x * 7919 + y * 104_729 + channel * 31) % 97) as f64 / 24.0 - 2.0;
         // One pixel in forty is far off.
-        let outlier = if (x * 31 + y * 17) % 40 == 0 { 60.0 } else { 0.0 };
+        let outlier = if (x * 31 + y * 17).is_multiple_of(40) { 60.0 } else { 0.0 };
         (20.0 + (300.0 - 80.0 * channel as f64) * f + noise + outlier).round().min(255.0)
     }
 }
@@ -83,8 +83,8 @@ fn agrees_with_differences(model: &Model, method: Method) {
             // With ln σ² in F the variances are those of the parameters themselves.
             sums(program, &moved, start).outputs
         };
-        for i in 0..free.len() {
-            let h = 1e-4 * start[i];
+        for (i, value_of) in start.iter().enumerate().take(free.len()) {
+            let h = 1e-4 * value_of;
             let (up, down) = (at(i, h, &value)[0], at(i, -h, &value)[0]);
             let (difference, gradient) = ((up - down) / (2.0 * h), here.outputs[1 + i]);
             let scale = here.outputs[1 + free.len() + (0..i).map(|k| free.len() - k).sum::<usize>()].abs().sqrt();
