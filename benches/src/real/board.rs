@@ -56,7 +56,7 @@ pub struct Consistency {
 fn follow(document: &str, frames: &[(String, Frame)]) -> Vec<Option<[Ellipse; 5]>> {
     let document = compiled(&crate::text(document));
     let mut places: [([f64; 2], Fitted); 5] = FIRST.map(|(place, _)| (place, Fitted::new()));
-    let mut one = |frame: &Frame| {
+    let one = |frame: &Frame| {
         let mut all = Vec::new();
         for (i, (place, start)) in places.iter_mut().enumerate() {
             let half = FIRST[i].1;
