@@ -119,8 +119,9 @@ impl Alternatives {
         let Some(first) = self.grounds.first() else { return Ok(None) };
         let parameters = own.compiled.model().parameters().len();
         let mut starts = starts.to_vec();
-        // All are compared over the same pixels, where it is known which these are.
-        let region = if let [start] = &starts[..] { own.region(view, constants, start) } else { None };
+        // All are compared over the same pixels, where it is known which these are: no background is to be praised for what
+        // it makes of glare.
+        let region = if let [start] = &starts[..] { own.sighted(view, constants, start) } else { None };
         if starts.len() > 1 {
             starts = first.robust.likely(view, constants, starts)?;
         }
@@ -151,9 +152,11 @@ impl Alternatives {
                 add(&mut found, &ground.plain, ground.plain.run(view, constants, start, choice, &[1.0], false)?);
             }
         }
-        // Something stands in front of the target: the simplest background with which all that is seen is explained.
-        for ground in &self.grounds {
-            if found.iter().any(|(_, candidate)| is_fine(candidate)) {
+        // Something stands in front of the target: the simplest background with which all that is seen is explained. Beside
+        // glare the simplest is tried even so: what is left of it is an outlier.
+        let is_blinded = found.iter().any(|(_, candidate)| candidate.choice.hidden > 0.0);
+        for (number, ground) in self.grounds.iter().enumerate() {
+            if found.iter().any(|(_, candidate)| is_fine(candidate)) && (number > 0 || !is_blinded) {
                 break;
             }
             let choice = Choice { degree: ground.degree, robust: true, ..choice };
@@ -264,6 +267,17 @@ impl Fitted {
         let seen = self.predictions.residuals(view, parameters, &constants, false)?;
         let mut region = vec![false; view.window.pixels()];
         seen.iter().flat_map(|seen| &seen.residuals).for_each(|residual| region[residual.pixel] = true);
+        Some(region)
+    }
+
+    /// The same without pixels that are blind from there.
+    fn sighted(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<Vec<bool>> {
+        let mut region = self.region(view, constants, parameters)?;
+        let constants = constants_for(self.compiled.model(), constants, view);
+        let seen = self.predictions.residuals(view, parameters, &constants, false)?;
+        if let Some(mask) = Mask::of(view, &seen, true, None) {
+            region.iter_mut().zip(mask.blind).for_each(|(inside, blind)| *inside &= !blind);
+        }
         Some(region)
     }
 

@@ -12,7 +12,8 @@ use crate::fit::Fit;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
 const ASTRAY: f64 = 4.0;
-/// The area of an alternative is at most so many times that of the start, or that part of it.
+/// The area of an alternative is at most so many times that of the start, or that part of it; of a start that nobody has
+/// confirmed a smaller part, since what stands out of a picture is as large as the glare is.
 const SIZES: f64 = 4.0;
 
 impl Solver {
@@ -49,7 +50,8 @@ impl Solver {
         // An alternative with more freedom may settle on anything near: it must be a target of about that size, and there.
         let admit = |fit: &Fit| {
             let same = |(now, before): (Option<f64>, Option<f64>)| {
-                now.zip(before).is_none_or(|(now, before)| (now - before).abs() <= SIZES.ln())
+                let least = if starts.len() > 1 { SIZES.powi(-3) } else { SIZES.recip() };
+                now.zip(before).is_none_or(|(now, before)| (least.ln()..=SIZES.ln()).contains(&(now - before)))
             };
             self.rejection(fit, &view, look.window).is_none()
                 && same((self.looks(&fit.parameters).0, self.looks(start).0))
