@@ -3,10 +3,10 @@
 //! What comes in: a checked model. What goes out: a model with the same parameters and constants and a few more, and with one
 //! stage that frees those of the last stage and the new ones. It never knows a picture.
 
+use crate::graph::{Graph, Node, NodeId};
 use crate::hyper::{Evaluator, Order};
 use crate::likelihood::{Loss, Saturated};
 use crate::model::{Constant, Formulas, Method, Model, Observation, Parameter, Stage, Start};
-use crate::graph::{Graph, Node, NodeId};
 use crate::points::{NEAR, Random, centre, plausible};
 use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
 
@@ -54,7 +54,14 @@ impl Model {
                 let id = ParameterId(model.parameters.len() as u32);
                 let name = format!("background.{number}.x{}y{}", powers[0], powers[1]);
                 let start = Start::Number(0.0);
-                model.parameters.push(Parameter { name, start, min: None, max: None, unit: None, span: Default::default() });
+                model.parameters.push(Parameter {
+                    name,
+                    start,
+                    min: None,
+                    max: None,
+                    unit: None,
+                    span: Default::default(),
+                });
                 new.push(id);
                 let coefficient = graph.input(Input::Parameter(id));
                 let mut factors = vec![(coefficient, 1)];

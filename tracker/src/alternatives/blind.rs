@@ -114,9 +114,8 @@ impl Painted {
     /// The same window of the copy.
     pub fn view<'a>(&'a self, view: &View, precision: Precision) -> Option<View<'a>> {
         let [width, height] = self.size;
-        let plane = |bytes: &'a Vec<u8>| {
-            PlaneView::new(PixelFormat::F32, bytes, width, height, width * BYTES, BYTES).ok()
-        };
+        let plane =
+            |bytes: &'a Vec<u8>| PlaneView::new(PixelFormat::F32, bytes, width, height, width * BYTES, BYTES).ok();
         let planes = self.planes.iter().map(plane).collect::<Option<Vec<_>>>()?;
         Some(view.with_planes(planes, precision))
     }

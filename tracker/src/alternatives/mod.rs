@@ -224,7 +224,8 @@ impl Fitted {
                 *scale = scales[round.min(scales.len() - 1)];
             }
             let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
-            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64) {
+            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64)
+            {
                 return Ok(None);
             }
             parameters.clone_from(&fitted.parameters);

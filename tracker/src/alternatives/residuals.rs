@@ -73,13 +73,7 @@ impl Predictions {
     }
 
     /// The residuals of each observed value over the domain, or everywhere; `None` when a kernel refuses.
-    pub fn residuals(
-        &self,
-        view: &View,
-        parameters: &[f64],
-        constants: &[f64],
-        everywhere: bool,
-    ) -> Option<Vec<Seen>> {
+    pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64], everywhere: bool) -> Option<Vec<Seen>> {
         let saturation = &view.saturation;
         let bindings = Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
         let one = |entry: &Entry| {

@@ -55,7 +55,8 @@ impl Solver {
             };
             self.rejection(fit, &view, look.window).is_none()
                 && same((self.looks(&fit.parameters).0, self.looks(start).0))
-                && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None).coincides(self, start)
+                && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
+                    .coincides(self, start)
         };
         let chosen = self.compiled.alternatives()?.best(&view, &self.constants, &starts, plain, &admit)?;
         let Some(chosen) = chosen else { return Ok(attempt) };
