@@ -5,8 +5,11 @@
 use isophote_benches::page;
 use isophote_benches::real::{beam, board, frames};
 
+/// Measures one set of photographs.
+type Table = fn() -> String;
+
 fn main() {
-    let sets: [(&str, &str, fn() -> String); 3] = [
+    let sets: [(&str, &str, Table); 3] = [
         ("visp-mire2", "## A moving box", board::table),
         ("laser", "## Laser beams, clipped", beam::clipped),
         ("laser", "## Laser beams along their way", beam::caustic),

@@ -14,6 +14,8 @@ pub mod figure;
 pub mod foreign;
 pub mod frame;
 pub mod page;
+#[allow(missing_docs)] // fields of tables
+pub mod pose;
 pub mod race;
 pub mod real;
 pub mod scene;

@@ -380,6 +380,9 @@ fn typical(estimator: Estimator, spec: &SyntheticSpec, dark: bool) -> f64 {
         Estimator::Size(_) => 40.0 * scale,
         Estimator::Background => level * if dark { 200.0 } else { 20.0 },
         Estimator::Amplitude => level * if dark { -150.0 } else { 150.0 },
+        // A target on the axis, a metre away, seen from the front.
+        Estimator::Position(2) => 1000.0,
+        Estimator::Position(_) | Estimator::Orientation(_) => 0.0,
     }
 }
 

@@ -10,7 +10,9 @@ use isophote_capture::{Captured, FrameSource, Recording};
 use isophote_jit::Window;
 use isophote_server::{Threads, wire};
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, Compiled, Estimate, ExposureGoal, TrackState, Tracker, TrackerOptions, contours};
+use isophote_tracker::{
+    Camera, Compiled, Estimate, ExposureGoal, Intrinsics, Pose, Target, TrackState, Tracker, TrackerOptions, contours,
+};
 
 use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
@@ -37,10 +39,12 @@ pub struct FitArgs {
     /// Look at these pixels only, in all slices; x,y,z,w,h,d names slices as well
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, intrinsics
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, intrinsics; or the YAML file that
+    /// OpenCV's calibration (or ROS's camera_info) writes
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// A JSON document about the target; checked and kept, this build fits no pose
+    /// A JSON document about the target: spots with their positions and radii in mm. With the camera's intrinsics it gives
+    /// the pose
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
     /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
@@ -96,26 +100,42 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
         start: Numbers::merged(&args.start).map_err(Failure::Usage)?,
         constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
         camera: args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?,
+        target: args.target.as_deref().map(target).transpose()?,
         exposure: Some(ExposureGoal::Centre),
         ..TrackerOptions::default()
     };
-    if let Some(path) = &args.target {
-        let _kept: serde_json::Map<String, serde_json::Value> = json(path, "a target document (a JSON object)")?;
-    }
     let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads).map_err(|failure| {
         Failure::model(&args.model.display().to_string(), &isophote_server::explain::diagnostics(&failure))
     })?;
     Tracker::new(Arc::new(compiled), options).map_err(|error| Failure::Usage(error.to_string()))
 }
 
+/// JSON begins with a brace; everything else is taken for a calibration file.
 fn camera(path: &Path) -> Result<Camera, Failure> {
-    json(path, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})")
+    let text = read(path)?;
+    if text.trim_start().starts_with('{') {
+        return json(path, &text, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})");
+    }
+    let intrinsics = Intrinsics::from_opencv_yaml(&text)
+        .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))?;
+    Ok(Camera { intrinsics: Some(intrinsics), ..Camera::default() })
 }
 
-fn json<T: serde::de::DeserializeOwned>(path: &Path, wanted: &str) -> Result<T, Failure> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| Failure::Usage(format!("{}: cannot be read: {error}", path.display())))?;
-    serde_json::from_str(&text).map_err(|error| Failure::Usage(format!("{}: not {wanted}: {error}", path.display())))
+fn target(path: &Path) -> Result<Target, Failure> {
+    json(
+        path,
+        &read(path)?,
+        "a target document (JSON, e.g. {\"spots\":[{\"name\":\"red\",\"position_mm\":[0,80,0],\"radius_mm\":30}]})",
+    )
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path)
+        .map_err(|error| Failure::Usage(format!("{}: cannot be read: {error}", path.display())))
+}
+
+fn json<T: serde::de::DeserializeOwned>(path: &Path, text: &str, wanted: &str) -> Result<T, Failure> {
+    serde_json::from_str(text).map_err(|error| Failure::Usage(format!("{}: not {wanted}: {error}", path.display())))
 }
 
 /// Said before anything is fitted.
@@ -169,9 +189,28 @@ fn columns(model: &Model, line: &wire::Estimate, estimate: &Estimate) -> String 
         if let Some(chi_square) = line.reduced_chi_square {
             text += &format!("  χ² {chi_square:.3}");
         }
+        if let Some(pose) = &line.pose {
+            text += &pose_columns(pose);
+        }
         text += &format!("  saturated {:.1} %", 100.0 * line.saturated);
     }
     text + "  " + line.ending.name()
+}
+
+/// Position with standard deviations in mm; the rotation as an axis times its angle in degrees.
+fn pose_columns(pose: &Pose) -> String {
+    let deviation = |i: usize| pose.covariance.as_ref().and_then(|c| c.get(7 * i)).map(|variance| variance.sqrt());
+    let mut text = String::from("  pose");
+    for (i, (name, value)) in ["x", "y", "z"].into_iter().zip(pose.position_mm).enumerate() {
+        text += &format!(" {name} {} mm", with_deviation(value, deviation(i)));
+    }
+    let [x, y, z, w] = pose.orientation_xyzw;
+    let sine = (x * x + y * y + z * z).sqrt();
+    let degrees = if sine > 0.0 { 2.0 * sine.atan2(w).to_degrees() / sine } else { 0.0 };
+    let turned = [x, y, z].map(|c| format!("{:.3}", c * degrees)).join(" ");
+    let others = pose.alternatives.len();
+    let also = if others > 0 { format!(" (or {others} other)") } else { String::new() };
+    format!("{text} turned {turned} °{also}")
 }
 
 /// A number to two digits of its standard deviation; to six digits where that is not known.

@@ -59,6 +59,7 @@ mod proof;
 mod rank;
 mod reader;
 mod registers;
+mod sample;
 mod schedule;
 mod search;
 mod square;
@@ -81,4 +82,5 @@ pub use model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, 
 pub use objective::{Objective, Prediction, ValueKind};
 pub use program::*;
 pub use proof::{Form, Proof};
+pub use sample::Sample;
 pub use variant::Variant;

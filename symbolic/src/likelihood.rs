@@ -126,6 +126,7 @@ impl Shape {
     }
 
     /// F, gradient and upper Hessian of one pixel value, in any arithmetic: of Newton's method, …
+    #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
     pub fn newton<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>) -> Hyper<N> {
         let square = variance.map_or_else(|| residual.power(2), |v| residual.power(2).mul(&v.power(-1)));
         let f = match self {
@@ -156,6 +157,7 @@ impl Shape {
     }
 
     /// … and F, L and Q, of Gauss–Newton.
+    #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
     pub fn direct<N: Number>(self, residual: N, variance: Option<N>) -> [N; 3] {
         let (one, two, four) = (N::from(1.0), N::from(2.0), N::from(4.0));
         let weight = variance.map_or(one, |v| one / v);

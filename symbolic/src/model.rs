@@ -51,11 +51,15 @@ pub enum Estimator {
     Background,
     /// Signed height over the background, pixel value.
     Amplitude,
+    /// The target's origin in the camera's frame, by axis, mm.
+    Position(usize),
+    /// Modified Rodrigues parameter of the rotation from target axes to camera axes, by axis.
+    Orientation(usize),
 }
 
 impl Estimator {
     /// Every estimator.
-    pub const ALL: [Estimator; 20] = {
+    pub const ALL: [Estimator; 26] = {
         use Estimator::*;
         [
             Centroid(0),
@@ -78,6 +82,12 @@ impl Estimator {
             Size(3),
             Background,
             Amplitude,
+            Position(0),
+            Position(1),
+            Position(2),
+            Orientation(0),
+            Orientation(1),
+            Orientation(2),
         ]
     };
 
@@ -97,6 +107,8 @@ impl Estimator {
             Estimator::Size(axis) => SIZE[axis],
             Estimator::Background => "background",
             Estimator::Amplitude => "amplitude",
+            Estimator::Position(axis) => ["pose.x", "pose.y", "pose.z"][axis],
+            Estimator::Orientation(axis) => ["pose.rx", "pose.ry", "pose.rz"][axis],
         }
     }
 
@@ -106,6 +118,7 @@ impl Estimator {
             Estimator::Centroid(axis) | Estimator::Size(axis) => axis + 1,
             Estimator::Extent(row, column) => row.max(column) + 1,
             Estimator::Background | Estimator::Amplitude => 1,
+            Estimator::Position(_) | Estimator::Orientation(_) => 2,
         }
     }
 }
@@ -135,6 +148,11 @@ pub struct Roles {
     pub background: Option<ParameterId>,
     /// Height over the background.
     pub brightness: Option<ParameterId>,
+    /// The target's origin in the camera's frame, mm: three, or empty.
+    pub position: Vec<ParameterId>,
+    /// Modified Rodrigues parameters of the rotation from target axes to camera axes: three, two (the third is 0: one round
+    /// spot, whose spin nothing shows), or empty.
+    pub orientation: Vec<ParameterId>,
 }
 
 /// How a stage steps.

@@ -77,6 +77,9 @@ impl<N: Number> Point<N> {
 
 /// Where the first target is: numbers of the document count, everything else is put where the caller wants it.
 pub(crate) fn centre(model: &Model, otherwise: [f64; 4]) -> [f64; 4] {
+    if let Some([x, y]) = projected(model) {
+        return [x, y, otherwise[2], otherwise[3]];
+    }
     let role = |i: usize| model.roles.first()?.centre.get(i).copied();
     std::array::from_fn(|i| match role(i).map(|p| model.parameters[p.index()].start) {
         // Within what a picture's columns can number.
@@ -85,6 +88,19 @@ pub(crate) fn centre(model: &Model, otherwise: [f64; 4]) -> [f64; 4] {
         None => 0.5 * WIDTH as f64,
     })
 }
+
+/// Where the first spot of a pose is seen from [`DISTANCE_MM`] away, when the constants say.
+fn projected(model: &Model) -> Option<[f64; 2]> {
+    model.roles.iter().find(|roles| !roles.position.is_empty())?;
+    let name = model.roles.iter().find_map(|roles| roles.name.as_ref())?;
+    let value = |name: &str| Some(model.constants[model.constant(name)?.index()].value);
+    let at =
+        |f: &str, c: &str, spot: &str| Some(value(c)? + value(f)? * value(&format!("{name}_{spot}"))? / DISTANCE_MM);
+    Some([at("fx", "cx", "x")?, at("fy", "cy", "y")?])
+}
+
+/// How far away the target of a pose is put.
+const DISTANCE_MM: f64 = 1000.0;
 
 /// The coordinate that a parameter is the first target's centre along.
 fn axis(model: &Model, parameter: usize) -> Option<usize> {
@@ -198,6 +214,9 @@ fn made_up(parameter: &Parameter, centre: [f64; 4], random: &mut Random) -> f64 
             Estimator::Amplitude => {
                 (150.0 + 30.0 * jitter) * if parameter.max.is_some_and(|m| m <= 0.0) { -1.0 } else { 1.0 }
             }
+            Estimator::Position(2) => DISTANCE_MM * (1.0 + 0.03 * jitter),
+            Estimator::Position(_) => 2.0 * jitter,
+            Estimator::Orientation(_) => 0.02 * jitter,
         },
     };
     let inside = parameter.min.is_none_or(|min| value > min) && parameter.max.is_none_or(|max| value < max);

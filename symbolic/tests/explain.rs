@@ -101,12 +101,16 @@ fn conditions_roots_and_powers() {
 fn every_shipped_model_is_well_formed() {
     for model in shipped() {
         let parameters: Vec<ParameterId> = model.stages()[0].parameters.clone();
-        let mathml = explained(&model, &parameters, Show::MathMl);
+        // Second derivatives of some are past the limits: then what the document asks for is shown.
+        let own = model.stages()[0].method;
+        let objective = model.objective(&parameters, Method::Newton);
+        let objective = objective.or_else(|_| model.objective(&parameters, own)).unwrap();
+        let mathml = objective.explain(Show::MathMl);
         assert!(mathml.lines().all(|line| line.starts_with("<math display=\"block\"") && line.ends_with("</math>")));
         for line in mathml.lines() {
             well_formed(line);
         }
-        braces(&explained(&model, &parameters, Show::Latex));
+        braces(&objective.explain(Show::Latex));
     }
 }
 

@@ -7,6 +7,7 @@ use crate::fit::View;
 use crate::grey::{Grey, Mixture};
 use crate::halved::find_halved;
 use crate::mask::Mask;
+use crate::pose;
 use crate::start::{Sight, Sign, Wanted, find};
 
 /// What a cold start may begin with.
@@ -77,9 +78,16 @@ impl Cold {
             let sights = vec![starts(model, given, &[], &estimators, origin)];
             return Some(Cold { sights, control, variance: None, is_placed: true });
         }
+        let mut wanted = wanted(model, given, origin);
+        if let Some(geometry) = pose::Geometry::of(model, constants) {
+            (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
+            let found = find(&grey, &wanted);
+            let starts = pose_starts(model, &geometry, &found.sights, given, origin)?;
+            let (sights, variance) = (vec![Starts { starts, tighter: None }], Some(found.noise.powi(2)));
+            return Some(Cold { sights, control, variance, is_placed: false });
+        }
         let targets = model.roles().len().max(1);
         let several = if targets == 1 { sights_max } else { 1 };
-        let mut wanted = wanted(model, given, origin);
         (wanted.targets_max, wanted.faint, wanted.masks) = (targets.max(several), several > 1, masks);
         let found = if grain == Grain::Halved { find_halved(&grey, &wanted) } else { find(&grey, &wanted) };
         if found.sights.len() < targets {
@@ -126,6 +134,40 @@ fn starts(
     let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
     let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
     Starts { starts, tighter }
+}
+
+/// Starts for every pose that suits the spots, and again brighter where spots are clipped; `None` when no pose does.
+fn pose_starts(
+    model: &Model,
+    geometry: &pose::Geometry,
+    sights: &[Sight],
+    given: &[Option<f64>],
+    origin: [f64; 4],
+) -> Option<Vec<Vec<f64>>> {
+    let spots = &geometry.target.spots;
+    let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
+    let mut starts = Vec::new();
+    for pose_start in pose::starts(geometry, sights, origin) {
+        let sight_of = |parameter: usize| {
+            let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
+            let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());
+            let spot = spots.iter().position(|spot| Some(&spot.name) == name);
+            let own = spot.and_then(|spot| pose_start.sights[spot]);
+            own.or_else(|| pose_start.sights.iter().flatten().next().copied()).map(|index| &sights[index])
+        };
+        for brighter in if clipped { vec![1.0, BRIGHTER] } else { vec![1.0] } {
+            let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match parameter.start {
+                Start::Number(number) => Some(number),
+                Start::Estimator(Estimator::Amplitude) => Some(brighter * sight_of(index)?.amplitude),
+                Start::Estimator(estimator) => Some(sight_of(index)?.value(estimator, origin)),
+            };
+            let mut start = model.parameters().iter().enumerate().map(value).collect::<Option<Vec<f64>>>()?;
+            geometry.put(&pose_start.pose, &mut start);
+            start.iter_mut().zip(given).for_each(|(start, given)| *start = given.unwrap_or(*start));
+            starts.push(start);
+        }
+    }
+    (!starts.is_empty()).then_some(starts)
 }
 
 /// The target whose roles name the parameter, else the first.

@@ -6,6 +6,7 @@ use crate::alternatives::Alternative;
 use serde::{Deserialize, Serialize};
 
 use crate::exposure::ExposureAdvice;
+use crate::pose::Pose;
 
 /// Whether the target is followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -127,7 +128,8 @@ pub enum Rejection {
 pub struct Ahead {
     /// So long after the frame, s.
     pub after_s: f64,
-    /// The centre's coordinates, px; of all targets of the model, in the order of their roles.
+    /// The centre's coordinates, px; of all targets of the model, in the order of their roles. Of a model whose parameters are
+    /// a pose: its position, mm. What follows then has mm in the place of px.
     pub centre: Vec<f64>,
     /// Their velocities, px/s.
     pub velocity: Vec<f64>,
@@ -160,8 +162,8 @@ pub struct Estimate {
     pub reduced_chi_square: Option<f64>,
     /// ln L of the frame's pixels in the domain.
     pub log_likelihood: Option<f64>,
-    /// The probability that the thing tracked is the target; absent where the model does not say what is bright, and where
-    /// nothing was seen.
+    /// The probability that the thing tracked is the target; absent where the model does not say what is bright, or is that of a
+    /// pose, and where nothing was seen.
     pub confidence: Option<f64>,
     /// What exposure would be best, when it was asked for and the target was seen.
     pub exposure_advice: Option<ExposureAdvice>,
@@ -183,6 +185,8 @@ pub struct Estimate {
     pub stages: Vec<StageReport>,
     /// What was fitted in the model's place, when that left too much unexplained.
     pub alternative: Option<Alternative>,
+    /// Where the target is, when lens and target are known and the model shows its spots.
+    pub pose: Option<Pose>,
 }
 
 impl Estimate {

@@ -3,7 +3,7 @@
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
 use isophote_jit::{PixelFormat, PlaneView, Window};
-use isophote_symbolic::{Bindings, ParameterId, Precision, ValueKind};
+use isophote_symbolic::{Bindings, Model, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::alternatives::Alternative;
@@ -11,6 +11,7 @@ use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature,
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
 use crate::loops::{Loops, Totals};
+use crate::pose::Geometry;
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
@@ -136,6 +137,7 @@ fn fit_controlled(
     control: Control,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
+    let parts = parts(model, view, constants, start);
     let mut fit =
         Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None, choice: None };
     for (index, stage) in model.stages().iter().enumerate() {
@@ -147,8 +149,16 @@ fn fit_controlled(
         let value = compiled.loops(value, control, &view.layout)?;
         let free = indices(&stage.parameters);
         let count = free.len();
-        let mut problem =
-            Kernels { compiled, view, constants, gradient, value, count, curvature: curvature(stage.method) };
+        let mut problem = Kernels {
+            compiled,
+            view,
+            parts: &parts,
+            constants,
+            gradient,
+            value,
+            count,
+            curvature: curvature(stage.method),
+        };
         let rules = Rules {
             free,
             iterations: stage.iterations,
@@ -169,7 +179,8 @@ fn fit_controlled(
     let gradient = compiled.loops(Job::Covariance, control, &view.layout)?;
     let value = compiled.loops(Job::Value, control, &view.layout)?;
     let count = compiled.last_parameters().len();
-    let mut problem = Kernels { compiled, view, constants, gradient, value, count, curvature: Curvature::GaussNewton };
+    let mut problem =
+        Kernels { compiled, view, parts: &parts, constants, gradient, value, count, curvature: Curvature::GaussNewton };
     match problem.worth(&fit.parameters, control)? {
         Some(worth) => {
             if worth.covariance.is_none() {
@@ -180,6 +191,38 @@ fn fit_controlled(
         None => fit.ending = Ending::NonFinite,
     }
     Ok(fit)
+}
+
+/// The windows to look at for a fit that begins at `start`.
+fn parts(model: &Model, view: &View, constants: &[f64], start: &[f64]) -> Vec<Window> {
+    let windows = |geometry: Geometry| geometry.windows(model, start, constants, view.window);
+    Geometry::of(model, constants).map_or_else(|| vec![view.window], windows)
+}
+
+/// By how much F (with noise: minus twice the log-likelihood) is larger at `b` than at `a`, the mean over the pixels of
+/// either.
+pub(crate) fn difference(
+    compiled: &Compiled,
+    view: &View,
+    constants: &[f64],
+    a: &[f64],
+    b: &[f64],
+) -> Result<Option<f64>, CompileFailure> {
+    let model = compiled.model();
+    let job = if model.has_noise() { Job::Report } else { Job::Value };
+    let value = compiled.loops(job, Control::Dropping, &view.layout)?;
+    let mut sum = 0.0;
+    for entry in [a, b] {
+        let parts = parts(model, view, constants, entry);
+        let gradient = value.clone(); // not run
+        let curvature = Curvature::GaussNewton;
+        let kernels =
+            Kernels { compiled, view, parts: &parts, constants, gradient, value: value.clone(), count: 0, curvature };
+        let at = |point: &[f64]| kernels.run(&value, point, entry)?.outputs.first().copied();
+        let (Some(at_a), Some(at_b)) = (at(a), at(b)) else { return Ok(None) };
+        sum += at_b - at_a;
+    }
+    Ok(Some(0.5 * sum))
 }
 
 /// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.
@@ -198,6 +241,8 @@ fn indices(parameters: &[ParameterId]) -> Vec<usize> {
 struct Kernels<'a> {
     compiled: &'a Compiled,
     view: &'a View<'a>,
+    /// Windows without a common pixel: the view's, or what of it the target can be in.
+    parts: &'a [Window],
     constants: &'a [f64],
     gradient: Loops,
     value: Loops,
@@ -210,7 +255,12 @@ impl Kernels<'_> {
     fn run(&self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Option<Totals> {
         let bindings =
             Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
-        loops.sums(&bindings, &self.view.planes, self.view.window)
+        let (first, others) = self.parts.split_first()?;
+        let mut totals = loops.sums(&bindings, &self.view.planes, *first)?;
+        for part in others {
+            totals.add(loops.sums(&bindings, &self.view.planes, *part)?);
+        }
+        Some(totals)
     }
 
     /// The pass that nothing follows.

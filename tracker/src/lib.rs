@@ -29,6 +29,7 @@ mod motion;
 mod options;
 #[cfg(test)]
 mod picture;
+mod pose;
 mod report;
 mod stage;
 mod start;
@@ -38,13 +39,14 @@ mod trust;
 mod workers;
 
 pub use alternatives::Alternative;
-pub use camera::{Camera, Distortion, Intrinsics};
+pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
 pub use compiled::{CompileFailure, Compiled};
 pub use contour::{Contour, contours};
 pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
+pub use pose::{Alternative, Pose, Target, TargetError, TargetSpot, geometry};
 pub use report::{CheckReport, StageCost};
 pub use track::evidence::Evidence;
 pub use track::search::Sighting;

@@ -28,6 +28,17 @@ pub(crate) struct Totals {
     pub saturated: u64,
 }
 
+impl Totals {
+    /// Those of another window as well.
+    pub fn add(&mut self, other: Totals) {
+        let add = |to: &mut [f64], from: Vec<f64>| to.iter_mut().zip(from).for_each(|(sum, value)| *sum += value);
+        add(&mut self.outputs, other.outputs);
+        add(&mut self.seen, other.seen);
+        self.pixels += other.pixels;
+        self.saturated += other.saturated;
+    }
+}
+
 impl Loops {
     /// `None` when a kernel refuses the planes; they were made for it, so only a bug could.
     pub fn sums(&self, bindings: &Bindings, planes: &[PlaneView], window: Window) -> Option<Totals> {

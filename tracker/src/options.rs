@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use isophote_jit::Window;
-use isophote_symbolic::{Model, Precision};
+use isophote_symbolic::{Estimator, Model, Precision, Start};
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Distortion, IntrinsicsError};
 use crate::exposure::ExposureGoal;
+use crate::pose::{Geometry, Target, TargetError};
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,10 +18,13 @@ pub struct TrackerOptions {
     pub window: Option<Window>,
     /// Numbers that take the place of a parameter's own start, by name.
     pub start: BTreeMap<String, f64>,
-    /// Values of constants, by name. What is missing here comes from the camera (`gain`, `read_noise`), else from the model.
+    /// Values of constants, by name. What is missing here comes from the camera (`gain`, `read_noise`, `fx` …), then
+    /// from the target (`red_x` …), else from the model.
     pub constants: BTreeMap<String, f64>,
     /// The camera.
     pub camera: Camera,
+    /// The rigid target that the spots belong to.
+    pub target: Option<Target>,
     /// How many targets to follow, each an instance of the model.
     pub targets: usize,
     /// How they move.
@@ -58,6 +62,7 @@ impl Default for TrackerOptions {
             start: BTreeMap::new(),
             constants: BTreeMap::new(),
             camera: Camera::default(),
+            target: None,
             targets: 1,
             motion: MotionOptions::default(),
             predict: None,
@@ -116,6 +121,29 @@ pub enum TrackError {
         name: String,
         /// As given.
         value: f64,
+    },
+    /// The lens cannot be.
+    #[error(transparent)]
+    Intrinsics(#[from] IntrinsicsError),
+    /// The target cannot be.
+    #[error(transparent)]
+    Target(#[from] TargetError),
+    /// The formulas of the model bend light otherwise than the lens.
+    #[error(
+        "the model's formulas have no `{wanted}`, which the camera's lens needs: take a model for lenses of this kind"
+    )]
+    Lens {
+        /// The constant that is missing.
+        wanted: String,
+    },
+    /// A start by `pose.…` without what a pose needs.
+    #[error(
+        "`{name}` starts at a pose: that needs the roles `position` and `orientation`, the constants `fx`, `fy`, `cx`, `cy`, \
+         and for each spot's table of roles, `red` say, `red_x`, `red_y` and `red_radius`, all of which make sense"
+    )]
+    NoGeometry {
+        /// The parameter.
+        name: String,
     },
     /// A number of the options that cannot be.
     #[error("{name} = {value} must be {range}")]
@@ -196,8 +224,9 @@ impl TrackerOptions {
             let range = "0 to 1".to_string();
             return Err(TrackError::Range { name: "confidence_min", value: self.confidence_min, range });
         }
-        if self.targets > 1 && model.roles().len() > 1 {
-            let range = "1 for a model that has several targets of its own".to_string();
+        let is_several = model.roles().len() > 1 || model.roles().iter().any(|roles| !roles.position.is_empty());
+        if self.targets > 1 && is_several {
+            let range = "1 for a model that has several targets of its own, or a pose".to_string();
             return Err(TrackError::Range { name: "targets", value: self.targets as f64, range });
         }
         for (name, &value) in &self.constants {
@@ -208,12 +237,44 @@ impl TrackerOptions {
                 return Err(TrackError::NotFinite { name: name.clone(), value });
             }
         }
+        self.target.as_ref().map_or(Ok(()), Target::check)?;
+        let is_pose =
+            |start: &Start| matches!(start, Start::Estimator(Estimator::Position(_) | Estimator::Orientation(_)));
+        let starts_at_pose = model.parameters().iter().find(|parameter| is_pose(&parameter.start));
+        if let Some(parameter) = starts_at_pose
+            && Geometry::of(model, &self.constants_of(model)).is_none()
+        {
+            return Err(TrackError::NoGeometry { name: parameter.name.clone() });
+        }
+        self.check_lens(model)
+    }
+
+    /// A model that has the lens in its formulas must have all of it.
+    fn check_lens(&self, model: &Model) -> Result<(), TrackError> {
+        let Some(lens) = &self.camera.intrinsics else { return Ok(()) };
+        lens.check()?;
+        if model.constant("fx").is_none() {
+            return Ok(());
+        }
+        if lens.model == Distortion::Fisheye {
+            return Err(TrackError::Lens { wanted: "fisheye lens".into() });
+        }
+        for name in ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"] {
+            let wanted = format!("lens_{name}");
+            if lens.coefficient(name).is_some_and(|value| value != 0.0) && model.constant(&wanted).is_none() {
+                return Err(TrackError::Lens { wanted });
+            }
+        }
         Ok(())
     }
 
     /// All constants of the model, in its order.
     pub(crate) fn constants_of(&self, model: &Model) -> Vec<f64> {
-        let value = |name: &str| self.constants.get(name).copied().or_else(|| self.camera.constant(name));
+        let of_target = |name: &str| self.target.as_ref().and_then(|target| target.constant(name));
+        let value = |name: &str| {
+            let given = self.constants.get(name).copied();
+            given.or_else(|| self.camera.constant(name)).or_else(|| of_target(name))
+        };
         model.constants().iter().map(|constant| value(&constant.name).unwrap_or(constant.value)).collect()
     }
 

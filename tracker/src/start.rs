@@ -104,6 +104,8 @@ impl Sight {
             Estimator::Size(axis) => self.size[axis],
             Estimator::Background => self.background,
             Estimator::Amplitude => self.amplitude,
+            // A single sight has no pose: see `pose::starts`.
+            Estimator::Position(_) | Estimator::Orientation(_) => 0.0,
         }
     }
 }

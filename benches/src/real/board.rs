@@ -56,7 +56,7 @@ pub struct Consistency {
 fn follow(document: &str, frames: &[(String, Frame)]) -> Vec<Option<[Ellipse; 5]>> {
     let document = compiled(&crate::text(document));
     let mut places: [([f64; 2], Fitted); 5] = FIRST.map(|(place, _)| (place, Fitted::new()));
-    let mut one = |frame: &Frame| {
+    let one = |frame: &Frame| {
         let mut all = Vec::new();
         for (i, (place, start)) in places.iter_mut().enumerate() {
             let half = FIRST[i].1;
@@ -78,7 +78,7 @@ fn follow(document: &str, frames: &[(String, Frame)]) -> Vec<Option<[Ellipse; 5]
         }
         <[Ellipse; 5]>::try_from(all).ok()
     };
-    frames.iter().map(|(_, frame)| frame).map(|frame| one(frame)).collect()
+    frames.iter().map(|(_, frame)| frame).map(one).collect()
 }
 
 impl Ellipse {
@@ -216,9 +216,8 @@ mod tests {
         let seen = Ellipse { centre: middle, shape: a / -level };
         assert!((seen.centre_in(&h) - centre).norm() < 1e-9);
         assert!((mapped(&inverse, middle) - centre).norm() > 1e-3, "no bias to be seen");
-        for i in 0..4 {
-            let corner = mapped(&h, Vector2::from(CORNERS[i]));
-            assert!((mapped(&inverse, corner) - Vector2::from(CORNERS[i])).norm() < 1e-9);
+        for corner in CORNERS.map(Vector2::from) {
+            assert!((mapped(&inverse, mapped(&h, corner)) - corner).norm() < 1e-9);
         }
     }
 }

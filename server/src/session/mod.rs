@@ -180,11 +180,6 @@ impl Session {
 
 /// What this build cannot honour is said, never ignored.
 fn check_document(document: &SessionDocument) -> Result<(), Problem> {
-    let absent =
-        |key: &str, what: &str| Err(Problem::wrong_key("not-in-this-build", key, format!("this build {what}")));
-    if !document.target.is_empty() {
-        return absent("target", "fits no pose, so a session's target must be {}");
-    }
     if let Some(window) = document.window {
         let slices = window.depth.unwrap_or(1).saturating_mul(window.length.unwrap_or(1));
         let pixels = window.width.saturating_mul(window.height).saturating_mul(slices);
@@ -229,6 +224,8 @@ fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) 
         (_, _, TrackError::Range { name, .. }) => format!("options.{name}"),
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),
+        (None, None, TrackError::Target(_)) => "target".to_string(),
+        (None, None, TrackError::Intrinsics(_)) => "camera.intrinsics".to_string(),
         (None, None, _) => "model".to_string(),
     };
     Problem::wrong_key("wrong-value", &key, error.to_string())

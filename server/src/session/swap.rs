@@ -63,6 +63,7 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
         start: known(&document.start, &|name| model.parameter(name).is_some()),
         constants: known(&document.constants, &|name| model.constant(name).is_some()),
         camera: camera.clone(),
+        target: document.target.clone(),
         targets: document.options.targets,
         motion: MotionOptions {
             acceleration_px_s2: document.options.motion.acceleration_px_s2,

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use isophote_symbolic::Precision;
-use isophote_tracker::Camera;
 pub use isophote_tracker::ExposureGoal;
+use isophote_tracker::{Camera, Target};
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
@@ -29,9 +29,9 @@ pub struct SessionDocument {
     /// What the camera is.
     #[serde(default)]
     pub camera: Camera,
-    /// The target's geometry; this build fits no pose and takes only `{}`.
-    #[serde(default)]
-    pub target: serde_json::Map<String, serde_json::Value>,
+    /// The target's geometry; `{}` when it has none.
+    #[serde(default, deserialize_with = "target_or_none", serialize_with = "target_or_empty")]
+    pub target: Option<Target>,
     /// How it is computed.
     #[serde(default)]
     pub options: SessionOptions,
@@ -353,6 +353,21 @@ pub struct SwapDocument {
 pub struct CreditDocument {
     /// Messages.
     pub credit: u32,
+}
+
+fn target_or_none<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Target>, D::Error> {
+    let fields = serde_json::Map::<String, serde_json::Value>::deserialize(deserializer)?;
+    if fields.is_empty() {
+        return Ok(None);
+    }
+    serde_json::from_value(fields.into()).map(Some).map_err(de::Error::custom)
+}
+
+fn target_or_empty<S: serde::Serializer>(target: &Option<Target>, serializer: S) -> Result<S::Ok, S::Error> {
+    match target {
+        Some(target) => target.serialize(serializer),
+        None => serde_json::Map::new().serialize(serializer),
+    }
 }
 
 fn default_width() -> usize {

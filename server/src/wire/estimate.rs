@@ -71,6 +71,9 @@ pub struct Estimate {
     /// Background and brightness, when the model has a role for one of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub illumination: Option<Illumination>,
+    /// Where the target is, when the lens and the target are known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub pose: Option<tracker::Pose>,
     /// What exposure would be best.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub exposure_advice: Option<ExposureAdvice>,
@@ -147,6 +150,7 @@ impl Estimate {
             indefinite_steps: result.indefinite_steps(),
             illumination: (background.is_some() || brightness.is_some())
                 .then_some(Illumination { background, brightness }),
+            pose: result.pose.clone(),
             exposure_advice: result.exposure_advice.clone(),
             predict: result.ahead.clone(),
             alternative: result.alternative,

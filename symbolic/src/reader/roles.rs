@@ -5,7 +5,7 @@ use crate::model::{Estimator, Parameter, Roles, Start};
 use crate::program::ParameterId;
 use crate::reader::faults::{Faults, get, parameter_named, parameters_named};
 
-const ROLES: [&str; 4] = ["centre", "shape", "background", "brightness"];
+const ROLES: [&str; 6] = ["centre", "shape", "background", "brightness", "position", "orientation"];
 
 /// One a target; what follows from the estimators where the table is missing.
 pub(crate) fn read_roles(
@@ -62,6 +62,24 @@ fn read_role(
             );
         }
     }
+    let axes = |faults: &mut Faults, field: &str, fits: &[usize], help: &str| {
+        let Some(entry) = get(fields, field) else { return Vec::new() };
+        let key = format!("{path}.{field}");
+        let before = faults.count();
+        let named = parameters_named(faults, &key, entry, parameters);
+        if !fits.contains(&named.len()) && !faults.is_partial() && faults.count() == before {
+            let message = format!("`{key}` names {} parameters here, not {}", fits[0], named.len());
+            faults.tell("shape", &key, entry.span, message, help);
+        }
+        named
+    };
+    roles.position = axes(faults, "position", &[3], "a position is x, y and z of the target's origin, in mm");
+    roles.orientation = axes(
+        faults,
+        "orientation",
+        &[3, 2],
+        "an orientation is three modified Rodrigues parameters, or two where the third is 0",
+    );
     let mut one = |field: &str| {
         get(fields, field).and_then(|e| parameter_named(faults, &format!("{path}.{field}"), e, parameters))
     };
@@ -86,5 +104,9 @@ fn default_roles(parameters: &[Parameter], coordinates: usize) -> Roles {
         shape: all(&shape),
         background: with(Estimator::Background),
         brightness: with(Estimator::Amplitude),
+        position: all(&[0, 1, 2].map(Estimator::Position)),
+        orientation: Some(all(&[0, 1, 2].map(Estimator::Orientation)))
+            .filter(|found| !found.is_empty())
+            .unwrap_or_else(|| all(&[0, 1].map(Estimator::Orientation))),
     }
 }

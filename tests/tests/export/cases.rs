@@ -196,8 +196,14 @@ impl Case {
 
     /// At this evaluation, and when the pass was entered.
     fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
+        // The first spot of a pose is seen in the middle, from a metre away, by f = 600 px about (319.5, 239.5).
+        let red_y = self.model.constant("red_y").map_or(0.0, |id| self.model.constants()[id.index()].value);
         let start = |start: Start| match start {
             Start::Number(number) => number,
+            Start::Estimator(Estimator::Position(0)) => (SIZE[0] as f64 / 2.0 - 319.5) / 0.6,
+            Start::Estimator(Estimator::Position(1)) => (SIZE[1] as f64 / 2.0 - 239.5) / 0.6 - red_y,
+            Start::Estimator(Estimator::Position(_)) => 1000.0,
+            Start::Estimator(Estimator::Orientation(axis)) => 0.01 * axis as f64,
             Start::Estimator(Estimator::Centroid(axis)) => SIZE[axis] as f64 / 2.0 + 0.3,
             Start::Estimator(Estimator::Extent(i, j)) if i == j => 0.012,
             Start::Estimator(Estimator::Extent(..)) => 0.001,

@@ -61,9 +61,10 @@ impl Evidence {
     /// More contrast than this says nothing more.
     pub const CONTRAST_MAX: f64 = 4.0;
 
-    /// Of a fit alone; `ground` is for models that say nothing of noise. `None` when the model has no free brightness.
+    /// Of a fit alone; `ground` is for models that say nothing of noise. `None` when the model has no free brightness,
+    /// and for poses: the weights were not fitted to any.
     pub(crate) fn of(solver: &Solver, fit: &Fit, ground: Option<Ground>) -> Option<Evidence> {
-        let worth = fit.worth.as_ref()?;
+        let worth = fit.worth.as_ref().filter(|_| !solver.fits_pose())?;
         let gain = gain(solver, fit, worth)?;
         let contrast = (1.0 + gain).ln();
         let unit = match solver.model().has_noise() {

@@ -1,8 +1,10 @@
 //! What a track remembers: the last good parameters, what they were worth, and how the target moves.
 
+use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
 
 use super::evidence::Ground;
+use super::rival::Rival;
 use super::search::Candidate;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
@@ -30,6 +32,8 @@ pub(crate) struct Memory {
     pub found: bool,
     /// What was beside it when it was found.
     pub ground: Option<Ground>,
+    /// The other pose that may be the true one.
+    pub rival: Option<Rival>,
     motion: Option<Motion>,
 }
 
@@ -97,13 +101,16 @@ impl Memory {
         let (state, _) = predicted.measurable();
         let dimensions = solver.model().coordinates().len();
         let mut at = 0;
-        solver.model().roles().iter().all(|roles| {
+        let centres = solver.model().roles().iter().all(|roles| {
             let n = roles.centre.len();
             let off = (measured.values.rows(at, n) - state.rows(at, n)).norm();
             at += n;
             let widths = half_widths(roles, dimensions, &self.last).unwrap_or_default();
             off <= widths.into_iter().fold(0.0, f64::max)
-        })
+        });
+        let positions = measured.centres - at;
+        let moved_mm = (measured.values.rows(at, positions) - state.rows(at, positions)).norm();
+        centres && (positions == 0 || moved_mm <= solver.target_size_mm())
     }
 
     /// Half the width of what was seen last, the narrowest of all targets of the model, px.
@@ -148,7 +155,12 @@ impl Memory {
             (_, Some(measured)) => Some(Motion::begin(&measured, time_s, acceleration)),
             (_, None) => None,
         };
-        self.warm = Some(fit.parameters.iter().copied().map(Some).collect());
+        let mut next = fit.parameters.clone();
+        if let Some(geometry) = &solver.geometry {
+            geometry.fold(&mut next);
+        }
+        self.warm = Some(next.into_iter().map(Some).collect());
+        self.rival = candidate.attempt.rival.clone();
         self.last = fit.parameters.clone();
         self.covariance = fit.worth.as_ref().and_then(|worth| worth.covariance.clone());
         self.reduced = candidate.attempt.reduced();
@@ -159,7 +171,7 @@ impl Memory {
 
     /// Nobody knows where it is.
     pub fn lose(&mut self) {
-        (self.warm, self.reduced, self.motion) = (None, None, None);
+        (self.warm, self.reduced, self.motion, self.rival) = (None, None, None, None);
     }
 
     /// The parameters and their covariance at a predicted place: what the filter does not cover is as it was.
@@ -190,22 +202,27 @@ impl Memory {
     }
 }
 
-/// Parameters that the filter covers: the centres of all targets of the model, then their shapes, as indices.
-fn covered(solver: &Solver) -> Vec<usize> {
+/// Parameters that say where things are: the centres of all targets of the model, px, then the position of a pose, mm.
+fn places(solver: &Solver) -> impl Iterator<Item = &ParameterId> {
     let roles = solver.model().roles();
-    let (centres, shapes) = (roles.iter().flat_map(|r| &r.centre), roles.iter().flat_map(|r| &r.shape));
-    centres.chain(shapes).map(|parameter| parameter.index()).collect()
+    roles.iter().flat_map(|r| &r.centre).chain(roles.iter().flat_map(|r| &r.position))
 }
 
-/// Moves the centres to where they are predicted.
+/// Parameters that the filter covers: the places, then the shapes, as indices.
+fn covered(solver: &Solver) -> Vec<usize> {
+    let shapes = solver.model().roles().iter().flat_map(|r| &r.shape);
+    places(solver).chain(shapes).map(|parameter| parameter.index()).collect()
+}
+
+/// Moves centres and position to where they are predicted.
 fn place(solver: &Solver, parameters: &mut [f64], predicted: &Predicted) {
     let (state, _) = predicted.measurable();
-    for (parameter, value) in solver.model().roles().iter().flat_map(|roles| &roles.centre).zip(state.iter()) {
+    for (parameter, value) in places(solver).zip(state.iter()) {
         parameters[parameter.index()] = *value;
     }
 }
 
-/// Centres and shapes of a fit; `None` when they are not all free in the last stage, or their covariance is not known.
+/// Places and shapes of a fit; `None` when they are not all free in the last stage, or their covariance is not known.
 fn measured(solver: &Solver, attempt: &Attempt) -> Option<Measured> {
     let fit = attempt.fit.as_ref()?;
     let whole = fit.worth.as_ref()?.covariance.as_ref()?;
@@ -214,7 +231,7 @@ fn measured(solver: &Solver, attempt: &Attempt) -> Option<Measured> {
     let rows: Option<Vec<usize>> =
         covered.iter().map(|&index| order.iter().position(|parameter| parameter.index() == index)).collect();
     let rows = rows?;
-    let centres = solver.model().roles().iter().map(|roles| roles.centre.len()).sum();
+    let centres = places(solver).count();
     if centres == 0 {
         return None;
     }

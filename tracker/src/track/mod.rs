@@ -11,13 +11,13 @@
 
 pub(crate) mod evidence;
 mod memory;
+mod posed;
 pub(crate) mod publish;
 mod reconsider;
+mod rival;
 pub(crate) mod search;
 pub(crate) mod solver;
 pub(crate) mod window;
-
-use isophote_symbolic::Roles;
 
 use crate::compiled::{CompileFailure, Control};
 use crate::motion::Predicted;
@@ -82,6 +82,7 @@ impl Track {
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let attempt = solver.attempt(look, &start, control, margin)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, false)?;
+        let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
         let is_kept = candidate.attempt.is_good()
@@ -167,12 +168,8 @@ impl Track {
     /// By which factor brightness or area changed since the last good fit, up or down; 1 where unknown.
     fn change(&self, solver: &Solver, candidate: &Candidate) -> f64 {
         let Some(fit) = &candidate.attempt.fit else { return 1.0 };
-        let ratio = |roles: &Roles| {
-            let index = roles.brightness?.index();
-            let (old, new) = (self.memory.last.get(index)?.abs(), fit.parameters[index].abs());
-            Some((new / old).max(old / new))
-        };
-        solver.model().roles().iter().filter_map(ratio).fold(self.memory.area_change(solver, &fit.parameters), f64::max)
+        let brightness = solver.brightness_change(&self.memory.last, &fit.parameters).unwrap_or(1.0);
+        brightness.max(self.memory.area_change(solver, &fit.parameters))
     }
 
     /// A χ²/ν far above the last one.

@@ -16,26 +16,30 @@ pub(crate) struct Told {
     pub capture_ns: Option<u64>,
     /// On the clock of the predictions.
     pub time_s: f64,
+    /// Pixel values from here on did not take part; infinite where `observed` is not a plane.
+    pub saturation: f64,
 }
 
 /// Remembers what a frame said about a target, and says it.
 pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, told: Told) -> Estimate {
-    let Told { name, sequence, capture_ns, time_s } = told;
-    let (state, attempt, covariance, parameters, confidence) = match outcome {
+    let Told { name, sequence, capture_ns, time_s, saturation } = told;
+    let (state, attempt, covariance, parameters, confidence, pose) = match outcome {
         Outcome::Seen(candidate) => {
             memory.saw(solver, &candidate, time_s);
             let confidence = candidate.confidence();
             let covariance = memory.covariance.clone();
-            (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence)
+            let pose = solver.pose(&candidate.attempt, saturation);
+            (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
         }
         Outcome::Coasting(attempt, predicted) => {
             let (parameters, covariance) = memory.coasted(solver, &predicted);
-            (TrackState::Coasting, attempt, covariance, parameters, None)
+            let pose = solver.pose_of(&parameters, covariance.as_ref());
+            (TrackState::Coasting, attempt, covariance, parameters, None, pose)
         }
         Outcome::Missing(attempt) => {
             memory.lose();
             let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
-            (state, attempt, None, memory.last.clone(), None)
+            (state, attempt, None, memory.last.clone(), None, None)
         }
     };
     let good = state == TrackState::Tracking;
@@ -65,6 +69,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
         rejection: attempt.rejection.filter(|_| !good),
         stages,
         alternative: alternative.filter(|_| good),
+        pose,
     }
 }
 

@@ -17,9 +17,11 @@ const ASTRAY: f64 = 4.0;
 const SIZES: f64 = 4.0;
 
 impl Solver {
-    /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit.
+    /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. A pose is taken as it is:
+    /// one whose spot is covered goes on from the others.
     pub fn is_fine(&self, attempt: &Attempt, usual: Option<f64>) -> bool {
         !self.model().has_noise()
+            || self.fits_pose()
             || (attempt.is_good()
                 && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0)))
     }
@@ -63,7 +65,7 @@ impl Solver {
         fit.stages = stages;
         let rejection = self.rejection(&fit, &view, look.window);
         Ok(match rejection {
-            None => Attempt { ending: fit.ending, fit: Some(fit), rejection },
+            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None },
             Some(_) => attempt,
         })
     }

@@ -229,10 +229,11 @@ impl Search {
     }
 }
 
-/// The believable fit with the smallest χ²/ν, if any is.
+/// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest.
 fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Result<Attempt, CompileFailure> {
     let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
     let mut best: Option<Attempt> = None;
+    let mut others = Vec::new();
     for start in starts.starts.iter().chain(&starts.tighter) {
         let last_resort = Some(start) == starts.tighter.as_ref();
         if last_resort && best.as_ref().is_some_and(Attempt::is_good) {
@@ -241,8 +242,10 @@ fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Resu
         let attempt = solver.attempt(look, start, control, margin)?;
         let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
         if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
-            best = Some(attempt);
+            others.extend(best.replace(attempt));
+        } else {
+            others.push(attempt);
         }
     }
-    Ok(best.unwrap_or(Attempt::none(Ending::NoTarget)))
+    solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use isophote_jit::{PlaneView, Slices, Window};
 use isophote_symbolic::Model;
 
+use super::rival::Rival;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::{Ending, Rejection};
@@ -15,6 +16,7 @@ use crate::fit::{Fit, View, fit};
 use crate::frame::Frame;
 use crate::mask::Mask;
 use crate::options::TrackerOptions;
+use crate::pose::Geometry;
 use crate::stage::QUANTISATION;
 
 /// A brightness of less than this many standard deviations is nothing.
@@ -27,6 +29,8 @@ pub(crate) struct Solver {
     pub compiled: Arc<Compiled>,
     pub options: TrackerOptions,
     pub constants: Vec<f64>,
+    /// Lens and target, when the model's parameters are a pose.
+    pub geometry: Option<Geometry>,
     reach: Reach,
 }
 
@@ -42,12 +46,14 @@ pub(crate) struct Attempt {
     pub fit: Option<Fit>,
     pub ending: Ending,
     pub rejection: Option<Rejection>,
+    /// Of poses: the runner-up.
+    pub rival: Option<Rival>,
 }
 
 impl Attempt {
     /// Nothing was fitted.
     pub fn none(ending: Ending) -> Attempt {
-        Attempt { fit: None, ending, rejection: Some(Rejection::Ending) }
+        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None }
     }
 
     pub fn is_good(&self) -> bool {
@@ -65,7 +71,8 @@ impl Solver {
     pub fn new(compiled: Arc<Compiled>, options: TrackerOptions) -> Solver {
         let constants = options.constants_of(compiled.model());
         let reach = Reach::of(compiled.model(), &constants);
-        Solver { compiled, options, constants, reach }
+        let geometry = Geometry::of(compiled.model(), &constants);
+        Solver { compiled, options, constants, geometry, reach }
     }
 
     pub fn model(&self) -> &Model {
@@ -118,7 +125,7 @@ impl Solver {
             fitted = Fit { stages, ..again };
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
-        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection })
+        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None })
     }
 
     /// The same in a frame of that size; `None` where nothing of the domain is inside.
@@ -176,6 +183,8 @@ impl Solver {
         }
         let (first, size) = (whole.first(), whole.size());
         let dimensions = model.coordinates().len();
+        // A pose has spots to spare: it is believed while one of them shines.
+        let mut shining = false;
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
                 let place = fit.parameters[parameter.index()] - first as f64;
@@ -200,11 +209,12 @@ impl Solver {
                 let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
                 Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
             });
-            if brightness.is_some_and(|significance| significance < SIGNIFICANT) {
+            shining |= brightness.is_some_and(|significance| significance >= SIGNIFICANT);
+            if !self.fits_pose() && brightness.is_some_and(|significance| significance < SIGNIFICANT) {
                 return Some(Rejection::Faint);
             }
         }
-        None
+        (self.fits_pose() && !shining).then_some(Rejection::Faint)
     }
 
     /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.

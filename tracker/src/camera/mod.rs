@@ -1,4 +1,13 @@
 //! `Camera`: what belongs to the camera and not to the model.
+//!
+//! What comes in: documents, or the text of a calibration file. What goes out: facts, and pixels of directions and back.
+//! It never knows a file or an image.
+
+mod lens;
+mod opencv;
+
+pub use lens::IntrinsicsError;
+pub use opencv::CalibrationError;
 
 use serde::{Deserialize, Serialize};
 
@@ -63,12 +72,18 @@ pub enum Distortion {
 
 impl Camera {
     /// The value of a model's constant of that name, as far as this camera gives it: `gain` is pixel values per electron,
-    /// `read_noise` in pixel values.
+    /// `read_noise` in pixel values, `fx` `fy` `cx` `cy` the lens, in px, and `lens_k1` … `lens_k6`, `lens_p1`, `lens_p2` its
+    /// distortion (0 where the lens has none).
     pub fn constant(&self, name: &str) -> Option<f64> {
+        let lens = self.intrinsics.as_ref();
         match name {
+            "fx" => Some(lens?.fx),
+            "fy" => Some(lens?.fy),
+            "cx" => Some(lens?.cx),
+            "cy" => Some(lens?.cy),
             "gain" => Some(1.0 / self.electrons_per_dn?),
             "read_noise" => Some(self.read_noise_e? / self.electrons_per_dn?),
-            _ => None,
+            _ => lens?.coefficient(name.strip_prefix("lens_")?),
         }
     }
 }

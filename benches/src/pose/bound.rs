@@ -1,0 +1,42 @@
+//! The Cramér–Rao bound of a pose: the inverse Fisher information of all pixels that are not saturated.
+
+use isophote_tracker::Target;
+use isophote_tracker::geometry::Rigid;
+use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
+
+use super::scene::{BACKGROUND, LIMIT, patch, place, variance};
+
+/// Covariance of (δt, δω) with each spot's brightness and one background unknown; the PSF known.
+pub fn bound(pose: &Rigid, target: &Target, brightness: f64) -> Option<Matrix6<f64>> {
+    let (spots, unknowns) = (&target.spots, 7 + target.spots.len());
+    let mut information = DMatrix::zeros(unknowns, unknowns);
+    for (index, spot) in spots.iter().enumerate() {
+        let at = place(pose, spot)?;
+        let shares = |pose: &Rigid| patch(pose, spot, at, 4).shares;
+        let here = shares(pose);
+        let slopes: Vec<Vec<f64>> = (0..6)
+            .map(|k| {
+                let nudge = if k < 3 { 1e-3 } else { 1e-5 };
+                let mut by = Vector6::zeros();
+                by[k] = nudge;
+                let (ahead, back) = (shares(&pose.moved(&by)), shares(&pose.moved(&-by)));
+                ahead.iter().zip(back).map(|(a, b)| brightness * (a - b) / (2.0 * nudge)).collect()
+            })
+            .collect();
+        for (pixel, share) in here.iter().enumerate() {
+            let mean = BACKGROUND + brightness * share;
+            if mean > LIMIT - 0.5 {
+                continue;
+            }
+            let mut row = DVector::zeros(unknowns);
+            slopes.iter().enumerate().for_each(|(k, slope)| row[k] = slope[pixel]);
+            row[6] = 1.0;
+            row[7 + index] = *share;
+            information.ger(1.0 / variance(mean), &row, &row, 1.0);
+        }
+    }
+    let scale = information.diagonal().map(|d: f64| d.sqrt().recip());
+    let scaled = DMatrix::from_fn(unknowns, unknowns, |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let inverse = scaled.cholesky()?.inverse();
+    Some(Matrix6::from_fn(|i, j| scale[i] * inverse[(i, j)] * scale[j]))
+}

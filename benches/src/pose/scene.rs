@@ -1,0 +1,153 @@
+//! The scene: a target, a pinhole, a camera with noise; and frames of it.
+//!
+//! f = 600 px, 640 × 480 pixels of 8 bit, 255 of them are 5000 electrons, 15 electrons of read noise, background 20; the
+//! profile is `(1 − s)² (1 + s/2)`, each pixel the mean of 8 × 8 places.
+
+use isophote_jit::PixelFormat;
+use isophote_tracker::geometry::Rigid;
+use isophote_tracker::{Camera, Distortion, Frame, Intrinsics, Plane, Target, TargetSpot};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use rand_distr::{Distribution, Poisson, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use rand_pcg::rand_core::{Rng, SeedableRng};
+
+pub const WIDTH: usize = 640;
+pub const HEIGHT: usize = 480;
+pub const RADIUS_MM: f64 = 30.0;
+pub const BACKGROUND: f64 = 20.0;
+pub const LIMIT: f64 = 255.0;
+const ELECTRONS_PER_DN: f64 = 5000.0 / 255.0;
+const READ_NOISE_E: f64 = 15.0;
+const FOCAL_PX: f64 = 600.0;
+const NAMES: [&str; 3] = ["red", "green", "blue"];
+
+/// The camera as a tracker is told of it.
+pub fn camera() -> Camera {
+    Camera {
+        saturation: Some(LIMIT),
+        black: 0.0,
+        electrons_per_dn: Some(ELECTRONS_PER_DN),
+        read_noise_e: Some(READ_NOISE_E),
+        intrinsics: Some(lens()),
+    }
+}
+
+/// The lens.
+pub fn lens() -> Intrinsics {
+    Intrinsics {
+        width: WIDTH as u32,
+        height: HEIGHT as u32,
+        fx: FOCAL_PX,
+        fy: FOCAL_PX,
+        cx: 319.5,
+        cy: 239.5,
+        model: Distortion::None,
+        coefficients: Vec::new(),
+    }
+}
+
+/// The triangle of the notes; `raised_mm` lifts the red spot towards the camera.
+pub fn target(raised_mm: f64) -> Target {
+    let at = [[0.0, 80.0, -raised_mm], [-70.0, -40.0, 0.0], [70.0, -40.0, 0.0]];
+    let spot = |(name, position_mm): (&&str, [f64; 3])| TargetSpot {
+        name: (*name).to_string(),
+        position_mm,
+        radius_mm: RADIUS_MM,
+    };
+    Target { name: "triangle".into(), spots: NAMES.iter().zip(at).map(spot).collect(), mixing: None }
+}
+
+/// The variance of a pixel that reads `mean`.
+pub fn variance(mean: f64) -> f64 {
+    mean.max(0.0) / ELECTRONS_PER_DN + (READ_NOISE_E / ELECTRONS_PER_DN).powi(2) + 1.0 / 12.0
+}
+
+/// Random numbers that a seed repeats.
+pub struct Random(Pcg64Mcg);
+
+impl Random {
+    /// Of a frame.
+    pub fn of(seed: u64) -> Random {
+        Random(Pcg64Mcg::seed_from_u64(seed))
+    }
+
+    /// Evenly between two numbers.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn read_out(&mut self, mean: f64) -> u8 {
+        let electrons: f64 = Poisson::new(mean * ELECTRONS_PER_DN).unwrap().sample(&mut self.0);
+        let noise: f64 = StandardNormal.sample(&mut self.0);
+        ((electrons + READ_NOISE_E * noise) / ELECTRONS_PER_DN).round().clamp(0.0, LIMIT) as u8
+    }
+}
+
+/// Tilted by so many degrees towards a random side, spun at random, a little off the axis.
+pub fn random_pose(random: &mut Random, distance_mm: f64, tilt_degrees: (f64, f64)) -> Rigid {
+    let tilt = random.between(tilt_degrees.0, tilt_degrees.1).to_radians();
+    let side = random.between(0.0, std::f64::consts::TAU);
+    let spin = random.between(-std::f64::consts::PI, std::f64::consts::PI);
+    let tilted = Rotation3::new(Vector3::new(side.cos(), side.sin(), 0.0) * tilt);
+    let rotation = tilted * Rotation3::from_axis_angle(&Vector3::z_axis(), spin);
+    let (x, y) = (random.between(-0.1, 0.1), random.between(-0.06, 0.06));
+    Rigid { rotation: rotation.into_inner(), translation: Vector3::new(x, y, 1.0) * distance_mm }
+}
+
+/// A rendered spot's part of the picture, row by row.
+#[derive(Clone)]
+pub struct Patch {
+    pub x: usize,
+    pub y: usize,
+    pub width: usize,
+    pub height: usize,
+    /// f(s), mean of each pixel.
+    pub shares: Vec<f64>,
+}
+
+/// Where the spot is, with a margin of 3 px and a third.
+pub fn place(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
+    let [x, y, w, h] = isophote_tracker::geometry::bounds(&lens(), pose, spot)?;
+    let (w, h) = (1.35 * w + 3.0, 1.35 * h + 3.0);
+    let inside = x - w >= 0.0 && y - h >= 0.0 && x + w < WIDTH as f64 - 1.0 && y + h < HEIGHT as f64 - 1.0;
+    inside.then(|| [(x - w) as usize, (y - h) as usize, (2.0 * w) as usize + 1, (2.0 * h) as usize + 1])
+}
+
+/// f(s) over the spot's place, by `samples`² places a pixel.
+pub fn patch(pose: &Rigid, spot: &TargetSpot, [x, y, width, height]: [usize; 4], samples: usize) -> Patch {
+    let k = Matrix3::new(FOCAL_PX, 0.0, 319.5, 0.0, FOCAL_PX, 239.5, 0.0, 0.0, 1.0);
+    let centre = pose.apply(Vector3::from(spot.position_mm));
+    let (u, v) = (pose.rotation.column(0), pose.rotation.column(1));
+    let back = (k * Matrix3::from_columns(&[u.into(), v.into(), centre])).try_inverse().unwrap();
+    let offset = |i: usize| (i as f64 + 0.5) / samples as f64 - 0.5;
+    let share = |pixel: usize| {
+        let (px, py) = ((x + pixel % width) as f64, (y + pixel / width) as f64);
+        let mut sum = 0.0;
+        for i in 0..samples * samples {
+            let p = back * Vector3::new(px + offset(i % samples), py + offset(i / samples), 1.0);
+            let s = (p.x * p.x + p.y * p.y) / (p.z * RADIUS_MM).powi(2);
+            sum += if s < 1.0 { (1.0 - s).powi(2) * (1.0 + 0.5 * s) } else { 0.0 };
+        }
+        sum / (samples * samples) as f64
+    };
+    Patch { x, y, width, height, shares: (0..width * height).map(share).collect() }
+}
+
+/// An 8-bit frame with these spots; `None` when one is not all in it.
+pub fn frame(pose: &Rigid, spots: &[TargetSpot], brightness: f64, random: &mut Random) -> Option<Frame> {
+    let mut means = vec![BACKGROUND; WIDTH * HEIGHT];
+    for spot in spots {
+        let patch = patch(pose, spot, place(pose, spot)?, 8);
+        for (i, share) in patch.shares.iter().enumerate() {
+            means[(patch.y + i / patch.width) * WIDTH + patch.x + i % patch.width] += brightness * share;
+        }
+    }
+    let bytes = means.into_iter().map(|mean| random.read_out(mean)).collect();
+    Some(Frame::new(&[WIDTH, HEIGHT], vec![Plane::owned(PixelFormat::U8, bytes, WIDTH)]).unwrap())
+}
+
+/// The brightness at which a share of the spot's area is saturated; 200 for none.
+pub fn brightness(saturated: f64) -> f64 {
+    let f = (1.0 - saturated).powi(2) * (1.0 + 0.5 * saturated);
+    if saturated > 0.0 { (LIMIT - BACKGROUND) / f } else { 200.0 }
+}

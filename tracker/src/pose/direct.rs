@@ -1,0 +1,211 @@
+//! Models whose parameters are the pose itself (roles `position` and `orientation`).
+//!
+//! Such a document has the lens and the target as constants: `fx`, `fy`, `cx`, `cy`, `lens_k1` …, and for each table of
+//! roles, `red` say, `red_x`, `red_y`, `red_z` (0 when missing) and `red_radius`. The rotation is given by modified Rodrigues
+//! parameters m = axis · tan(angle / 4): rational formulas, no singularity but at 360°; m and −m/m² are one rotation.
+
+use isophote_jit::Window;
+use isophote_symbolic::{Model, ParameterId};
+use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
+
+use super::Pose;
+use super::measured::row_major;
+use super::rigid::Rigid;
+use super::seen::{Five, outline};
+use super::target::{Target, TargetSpot};
+use crate::camera::{Distortion, Intrinsics};
+
+/// The lens, the target and the parameters of the pose, as a document's constants and roles say.
+#[derive(Clone, Debug)]
+pub(crate) struct Geometry {
+    pub lens: Intrinsics,
+    pub target: Target,
+    position: [ParameterId; 3],
+    orientation: Vec<ParameterId>,
+}
+
+/// Of numerical derivatives.
+const NUDGE: f64 = 1e-6;
+/// Beyond this length of m the other triple is taken, which is shorter than 1/1.2.
+const FOLD: f64 = 1.2;
+/// A spot's part of the picture ends this far beyond the domain, as a share of the spot, …
+const MARGIN: f64 = 0.05;
+/// … and this many pixels.
+const MARGIN_PX: f64 = 2.0;
+/// Contours that a domain may end at.
+const REACHES: [f64; 6] = [1.4, 1.7, 2.3, 3.0, 4.5, 9.0];
+/// Places along each.
+const BEARINGS: usize = 8;
+
+impl Geometry {
+    /// `None` when the model's parameters are no pose, or constants that it needs are missing or make no camera or target.
+    pub fn of(model: &Model, constants: &[f64]) -> Option<Geometry> {
+        let roles = model.roles().iter().find(|roles| !roles.position.is_empty() && !roles.orientation.is_empty())?;
+        let value = |name: &str| model.constant(name).map(|id| constants[id.index()]);
+        let distortion = |name: &str| value(&format!("lens_{name}")).unwrap_or(0.0);
+        let coefficients = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"].map(distortion).to_vec();
+        let (model_of_lens, coefficients) = match coefficients.iter().all(|c| *c == 0.0) {
+            true => (Distortion::None, Vec::new()),
+            false => (Distortion::Rational, coefficients),
+        };
+        let lens = Intrinsics {
+            width: 0,
+            height: 0,
+            fx: value("fx")?,
+            fy: value("fy")?,
+            cx: value("cx")?,
+            cy: value("cy")?,
+            model: model_of_lens,
+            coefficients,
+        };
+        let spot = |name: &String| {
+            let at = |axis: &str| value(&format!("{name}_{axis}"));
+            let position_mm = [at("x")?, at("y")?, at("z").unwrap_or(0.0)];
+            Some(TargetSpot { name: name.clone(), position_mm, radius_mm: at("radius")? })
+        };
+        let spots = model.roles().iter().filter_map(|roles| spot(roles.name.as_ref()?)).collect();
+        let target = Target { name: String::new(), spots, mixing: None };
+        lens.check().ok()?;
+        target.check().ok()?;
+        let position = <[ParameterId; 3]>::try_from(&roles.position[..]).ok()?;
+        Some(Geometry { lens, target, position, orientation: roles.orientation.clone() })
+    }
+
+    /// The pose that parameters say.
+    pub fn pose(&self, parameters: &[f64]) -> Rigid {
+        let at = |id: &ParameterId| parameters[id.index()];
+        let m = Vector3::from_fn(|i, _| self.orientation.get(i).map_or(0.0, at));
+        Rigid::of_rodrigues(m, Vector3::from_fn(|i, _| at(&self.position[i])))
+    }
+
+    /// Writes a pose into parameters. Where the orientation has two parameters only the spin is lost: it is about the normal
+    /// of the one spot, whose centre stays.
+    pub fn put(&self, pose: &Rigid, parameters: &mut [f64]) {
+        let pose = if self.orientation.len() == 2 { self.unspun(pose) } else { *pose };
+        let m = pose.rodrigues();
+        self.orientation.iter().enumerate().for_each(|(i, id)| parameters[id.index()] = m[i]);
+        self.position.iter().enumerate().for_each(|(i, id)| parameters[id.index()] = pose.translation[i]);
+    }
+
+    /// The rotation about an axis across the line of sight that has the same normal.
+    fn unspun(&self, pose: &Rigid) -> Rigid {
+        let normal = pose.rotation.column(2).into_owned();
+        let rotation = nalgebra::Rotation3::rotation_between(&Vector3::z(), &normal)
+            .map_or_else(|| Rigid::of_rodrigues(Vector3::x(), Vector3::zeros()).rotation, |r| r.into_inner());
+        let centre = self.target.spots.first().map_or(Vector3::zeros(), TargetSpot::centre);
+        Rigid { rotation, translation: pose.apply(centre) - rotation * centre }
+    }
+
+    /// Takes the shorter of the two triples where the one at hand has grown long.
+    pub fn fold(&self, parameters: &mut [f64]) {
+        let square: f64 = self.orientation.iter().map(|id| parameters[id.index()].powi(2)).sum();
+        if square > FOLD * FOLD {
+            self.orientation.iter().for_each(|id| parameters[id.index()] /= -square);
+        }
+    }
+
+    /// The pixels that the domain can hold: a window around each spot, those that touch made one. The whole `window` where a
+    /// spot cannot be projected, or the domain reaches far beyond the spots.
+    pub fn windows(&self, model: &Model, parameters: &[f64], constants: &[f64], window: Window) -> Vec<Window> {
+        let pose = self.pose(parameters);
+        let outlines: Option<Vec<Five>> =
+            self.target.spots.iter().map(|spot| outline(&self.lens, &pose, spot)).collect();
+        let Some(outlines) = outlines else { return vec![window] };
+        let Some(reach) = reach(model, parameters, constants, &outlines) else { return vec![window] };
+        let mut boxes: Vec<[f64; 4]> = Vec::new();
+        for ellipse in outlines {
+            let determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3];
+            let half = |a: f64| (reach * a / determinant).sqrt() * (1.0 + MARGIN) + MARGIN_PX;
+            let (w, h) = (half(ellipse[4]), half(ellipse[2]));
+            let mut own = [ellipse[0] - w, ellipse[1] - h, ellipse[0] + w, ellipse[1] + h];
+            // A box that grows may touch another one.
+            while let Some(i) = boxes.iter().position(|other| touch(other, &own)) {
+                let other = boxes.swap_remove(i);
+                own = [own[0].min(other[0]), own[1].min(other[1]), own[2].max(other[2]), own[3].max(other[3])];
+            }
+            boxes.push(own);
+        }
+        let windows: Vec<Window> = boxes.iter().filter_map(|b| part(window, *b)).collect();
+        if windows.is_empty() { vec![window] } else { windows }
+    }
+
+    /// The pose of a fit with its covariance in camera axes.
+    pub fn published(&self, parameters: &[f64], order: &[ParameterId], covariance: Option<&DMatrix<f64>>) -> Pose {
+        let pose = self.pose(parameters);
+        let covariance = covariance.map(|c| row_major(&self.in_camera_axes(&pose, parameters, order, c)));
+        Pose {
+            position_mm: pose.translation.into(),
+            orientation_xyzw: pose.quaternion(),
+            covariance,
+            degrees_of_freedom: if self.orientation.len() == 2 { 5 } else { 6 },
+            chi_square: None,
+            alternatives: Vec::new(),
+        }
+    }
+
+    /// `J C Jᵀ` with J the derivatives of (δt, δω) by position and orientation parameters.
+    fn in_camera_axes(
+        &self,
+        pose: &Rigid,
+        parameters: &[f64],
+        order: &[ParameterId],
+        covariance: &DMatrix<f64>,
+    ) -> Matrix6<f64> {
+        let mut slopes = DMatrix::zeros(6, order.len());
+        for id in self.position.iter().chain(&self.orientation) {
+            let Some(column) = order.iter().position(|free| free == id) else { continue };
+            let nudged = |by: f64| {
+                let mut moved = parameters.to_vec();
+                moved[id.index()] += by;
+                self.pose(&moved)
+            };
+            let change = nudged(-NUDGE).to(&nudged(NUDGE)) / (2.0 * NUDGE);
+            slopes.column_mut(column).copy_from(&change);
+        }
+        let mut all = (&slopes * covariance * slopes.transpose()).fixed_view::<6, 6>(0, 0).into_owned();
+        if self.orientation.len() == 2 {
+            let normal = pose.rotation.column(2).into_owned();
+            let arm = self.target.spots.first().map_or(Vector3::zeros(), |spot| pose.rotation * spot.centre());
+            let shift = -normal.cross(&arm);
+            let spin = Vector6::new(shift.x, shift.y, shift.z, normal.x, normal.y, normal.z);
+            all += spin * spin.transpose() * (std::f64::consts::PI.powi(2) / 3.0);
+        }
+        0.5 * (all + all.transpose())
+    }
+}
+
+/// Boxes that share pixels, or would when their sides are rounded outwards.
+fn touch(a: &[f64; 4], b: &[f64; 4]) -> bool {
+    (0..2).all(|k| a[k] <= b[k + 2] + 2.0 && b[k] <= a[k + 2] + 2.0)
+}
+
+/// The least of some s beyond which the domain holds nothing, by places around each spot; `None` when it reaches far.
+fn reach(model: &Model, parameters: &[f64], constants: &[f64], outlines: &[Five]) -> Option<f64> {
+    let around = |s: f64| -> Vec<Vec<f64>> {
+        let place = |ellipse: &Five, k: usize| {
+            let (sin, cos) = (std::f64::consts::TAU * k as f64 / BEARINGS as f64).sin_cos();
+            let own = ellipse[2] * cos * cos + 2.0 * ellipse[3] * cos * sin + ellipse[4] * sin * sin;
+            let radius = (s / own).sqrt();
+            vec![ellipse[0] + radius * cos, ellipse[1] + radius * sin]
+        };
+        outlines.iter().flat_map(|ellipse| (0..BEARINGS).map(move |k| place(ellipse, k))).collect()
+    };
+    let outside = |s: &&f64| !model.samples(&around(**s), parameters, constants).iter().any(|sample| sample.inside);
+    REACHES.iter().find(outside).copied()
+}
+
+/// The pixels of `window` inside of a box.
+fn part(window: Window, [x0, y0, x1, y1]: [f64; 4]) -> Option<Window> {
+    let span = |first: usize, count: usize, low: f64, high: f64| {
+        let (begin, end) = (first as f64, (first + count) as f64 - 1.0);
+        let (low, high) = (low.floor().max(begin), high.ceil().min(end));
+        (low <= high).then(|| (low as usize, (high - low) as usize + 1))
+    };
+    let (x, width) = span(window.x, window.width, x0, x1)?;
+    let (y, height) = span(window.y, window.height, y0, y1)?;
+    Some(Window { x, y, width, height, ..window })
+}
+
+#[cfg(test)]
+#[path = "direct_tests.rs"]
+mod tests;

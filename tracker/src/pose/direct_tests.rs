@@ -1,0 +1,276 @@
+//! Shipped pose documents on pictures rendered by a formula of the tests' own: a homography of the tests, 8 × 8 samples.
+
+#![allow(clippy::unwrap_used)]
+use std::sync::Arc;
+
+use isophote_jit::PixelFormat;
+use isophote_symbolic::{Model, Precision};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+use super::*;
+use crate::compiled::Compiled;
+use crate::estimate::{Estimate, TrackState};
+use crate::frame::{Frame, Plane};
+use crate::options::{MotionOptions, TrackError, TrackerOptions};
+use crate::picture::Noise;
+use crate::tracker::Tracker;
+use crate::{Camera, Pose};
+
+const SIZE: [usize; 2] = [640, 480];
+const FLAT: [[f64; 3]; 3] = [[0.0, 80.0, 0.0], [-70.0, -40.0, 0.0], [70.0, -40.0, 0.0]];
+
+fn model(name: &str) -> Arc<Compiled> {
+    let text = match name {
+        "three-spots-pose" => include_str!("../../../models/three-spots-pose.toml"),
+        "three-spots-pose-lens" => include_str!("../../../models/three-spots-pose-lens.toml"),
+        "raised-spot-pose" => include_str!("../../../models/raised-spot-pose.toml"),
+        _ => include_str!("../../../models/spot-pose.toml"),
+    };
+    Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), Precision::F32).unwrap())
+}
+
+fn pose(turn: [f64; 3], at: [f64; 3]) -> Rigid {
+    Rigid { rotation: Rotation3::new(Vector3::from(turn)).into_inner(), translation: Vector3::from(at) }
+}
+
+/// Spots of radius 30 mm and brightness 200 over a background of 20, noise of 1; k1 = −0.5, k2 = −0.3.
+fn frame(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64) -> Frame {
+    let mut values = vec![20.0; SIZE[0] * SIZE[1]];
+    for spot in spots {
+        let centre = pose.apply(Vector3::from(*spot));
+        let back = Matrix3::from_columns(&[pose.rotation.column(0).into(), pose.rotation.column(1).into(), centre]);
+        let back = back.try_inverse().unwrap();
+        let middle = lens.project(centre.into()).unwrap();
+        let reach = 1.3 * lens.fx * 30.0 / centre.z;
+        for y in (middle[1] - reach) as usize..=(middle[1] + reach) as usize {
+            for x in (middle[0] - reach) as usize..=(middle[0] + reach) as usize {
+                for k in 0..64 {
+                    let at = [k % 8, k / 8].map(|i| (f64::from(i) + 0.5) / 8.0 - 0.5);
+                    let [u, v] = lens.normalised([x as f64 + at[0], y as f64 + at[1]]).unwrap();
+                    let p = back * Vector3::new(u, v, 1.0);
+                    let s = (p.x * p.x + p.y * p.y) / (p.z * 30.0).powi(2);
+                    if s < 1.0 {
+                        values[y * SIZE[0] + x] += 200.0 / 64.0 * (1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s);
+                    }
+                }
+            }
+        }
+    }
+    let mut noise = Noise(0x9E37_79B9_7F4A_7C15 ^ seed);
+    let bytes = values.iter().map(|v| (v + noise.normal()).round().clamp(0.0, 255.0) as u8).collect();
+    Frame::new(&SIZE, vec![Plane::owned(PixelFormat::U8, bytes, SIZE[0])]).unwrap()
+}
+
+fn lens(model: Distortion, coefficients: &[f64]) -> Intrinsics {
+    let coefficients = coefficients.to_vec();
+    Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 319.5, cy: 239.5, model, coefficients }
+}
+
+fn options(lens: &Intrinsics) -> TrackerOptions {
+    // Noise of one pixel value.
+    let constants = [("gain".to_string(), 0.0), ("read_noise".to_string(), 1.0)].into();
+    TrackerOptions {
+        camera: Camera { intrinsics: Some(lens.clone()), ..Camera::default() },
+        constants,
+        ..TrackerOptions::default()
+    }
+}
+
+/// Within five standard deviations in every direction, by the covariance told.
+fn assert_close(found: &Pose, truth: &Rigid) {
+    let is = Rigid::of_quaternion(found.position_mm, found.orientation_xyzw);
+    let off = truth.to(&is);
+    let covariance = Matrix6::from_row_slice(found.covariance.as_ref().unwrap());
+    for i in 0..6 {
+        let deviation = covariance[(i, i)].sqrt();
+        assert!(off[i].abs() < 5.0 * deviation, "{i}: {} is {} σ off", off[i], off[i] / deviation);
+    }
+    assert!(covariance[(2, 2)].sqrt() < 0.3 && covariance[(5, 5)].sqrt() < 1e-3, "{covariance}");
+}
+
+#[test]
+fn a_cold_start_finds_the_pose_and_the_next_frames_follow_it() {
+    let lens = lens(Distortion::None, &[]);
+    for (name, raised) in [("three-spots-pose", 0.0), ("raised-spot-pose", -40.0)] {
+        let mut spots = FLAT;
+        spots[0][2] = raised;
+        let compiled = model(name);
+        for (turn, at) in [([0.4, -0.3, 0.5], [60.0, -30.0, 900.0]), ([-0.1, 0.5, -2.6], [-90.0, 40.0, 1200.0])] {
+            let mut tracker = Tracker::new(compiled.clone(), options(&lens)).unwrap();
+            for step in 0..3_u32 {
+                let truth = pose(turn, at).moved(&(Vector6::new(3.0, -2.0, 8.0, 0.01, 0.02, 0.03) * f64::from(step)));
+                let estimate = tracker.track(&frame(&truth, &spots, &lens, u64::from(step)));
+                assert_eq!(estimate.state, TrackState::Tracking, "{name} {step} {:?}", estimate.rejection);
+                assert!((estimate.reduced_chi_square.unwrap() - 1.0).abs() < 0.1);
+                assert_close(estimate.pose.as_ref().unwrap(), &truth);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_lens_that_distorts_is_in_the_formulas() {
+    let lens = lens(Distortion::PlumbBob, &[-0.28, 0.08, 0.001, -0.0008, 0.0]);
+    let truth = pose([0.3, 0.4, 0.2], [150.0, 90.0, 900.0]);
+    let picture = frame(&truth, &FLAT, &lens, 3);
+    let mut tracker = Tracker::new(model("three-spots-pose-lens"), options(&lens)).unwrap();
+    assert_close(&tracker.track(&picture).pose.unwrap(), &truth);
+    // The planted fault: a pinhole instead.
+    let refused = Tracker::new(model("three-spots-pose"), options(&lens));
+    assert_eq!(refused.err(), Some(TrackError::Lens { wanted: "lens_k1".into() }));
+    let pinhole = Intrinsics { model: Distortion::None, coefficients: Vec::new(), ..lens };
+    let mut tracker = Tracker::new(model("three-spots-pose"), options(&pinhole)).unwrap();
+    let wrong = tracker.track(&picture);
+    let far = wrong.pose.map(|p| (Vector3::from(p.position_mm) - truth.translation).norm());
+    assert!(far.is_none_or(|far| far > 2.0), "{far:?}");
+}
+
+#[test]
+fn one_spot_has_a_tilt_but_no_spin() {
+    let lens = lens(Distortion::None, &[]);
+    let truth = pose([0.5, -0.4, 0.0], [40.0, 20.0, 500.0]);
+    let estimate =
+        Tracker::new(model("spot-pose"), options(&lens)).unwrap().track(&frame(&truth, &[[0.0; 3]], &lens, 5));
+    let found = estimate.pose.unwrap();
+    let is = Rigid::of_quaternion(found.position_mm, found.orientation_xyzw);
+    assert_eq!(found.degrees_of_freedom, 5);
+    assert!((is.rotation.column(2) - truth.rotation.column(2)).norm() < 0.02);
+    assert!((is.translation - truth.translation).norm() < 1.0);
+    let covariance = Matrix6::from_row_slice(&found.covariance.unwrap());
+    let axis = is.rotation.column(2).into_owned();
+    let spin = (axis.transpose() * covariance.fixed_view::<3, 3>(3, 3) * axis)[0];
+    assert!((spin - std::f64::consts::PI.powi(2) / 3.0).abs() < 1e-2, "{spin}");
+}
+
+#[test]
+fn a_target_document_takes_the_place_of_the_constants() {
+    let lens = lens(Distortion::None, &[]);
+    let shifted: Vec<[f64; 3]> = FLAT.iter().map(|[x, y, z]| [x + 25.0, y - 10.0, *z]).collect();
+    let names = ["red", "green", "blue"];
+    let spot = |(name, at): (&&str, &[f64; 3])| TargetSpot { name: (*name).into(), position_mm: *at, radius_mm: 30.0 };
+    let target = Target { spots: names.iter().zip(&shifted).map(spot).collect(), ..Target::default() };
+    let truth = pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]);
+    let options = TrackerOptions { target: Some(target), ..options(&lens) };
+    let mut tracker = Tracker::new(model("three-spots-pose"), options).unwrap();
+    assert_close(&tracker.track(&frame(&truth, &shifted, &lens, 9)).pose.unwrap(), &truth);
+}
+
+#[test]
+fn given_starts_count_and_missing_constants_are_told() {
+    let lens = lens(Distortion::None, &[]);
+    let truth = pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]);
+    let names = ["tx", "ty", "tz", "m1", "m2", "m3"];
+    let near: Vec<f64> = truth.translation.iter().chain(truth.rodrigues().iter()).map(|v| v * 1.002).collect();
+    let start = names.iter().map(|name| (*name).to_string()).zip(near).collect();
+    let mut tracker = Tracker::new(model("three-spots-pose"), TrackerOptions { start, ..options(&lens) }).unwrap();
+    assert_close(&tracker.track(&frame(&truth, &FLAT, &lens, 9)).pose.unwrap(), &truth);
+
+    let text = include_str!("../../../models/spot-pose.toml").replace("spot_radius", "size");
+    let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
+    let refused = Tracker::new(compiled, options(&lens));
+    assert_eq!(refused.err(), Some(TrackError::NoGeometry { name: "tx".into() }));
+}
+
+/// The third spot is covered while the target is tracked; then all of them are.
+#[test]
+fn two_spots_carry_the_pose_on() {
+    let lens = lens(Distortion::None, &[]);
+    let mut tracker = Tracker::new(model("three-spots-pose"), options(&lens)).unwrap();
+    let at = |step: f64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(Vector6::repeat(0.004) * step));
+    assert_close(&tracker.track(&frame(&at(0.0), &FLAT, &lens, 1)).pose.unwrap(), &at(0.0));
+    for step in 1..4_u32 {
+        let truth = at(f64::from(step));
+        let estimate = tracker.track(&frame(&truth, &FLAT[..2], &lens, 10 + u64::from(step)));
+        assert_eq!(estimate.state, TrackState::Tracking, "{step} {:?}", estimate.rejection);
+        assert_close(&estimate.pose.unwrap(), &truth);
+    }
+    let seen = variances(&tracker.track(&frame(&at(4.0), &FLAT, &lens, 19)));
+    let estimate = tracker.track(&frame(&at(5.0), &[], &lens, 20));
+    assert_eq!(estimate.state, TrackState::Coasting);
+    assert!(estimate.pose.as_ref().unwrap().alternatives.is_empty());
+    let predicted = variances(&estimate);
+    assert!(predicted.iter().zip(seen).take(3).all(|(later, sooner)| *later > sooner), "{predicted:?} {seen:?}");
+}
+
+/// Of the position and the small rotation.
+fn variances(estimate: &Estimate) -> [f64; 6] {
+    let covariance = estimate.pose.as_ref().unwrap().covariance.as_ref().unwrap();
+    std::array::from_fn(|i| covariance[7 * i])
+}
+
+/// The position goes on with its velocity while nothing is seen, and is lost after a while.
+#[test]
+fn a_pose_coasts() {
+    let lens = lens(Distortion::None, &[]);
+    let motion = MotionOptions { coast_s: 0.05, ..MotionOptions::default() }; // three frames
+    let mut tracker = Tracker::new(model("three-spots-pose"), TrackerOptions { motion, ..options(&lens) }).unwrap();
+    let step = Vector6::new(2.0, -1.0, 5.0, 0.0, 0.0, 0.0);
+    let at = |n: u64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(step * n as f64));
+    let numbered = |n: u64, spots: &[[f64; 3]]| {
+        let mut frame = frame(&at(n), spots, &lens, 30 + n);
+        frame.sequence = n;
+        frame
+    };
+    for n in 0..8 {
+        let estimate = tracker.track(&numbered(n, &FLAT));
+        assert_eq!(estimate.state, TrackState::Tracking, "{n} {:?}", estimate.rejection);
+    }
+    for n in 8..10 {
+        let estimate = tracker.track(&numbered(n, &[]));
+        assert_eq!(estimate.state, TrackState::Coasting);
+        let variances = variances(&estimate);
+        let off = at(n).translation - Vector3::from(estimate.pose.unwrap().position_mm);
+        assert!(off.norm() < 1.5, "{n}: {off:?}");
+        assert!(off.iter().zip(variances).all(|(off, variance)| off * off < 16.0 * variance), "{off:?} {variances:?}");
+    }
+    let back = tracker.track(&numbered(10, &FLAT));
+    assert_eq!(back.state, TrackState::Tracking);
+    assert_close(&back.pose.unwrap(), &at(10));
+    let states: Vec<_> = (11..16).map(|n| tracker.track(&numbered(n, &[]))).collect();
+    assert_eq!(states[0].state, TrackState::Coasting);
+    assert!(states[4].state == TrackState::Lost && states[4].pose.is_none());
+}
+
+#[test]
+fn long_rodrigues_parameters_are_folded() {
+    let compiled = model("three-spots-pose");
+    let constants: Vec<f64> = compiled.model().constants().iter().map(|c| c.value).collect();
+    let geometry = Geometry::of(compiled.model(), &constants).unwrap();
+    let mut parameters = vec![0.0; compiled.model().parameters().len()];
+    let long = Vector3::new(0.8, -1.0, 0.9);
+    geometry.orientation.iter().enumerate().for_each(|(i, id)| parameters[id.index()] = long[i]);
+    let before = geometry.pose(&parameters);
+    geometry.fold(&mut parameters);
+    assert!((geometry.pose(&parameters).rotation - before.rotation).norm() < 1e-12);
+    assert!(parameters[geometry.orientation[0].index()].abs() < 0.8);
+}
+
+/// Far away, the two tilts of one spot differ by less than the noise: both are told, the true one among them, until frames
+/// have decided; near by there is no doubt.
+#[test]
+fn two_tilts_that_look_alike_are_both_told() {
+    let lens = lens(Distortion::None, &[]);
+    let compiled = model("spot-pose");
+    let mut doubtful = 0;
+    for seed in 0..4 {
+        let truth = pose([0.25, -0.1, 0.0], [40.0, 20.0, 3000.0]);
+        let mut tracker = Tracker::new(compiled.clone(), options(&lens)).unwrap();
+        for frame_number in 0..3 {
+            let estimate = tracker.track(&frame(&truth, &[[0.0; 3]], &lens, 100 * seed + frame_number));
+            let found = estimate.pose.unwrap();
+            let others = found.alternatives.iter().map(|a| (a.position_mm, a.orientation_xyzw));
+            let all: Vec<Rigid> = std::iter::once((found.position_mm, found.orientation_xyzw))
+                .chain(others)
+                .map(|(position, q)| Rigid::of_quaternion(position, q))
+                .collect();
+            let off = |p: &Rigid| p.rotation.column(2).angle(&truth.rotation.column(2));
+            assert!(all.iter().map(off).fold(f64::INFINITY, f64::min) < 0.05, "{seed}: {all:?}");
+            assert!(found.alternatives.iter().all(|a| (0.0..10.0).contains(&a.delta_chi_square)));
+            doubtful += found.alternatives.len();
+        }
+    }
+    assert!(doubtful > 0);
+    let truth = pose([0.5, -0.4, 0.0], [40.0, 20.0, 400.0]);
+    let mut tracker = Tracker::new(compiled, options(&lens)).unwrap();
+    assert!(tracker.track(&frame(&truth, &[[0.0; 3]], &lens, 7)).pose.unwrap().alternatives.is_empty());
+}

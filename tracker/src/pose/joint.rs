@@ -1,0 +1,244 @@
+//! Joint refinement: one pose for the ellipses of all spots, weighted by their covariance.
+//!
+//! What comes in: for k spots 5k numbers (centre and shape of each ellipse) with their covariance. What goes out: every
+//! local minimum of `χ² = eᵀ C⁻¹ e`, e = measured − seen, the best first. Seeds are both circles of each spot with the spin
+//! that suits the other spots' centres, and the P3P poses of every three spots; a Levenberg–Marquardt search over six small
+//! moves goes on from each.
+
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
+
+use super::conic::{Circle, circles_of_ellipse};
+use super::geometry::normalised_ellipse;
+use super::p3p::p3p;
+use super::profile::Profile;
+use super::rigid::Rigid;
+use super::seen::{Five, outline, seen};
+use super::target::TargetSpot;
+use crate::camera::Intrinsics;
+
+/// A spot and its fitted ellipse.
+#[derive(Clone, Debug)]
+pub(crate) struct SpotSeen<'a> {
+    pub spot: &'a TargetSpot,
+    /// x, y, a1, a2, a3; px, px⁻².
+    pub ellipse: Five,
+    /// Without one the ellipse is taken for the contour s = 1.
+    pub profile: Option<Profile>,
+}
+
+/// A local minimum.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Minimum {
+    pub pose: Rigid,
+    pub chi_square: f64,
+    /// Inverse covariance of (δt, δω).
+    pub information: Matrix6<f64>,
+}
+
+/// Ellipses to be explained by one pose.
+pub(crate) struct Joint<'a> {
+    lens: &'a Intrinsics,
+    spots: &'a [SpotSeen<'a>],
+    /// C⁻¹, 5k × 5k.
+    weight: DMatrix<f64>,
+}
+
+/// Steps of one search.
+const STEPS: usize = 60;
+/// A search ends when the next step would lower χ² by less.
+const ENOUGH: f64 = 1e-6;
+/// A search that started from a seed is followed to the end only if it is among the first so many.
+const FOLLOWED: usize = 4;
+/// Of numerical derivatives: mm per mm of distance, and rad.
+const NUDGE: f64 = 1e-6;
+/// Two minima are one when they are as near as this, in rad and as a share of the distance.
+const SAME: f64 = 2e-3;
+/// Variance of an angle of which nothing is known.
+const ANY_ANGLE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+
+impl<'a> Joint<'a> {
+    /// `covariance`: 5k × 5k, in the order of the spots. `None` when it is no covariance.
+    pub fn new(lens: &'a Intrinsics, spots: &'a [SpotSeen<'a>], covariance: &DMatrix<f64>) -> Option<Joint<'a>> {
+        // Entries differ by ten orders of magnitude: px beside px⁻².
+        let scale = covariance.diagonal().map(|variance| variance.sqrt().recip());
+        if !scale.iter().all(|s| s.is_finite()) || covariance.nrows() != 5 * spots.len() || spots.is_empty() {
+            return None;
+        }
+        let scaled = DMatrix::from_fn(scale.len(), scale.len(), |i, j| scale[i] * covariance[(i, j)] * scale[j]);
+        let inverse = scaled.cholesky()?.inverse();
+        let weight = DMatrix::from_fn(scale.len(), scale.len(), |i, j| scale[i] * inverse[(i, j)] * scale[j]);
+        Some(Joint { lens, spots, weight })
+    }
+
+    /// Every local minimum, the best first.
+    pub fn minima(&self) -> Vec<Minimum> {
+        let seeds = self.seeds();
+        let mut rough: Vec<Minimum> = seeds.iter().filter_map(|seed| self.refined(seed, outline_of)).collect();
+        distinct(&mut rough);
+        rough.truncate(FOLLOWED);
+        let mut fine: Vec<Minimum> = rough.iter().filter_map(|m| self.refined(&m.pose, seen_of)).collect();
+        fine.retain(|minimum| self.is_facing(&minimum.pose));
+        distinct(&mut fine);
+        fine
+    }
+
+    /// Where a pose would have spots behind the camera it is none; and one or two spots, which do not say which side is
+    /// seen, are seen from −z.
+    fn is_facing(&self, pose: &Rigid) -> bool {
+        let towards = |spot: &SpotSeen| pose.rotation.column(2).dot(&pose.apply(spot.spot.centre())) > 0.0;
+        self.spots.len() > 2 || self.spots.iter().all(towards)
+    }
+
+    fn seeds(&self) -> Vec<Rigid> {
+        let mut seeds = Vec::new();
+        let rays: Vec<Vector3<f64>> = self
+            .spots
+            .iter()
+            .filter_map(|seen| self.lens.ray([seen.ellipse[0], seen.ellipse[1]]).map(Vector3::from))
+            .collect();
+        if rays.len() < self.spots.len() {
+            return seeds;
+        }
+        for (index, seen) in self.spots.iter().enumerate() {
+            let circles = normalised_ellipse(self.lens, seen.ellipse.into())
+                .and_then(|e| circles_of_ellipse(&e, seen.spot.radius_mm));
+            for circle in circles.into_iter().flatten() {
+                seeds.push(self.spun(index, &circle, &rays));
+            }
+        }
+        for k in 2..self.spots.len() {
+            for j in 1..k {
+                for i in 0..j {
+                    let three = [i, j, k];
+                    seeds.extend(p3p(&three.map(|n| self.spots[n].spot.centre()), &three.map(|n| rays[n])));
+                }
+            }
+        }
+        seeds
+    }
+
+    /// The pose of a circle, turned about its normal so that the other spots come near their rays; without others, the pose
+    /// that is turned least.
+    fn spun(&self, index: usize, circle: &Circle, rays: &[Vector3<f64>]) -> Rigid {
+        let spot = self.spots[index].spot.centre();
+        let upright = nalgebra::Rotation3::rotation_between(&Vector3::z(), &circle.normal)
+            .map_or_else(|| Rigid::of_rodrigues(Vector3::x(), Vector3::zeros()).rotation, |r| r.into_inner());
+        let (e1, e2) = (upright.column(0), upright.column(1));
+        let (mut along, mut across) = (0.0, 0.0);
+        for (other, ray) in
+            self.spots.iter().zip(rays).filter(|(other, _)| other.spot.name != self.spots[index].spot.name)
+        {
+            let from = other.spot.centre() - spot;
+            let depth = (circle.normal.dot(&circle.centre) + from.z) / circle.normal.dot(ray);
+            let seen = ray * depth - circle.centre;
+            let (u, v) = (e1.dot(&seen), e2.dot(&seen));
+            along += from.x * u + from.y * v;
+            across += from.x * v - from.y * u;
+        }
+        let spin = if along == 0.0 && across == 0.0 { 0.0 } else { across.atan2(along) };
+        let rotation = upright * nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), spin).into_inner();
+        Rigid { rotation, translation: circle.centre - rotation * spot }
+    }
+
+    /// Levenberg–Marquardt from a pose. Derivatives are those of the outline: the offset to what is seen changes little.
+    fn refined(&self, seed: &Rigid, predict: Predict) -> Option<Minimum> {
+        let mut pose = *seed;
+        let mut rest = self.rest(&pose, predict)?;
+        let mut chi_square = rest.dot(&(&self.weight * &rest));
+        let mut damping = 1e-3;
+        for _ in 0..STEPS {
+            let slopes = self.slopes(&pose)?;
+            let weighed = &self.weight * &slopes;
+            let mut information: Matrix6<f64> = (slopes.transpose() * &weighed).fixed_view::<6, 6>(0, 0).into_owned();
+            if self.spots.len() == 1 {
+                let normal = pose.rotation.column(2).into_owned();
+                let mut spin = information.fixed_view_mut::<3, 3>(3, 3);
+                spin += normal * normal.transpose() / ANY_ANGLE;
+            }
+            let right: Vector6<f64> = (weighed.transpose() * &rest).fixed_rows::<6>(0).into_owned();
+            loop {
+                let mut damped = information;
+                for i in 0..6 {
+                    damped[(i, i)] *= 1.0 + damping;
+                }
+                let step = damped.cholesky()?.solve(&right);
+                let promised = step.dot(&right);
+                let trial = pose.moved(&step);
+                let next = self.rest(&trial, predict).map(|rest| (rest.dot(&(&self.weight * &rest)), rest));
+                if let Some((next_chi_square, next_rest)) = next.filter(|(next, _)| *next <= chi_square) {
+                    (pose, rest, chi_square) = (trial, next_rest, next_chi_square);
+                    damping = (0.1 * damping).max(1e-9);
+                    if promised < ENOUGH {
+                        return Some(Minimum { pose, chi_square, information });
+                    }
+                    break;
+                }
+                if promised < ENOUGH || damping > 1e9 {
+                    return Some(Minimum { pose, chi_square, information });
+                }
+                damping *= 8.0;
+            }
+        }
+        None
+    }
+
+    /// measured − predicted.
+    fn rest(&self, pose: &Rigid, predict: Predict) -> Option<DVector<f64>> {
+        let mut rest = DVector::zeros(5 * self.spots.len());
+        for (index, seen) in self.spots.iter().enumerate() {
+            rest.fixed_rows_mut::<5>(5 * index).copy_from(&(seen.ellipse - predict(self.lens, pose, seen)?));
+        }
+        Some(rest)
+    }
+
+    fn slopes(&self, pose: &Rigid) -> Option<DMatrix<f64>> {
+        let mut slopes = DMatrix::zeros(5 * self.spots.len(), 6);
+        for k in 0..6 {
+            let nudge = if k < 3 { NUDGE * pose.translation.norm() } else { NUDGE };
+            let by = |sign: f64| {
+                let mut by = Vector6::zeros();
+                by[k] = sign * nudge;
+                pose.moved(&by)
+            };
+            let (ahead, back) = (by(1.0), by(-1.0));
+            for (index, seen) in self.spots.iter().enumerate() {
+                let change = outline(self.lens, &ahead, seen.spot)? - outline(self.lens, &back, seen.spot)?;
+                slopes.fixed_view_mut::<5, 1>(5 * index, k).copy_from(&(change / (2.0 * nudge)));
+            }
+        }
+        Some(slopes)
+    }
+}
+
+type Predict = fn(&Intrinsics, &Rigid, &SpotSeen) -> Option<Five>;
+
+fn outline_of(lens: &Intrinsics, pose: &Rigid, spot: &SpotSeen) -> Option<Five> {
+    outline(lens, pose, spot.spot)
+}
+
+fn seen_of(lens: &Intrinsics, pose: &Rigid, spot: &SpotSeen) -> Option<Five> {
+    match &spot.profile {
+        Some(profile) => seen(lens, pose, spot.spot, profile),
+        None => outline(lens, pose, spot.spot),
+    }
+}
+
+/// The best first, each once.
+fn distinct(minima: &mut Vec<Minimum>) {
+    minima.sort_by(|a, b| a.chi_square.total_cmp(&b.chi_square));
+    let mut kept: Vec<Minimum> = Vec::new();
+    for minimum in minima.iter() {
+        let same = |other: &Minimum| {
+            let apart = (other.pose.translation - minimum.pose.translation).norm();
+            apart < SAME * minimum.pose.translation.norm() && other.pose.angle_to(&minimum.pose) < SAME
+        };
+        if !kept.iter().any(same) {
+            kept.push(*minimum);
+        }
+    }
+    *minima = kept;
+}
+
+#[cfg(test)]
+#[path = "joint_tests.rs"]
+mod tests;

@@ -1,0 +1,129 @@
+//! A cold start of a pose: the spots that a window shows, every way to name them, and the poses that suit.
+//!
+//! What comes in: sights (components with moments) and the geometry. What goes out: poses to begin a fit with, the likeliest
+//! first. The moments are rough: an outline is known to a fifth in size, to a twentieth in shape. That is enough to tell
+//! tilts; which of several alike spots is which only the fit itself may be able to tell, so several poses are handed on.
+
+use nalgebra::DMatrix;
+
+use super::direct::Geometry;
+use super::joint::{Joint, Minimum, SpotSeen};
+use super::rigid::Rigid;
+use super::seen::Five;
+use crate::start::Sight;
+
+/// A pose to begin with.
+#[derive(Clone, Debug)]
+pub(crate) struct PoseStart {
+    pub pose: Rigid,
+    /// The sight of each spot of the target; `None` for one that is not seen.
+    pub sights: Vec<Option<usize>>,
+}
+
+/// Poses handed on.
+const STARTS_MAX: usize = 8;
+/// … whose χ² is larger by at most this.
+const WORSE_MAX: f64 = 60.0;
+/// Sights beyond the target's spots that are considered: distractors.
+pub(crate) const SPARE: usize = 1;
+/// Centroids of tilted, clipped spots are off by so much, px, and this share of their size.
+const CENTROID: (f64, f64) = (0.3, 0.01);
+/// An outline's size, the same error for all spots, …
+const SIZE: f64 = 0.2;
+/// … and the shape of each.
+const SHAPE: f64 = 0.05;
+
+/// Poses that suit the sights, the likeliest first. Sights are in the order of their mass, in frame coordinates by
+/// `origin`.
+pub(crate) fn starts(geometry: &Geometry, sights: &[Sight], origin: [f64; 4]) -> Vec<PoseStart> {
+    let spots = &geometry.target.spots;
+    let count = spots.len().min(sights.len());
+    let mut found: Vec<(Minimum, Vec<Option<usize>>)> = Vec::new();
+    for assignment in assignments(spots.len(), sights.len().min(spots.len() + SPARE), count) {
+        let seen: Vec<SpotSeen> = spots
+            .iter()
+            .zip(&assignment)
+            .filter_map(|(spot, sight)| {
+                let ellipse = ellipse(&sights[(*sight)?], origin);
+                Some(SpotSeen { spot, ellipse, profile: None })
+            })
+            .collect();
+        let Some(joint) = Joint::new(&geometry.lens, &seen, &rough(&seen)) else { continue };
+        let facing = |minimum: &Minimum| {
+            spots.iter().all(|spot| minimum.pose.rotation.column(2).dot(&minimum.pose.apply(spot.centre())) > 0.0)
+        };
+        found.extend(joint.minima().into_iter().filter(facing).map(|minimum| (minimum, assignment.clone())));
+    }
+    found.sort_by(|a, b| a.0.chi_square.total_cmp(&b.0.chi_square));
+    let best = found.first().map_or(0.0, |(minimum, _)| minimum.chi_square);
+    found.retain(|(minimum, _)| minimum.chi_square <= best + WORSE_MAX);
+    found.truncate(STARTS_MAX);
+    found.into_iter().map(|(minimum, sights)| PoseStart { pose: minimum.pose, sights }).collect()
+}
+
+fn ellipse(sight: &Sight, origin: [f64; 4]) -> Five {
+    let a = &sight.extent;
+    Five::new(sight.centre[0] + origin[0], sight.centre[1] + origin[1], a[0][0], a[0][1], a[1][1])
+}
+
+/// The covariance of rough ellipses, see above.
+fn rough(seen: &[SpotSeen]) -> DMatrix<f64> {
+    let n = 5 * seen.len();
+    let mut covariance = DMatrix::zeros(n, n);
+    let mut sizes = nalgebra::DVector::zeros(n);
+    for (index, spot) in seen.iter().enumerate() {
+        let e = &spot.ellipse;
+        let size = (e[2] * e[4] - e[3] * e[3]).max(f64::MIN_POSITIVE).powf(-0.25);
+        let typical = 0.5 * (e[2] + e[4]);
+        for k in 0..5 {
+            let deviation = if k < 2 { CENTROID.0 + CENTROID.1 * size } else { SHAPE * typical };
+            covariance[(5 * index + k, 5 * index + k)] = deviation * deviation;
+            sizes[5 * index + k] = if k < 2 { 0.0 } else { 2.0 * SIZE * e[k] };
+        }
+    }
+    covariance + &sizes * sizes.transpose()
+}
+
+/// Every way to give `count` of `spots` spots a sight of their own.
+fn assignments(spots: usize, sights: usize, count: usize) -> Vec<Vec<Option<usize>>> {
+    let mut partial = vec![Vec::new()];
+    for _ in 0..spots {
+        let mut longer = Vec::new();
+        for assignment in &partial {
+            let choices = std::iter::once(None).chain((0..sights).map(Some));
+            for choice in choices.filter(|choice| choice.is_none() || !assignment.contains(choice)) {
+                let mut next = assignment.clone();
+                next.push(choice);
+                longer.push(next);
+            }
+        }
+        // Sixteen spots would have more ways than there is time: those that name the most massive sights come first.
+        longer.truncate(ASSIGNMENTS_MAX);
+        partial = longer;
+    }
+    partial.retain(|assignment| assignment.iter().flatten().count() == count);
+    partial
+}
+
+/// Ways that are tried.
+const ASSIGNMENTS_MAX: usize = 400;
+
+#[cfg(test)]
+mod tests {
+    use super::assignments;
+
+    #[test]
+    fn every_assignment_once() {
+        assert_eq!(assignments(3, 3, 3).len(), 6);
+        assert_eq!(assignments(3, 4, 3).len(), 24);
+        assert_eq!(assignments(3, 2, 2).len(), 6);
+        assert_eq!(assignments(3, 1, 1).len(), 3);
+        assert_eq!(assignments(1, 2, 1), [vec![Some(0)], vec![Some(1)]]);
+        for assignment in assignments(3, 4, 3) {
+            let mut named: Vec<_> = assignment.iter().flatten().collect();
+            named.sort();
+            named.dedup();
+            assert_eq!(named.len(), 3);
+        }
+    }
+}

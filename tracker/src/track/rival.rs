@@ -1,0 +1,97 @@
+//! Two poses that explain a picture nearly alike: both are followed until the pictures have decided.
+//!
+//! What comes in: fits of a model whose parameters are a pose. What goes out: the likelier one, with the other as its
+//! [`Rival`]. The differences of their log-likelihoods add up from frame to frame, so that noise does not make the pose flip.
+
+use super::solver::{Attempt, Look, Solver};
+use super::window::Margin;
+use crate::compiled::{CompileFailure, Control};
+use crate::fit::{View, difference};
+use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
+
+/// The runner-up.
+#[derive(Clone, Debug)]
+pub(crate) struct Rival {
+    parameters: Vec<f64>,
+    /// χ² by which it is worse, in all frames since both were found.
+    delta: f64,
+}
+
+/// A rival that is worse by this is followed no more: it had a chance of one in three hundred thousand.
+const DECIDED: f64 = 25.0;
+/// Poses whose axes differ by less are one, rad.
+const SAME: f64 = 3e-3;
+
+impl Rival {
+    /// For publication, while it is close.
+    pub fn alternative(&self, geometry: &Geometry) -> Option<Alternative> {
+        let pose = geometry.pose(&self.parameters);
+        (self.delta < DELTA_CHI_SQUARE_MAX).then(|| Alternative {
+            position_mm: pose.translation.into(),
+            orientation_xyzw: pose.quaternion(),
+            delta_chi_square: self.delta,
+        })
+    }
+}
+
+impl Solver {
+    /// Of believable fits the one of the largest likelihood, with the next as its rival. Each has a pixel set of its own, so
+    /// that their χ² cannot be compared as they are. Models that fit no pose keep what they have.
+    pub fn likeliest_pose(
+        &self,
+        look: &Look,
+        mut best: Attempt,
+        others: Vec<Attempt>,
+    ) -> Result<Attempt, CompileFailure> {
+        let Some(geometry) = &self.geometry else { return Ok(best) };
+        let view = self.view(look, look.window);
+        let mut rival: Option<Rival> = None;
+        for other in others.into_iter().filter(Attempt::is_good) {
+            let Some(delta) = self.delta(&view, geometry, &best, &other)? else { continue };
+            let loser = if delta < 0.0 { std::mem::replace(&mut best, other) } else { other };
+            let Some(fit) = loser.fit else { continue };
+            // Whoever lost to the old best loses to the new one by more.
+            let before = rival.take().map(|rival| Rival { delta: rival.delta + (-delta).max(0.0), ..rival });
+            let next = Rival { parameters: fit.parameters, delta: delta.abs() };
+            rival = Some(before.filter(|before| before.delta <= next.delta).unwrap_or(next));
+        }
+        best.rival = rival.filter(|rival| rival.delta < DECIDED);
+        Ok(best)
+    }
+
+    /// A warm fit and its rival's, on one more frame.
+    pub fn against_rival(
+        &self,
+        look: &Look,
+        mut warm: Attempt,
+        rival: Option<&Rival>,
+        control: Control,
+    ) -> Result<Attempt, CompileFailure> {
+        let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
+        let Some(geometry) = &self.geometry else { return Ok(warm) };
+        let mut other = self.attempt(look, &rival.parameters, control, Margin::NONE)?;
+        if !other.is_good() {
+            return Ok(warm);
+        }
+        let Some(delta) = self.delta(&self.view(look, look.window), geometry, &warm, &other)? else { return Ok(warm) };
+        let total = rival.delta + delta;
+        if total < 0.0 {
+            std::mem::swap(&mut warm, &mut other);
+        }
+        let parameters = other.fit.map(|fit| fit.parameters);
+        warm.rival = parameters.map(|parameters| Rival { parameters, delta: total.abs() });
+        warm.rival = warm.rival.filter(|rival| rival.delta < DECIDED);
+        Ok(warm)
+    }
+
+    /// χ² by which `b` is worse than `a`; `None` when they are the same pose.
+    fn delta(&self, view: &View, geometry: &Geometry, a: &Attempt, b: &Attempt) -> Result<Option<f64>, CompileFailure> {
+        let (Some(fit_a), Some(fit_b)) = (&a.fit, &b.fit) else { return Ok(None) };
+        if geometry.pose(&fit_a.parameters).angle_to(&geometry.pose(&fit_b.parameters)) < SAME {
+            return Ok(None);
+        }
+        let more = difference(&self.compiled, view, &self.constants, &fit_a.parameters, &fit_b.parameters)?;
+        let unit = if self.compiled.model().has_noise() { 1.0 } else { a.reduced().unwrap_or(1.0) };
+        Ok(more.map(|more| more / unit).filter(|delta| delta.is_finite()))
+    }
+}
