@@ -2,7 +2,7 @@
 
 use isophote_symbolic::ParameterId;
 
-use crate::alternatives::Alternative;
+use crate::alternatives::Substitute;
 use serde::{Deserialize, Serialize};
 
 use crate::exposure::ExposureAdvice;
@@ -184,7 +184,7 @@ pub struct Estimate {
     /// How each stage went.
     pub stages: Vec<StageReport>,
     /// What was fitted in the model's place, when that left too much unexplained.
-    pub alternative: Option<Alternative>,
+    pub substitute: Option<Substitute>,
     /// Where the target is, when lens and target are known and the model shows its spots.
     pub pose: Option<Pose>,
 }

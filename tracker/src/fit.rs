@@ -6,7 +6,7 @@ use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Model, ParameterId, Precision, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
-use crate::alternatives::Alternative;
+use crate::alternatives::Substitute;
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
@@ -94,7 +94,7 @@ pub(crate) struct Fit {
     /// Absent when the ending is not that of a fit.
     pub worth: Option<Worth>,
     /// What differs from the model, when an alternative was fitted.
-    pub choice: Option<Alternative>,
+    pub choice: Option<Substitute>,
 }
 
 /// What the end point is worth, by a last pass that leaves saturated pixels out.

@@ -38,7 +38,7 @@ mod tracker;
 mod trust;
 mod workers;
 
-pub use alternatives::Alternative;
+pub use alternatives::Substitute;
 pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
 pub use compiled::{CompileFailure, Compiled};
 pub use contour::{Contour, contours};

@@ -2,7 +2,7 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ahead, Alternative, Ending, ExposureAdvice, Rejection, TrackState};
+pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Substitute, TrackState};
 use serde::{Deserialize, Serialize};
 
 use super::Named;
@@ -82,7 +82,7 @@ pub struct Estimate {
     pub predict: Vec<Ahead>,
     /// What was fitted in the model's place, when that left too much unexplained.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub alternative: Option<Alternative>,
+    pub substitute: Option<Substitute>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -153,7 +153,7 @@ impl Estimate {
             pose: result.pose.clone(),
             exposure_advice: result.exposure_advice.clone(),
             predict: result.ahead.clone(),
-            alternative: result.alternative,
+            substitute: result.substitute,
             truth: None,
             timing_us: None,
         }

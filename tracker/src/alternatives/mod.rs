@@ -67,7 +67,7 @@ pub(crate) struct Alternatives {
 
 /// What is different about a fit that was chosen over the plain one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Alternative {
+pub struct Substitute {
     /// Of the polynomial added to the background.
     pub degree: u32,
     /// Outliers did not count.
@@ -79,7 +79,7 @@ pub struct Alternative {
 /// A fit, and what it left out.
 struct Candidate {
     fit: Fit,
-    choice: Alternative,
+    choice: Substitute,
 }
 
 impl Alternatives {
@@ -147,11 +147,11 @@ impl Alternatives {
             let admitted = candidate.filter(|candidate| admit(&candidate.fit));
             found.extend(admitted.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
         };
-        let choice = Alternative { degree: 0, robust: false, hidden: 0.0 };
+        let choice = Substitute { degree: 0, robust: false, hidden: 0.0 };
         for start in &starts {
             add(&mut found, own, own.run(view, constants, start, choice, &[1.0], false)?);
             for ground in &self.grounds {
-                let choice = Alternative { degree: ground.degree, ..choice };
+                let choice = Substitute { degree: ground.degree, ..choice };
                 add(&mut found, &ground.plain, ground.plain.run(view, constants, start, choice, &[1.0], false)?);
             }
         }
@@ -162,7 +162,7 @@ impl Alternatives {
             if found.iter().any(|(_, candidate)| is_fine(candidate)) && (number > 0 || !is_blinded) {
                 break;
             }
-            let choice = Alternative { degree: ground.degree, robust: true, ..choice };
+            let choice = Substitute { degree: ground.degree, robust: true, ..choice };
             for (start, scales) in starts.iter().flat_map(|start| SCALES.map(|scales| (start, scales))) {
                 let Some(robust) = ground.robust.run(view, constants, start, choice, scales, false)? else { continue };
                 // What is hidden is known now, and the rest counts in full.
@@ -199,7 +199,7 @@ impl Fitted {
         view: &View,
         constants: &[f64],
         start: &[f64],
-        choice: Alternative,
+        choice: Substitute,
         scales: &[f64],
         hidden: bool,
     ) -> Result<Option<Candidate>, CompileFailure> {
@@ -244,12 +244,12 @@ impl Fitted {
             Some(blind as f64 / inside.count().max(1) as f64)
         };
         let hidden = mask.as_ref().and_then(share).unwrap_or(0.0);
-        Ok(Some(Candidate { fit, choice: Alternative { hidden, ..choice } }))
+        Ok(Some(Candidate { fit, choice: Substitute { hidden, ..choice } }))
     }
 
     /// The first of some starts, and those of the others that lead to the least cost, each over its own domain.
     fn likely(&self, view: &View, constants: &[f64], starts: Vec<Vec<f64>>) -> Result<Vec<Vec<f64>>, CompileFailure> {
-        let choice = Alternative { degree: 0, robust: true, hidden: 0.0 };
+        let choice = Substitute { degree: 0, robust: true, hidden: 0.0 };
         let mut tried = Vec::new();
         for start in &starts {
             let Some(candidate) = self.run(view, constants, start, choice, SCALES[0], false)? else { continue };

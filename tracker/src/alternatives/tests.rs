@@ -59,13 +59,13 @@ fn error(estimate: &Estimate) -> f64 {
 #[test]
 fn a_clear_frame_is_fitted_as_it_is() {
     let estimate = tracked(|_, _, v| v);
-    assert!(error(&estimate) < 0.03 && estimate.alternative.is_none(), "{estimate:?}");
+    assert!(error(&estimate) < 0.03 && estimate.substitute.is_none(), "{estimate:?}");
 }
 
 #[test]
 fn what_stands_in_front_of_a_target_is_left_out() {
     let estimate = tracked(|x, _, v| if x > 54 { 5.0 } else { v });
-    let alternative = estimate.alternative.expect("an alternative");
+    let alternative = estimate.substitute.expect("an alternative");
     assert!(error(&estimate) < 0.1, "{}", error(&estimate));
     assert!(alternative.robust && alternative.hidden > 0.1, "{alternative:?}");
 }
@@ -74,7 +74,7 @@ fn what_stands_in_front_of_a_target_is_left_out() {
 fn a_white_out_beside_a_target_is_blind_and_not_bright() {
     let estimate = tracked(|x, _, v| if x > 58 { 255.0 } else { v });
     assert!(error(&estimate) < 0.3, "{}", error(&estimate));
-    assert!(estimate.alternative.expect("an alternative").hidden > 0.1);
+    assert!(estimate.substitute.expect("an alternative").hidden > 0.1);
 }
 
 #[test]
@@ -82,5 +82,5 @@ fn glare_that_bends_becomes_part_of_the_background() {
     let glare = |x: usize, y: usize| 60.0 * (-((x as f64 - 8.0).powi(2) + (y as f64 - 12.0).powi(2)) / 2450.0).exp();
     let estimate = tracked(|x, y, v| v + glare(x, y));
     assert!(error(&estimate) < 0.1, "{}", error(&estimate));
-    assert!(estimate.alternative.expect("an alternative").degree >= 2);
+    assert!(estimate.substitute.expect("an alternative").degree >= 2);
 }

@@ -44,7 +44,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
     };
     let good = state == TrackState::Tracking;
     let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
-    let (stages, worth, alternative) =
+    let (stages, worth, substitute) =
         attempt.fit.map_or((Vec::new(), None, None), |fit| (fit.stages, fit.worth, fit.choice));
     let told = worth.as_ref().filter(|_| good);
     Estimate {
@@ -68,7 +68,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
         ending: attempt.ending,
         rejection: attempt.rejection.filter(|_| !good),
         stages,
-        alternative: alternative.filter(|_| good),
+        substitute: substitute.filter(|_| good),
         pose,
     }
 }
