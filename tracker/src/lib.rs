@@ -35,6 +35,7 @@ mod start;
 mod track;
 mod tracker;
 mod trust;
+pub mod tune;
 mod workers;
 
 pub use camera::{Camera, Distortion, Intrinsics};
