@@ -22,7 +22,7 @@ use isophote_tracker::{CompileFailure, Compiled, TrackerOptions};
 use crate::failure::Failure;
 use crate::fit::other;
 use crate::{model_files, output};
-use rewrite::Rewrite;
+use rewrite::Document;
 use scenes::{Scene, Scenes, scenes};
 
 /// Find the schedule of stages that suits a model by trying many
@@ -104,17 +104,21 @@ struct Found<'a> {
 pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     let text = std::fs::read_to_string(&args.model).map_err(other)?;
+    let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let source = Document { model: &model, text: &text, is_json };
     let Scenes { scenes, options, lost } = scenes(args, &model)?;
-    let mut candidates = candidates(args, &model, &options)?;
+    let mut candidates = candidates(args, &source, &options)?;
     let goals = goals(&candidates, &model, &scenes)?;
     let tries = goals.len() * LEVELS.len() * args.starts as usize;
     eprintln!("tune: {} schedules, {} frames, {tries} starts each", candidates.len(), goals.len());
     race(args, &goals, &mut candidates)?;
     let chosen = choose(&candidates);
     let (frames, lost) = (goals.len(), lost + scenes.len() - goals.len());
-    let convexity = convexity(args, &model, &options, &goals)?;
+    let convexity = convexity(args, &source, &options, &goals)?;
     let found = Found { model: &model, candidates, chosen, convexity, frames, lost };
-    let document = document(args, &text, &found)?;
+    let stages = &found.candidates[chosen].schedule.stages;
+    let document = source.rewritten((chosen > 0).then_some(&stages[..]), &report::sentences(&found));
+    let document = document.ok_or_else(|| not_understood(args))?;
     if let Some(path) = &args.out {
         std::fs::write(path, &document)
             .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))?;
@@ -143,15 +147,14 @@ fn no_kernel(error: CompileFailure) -> Failure {
     Failure::Other(error.to_string())
 }
 
-fn candidates(args: &TuneArgs, model: &Model, options: &TrackerOptions) -> Result<Vec<Candidate>, Failure> {
+fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> Result<Vec<Candidate>, Failure> {
     let bench = |schedule: Schedule| {
-        let changed = rewrite::with_stages(model, &schedule.stages)
-            .map_err(|diagnostics| Failure::model(&args.model.display().to_string(), &diagnostics))?;
+        let changed = source.with_stages(&schedule.stages).ok_or_else(|| not_understood(args))?;
         let compiled = compiled(&args.model, changed, options.precision)?;
         let bench = Bench::new(compiled, options.clone()).map_err(|error| Failure::Usage(error.to_string()))?;
         Ok(Candidate { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
     };
-    schedules(model).into_iter().map(bench).collect()
+    schedules(source.model).into_iter().map(bench).collect()
 }
 
 /// The answers, by one damped stage over all parameters from near them; frames without one are left out.
@@ -211,19 +214,18 @@ fn choose(candidates: &[Candidate]) -> usize {
 /// The thesis' Table 4.1 for this model: in f64, so that rounding makes no sign.
 fn convexity(
     args: &TuneArgs,
-    model: &Model,
+    source: &Document,
     options: &TrackerOptions,
     goals: &[(&Scene, Goal)],
 ) -> Result<Vec<(Subset, Convexity)>, Failure> {
-    let refuse = |diagnostics| Failure::model(&args.model.display().to_string(), &diagnostics);
-    let newton = rewrite::with_stages(model, &newton_of_each(model)).map_err(refuse)?;
+    let newton = source.with_stages(&newton_of_each(source.model)).ok_or_else(|| not_understood(args))?;
     let precision = Precision::F64;
     let options = TrackerOptions { precision, ..options.clone() };
     let bench = Bench::new(compiled(&args.model, newton, precision)?, options)
         .map_err(|error| Failure::Usage(error.to_string()))?;
     let offset = |centre_px: f64| Offset { centre_px, share: SHARE_OF_PX * centre_px };
     let mut found = Vec::new();
-    for (stage, subset) in subsets(model).into_iter().enumerate() {
+    for (stage, subset) in subsets(source.model).into_iter().enumerate() {
         let mut together: Option<Convexity> = None;
         for (number, (scene, goal)) in goals.iter().enumerate() {
             let seed = args.seed.wrapping_add(number as u64).wrapping_mul(1 << 40);
@@ -239,14 +241,6 @@ fn convexity(
     Ok(found)
 }
 
-/// The user's document with the schedule that was chosen.
-fn document(args: &TuneArgs, text: &str, found: &Found) -> Result<String, Failure> {
-    let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
-    let stages = &found.candidates[found.chosen].schedule.stages;
-    let stages = (found.chosen > 0).then_some(&stages[..]);
-    let comment = report::sentences(found);
-    let rewrite = Rewrite { model: found.model, text, is_json, stages, comment: &comment };
-    rewrite.text().ok_or_else(|| {
-        Failure::Other(format!("{}: its stages cannot be replaced; write them as [[stages]]", args.model.display()))
-    })
+fn not_understood(args: &TuneArgs) -> Failure {
+    Failure::Other(format!("{}: its stages cannot be replaced; write them as [[stages]]", args.model.display()))
 }

@@ -5,16 +5,12 @@
 
 use std::sync::Arc;
 
-use isophote_symbolic::{Diagnostics, Model, Stage};
+use isophote_symbolic::{Model, Stage};
+use serde::de::IgnoredAny;
 use serde_json::{Value, json};
 
 /// How each line of the comment begins; an older one is replaced.
 const MARK: &str = "# isophote tune: ";
-
-/// The model with these stages and nothing else changed.
-pub fn with_stages(model: &Model, stages: &[Stage]) -> Result<Arc<Model>, Diagnostics> {
-    Model::from_json(&document(model, stages).to_string()).map(Arc::new)
-}
 
 /// The document as JSON with these stages.
 fn document(model: &Model, stages: &[Stage]) -> Value {
@@ -34,42 +30,52 @@ pub fn names<'a>(model: &'a Model, stage: &Stage) -> Vec<&'a str> {
     stage.parameters.iter().map(|id| model.parameters()[id.index()].name.as_str()).collect()
 }
 
-/// What is written in the place of a document's stages.
-pub struct Rewrite<'a> {
+/// A document whose stages are to be replaced.
+pub struct Document<'a> {
     /// Of the text.
     pub model: &'a Model,
     /// The user's.
     pub text: &'a str,
-    /// The text is JSON, which has no comments and is written anew.
+    /// The text is JSON, else TOML.
     pub is_json: bool,
-    /// Absent: the document's own stages stay as they are written.
-    pub stages: Option<&'a [Stage]>,
-    /// Sentences that stand before the stages.
-    pub comment: &'a [String],
 }
 
-impl Rewrite<'_> {
-    /// The new text; `None` when it does not say the same: stages are written in a way that is not understood here.
-    pub fn text(&self) -> Option<String> {
-        let stages = self.stages.unwrap_or(self.model.stages());
-        let wanted = document(self.model, stages);
-        if self.is_json {
-            return serde_json::to_string_pretty(&wanted).ok().map(|text| text + "\n");
-        }
-        let text = self.toml(stages);
-        let read = Model::from_toml(&text).ok()?;
-        let is_kept = self.stages.is_none() && read.document() == self.model.document();
-        (is_kept || *read.document() == wanted).then_some(text)
+impl Document<'_> {
+    /// The model with these stages and nothing else changed; `None` where stages are written in a way that is not
+    /// understood here.
+    pub fn with_stages(&self, stages: &[Stage]) -> Option<Arc<Model>> {
+        self.checked(Some(stages), &[]).map(|(_, model)| Arc::new(model))
     }
 
-    fn toml(&self, stages: &[Stage]) -> String {
+    /// The text with these stages, or with its own, and with sentences that stand before them; JSON has no comments. `None`
+    /// as above.
+    pub fn rewritten(&self, stages: Option<&[Stage]>, comment: &[String]) -> Option<String> {
+        self.checked(stages, comment).map(|(text, _)| text)
+    }
+
+    fn checked(&self, stages: Option<&[Stage]>, comment: &[String]) -> Option<(String, Model)> {
+        let wanted = document(self.model, stages.unwrap_or(self.model.stages()));
+        let text = match self.is_json {
+            true => json_text(self.text, &wanted["stages"])?,
+            false => self.toml(stages, comment),
+        };
+        let read = if self.is_json { Model::from_json(&text) } else { Model::from_toml(&text) }.ok()?;
+        let is_kept = stages.is_none() && read.document() == self.model.document();
+        // The document as JSON has sorted keys: that parameters keep their numbers is asked as well.
+        let names = |model: &Model| model.parameters().iter().map(|p| p.name.clone()).collect::<Vec<_>>();
+        let is_same = is_kept || *read.document() == wanted;
+        (is_same && names(&read) == names(self.model)).then_some((text, read))
+    }
+
+    fn toml(&self, stages: Option<&[Stage]>, comment: &[String]) -> String {
+        let sentences = comment.len();
         let lines = self.text.lines().filter(|line| !line.starts_with(MARK)).collect::<Vec<_>>();
         let starts = line_starts(&lines);
-        let comment: Vec<String> = self.comment.iter().map(|sentence| format!("{MARK}{sentence}")).collect();
-        let tables = stages.iter().map(|stage| table(self.model, stage)).collect::<Vec<_>>();
-        let own = comment.into_iter().chain(tables).collect::<Vec<_>>();
+        let comment = comment.iter().map(|sentence| format!("{MARK}{sentence}"));
+        let tables = stages.unwrap_or(self.model.stages()).iter().map(|stage| table(self.model, stage));
+        let own = comment.chain(tables).collect::<Vec<_>>();
         let is_stages = |i: usize| starts[i] == LineStart::Header && is_stages_header(lines[i]);
-        let keeps = self.stages.is_none() && (0..lines.len()).any(is_stages);
+        let keeps = stages.is_none() && (0..lines.len()).any(is_stages);
         let mut written: Vec<String> = Vec::new();
         let (mut inside, mut done, mut at_top) = (false, false, true);
         for (i, line) in lines.iter().enumerate() {
@@ -79,7 +85,7 @@ impl Rewrite<'_> {
                     inside = is_stages(i);
                     if inside && !done {
                         done = true;
-                        written.extend(if keeps { &own[..self.comment.len()] } else { &own[..] }.iter().cloned());
+                        written.extend(if keeps { &own[..sentences] } else { &own[..] }.iter().cloned());
                     }
                 }
                 LineStart::Key if at_top => inside = key(line) == "stages",
@@ -198,6 +204,39 @@ fn key(line: &str) -> &str {
 /// A blank line or comment after which nothing but such lines comes before another table or the end: it belongs there.
 fn is_before_header(starts: &[LineStart], line: usize) -> bool {
     starts[line..].iter().find(|start| **start != LineStart::Blank).is_none_or(|start| *start == LineStart::Header)
+}
+
+/// JSON with another value of the key `stages` of the outer object, or with that key; `None` where there is no such object.
+fn json_text(text: &str, stages: &Value) -> Option<String> {
+    let (mut depth, mut at) = (0usize, 0);
+    while let Some(byte) = text.as_bytes().get(at) {
+        match byte {
+            b'{' | b'[' => depth += 1,
+            b'}' | b']' => depth = depth.checked_sub(1)?,
+            b'"' => {
+                let end = at + length(&text[at..])?;
+                let value = text[end..].trim_start().strip_prefix(':').map(str::trim_start);
+                if let Some(value) = value.filter(|_| depth == 1 && &text[at..end] == "\"stages\"") {
+                    let begin = text.len() - value.len();
+                    let rest = &value[length(value)?..];
+                    return Some(format!("{}{stages}{rest}", &text[..begin]));
+                }
+                at = end;
+                continue;
+            }
+            _ => {}
+        }
+        at += 1;
+    }
+    let (head, tail) = text.rsplit_once('}')?;
+    Some(format!("{}, \"stages\": {stages}\n}}{tail}", head.trim_end()))
+}
+
+/// Bytes of the JSON value that a text begins with.
+fn length(text: &str) -> Option<usize> {
+    let mut values = serde_json::Deserializer::from_str(text).into_iter::<IgnoredAny>();
+    values.next()?.ok()?;
+    Some(values.byte_offset())
 }
 
 #[cfg(test)]
