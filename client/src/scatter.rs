@@ -70,13 +70,19 @@ impl Scatter<'_> {
             let x = x_axis.place(tick);
             line(svg, [x, top], [x, bottom], TEXT, 0.3);
             let y = bottom + 18.0;
-            element(svg, format_args!("<text x=\"{x:.1}\" y=\"{y}\" fill=\"{TEXT}\" text-anchor=\"middle\">{tick}</text>"));
+            element(
+                svg,
+                format_args!("<text x=\"{x:.1}\" y=\"{y}\" fill=\"{TEXT}\" text-anchor=\"middle\">{tick}</text>"),
+            );
         }
         for tick in y_axis.ticks() {
             let y = y_axis.place(tick);
             line(svg, [left, y], [right, y], TEXT, 0.3);
             let (x, y) = (left - 8.0, y + 4.0);
-            element(svg, format_args!("<text x=\"{x}\" y=\"{y:.1}\" fill=\"{TEXT}\" text-anchor=\"end\">{tick}</text>"));
+            element(
+                svg,
+                format_args!("<text x=\"{x}\" y=\"{y:.1}\" fill=\"{TEXT}\" text-anchor=\"end\">{tick}</text>"),
+            );
         }
         line(svg, [left, bottom], [right, bottom], TEXT, 1.0);
         line(svg, [left, top], [left, bottom], TEXT, 1.0);
@@ -118,7 +124,10 @@ impl Axis {
         let inside = |tick: &f64| (self.range[0]..=self.range[1]).contains(tick);
         // Read from its text, so that 0.3 is not 0.30000000000000004.
         let tick = |step: &f64, decade: i32| format!("{step}e{decade}").parse().unwrap_or(step * 10f64.powi(decade));
-        (decades[0]..=decades[1]).flat_map(|decade| steps.iter().map(move |step| tick(step, decade))).filter(inside).collect()
+        (decades[0]..=decades[1])
+            .flat_map(|decade| steps.iter().map(move |step| tick(step, decade)))
+            .filter(inside)
+            .collect()
     }
 }
 

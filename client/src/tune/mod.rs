@@ -188,7 +188,8 @@ fn race(args: &TuneArgs, goals: &[(&Scene, Goal)], candidates: &mut [Candidate])
         for (level, offset) in LEVELS.into_iter().enumerate() {
             for start in 0..args.starts {
                 let place = (number * LEVELS.len() + level) as u64 * args.starts + start;
-                let start = candidates[0].bench.start(goal, offset, args.seed.wrapping_mul(1 << 32).wrapping_add(place));
+                let start =
+                    candidates[0].bench.start(goal, offset, args.seed.wrapping_mul(1 << 32).wrapping_add(place));
                 for candidate in candidates.iter_mut() {
                     let begin = Instant::now();
                     let run = candidate.bench.run(frame, goal, &start, offset).map_err(no_kernel)?;
@@ -205,9 +206,14 @@ fn race(args: &TuneArgs, goals: &[(&Scene, Goal)], candidates: &mut [Candidate])
 fn choose(candidates: &[Candidate]) -> usize {
     let best = candidates.iter().map(Candidate::rate).fold(0.0, f64::max);
     let reliable = |candidate: &&Candidate| candidate.rate() >= best - RATE_SLACK;
-    let fastest = candidates.iter().filter(reliable).map(Candidate::time_us).fold(f64::INFINITY, f64::min);
-    let is_it =
-        |candidate: &Candidate| reliable(&candidate) && candidate.time_us() <= fastest * (1.0 + TIME_SLACK);
+    let by_time = |a: &&Candidate, b: &&Candidate| a.time_us().total_cmp(&b.time_us());
+    let Some(fastest) = candidates.iter().filter(reliable).min_by(by_time) else { return 0 };
+    // What took the same steps from every start is the same computation, whatever the clock says.
+    let is_as_fast = |candidate: &Candidate| {
+        let same_stages = candidate.schedule.stages.len() == fastest.schedule.stages.len();
+        candidate.time_us() <= fastest.time_us() * (1.0 + TIME_SLACK) || same_stages && candidate.runs == fastest.runs
+    };
+    let is_it = |candidate: &Candidate| reliable(&candidate) && is_as_fast(candidate);
     candidates.iter().position(is_it).unwrap_or(0)
 }
 

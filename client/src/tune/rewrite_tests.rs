@@ -4,7 +4,8 @@ use isophote_symbolic::Method;
 
 const HEAD: &str = "name = \"flat\"   # a [[stages]] in a comment\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n\
                     description = \"\"\"of text\n[[stages]]\n[[not] a header\"\"\"\n";
-const TAIL: &str = "[parameters]\nv0 = { start = 1.0 }   # light\nv1 = { start = 2.0 }\n\n[model]\nintensity = \"v0 + v1\"\n";
+const TAIL: &str =
+    "[parameters]\nv0 = { start = 1.0 }   # light\nv1 = { start = 2.0 }\n\n[model]\nintensity = \"v0 + v1\"\n";
 const STAGES: &str = "# mine, before\n[[stages]]   # first\nparameters = [\n  \"v0\",   # [\n]\n# mine, inside\n[[stages]]\n\
                       parameters = [\"v0\", \"v1\"]\nmethod = \"newton\"\n\n# of what follows\n";
 

@@ -87,9 +87,9 @@ pub fn schedules(model: &Model) -> Vec<Schedule> {
     };
     let damped = Method::LevenbergMarquardt;
     let plain = BEFORE.iter().map(|before| (*before, damped, damped));
-    let newton = BY_NEWTON.iter().flat_map(|before| {
-        [(*before, Method::Newton, damped), (*before, Method::Newton, Method::Newton)]
-    });
+    let newton = BY_NEWTON
+        .iter()
+        .flat_map(|before| [(*before, Method::Newton, damped), (*before, Method::Newton, Method::Newton)]);
     for (before, early, last) in plain.chain(newton) {
         if let Some((name, stages)) = staged(before, early, last) {
             add(name, stages);

@@ -75,7 +75,8 @@ fn move_shape(
     if shape.len() != dimensions * (dimensions + 1) / 2 {
         return;
     }
-    let places: Vec<(usize, usize)> = (0..dimensions).flat_map(|row| (row..dimensions).map(move |column| (row, column))).collect();
+    let places: Vec<(usize, usize)> =
+        (0..dimensions).flat_map(|row| (row..dimensions).map(move |column| (row, column))).collect();
     let entry = |row: usize, column: usize| {
         places.iter().zip(shape).find(|(place, _)| **place == (row, column)).map(|(_, parameter)| *parameter)
     };

@@ -31,7 +31,13 @@ fn with_stages(lists: &[&str]) -> String {
 }
 
 fn picture() -> (Picture, Vec<f64>) {
-    let truth = Spot { centre: [80.3, 59.6], half: [30.0, 21.0], angle: 0.4, amplitude: 150.0, profile: Profile::Cubic(-0.5, -0.3) };
+    let truth = Spot {
+        centre: [80.3, 59.6],
+        half: [30.0, 21.0],
+        angle: 0.4,
+        amplitude: 150.0,
+        profile: Profile::Cubic(-0.5, -0.3),
+    };
     let [a1, a2, a3] = truth.extent();
     let picture = Picture { samples: 4, ..Picture::new(160, 120, vec![truth]) };
     (picture, vec![80.3, 59.6, a1, a2, a3, -0.5, -0.3, 20.0, 150.0])
@@ -133,7 +139,12 @@ fn light_is_convex_everywhere_and_all_together_is_not() {
     let (picture, truth) = picture();
     let frame = picture.frame();
     let goal = bench(SPOT).goal(&frame, &truth).unwrap().unwrap();
-    let lists = ["\"bx\", \"by\"", "\"a1\", \"a2\", \"a3\"", "\"v0\", \"v1\"", "\"bx\", \"by\", \"a1\", \"a2\", \"a3\", \"v0\", \"v1\""];
+    let lists = [
+        "\"bx\", \"by\"",
+        "\"a1\", \"a2\", \"a3\"",
+        "\"v0\", \"v1\"",
+        "\"bx\", \"by\", \"a1\", \"a2\", \"a3\", \"v0\", \"v1\"",
+    ];
     let newton = bench(&with_stages(&lists));
     assert_eq!(newton_of_each(&model(SPOT)).len(), lists.len());
     let level = |centre_px: f64| Offset { centre_px, share: 0.05 * centre_px };
