@@ -120,7 +120,7 @@ impl Axis {
     /// Round numbers inside; powers of ten alone over more than three decades.
     fn ticks(&self) -> Vec<f64> {
         let decades = [self.range[0].log10().floor() as i32, self.range[1].log10().ceil() as i32];
-        let steps = if decades[1] - decades[0] > 3 { &TICKS[..1] } else { &TICKS[..] };
+        let steps = if (self.range[1] / self.range[0]).log10() > 3.0 { &TICKS[..1] } else { &TICKS[..] };
         let inside = |tick: &f64| (self.range[0]..=self.range[1]).contains(tick);
         // Read from its text, so that 0.3 is not 0.30000000000000004.
         let tick = |step: &f64, decade: i32| format!("{step}e{decade}").parse().unwrap_or(step * 10f64.powi(decade));

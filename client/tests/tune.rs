@@ -32,7 +32,7 @@ fn rendered(folder: &Path, frames: &str, motion: &str) -> PathBuf {
     out
 }
 
-/// A schedule that leaves the shape where it starts cannot win, and the document keeps all but its stages.
+/// A schedule that ends too early cannot win, and the document keeps all but its stages.
 #[test]
 fn a_bad_schedule_is_replaced_by_one_that_finds_the_answer() {
     let folder = tempfile::tempdir().unwrap();

@@ -180,6 +180,7 @@ fn goals<'a>(candidates: &[Candidate], model: &Model, scenes: &'a [Scene]) -> Re
 /// All candidates from each start in turn, so that what slows the machine slows all of them.
 fn race(args: &TuneArgs, goals: &[(&Scene, Goal)], candidates: &mut [Candidate]) -> Result<(), Failure> {
     for (number, (scene, goal)) in goals.iter().enumerate() {
+        eprintln!("tune: frame {} of {}", number + 1, goals.len());
         let frame = &scene.frame;
         // Kernels are compiled when they are first needed: once before the clock runs.
         for candidate in candidates.iter() {
