@@ -89,7 +89,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     Ok(())
 }
 
-fn other(error: impl std::fmt::Display) -> Failure {
+pub(crate) fn other(error: impl std::fmt::Display) -> Failure {
     Failure::Other(error.to_string())
 }
 
@@ -111,7 +111,7 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
 }
 
 /// JSON begins with a brace; everything else is taken for a calibration file.
-fn camera(path: &Path) -> Result<Camera, Failure> {
+pub(crate) fn camera(path: &Path) -> Result<Camera, Failure> {
     let text = read(path)?;
     if text.trim_start().starts_with('{') {
         return json(path, &text, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})");

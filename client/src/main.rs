@@ -1,9 +1,10 @@
 //! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
-//! `fit`, `render`, `model check`, `model explain` and `model export` work alone; `serve` is the service; the others are its clients.
+//! `fit`, `render`, `tune`, `compare`, `model check`, `model explain` and `model export` work alone; `serve` is the service; the others are its clients.
 
 mod arguments;
+mod compare;
 mod export;
 mod failure;
 mod fit;
@@ -13,10 +14,12 @@ mod models;
 mod output;
 mod overlay;
 mod render;
+mod scatter;
 #[cfg(feature = "serve")]
 mod serve;
 mod sessions;
 mod source_uri;
+mod tune;
 mod watch;
 
 use std::io::Write;
@@ -48,6 +51,8 @@ enum Command {
     Watch(watch::WatchArgs),
     Fit(fit::FitArgs),
     Render(render::RenderArgs),
+    Tune(tune::TuneArgs),
+    Compare(compare::CompareArgs),
 }
 
 #[derive(Subcommand)]
@@ -106,5 +111,7 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
         Command::Watch(args) => watch::run(args, out),
         Command::Fit(args) => fit::run(args, out),
         Command::Render(args) => render::run(args, out),
+        Command::Tune(args) => tune::run(args, out),
+        Command::Compare(args) => compare::run(args, out),
     }
 }

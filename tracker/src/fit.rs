@@ -3,7 +3,7 @@
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
 use isophote_jit::{PixelFormat, PlaneView, Window};
-use isophote_symbolic::{Bindings, Model, ParameterId, Precision, ValueKind};
+use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::alternatives::Substitute;
@@ -223,6 +223,23 @@ pub(crate) fn difference(
         sum += at_b - at_a;
     }
     Ok(Some(0.5 * sum))
+}
+
+/// F, gradient and Hessian of a stage at a point, on that point's pixel set; `None` when no kernel could run.
+pub(crate) fn quadratic_at(
+    compiled: &Compiled,
+    view: &View,
+    constants: &[f64],
+    stage: usize,
+    control: Control,
+    point: &[f64],
+) -> Result<Option<Quadratic>, CompileFailure> {
+    let Stage { parameters, method, .. } = &compiled.model().stages()[stage];
+    let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
+    let bindings =
+        Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
+    let sums = gradient.sums(&bindings, &view.planes, view.window);
+    Ok(sums.and_then(|sums| quadratic(&sums.outputs, parameters.len(), curvature(*method))))
 }
 
 /// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.

@@ -36,6 +36,7 @@ mod start;
 mod track;
 mod tracker;
 mod trust;
+pub mod tune;
 mod workers;
 
 pub use alternatives::Substitute;

@@ -1,0 +1,193 @@
+//! `isophote compare`: several models on the same frames, how right, how still and how fast each is.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use isophote_capture::{Captured, FrameSource, Recording};
+use isophote_server::Threads;
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::tune::figures;
+use isophote_tracker::{Camera, Compiled, Estimate, TrackError, TrackState, Tracker, TrackerOptions};
+use serde::Serialize;
+
+use crate::failure::Failure;
+use crate::fit::{camera, other};
+use crate::scatter::{Dot, Scatter};
+use crate::{model_files, output};
+
+/// Track the same frames with several models: errors, failures, stillness and time of each
+#[derive(Clone, Debug, clap::Args)]
+pub struct CompareArgs {
+    /// Model documents (TOML; JSON if named *.json)
+    #[arg(value_name = "MODEL", required = true)]
+    pub models: Vec<PathBuf>,
+    /// A folder or file of frames, as for `isophote fit`; errors are known where truth.jsonl lies beside them
+    #[arg(long, value_name = "PATH")]
+    pub frames: PathBuf,
+    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Draw error over time as SVG
+    #[arg(long, value_name = "FILE.svg")]
+    pub plot: Option<PathBuf>,
+    /// One JSON object a model
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// One model's figures; what is not known is absent.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    model: String,
+    file: String,
+    frames: usize,
+    tracked: usize,
+    failures: usize,
+    /// Root mean square of the centre's distance from the truth, over tracked frames with a truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rmse_px: Option<f64>,
+    /// Median over tracked frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reduced_chi_square: Option<f64>,
+    /// Root mean square of the centre's second differences, over three tracked frames in a row.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    second_difference_px: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_us: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_us_95: Option<f64>,
+}
+
+/// `isophote compare`.
+pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let camera = args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?;
+    let models = args.models.iter().map(|path| model_files::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let mut rows = Vec::new();
+    for (path, model) in args.models.iter().zip(&models) {
+        eprintln!("compare: {}", path.display());
+        rows.push(followed(args, path.display().to_string(), model, &camera)?);
+    }
+    match args.json {
+        true => rows.iter().try_for_each(|row| output::json(out, row))?,
+        false => table(out, &rows)?,
+    }
+    args.plot.as_ref().map_or(Ok(()), |path| plot(path, &rows))
+}
+
+/// Follows the target through all frames.
+fn followed(args: &CompareArgs, file: String, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
+    let recording = Recording::of_dimensions(&args.frames, model.coordinates().len()).map_err(other)?;
+    let mut recording = recording.for_channels(model.channels());
+    let is_csv = recording.csv_channels().map_err(other)?.is_some();
+    let precision = if is_csv { Precision::F64 } else { Precision::F32 };
+    let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads)
+        .map_err(|failure| Failure::model(&file, &isophote_server::explain::diagnostics(&failure)))?;
+    let compiled = Arc::new(compiled);
+    let new = || {
+        let options = TrackerOptions { precision, camera: camera.clone(), ..TrackerOptions::default() };
+        Tracker::new(compiled.clone(), options).map_err(|error: TrackError| Failure::Usage(error.to_string()))
+    };
+    let mut tracker = new()?;
+    let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    while let Some(Captured { frame, truth, .. }) = recording.next().map_err(other)? {
+        if places.is_empty() {
+            // Kernels are compiled when they are first needed: not while the clock runs.
+            new()?.track(&frame);
+        }
+        let begin = Instant::now();
+        let estimate = tracker.track(&frame);
+        times_us.push(begin.elapsed().as_nanos() as f64 / 1e3);
+        let place = centre(model, &estimate);
+        errors_px.extend(truth.zip(place.as_ref()).and_then(|(truth, place)| error_px(model, &truth, place)));
+        if place.is_some() {
+            chi_squares.extend(estimate.reduced_chi_square);
+        }
+        places.push(place);
+    }
+    let tracked = places.iter().flatten().count();
+    Ok(Row {
+        model: model.name().to_string(),
+        file,
+        frames: places.len(),
+        tracked,
+        failures: places.len() - tracked,
+        rmse_px: figures::rms(&errors_px),
+        reduced_chi_square: figures::median(&chi_squares),
+        second_difference_px: figures::rms(&figures::second_differences(&places)).filter(|_| has_centre(model)),
+        time_us: figures::median(&times_us),
+        time_us_95: figures::quantile(&times_us, 0.95),
+    })
+}
+
+fn has_centre(model: &Model) -> bool {
+    model.roles().iter().any(|roles| !roles.centre.is_empty())
+}
+
+/// The centres of all the model's targets, in a row; `None` where they are not tracked.
+fn centre(model: &Model, estimate: &Estimate) -> Option<Vec<f64>> {
+    let centres = model.roles().iter().flat_map(|roles| &roles.centre);
+    let is_tracked = estimate.state == TrackState::Tracking;
+    is_tracked.then(|| centres.map(|parameter| estimate.parameters[parameter.index()]).collect())
+}
+
+/// The distance of a centre from the truth: of several targets the root of the mean square. `None` where the truth does not
+/// name them.
+fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> Option<f64> {
+    let targets = model.roles().iter().filter(|roles| !roles.centre.is_empty()).count();
+    let centres = model.roles().iter().flat_map(|roles| &roles.centre);
+    let true_place = centres.map(|parameter| truth.get(&model.parameters()[parameter.index()].name).copied());
+    let true_place: Vec<f64> = true_place.collect::<Option<_>>()?;
+    let squares: f64 = true_place.iter().zip(place).map(|(is, found)| (found - is).powi(2)).sum();
+    (targets > 0).then(|| (squares / targets as f64).sqrt())
+}
+
+fn table(out: &mut dyn Write, rows: &[Row]) -> Result<(), Failure> {
+    let shown = |value: Option<f64>, times: f64| value.map_or("-".to_string(), |value| significant(value * times));
+    let cells = |row: &Row| {
+        vec![
+            row.model.clone(),
+            row.frames.to_string(),
+            row.tracked.to_string(),
+            row.failures.to_string(),
+            shown(row.rmse_px, 1.0),
+            shown(row.reduced_chi_square, 1.0),
+            shown(row.second_difference_px, 1.0),
+            shown(row.time_us, 1e-3),
+            shown(row.time_us_95, 1e-3),
+        ]
+    };
+    let head = ["MODEL", "FRAMES", "TRACKED", "FAILURES", "RMSE/PX", "CHI²", "2ND DIFF/PX", "MS", "95 %"];
+    output::table(out, &head, &rows.iter().map(cells).collect::<Vec<_>>())
+}
+
+/// Three digits that count.
+fn significant(value: f64) -> String {
+    let decimals = if value > 0.0 { (2 - value.log10().floor() as i32).clamp(0, 9) as usize } else { 0 };
+    format!("{value:.decimals$}")
+}
+
+/// Over the time the first of these that some model has: the error, the stillness, χ².
+fn plot(path: &std::path::Path, rows: &[Row]) -> Result<(), Failure> {
+    type Figure = (&'static str, fn(&Row) -> Option<f64>);
+    let figures: [Figure; 3] = [
+        ("RMSE of the centre, px", |row| row.rmse_px),
+        ("rms second difference of the centre, px", |row| row.second_difference_px),
+        ("reduced χ²", |row| row.reduced_chi_square),
+    ];
+    let svg = figures.into_iter().find_map(|(name, figure)| {
+        let dot = |row: &Row| {
+            let ms = |time: Option<f64>| time.map_or(f64::NAN, |us| us / 1e3);
+            let at = [ms(row.time_us), figure(row).unwrap_or(f64::NAN)];
+            Dot { name: row.model.clone(), at, to_x: ms(row.time_us_95) }
+        };
+        let dots: Vec<Dot> = rows.iter().map(dot).collect();
+        Scatter { x: "time for a frame, ms: median, and 95 % of the frames", y: name, dots: &dots }.svg()
+    });
+    let Some(svg) = svg else {
+        return Err(Failure::Other("there is nothing to plot: no model tracked anything".into()));
+    };
+    std::fs::write(path, svg).map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))
+}

@@ -1,0 +1,253 @@
+//! `isophote tune`: which schedule of stages suits a model, found by benchmark; and where its F is convex.
+//!
+//! In: a model document, frames. Out: the document with the schedule that was best, a table of all that were tried, and the
+//! convexity report. It needs no service.
+
+mod report;
+mod rewrite;
+mod scenes;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use isophote_server::Threads;
+use isophote_symbolic::{Method, Model, Precision};
+use isophote_tracker::tune::{
+    Bench, Convexity, Goal, Grid, Offset, Run, Schedule, Subset, figures, newton_of_each, schedules, subsets,
+};
+use isophote_tracker::{CompileFailure, Compiled, TrackerOptions};
+
+use crate::failure::Failure;
+use crate::fit::other;
+use crate::{model_files, output};
+use rewrite::Document;
+use scenes::{Scene, Scenes, scenes};
+
+/// Find the schedule of stages that suits a model by trying many
+#[derive(Clone, Debug, clap::Args)]
+pub struct TuneArgs {
+    /// The model document (TOML; JSON if it is named *.json)
+    #[arg(value_name = "MODEL")]
+    pub model: PathBuf,
+    /// Frames to try schedules on, at most 16 of them [default: four frames rendered from the model, with noise]
+    #[arg(long, value_name = "PATH")]
+    pub frames: Option<PathBuf>,
+    /// Write the document there [default: standard output; the tables then go to standard error]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Starts for each frame at each of three distances
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub starts: u64,
+    /// Of noise and starts; same seed, same frames and starts
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// One JSON object; the document is in it where --out does not name a file
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// How far starts are off: px of the centre, share of everything else.
+const LEVELS: [Offset; 3] = [
+    Offset { centre_px: 1.0, share: 0.05 },
+    Offset { centre_px: 3.0, share: 0.15 },
+    Offset { centre_px: 10.0, share: 0.5 },
+];
+/// The same for the convexity report, px; 5 % go with each pixel.
+const CONVEX_PX: [f64; 10] = [0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0];
+const SHARE_OF_PX: f64 = 0.05;
+const DIRECTIONS: u64 = 16;
+/// Schedules are as reliable as each other when their success rates differ by no more, …
+const RATE_SLACK: f64 = 0.01;
+/// … and as fast when their median times differ by no more: then the one that is earlier in the list is taken.
+const TIME_SLACK: f64 = 0.05;
+
+/// A schedule and how its fits went.
+struct Candidate {
+    schedule: Schedule,
+    bench: Bench,
+    runs: Vec<Run>,
+    times_us: Vec<f64>,
+}
+
+impl Candidate {
+    /// Share of fits that ended at the answer.
+    fn rate(&self) -> f64 {
+        self.runs.iter().filter(|run| run.reached).count() as f64 / self.runs.len().max(1) as f64
+    }
+
+    fn time_us(&self) -> f64 {
+        figures::median(&self.times_us).unwrap_or(f64::INFINITY)
+    }
+
+    fn median(&self, of: impl Fn(&Run) -> u32) -> f64 {
+        let values: Vec<f64> = self.runs.iter().map(|run| f64::from(of(run))).collect();
+        figures::median(&values).unwrap_or(0.0)
+    }
+}
+
+/// What was found.
+struct Found<'a> {
+    model: &'a Model,
+    candidates: Vec<Candidate>,
+    chosen: usize,
+    convexity: Vec<(Subset, Convexity)>,
+    frames: usize,
+    lost: usize,
+}
+
+/// `isophote tune`.
+pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = model_files::read(&args.model)?;
+    let text = std::fs::read_to_string(&args.model).map_err(other)?;
+    let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let source = Document { model: &model, text: &text, is_json };
+    let Scenes { scenes, options, lost } = scenes(args, &model)?;
+    let mut candidates = candidates(args, &source, &options)?;
+    let goals = goals(&candidates, &model, &scenes)?;
+    let tries = goals.len() * LEVELS.len() * args.starts as usize;
+    eprintln!("tune: {} schedules, {} frames, {tries} starts each", candidates.len(), goals.len());
+    race(args, &goals, &mut candidates)?;
+    let chosen = choose(&candidates);
+    let (frames, lost) = (goals.len(), lost + scenes.len() - goals.len());
+    let convexity = convexity(args, &source, &options, &goals)?;
+    let found = Found { model: &model, candidates, chosen, convexity, frames, lost };
+    let stages = &found.candidates[chosen].schedule.stages;
+    let document = source.rewritten((chosen > 0).then_some(&stages[..]), &report::sentences(&found));
+    let document = document.ok_or_else(|| not_understood(args))?;
+    if let Some(path) = &args.out {
+        std::fs::write(path, &document)
+            .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))?;
+    }
+    match (args.json, &args.out) {
+        (true, out_path) => output::json(out, &report::json(&found, out_path.is_none().then_some(document.as_str()))),
+        (false, Some(_)) => report::tables(out, &found),
+        (false, None) => {
+            report::tables(&mut std::io::stderr().lock(), &found)?;
+            out.write_all(document.as_bytes()).map_err(Failure::output)
+        }
+    }
+}
+
+/// Programs of a document's stages.
+fn compiled(path: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<Compiled>, Failure> {
+    let compiled = Compiled::with_cache(model, precision, Arc::default(), &Threads);
+    compiled.map(Arc::new).map_err(|failure| refused(path, &failure))
+}
+
+fn refused(path: &Path, failure: &CompileFailure) -> Failure {
+    Failure::model(&path.display().to_string(), &isophote_server::explain::diagnostics(failure))
+}
+
+fn no_kernel(error: CompileFailure) -> Failure {
+    Failure::Other(error.to_string())
+}
+
+fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> Result<Vec<Candidate>, Failure> {
+    let bench = |schedule: Schedule| {
+        let changed = source.with_stages(&schedule.stages).ok_or_else(|| not_understood(args))?;
+        let compiled = compiled(&args.model, changed, options.precision)?;
+        let bench = Bench::new(compiled, options.clone()).map_err(|error| Failure::Usage(error.to_string()))?;
+        Ok(Candidate { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
+    };
+    schedules(source.model).into_iter().map(bench).collect()
+}
+
+/// The answers, by one damped stage over all parameters from near them; frames without one are left out.
+fn goals<'a>(candidates: &[Candidate], model: &Model, scenes: &'a [Scene]) -> Result<Vec<(&'a Scene, Goal)>, Failure> {
+    let all = subsets(model).pop().map_or(0, |all| all.parameters.len());
+    let is_joint = |candidate: &&Candidate| {
+        let stages = &candidate.schedule.stages;
+        stages.len() == 1 && stages[0].parameters.len() == all && stages[0].method == Method::LevenbergMarquardt
+    };
+    let joint = candidates.iter().find(is_joint).unwrap_or(&candidates[0]);
+    let mut goals = Vec::new();
+    for scene in scenes {
+        goals.extend(joint.bench.goal(&scene.frame, &scene.start).map_err(no_kernel)?.map(|goal| (scene, goal)));
+    }
+    if goals.is_empty() {
+        let message = "no frame has an answer: from the right start, all parameters together end in no good fit with a \
+                       covariance; see what `isophote fit` says";
+        return Err(Failure::Other(message.into()));
+    }
+    Ok(goals)
+}
+
+/// All candidates from each start in turn, so that what slows the machine slows all of them.
+fn race(args: &TuneArgs, goals: &[(&Scene, Goal)], candidates: &mut [Candidate]) -> Result<(), Failure> {
+    for (number, (scene, goal)) in goals.iter().enumerate() {
+        eprintln!("tune: frame {} of {}", number + 1, goals.len());
+        let frame = &scene.frame;
+        // Kernels are compiled when they are first needed: once before the clock runs.
+        for candidate in candidates.iter() {
+            candidate.bench.run(frame, goal, &goal.parameters, LEVELS[0]).map_err(no_kernel)?;
+        }
+        for (level, offset) in LEVELS.into_iter().enumerate() {
+            for start in 0..args.starts {
+                let place = (number * LEVELS.len() + level) as u64 * args.starts + start;
+                let start =
+                    candidates[0].bench.start(goal, offset, args.seed.wrapping_mul(1 << 32).wrapping_add(place));
+                for candidate in candidates.iter_mut() {
+                    let begin = Instant::now();
+                    let run = candidate.bench.run(frame, goal, &start, offset).map_err(no_kernel)?;
+                    candidate.times_us.push(begin.elapsed().as_nanos() as f64 / 1e3);
+                    candidate.runs.push(run);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The fastest of those that end at the answer as often as any.
+fn choose(candidates: &[Candidate]) -> usize {
+    let best = candidates.iter().map(Candidate::rate).fold(0.0, f64::max);
+    let reliable = |candidate: &&Candidate| candidate.rate() >= best - RATE_SLACK;
+    let by_time = |a: &&Candidate, b: &&Candidate| a.time_us().total_cmp(&b.time_us());
+    let Some(fastest) = candidates.iter().filter(reliable).min_by(by_time) else { return 0 };
+    // What took the same steps from every start is the same computation, whatever the clock says.
+    let is_as_fast = |candidate: &Candidate| {
+        let same_stages = candidate.schedule.stages.len() == fastest.schedule.stages.len();
+        candidate.time_us() <= fastest.time_us() * (1.0 + TIME_SLACK) || same_stages && candidate.runs == fastest.runs
+    };
+    let is_it = |candidate: &Candidate| reliable(&candidate) && is_as_fast(candidate);
+    candidates.iter().position(is_it).unwrap_or(0)
+}
+
+/// The thesis' Table 4.1 for this model: in f64, so that rounding makes no sign.
+fn convexity(
+    args: &TuneArgs,
+    source: &Document,
+    options: &TrackerOptions,
+    goals: &[(&Scene, Goal)],
+) -> Result<Vec<(Subset, Convexity)>, Failure> {
+    let newton = source.with_stages(&newton_of_each(source.model)).ok_or_else(|| not_understood(args))?;
+    let precision = Precision::F64;
+    let options = TrackerOptions { precision, ..options.clone() };
+    let bench = Bench::new(compiled(&args.model, newton, precision)?, options)
+        .map_err(|error| Failure::Usage(error.to_string()))?;
+    let offset = |centre_px: f64| Offset { centre_px, share: SHARE_OF_PX * centre_px };
+    let mut found = Vec::new();
+    for (stage, subset) in subsets(source.model).into_iter().enumerate() {
+        let mut together: Option<Convexity> = None;
+        for (number, (scene, goal)) in goals.iter().enumerate() {
+            let seed = args.seed.wrapping_add(number as u64).wrapping_mul(1 << 40);
+            let grid = Grid { offsets: CONVEX_PX.map(offset).to_vec(), directions: DIRECTIONS, seed };
+            let one = bench.convexity(&scene.frame, goal, stage, &grid).map_err(no_kernel)?;
+            together = match (together, one) {
+                (Some(before), Some(one)) => Some(before.and(&one)),
+                (before, one) => before.or(one),
+            };
+        }
+        found.extend(together.map(|together| (subset, together)));
+    }
+    Ok(found)
+}
+
+fn not_understood(args: &TuneArgs) -> Failure {
+    Failure::Other(format!("{}: its stages cannot be replaced; write them as [[stages]]", args.model.display()))
+}

@@ -1,0 +1,128 @@
+//! The frames that schedules are tried on: those of a recording, or frames rendered from the model itself.
+
+use std::path::Path;
+
+use isophote_capture::{FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec};
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::{Camera, Compiled, Frame, TrackState, Tracker, TrackerOptions};
+use std::sync::Arc;
+
+use super::TuneArgs;
+use crate::failure::Failure;
+use crate::fit::other;
+
+/// Frames of a recording that are kept, evenly spread over it.
+const FRAMES_MAX: usize = 16;
+/// Frames that are rendered.
+const RENDERED: usize = 4;
+/// Electrons of a pixel at its limit and of its read noise, where the camera document does not say.
+const FULL_WELL_E: f64 = 5000.0;
+const READ_NOISE_E: f64 = 15.0;
+const SATURATION: f64 = 255.0;
+/// The centres of rendered frames differ by these shares of a pixel, turn by turn: the golden ratio and its square.
+const PIXEL_SHARES: [f64; 2] = [0.618_033_988_75, 0.381_966_011_25];
+
+/// A frame, and a point near its answer.
+pub struct Scene {
+    /// Planes as the model's channels.
+    pub frame: Frame,
+    /// All parameters.
+    pub start: Vec<f64>,
+}
+
+/// What all fits look at.
+pub struct Scenes {
+    /// Never empty.
+    pub scenes: Vec<Scene>,
+    /// For the fits.
+    pub options: TrackerOptions,
+    /// Frames of the recording in which the target was not found.
+    pub lost: usize,
+}
+
+/// Renders frames, or reads them and finds the target in each.
+pub fn scenes(args: &TuneArgs, model: &Arc<Model>) -> Result<Scenes, Failure> {
+    let camera = args.camera.as_deref().map(crate::fit::camera).transpose()?;
+    match &args.frames {
+        Some(path) => recorded(path, model, camera.unwrap_or_default(), &args.model),
+        None => rendered(args, model, camera),
+    }
+}
+
+fn rendered(args: &TuneArgs, model: &Arc<Model>, camera: Option<Camera>) -> Result<Scenes, Failure> {
+    let given = camera.unwrap_or_default();
+    let saturation = given.saturation.unwrap_or(SATURATION);
+    let electrons_per_dn = given.electrons_per_dn.unwrap_or(FULL_WELL_E / saturation);
+    let read_noise_e = given.read_noise_e.unwrap_or(READ_NOISE_E);
+    let known = (Some(saturation), Some(electrons_per_dn), Some(read_noise_e));
+    let camera = Camera { saturation: known.0, electrons_per_dn: known.1, read_noise_e: known.2, ..given };
+    let spec = SyntheticSpec {
+        bits: if saturation > SATURATION { 16 } else { 8 },
+        saturation,
+        full_well_e: electrons_per_dn * saturation,
+        read_noise_e,
+        ..SyntheticSpec::new(model.clone())
+    };
+    let refused = |error: SyntheticError| match error {
+        SyntheticError::Model { .. } => {
+            Failure::Usage(format!("{}: {error}; name frames to tune it on: --frames PATH", args.model.display()))
+        }
+        other => Failure::Usage(other.to_string()),
+    };
+    let typical = Synthetic::new(spec.clone()).map_err(refused)?.truth(0).map_err(other)?;
+    let mut scenes = Vec::new();
+    for number in 0..RENDERED {
+        let mut spec = SyntheticSpec { seed: args.seed.wrapping_add(number as u64), ..spec.clone() };
+        for roles in model.roles() {
+            for (axis, parameter) in roles.centre.iter().enumerate() {
+                let name = &model.parameters()[parameter.index()].name;
+                let share = (number as f64 * PIXEL_SHARES[axis % PIXEL_SHARES.len()]).fract();
+                spec.set.insert(name.clone(), typical[name] + share);
+            }
+        }
+        let captured = Synthetic::new(spec).map_err(refused)?.next().map_err(other)?;
+        let captured = captured.ok_or_else(|| Failure::Other("the synthetic camera gave no frame".into()))?;
+        let truth = captured.truth.unwrap_or_default();
+        let start = model.parameters().iter().map(|parameter| truth[&parameter.name]).collect();
+        scenes.push(Scene { frame: captured.frame, start });
+    }
+    Ok(Scenes { scenes, options: TrackerOptions { camera, ..TrackerOptions::default() }, lost: 0 })
+}
+
+fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<Scenes, Failure> {
+    let recording = Recording::of_dimensions(path, model.coordinates().len()).map_err(other)?;
+    let mut recording = recording.for_channels(model.channels());
+    let is_csv = recording.csv_channels().map_err(other)?.is_some();
+    let precision = if is_csv { Precision::F64 } else { Precision::F32 };
+    let options = TrackerOptions { precision, camera, ..TrackerOptions::default() };
+    let compiled = super::compiled(document, model.clone(), precision)?;
+    let step = recording.len().div_ceil(FRAMES_MAX).max(1);
+    let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);
+    while let Some(captured) = recording.next().map_err(other)? {
+        number += 1;
+        if (number - 1) % step != 0 {
+            continue;
+        }
+        let truth = captured.truth.as_ref();
+        let known = model.parameters().iter().map(|p| truth.and_then(|truth| truth.get(&p.name).copied()));
+        match known.collect::<Option<Vec<f64>>>().or_else(|| found(&compiled, &options, &captured.frame)) {
+            Some(start) => scenes.push(Scene { frame: captured.frame, start }),
+            None => lost += 1,
+        }
+    }
+    if scenes.is_empty() {
+        let message = format!(
+            "{}: {} finds its target in none of {lost} frames; see what `isophote fit` says of them",
+            path.display(),
+            document.display()
+        );
+        return Err(Failure::Other(message));
+    }
+    Ok(Scenes { scenes, options, lost })
+}
+
+/// By a search of its own for each frame.
+fn found(compiled: &Arc<Compiled>, options: &TrackerOptions, frame: &Frame) -> Option<Vec<f64>> {
+    let estimate = Tracker::new(compiled.clone(), options.clone()).ok()?.track(frame);
+    (estimate.state == TrackState::Tracking).then_some(estimate.parameters)
+}
