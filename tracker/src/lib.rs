@@ -13,6 +13,7 @@
 mod alternatives;
 mod background;
 mod camera;
+mod clipping;
 mod cold;
 mod compiled;
 mod component;

@@ -58,7 +58,7 @@ impl Advisor {
     /// The best exposure for a target that was just fitted; `None` where the model has no brightness or mixes channels, or
     /// no limit is known.
     pub fn advise(&mut self, solver: &Solver, look: &Look, number: usize, seen: &Estimate) -> Option<ExposureAdvice> {
-        let limit = solver.limit(look).filter(|limit| limit.is_finite() && self.is_plain)?;
+        let limit = solver.limit(look, &seen.parameters).filter(|limit| limit.is_finite() && self.is_plain)?;
         let brightness = solver.model().roles().first()?.brightness?;
         let looks = looks(solver, &seen.parameters)?;
         let known = (*self.best.get(number)?)
