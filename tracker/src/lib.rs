@@ -45,7 +45,7 @@ pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
-pub use report::{CheckReport, StageCost};
+pub use report::{Bound, CheckReport, StageCost};
 pub use track::evidence::Evidence;
 pub use track::search::Sighting;
 pub use tracker::{Carried, Tracker};
