@@ -88,7 +88,8 @@ fn table(report: &ModelReport) -> String {
     for (number, stage) in report.stages.iter().enumerate() {
         text += &format!("stage {number}: {}\n", figures(stage));
         if let Some(clear) = stage.condition {
-            let saturated = stage.condition_saturated.map(|with| format!(", {with:.1e} with 30 % of the target saturated"));
+            let saturated =
+                stage.condition_saturated.map(|with| format!(", {with:.1e} with 30 % of the target saturated"));
             text += &format!("  condition {clear:.1e}{}\n", saturated.unwrap_or_default());
         }
     }
@@ -113,7 +114,12 @@ fn promised(report: &ModelReport) -> String {
         }
     }
     for advice in &report.exposure {
-        text += &format!("exposure: {:.2} times as much light for the {}: {}\n", advice.factor, advice.goal.name(), advice.why);
+        text += &format!(
+            "exposure: {:.2} times as much light for the {}: {}\n",
+            advice.factor,
+            advice.goal.name(),
+            advice.why
+        );
     }
     text
 }

@@ -34,9 +34,10 @@ impl Model {
         let entries = self.formulas.entries.iter();
         let of_entries = entries.flat_map(|entry| [Some(entry.observed), Some(entry.intensity), entry.noise]).flatten();
         let roots = of_entries.chain(self.formulas.domain).chain(self.formulas.constraints.iter().copied());
-        self.reach(&roots.collect::<Vec<_>>(), |node| {
-            matches!(node, Node::Input(Input::Parameter(p) | Input::Entry(p)) if *p == parameter)
-        })
+        self.reach(
+            &roots.collect::<Vec<_>>(),
+            |node| matches!(node, Node::Input(Input::Parameter(p) | Input::Entry(p)) if *p == parameter),
+        )
     }
 
     /// True when the intensity or the domain reads a channel: then nothing is predicted without a frame.

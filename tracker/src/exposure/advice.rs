@@ -23,6 +23,8 @@ const OCTAVES_MIN: f64 = -3.0;
 const OCTAVES_MAX: f64 = 4.0;
 /// … in steps of
 const OCTAVE_STEP: f64 = 0.25;
+/// The same before any target was fitted: an upload is to be answered soon.
+const OUTLOOK_STEP: f64 = 0.5;
 /// Then the best is refined by so many halvings of the step.
 const HALVINGS: usize = 4;
 /// Advice is computed anew when size, or brightness over background, changed by so many e-folds.
@@ -80,7 +82,7 @@ impl Advisor {
             self.kernels = Kernels::compile(solver, solver.compiled.precision());
         }
         let height = parameters[solver.model().roles().first()?.brightness?.index()];
-        let (factor, share) = best(solver, self.kernels.as_ref()?, self.goal, parameters, limit)?;
+        let (factor, share) = best(solver, self.kernels.as_ref()?, self.goal, parameters, (limit, OCTAVE_STEP))?;
         Some(Best { height: factor * height, share, looks })
     }
 }
@@ -103,7 +105,7 @@ pub(crate) fn outlook(
     if !is_plain(solver) || parameters[brightness.index()] <= 0.0 {
         return None;
     }
-    let (factor, share) = best(solver, kernels, goal, parameters, limit)?;
+    let (factor, share) = best(solver, kernels, goal, parameters, (limit, OUTLOOK_STEP))?;
     advice(goal, factor, 0.0, share)
 }
 
@@ -119,7 +121,7 @@ fn best(
     kernels: &Kernels,
     goal: ExposureGoal,
     parameters: &[f64],
-    limit: f64,
+    (limit, octave_step): (f64, f64),
 ) -> Option<(f64, f64)> {
     let roles = solver.model().roles().first()?;
     let value = |index: usize| parameters[index];
@@ -134,11 +136,11 @@ fn best(
         let allowed = goal == ExposureGoal::Brightness || tried.share <= CENTRE_SHARE_MAX;
         (allowed && tried.bound.is_finite()).then_some((tried, factor))
     };
-    let steps = ((OCTAVES_MAX - OCTAVES_MIN) / OCTAVE_STEP) as usize;
-    let coarse = (0..=steps).map(|step| OCTAVES_MIN + OCTAVE_STEP * step as f64);
+    let steps = ((OCTAVES_MAX - OCTAVES_MIN) / octave_step) as usize;
+    let coarse = (0..=steps).map(|step| OCTAVES_MIN + octave_step * step as f64);
     let all = coarse.filter_map(|octaves| Some((octaves, try_at(octaves)?)));
     let (mut at, mut best) = all.min_by(|(_, (a, _)), (_, (b, _))| a.bound.total_cmp(&b.bound))?;
-    let mut step = OCTAVE_STEP;
+    let mut step = octave_step;
     for _ in 0..HALVINGS {
         step *= 0.5;
         for octaves in [at - step, at + step] {

@@ -72,12 +72,7 @@ impl Light {
     }
 }
 
-fn bindings<'a>(
-    solver: &'a Solver,
-    parameters: &'a [f64],
-    saturation: &'a [f64],
-    shift: &'a [f64],
-) -> Bindings<'a> {
+fn bindings<'a>(solver: &'a Solver, parameters: &'a [f64], saturation: &'a [f64], shift: &'a [f64]) -> Bindings<'a> {
     Bindings { parameters, entry: parameters, constants: &solver.constants, saturation, shift }
 }
 

@@ -57,10 +57,10 @@ fn a_product_of_two_heights_is_refused_wherever_it_starts() {
 #[test]
 fn what_has_no_effect_is_told_and_not_refused() {
     let unread = check(&SPOT.replace("v1 = {", "z9 = { start = 1.0 }\nv1 = {")).unwrap();
-    assert_eq!(unread.warnings.iter().map(|w| (w.code.as_str(), w.key.as_str())).collect::<Vec<_>>(), [(
-        "unused",
-        "parameters.z9"
-    )]);
+    assert_eq!(
+        unread.warnings.iter().map(|w| (w.code.as_str(), w.key.as_str())).collect::<Vec<_>>(),
+        [("unused", "parameters.z9")]
+    );
     // A tilt that starts at 0 and is squared.
     let squared = SPOT.replace("v1 = {", "g = { start = 0.0 }\nv1 = {").replace("v0 + v1 * f", "v0 + g^2 * x + v1 * f");
     let squared = check(&squared.replace(FREE, &FREE.replace("\"v1\"", "\"g\", \"v1\""))).unwrap();
@@ -103,10 +103,10 @@ fn every_shipped_model_passes_and_a_spot_is_told_in_full() {
     let spot = check(SPOT).unwrap();
     let (clear, saturated) = (spot.stages[0].condition.unwrap(), spot.stages[0].condition_saturated.unwrap());
     assert!(clear > 1e-2 && saturated > 1e-3, "{clear} {saturated}");
-    assert_eq!(spot.exposure.iter().map(|e| e.goal).collect::<Vec<_>>(), [
-        ExposureGoal::Centre,
-        ExposureGoal::Brightness
-    ]);
+    assert_eq!(
+        spot.exposure.iter().map(|e| e.goal).collect::<Vec<_>>(),
+        [ExposureGoal::Centre, ExposureGoal::Brightness]
+    );
     assert!(spot.exposure[0].factor > spot.exposure[1].factor, "{:?}", spot.exposure);
     let deviation = &spot.bound.unwrap().deviation;
     assert_eq!(deviation.len(), 7);
