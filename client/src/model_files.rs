@@ -52,8 +52,14 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let report = Compiled::with_cache(model, Precision::F32, Arc::default(), &Threads)
         .and_then(|compiled| explain::report(&compiled));
     let report = report.map_err(|error| refused(&explain::diagnostics(&error)))?;
+    warn(&args.model, &report);
     let text = if args.json { json(&report)? } else { table(&report) };
     writeln!(out, "{text}").map_err(Failure::output)
+}
+
+/// Doubts go to standard error: the document is accepted.
+pub fn warn(path: &Path, report: &ModelReport) {
+    report.warnings.iter().for_each(|warning| eprintln!("{}", warning.render(&path.display().to_string()).trim_end()));
 }
 
 /// `isophote model explain`.
@@ -81,11 +87,41 @@ fn table(report: &ModelReport) -> String {
     let mut text = format!("{}  {}\n", report.model, report.digest);
     for (number, stage) in report.stages.iter().enumerate() {
         text += &format!("stage {number}: {}\n", figures(stage));
+        if let Some(clear) = stage.condition {
+            let saturated =
+                stage.condition_saturated.map(|with| format!(", {with:.1e} with 30 % of the target saturated"));
+            text += &format!("  condition {clear:.1e}{}\n", saturated.unwrap_or_default());
+        }
     }
+    text += &promised(report);
     match report.self_check_error {
         Some(error) => text + &format!("self check: {error:.1e}"),
         None => text.trim_end().to_string(),
     }
+}
+
+/// What may be expected of a made-up target, as a table.
+fn promised(report: &ModelReport) -> String {
+    let mut text = String::new();
+    if let (Some(bound), Some(last)) = (&report.bound, report.stages.last()) {
+        let noise = bound.noise.map_or("the model's noise".to_string(), |noise| format!("a noise of {noise} DN"));
+        text += &format!("bound: at best, without saturation, with {noise}\n");
+        let width = last.parameters.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+        for name in &last.parameters {
+            if let (Some(value), Some(deviation)) = (bound.parameters.get(name), bound.deviation.get(name)) {
+                text += &format!("  {name:<width$}  {value:>10.4}  ± {deviation:.2e}\n");
+            }
+        }
+    }
+    for advice in &report.exposure {
+        text += &format!(
+            "exposure: {:.2} times as much light for the {}: {}\n",
+            advice.factor,
+            advice.goal.name(),
+            advice.why
+        );
+    }
+    text
 }
 
 /// One line: which parameters by which method, and what a pixel costs.

@@ -60,6 +60,7 @@ pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
         other => other.into(),
     })?;
     let answer: ModelAnswer = http::read(&answer)?;
+    crate::model_files::warn(&args.model, &answer.report);
     if args.service.json {
         return output::json(out, &answer);
     }

@@ -59,6 +59,7 @@ mod proof;
 mod rank;
 mod reader;
 mod registers;
+mod remark;
 mod sample;
 mod schedule;
 mod search;

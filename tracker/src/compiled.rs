@@ -84,6 +84,7 @@ struct Ready {
     /// Index into the parts.
     part: usize,
     control: Control,
+    precision: Precision,
     layout: Layout,
     kernel: Arc<Kernel>,
 }
@@ -169,34 +170,52 @@ impl Compiled {
         let variants: Vec<(usize, Control)> = (0..self.parts.len()).flat_map(both).collect();
         let compiled = all(variants.len(), workers, &|i| {
             let (part, control) = variants[i];
-            self.kernel(part, control, &layout).map(drop)
+            self.kernel(part, control, self.precision, &layout).map(drop)
         });
         compiled.map(drop)
     }
 
     /// The kernels for a job, compiled now if need be.
     pub(crate) fn loops(&self, job: Job, control: Control, layout: &Layout) -> Result<Loops, CompileFailure> {
+        self.loops_in(self.precision, job, control, layout)
+    }
+
+    /// The same in another arithmetic.
+    pub(crate) fn loops_in(
+        &self,
+        precision: Precision,
+        job: Job,
+        control: Control,
+        layout: &Layout,
+    ) -> Result<Loops, CompileFailure> {
         // A last stage with a Gauss–Newton Hessian serves the covariance as well.
         let last = Job::Stage(self.model.stages().len().saturating_sub(1));
         let job = if self.parts.iter().any(|part| part.job == job) { job } else { last };
         let mut loops = Loops { seen: Vec::new(), clipped: Vec::new() };
         for (index, part) in self.parts.iter().enumerate().filter(|(_, part)| part.job == job) {
             match part.is_clipped {
-                false => loops.seen.push(self.kernel(index, control, layout)?),
+                false => loops.seen.push(self.kernel(index, control, precision, layout)?),
                 true if control == Control::Plain => {}
-                true => loops.clipped.push(self.kernel(index, control, layout)?),
+                true => loops.clipped.push(self.kernel(index, control, precision, layout)?),
             }
         }
         Ok(loops)
     }
 
     /// The kernel of a part, compiled now if need be.
-    fn kernel(&self, index: usize, control: Control, layout: &Layout) -> Result<Arc<Kernel>, CompileFailure> {
+    fn kernel(
+        &self,
+        index: usize,
+        control: Control,
+        precision: Precision,
+        layout: &Layout,
+    ) -> Result<Arc<Kernel>, CompileFailure> {
         let part = &self.parts[index];
         // Pixels at their limit are numbers.
         let control = if part.is_clipped { Control::Plain } else { control };
         let find = |ready: &[Ready]| {
-            let same = |r: &&Ready| r.part == index && r.control == control && r.layout == *layout;
+            let is_alike = |r: &Ready| r.part == index && r.control == control && r.precision == precision;
+            let same = |r: &&Ready| is_alike(r) && r.layout == *layout;
             ready.iter().find(same).map(|r| r.kernel.clone())
         };
         if let Some(kernel) = find(&self.ready.lock().unwrap_or_else(PoisonError::into_inner)) {
@@ -213,7 +232,7 @@ impl Compiled {
             }
         };
         let options =
-            KernelOptions { precision: self.precision, formats: layout.formats.clone(), packed: layout.packed };
+            KernelOptions { precision, formats: layout.formats.clone(), packed: layout.packed };
         let kernel = self.cache.get_or_compile(program, &options);
         let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
         let mut ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);
@@ -221,7 +240,7 @@ impl Compiled {
             if ready.len() == KERNELS_MAX {
                 ready.remove(0);
             }
-            ready.push(Ready { part: index, control, layout: layout.clone(), kernel: kernel.clone() });
+            ready.push(Ready { part: index, control, precision, layout: layout.clone(), kernel: kernel.clone() });
         }
         Ok(kernel)
     }

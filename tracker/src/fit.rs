@@ -7,6 +7,7 @@ use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage, ValueKin
 use nalgebra::{DMatrix, DVector};
 
 use crate::alternatives::Substitute;
+use crate::clipping::clipping;
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
 use crate::grey::{Grey, Mixture};
@@ -30,14 +31,8 @@ pub(crate) struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// Planes of one size; the window lies inside. `saturation`: the camera's limit, if known.
-    pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Option<f64>, precision: Precision) -> View<'a> {
-        let limit = |format| match format {
-            PixelFormat::U8 => f64::from(u8::MAX),
-            PixelFormat::U16 => f64::from(u16::MAX),
-            PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
-        };
-        let saturation: Vec<f64> = planes.iter().map(|plane| saturation.unwrap_or(limit(plane.format()))).collect();
+    /// Planes of one size; the window lies inside. `saturation`: one limit a plane.
+    pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Vec<f64>, precision: Precision) -> View<'a> {
         let largest =
             planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
         let lane = match precision {
@@ -54,7 +49,7 @@ impl<'a> View<'a> {
 impl View<'_> {
     /// The same part of a copy of the picture in fractions, with the limits that pixels were rounded to.
     pub fn with_planes<'b>(&self, planes: Vec<PlaneView<'b>>, precision: Precision) -> View<'b> {
-        let mut view = View::new(planes, self.window, Some(f64::INFINITY), precision);
+        let mut view = View::new(planes, self.window, vec![f64::INFINITY; self.saturation.len()], precision);
         view.saturation.clone_from(&self.limits);
         view.limits.clone_from(&self.limits);
         view.rounding = self.rounding;
@@ -65,6 +60,17 @@ impl View<'_> {
     pub fn holds_whole_values(&self) -> bool {
         self.planes.iter().all(is_whole)
     }
+}
+
+/// The limit of one plane of a camera of which nothing is known: where the pixels show that they are clipped, else the
+/// largest value of the format.
+pub(crate) fn limit(plane: &PlaneView, window: Window) -> f64 {
+    let largest = match plane.format() {
+        PixelFormat::U8 => f64::from(u8::MAX),
+        PixelFormat::U16 => f64::from(u16::MAX),
+        PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
+    };
+    clipping(plane, window).unwrap_or(largest)
 }
 
 fn is_whole(plane: &PlaneView) -> bool {

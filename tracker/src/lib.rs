@@ -13,6 +13,7 @@
 mod alternatives;
 mod background;
 mod camera;
+mod clipping;
 mod cold;
 mod compiled;
 mod component;
@@ -48,7 +49,7 @@ pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, Exposu
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
 pub use pose::{Alternative, Pose, Target, TargetError, TargetSpot, geometry};
-pub use report::{CheckReport, StageCost};
+pub use report::{Bound, CheckReport, StageCost};
 pub use track::evidence::Evidence;
 pub use track::search::Sighting;
 pub use tracker::{Carried, Tracker};

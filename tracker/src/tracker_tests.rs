@@ -366,6 +366,9 @@ fn constants_come_from_the_session_then_the_camera_then_the_model() {
     assert_eq!(options.constants_of(&model), [0.5, 0.05]);
     options.constants.insert("gain".into(), 0.1);
     assert_eq!(options.constants_of(&model), [0.5, 0.1]);
+    options.camera.black = 16.0;
+    assert_eq!(options.camera.constant("black"), Some(16.0));
+    assert_eq!(crate::Camera::default().constant("black"), None, "the document's own stays");
 }
 
 const MISRA1A: &str = r#"

@@ -50,6 +50,41 @@ fn the_shipped_models_are_there() {
 }
 
 #[test]
+fn an_upload_says_what_the_model_promises() {
+    let service = Running::start();
+    let spot = std::fs::read_to_string(isophote_tests::repository().join("models/spot.toml")).unwrap();
+    let toml = [("content-type", "application/toml")];
+    let answer = service.request("PUT", "/v1/models/mine", &toml, spot.as_bytes()).expect(201);
+    let checked = service.request("POST", "/v1/models:check", &toml, spot.as_bytes()).expect(200);
+    for report in [&answer, &checked] {
+        assert!(report["stages"][0]["condition"].as_f64().unwrap() > 1e-3, "{report}");
+        assert!(report["stages"][0]["condition_saturated"].as_f64().unwrap() > 1e-3, "{report}");
+        let bound = &report["bound"];
+        assert_eq!((&bound["noise"], &bound["saturated"]), (&json!(1.0), &json!(0.0)));
+        assert_eq!(bound["parameters"].as_object().unwrap().len(), 9);
+        assert_eq!(bound["deviation"].as_object().unwrap().len(), 7, "of the last stage: {bound}");
+        assert!(bound["deviation"]["bx"].as_f64().unwrap() > 0.0);
+        let goals: Vec<&str> =
+            report["exposure"].as_array().unwrap().iter().map(|advice| advice["goal"].as_str().unwrap()).collect();
+        assert_eq!((goals, &report["warnings"]), (vec!["centre", "brightness"], &json!([])));
+    }
+    let free = spot.replace("\"a3\", \"v0\"", "\"a3\", \"k1\", \"k2\", \"v0\"");
+    let flat = free.replace("start = -0.5", "start = -1.5").replace("start = -0.3", "start = 0.0");
+    for (method, path) in [("PUT", "/v1/models/flat"), ("POST", "/v1/models:check")] {
+        let refused = service.request(method, path, &toml, flat.as_bytes()).expect(422);
+        let fault = &refused["diagnostics"][0];
+        assert_eq!((&fault["code"], &fault["severity"]), (&json!("degenerate"), &json!("error")), "{refused}");
+        let words = format!("{} {}", fault["message"], fault["help"]);
+        assert!(["`a1`", "`a3`", "`k1`", "`k2`"].iter().all(|name| words.contains(name)), "{words}");
+        assert!(fault["line"].as_u64().unwrap() > 1, "{fault}");
+    }
+    service.get("/v1/models/flat").expect(404);
+    let unread = spot.replace("v1 = {", "z9 = { start = 1.0 }\nv1 = {");
+    let warned = service.request("PUT", "/v1/models/unread", &toml, unread.as_bytes()).expect(201);
+    assert_eq!((&warned["warnings"][0]["code"], &warned["warnings"][0]["severity"]), (&json!("unused"), &json!("warning")));
+}
+
+#[test]
 fn life_cycle() {
     let service = Running::start();
     let created = service.put("/v1/models/level", &document(1.0));

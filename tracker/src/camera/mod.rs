@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Camera {
-    /// The pixel value at which the sensor clips (many clip at 253 and not at 255). Default: the format's largest value.
+    /// The pixel value at which the sensor clips (many clip at 253 and not at 255). Default: where the pixels of a frame show
+    /// that they are clipped, else the format's largest value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub saturation: Option<f64>,
     /// The pixel value without light.
@@ -72,8 +73,8 @@ pub enum Distortion {
 
 impl Camera {
     /// The value of a model's constant of that name, as far as this camera gives it: `gain` is pixel values per electron,
-    /// `read_noise` in pixel values, `fx` `fy` `cx` `cy` the lens, in px, and `lens_k1` … `lens_k6`, `lens_p1`, `lens_p2` its
-    /// distortion (0 where the lens has none).
+    /// `read_noise` and `black` in pixel values (a black level of 0 is one that was not given), `fx` `fy` `cx` `cy` the lens,
+    /// in px, and `lens_k1` … `lens_k6`, `lens_p1`, `lens_p2` its distortion (0 where the lens has none).
     pub fn constant(&self, name: &str) -> Option<f64> {
         let lens = self.intrinsics.as_ref();
         match name {
@@ -81,6 +82,7 @@ impl Camera {
             "fy" => Some(lens?.fy),
             "cx" => Some(lens?.cx),
             "cy" => Some(lens?.cy),
+            "black" => Some(self.black).filter(|black| *black != 0.0),
             "gain" => Some(1.0 / self.electrons_per_dn?),
             "read_noise" => Some(self.read_noise_e? / self.electrons_per_dn?),
             _ => lens?.coefficient(name.strip_prefix("lens_")?),

@@ -23,6 +23,8 @@ const OCTAVES_MIN: f64 = -3.0;
 const OCTAVES_MAX: f64 = 4.0;
 /// … in steps of
 const OCTAVE_STEP: f64 = 0.25;
+/// The same before any target was fitted: an upload is to be answered soon.
+const OUTLOOK_STEP: f64 = 0.5;
 /// Then the best is refined by so many halvings of the step.
 const HALVINGS: usize = 4;
 /// Advice is computed anew when size, or brightness over background, changed by so many e-folds.
@@ -50,15 +52,13 @@ pub(crate) struct Advisor {
 impl Advisor {
     /// For so many targets.
     pub fn new(goal: ExposureGoal, targets: usize, solver: &Solver) -> Advisor {
-        let mixture = Mixture::observed(solver.model(), &solver.constants);
-        let is_plain = mixture.weights == [1.0] && mixture.constant == 0.0;
-        Advisor { goal, is_plain, kernels: None, best: vec![None; targets] }
+        Advisor { goal, is_plain: is_plain(solver), kernels: None, best: vec![None; targets] }
     }
 
     /// The best exposure for a target that was just fitted; `None` where the model has no brightness or mixes channels, or
     /// no limit is known.
     pub fn advise(&mut self, solver: &Solver, look: &Look, number: usize, seen: &Estimate) -> Option<ExposureAdvice> {
-        let limit = solver.limit(look).filter(|limit| limit.is_finite() && self.is_plain)?;
+        let limit = solver.limit(look, &seen.parameters).filter(|limit| limit.is_finite() && self.is_plain)?;
         let brightness = solver.model().roles().first()?.brightness?;
         let looks = looks(solver, &seen.parameters)?;
         let known = (*self.best.get(number)?)
@@ -74,45 +74,83 @@ impl Advisor {
         let factor = best.height / seen.parameters[brightness.index()];
         let met = seen.pixels as f64 / (1.0 - seen.saturated).max(f64::EPSILON);
         let now = share(solver, &seen.parameters, met * seen.saturated, met);
-        let (goal, [now, then]) = (self.goal, [now, best.share].map(|share| format!("{:.0} %", 100.0 * share)));
-        let why = format!("{now} of the target is saturated, {then} would be best for the {}", goal.name());
-        (factor > 0.0 && factor.is_finite()).then_some(ExposureAdvice { factor, goal, why })
+        advice(self.goal, factor, now, best.share)
     }
 
     fn search(&mut self, solver: &Solver, parameters: &[f64], looks: [f64; 2], limit: f64) -> Option<Best> {
         if self.kernels.is_none() {
-            self.kernels = Kernels::compile(solver);
+            self.kernels = Kernels::compile(solver, solver.compiled.precision());
         }
-        let kernels = self.kernels.as_ref()?;
-        let roles = solver.model().roles().first()?;
-        let value = |index: usize| parameters[index];
-        let height = value(roles.brightness?.index());
-        let ground = roles.background.map_or(0.0, |background| value(background.index()));
-        let black = solver.options.camera.black;
-        // With this much light the peak is at the limit.
-        let unit = (limit - black) / (ground - black + height.max(0.0)).max(f64::MIN_POSITIVE);
-        let try_at = |octaves: f64| {
-            let factor = unit * octaves.exp2();
-            let tried = tried(solver, kernels, self.goal, parameters, factor, limit)?;
-            let allowed = self.goal == ExposureGoal::Brightness || tried.share <= CENTRE_SHARE_MAX;
-            (allowed && tried.bound.is_finite()).then_some((tried, factor))
-        };
-        let steps = ((OCTAVES_MAX - OCTAVES_MIN) / OCTAVE_STEP) as usize;
-        let coarse = (0..=steps).map(|step| OCTAVES_MIN + OCTAVE_STEP * step as f64);
-        let all = coarse.filter_map(|octaves| Some((octaves, try_at(octaves)?)));
-        let (mut at, mut best) = all.min_by(|(_, (a, _)), (_, (b, _))| a.bound.total_cmp(&b.bound))?;
-        let mut step = OCTAVE_STEP;
-        for _ in 0..HALVINGS {
-            step *= 0.5;
-            for octaves in [at - step, at + step] {
-                if let Some(other) = try_at(octaves).filter(|(other, _)| other.bound < best.0.bound) {
-                    (at, best) = (octaves, other);
-                    break;
-                }
+        let height = parameters[solver.model().roles().first()?.brightness?.index()];
+        let (factor, share) = best(solver, self.kernels.as_ref()?, self.goal, parameters, (limit, OCTAVE_STEP))?;
+        Some(Best { height: factor * height, share, looks })
+    }
+}
+
+/// What is fitted is a channel as it is.
+fn is_plain(solver: &Solver) -> bool {
+    let mixture = Mixture::observed(solver.model(), &solver.constants);
+    mixture.weights == [1.0] && mixture.constant == 0.0
+}
+
+/// Advice for a bright target that is not saturated, before any was fitted; `None` as for [`Advisor::advise`].
+pub(crate) fn outlook(
+    solver: &Solver,
+    kernels: &Kernels,
+    goal: ExposureGoal,
+    parameters: &[f64],
+    limit: f64,
+) -> Option<ExposureAdvice> {
+    let brightness = solver.model().roles().first()?.brightness?;
+    if !is_plain(solver) || parameters[brightness.index()] <= 0.0 {
+        return None;
+    }
+    let (factor, share) = best(solver, kernels, goal, parameters, (limit, OUTLOOK_STEP))?;
+    advice(goal, factor, 0.0, share)
+}
+
+fn advice(goal: ExposureGoal, factor: f64, now: f64, then: f64) -> Option<ExposureAdvice> {
+    let [now, then] = [now, then].map(|share| format!("{:.0} %", 100.0 * share));
+    let why = format!("{now} of the target is saturated, {then} would be best for the {}", goal.name());
+    (factor > 0.0 && factor.is_finite()).then_some(ExposureAdvice { factor, goal, why })
+}
+
+/// So many times as much light is best, and saturates that share of the target.
+fn best(
+    solver: &Solver,
+    kernels: &Kernels,
+    goal: ExposureGoal,
+    parameters: &[f64],
+    (limit, octave_step): (f64, f64),
+) -> Option<(f64, f64)> {
+    let roles = solver.model().roles().first()?;
+    let value = |index: usize| parameters[index];
+    let height = value(roles.brightness?.index());
+    let ground = roles.background.map_or(0.0, |background| value(background.index()));
+    let black = solver.options.camera.black;
+    // With this much light the peak is at the limit.
+    let unit = (limit - black) / (ground - black + height.max(0.0)).max(f64::MIN_POSITIVE);
+    let try_at = |octaves: f64| {
+        let factor = unit * octaves.exp2();
+        let tried = tried(solver, kernels, goal, parameters, factor, limit)?;
+        let allowed = goal == ExposureGoal::Brightness || tried.share <= CENTRE_SHARE_MAX;
+        (allowed && tried.bound.is_finite()).then_some((tried, factor))
+    };
+    let steps = ((OCTAVES_MAX - OCTAVES_MIN) / octave_step) as usize;
+    let coarse = (0..=steps).map(|step| OCTAVES_MIN + octave_step * step as f64);
+    let all = coarse.filter_map(|octaves| Some((octaves, try_at(octaves)?)));
+    let (mut at, mut best) = all.min_by(|(_, (a, _)), (_, (b, _))| a.bound.total_cmp(&b.bound))?;
+    let mut step = octave_step;
+    for _ in 0..HALVINGS {
+        step *= 0.5;
+        for octaves in [at - step, at + step] {
+            if let Some(other) = try_at(octaves).filter(|(other, _)| other.bound < best.0.bound) {
+                (at, best) = (octaves, other);
+                break;
             }
         }
-        Some(Best { height: best.1 * height, share: best.0.share, looks })
     }
+    Some((best.1, best.0.share))
 }
 
 /// ln of the outline's size, 0 without one, and ln of brightness over background.

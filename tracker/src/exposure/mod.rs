@@ -9,8 +9,9 @@ mod trial;
 
 use serde::{Deserialize, Serialize};
 
-pub(crate) use advice::Advisor;
+pub(crate) use advice::{Advisor, outlook};
 pub use controller::{ControllerOptions, ExposureController};
+pub(crate) use trial::{Kernels, Light};
 
 /// What is to be measured best.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

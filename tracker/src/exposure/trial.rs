@@ -7,12 +7,12 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
-use isophote_symbolic::{Bindings, Precision, Roles};
+use isophote_symbolic::{Bindings, Precision, Prediction, Roles};
 use nalgebra::DMatrix;
 
 use super::ExposureGoal;
 use crate::compiled::{Control, Job, Layout, lowering};
-use crate::loops::Loops;
+use crate::loops::{Loops, Totals};
 use crate::track::solver::Solver;
 use crate::track::window::{Margin, shape};
 
@@ -37,9 +37,52 @@ pub(crate) struct Tried {
     pub share: f64,
 }
 
+/// A rendered picture: all that lies before the window as well.
+pub(crate) struct Light {
+    pixels: Vec<f32>,
+    bytes: Vec<u8>,
+    sides: [usize; 4],
+    window: Window,
+}
+
+impl Light {
+    /// The model's picture, up to where the window ends. `None` for one that is too large, or that only a frame could tell.
+    pub fn of(solver: &Solver, kernels: &Kernels, parameters: &[f64], window: Window) -> Option<Light> {
+        let sides: [usize; 4] = std::array::from_fn(|axis| window.first()[axis] + window.size()[axis]);
+        let count = sides.iter().try_fold(1usize, |count, side| count.checked_mul(*side))?;
+        if count > PIXELS_MAX {
+            return None;
+        }
+        let mut pixels = vec![0f32; count];
+        let bindings = bindings(solver, parameters, &[f64::INFINITY], &[0.0; 4]);
+        kernels.render.render(&bindings, Window::of_size(sides), &mut pixels).ok()?;
+        let bytes = pixels.iter().flat_map(|pixel| if pixel.is_nan() { [0; 4] } else { pixel.to_ne_bytes() }).collect();
+        Some(Light { pixels, bytes, sides, window })
+    }
+
+    /// Pixel values, row by row; NaN outside of the domain.
+    pub fn pixels(&self) -> &[f32] {
+        &self.pixels
+    }
+
+    fn plane(&self) -> Option<PlaneView<'_>> {
+        let [width, height, depth, _] = self.sides;
+        let strides = [4, 4 * width, 4 * width * height, 4 * width * height * depth];
+        PlaneView::stack(PixelFormat::F32, &self.bytes, self.sides, strides).ok()
+    }
+}
+
+fn bindings<'a>(solver: &'a Solver, parameters: &'a [f64], saturation: &'a [f64], shift: &'a [f64]) -> Bindings<'a> {
+    Bindings { parameters, entry: parameters, constants: &solver.constants, saturation, shift }
+}
+
 impl Kernels {
-    pub fn compile(solver: &Solver) -> Option<Kernels> {
-        let program = solver.model().rendering(lowering(Control::Plain)).ok()?;
+    /// Sums in the given arithmetic. `None` where a kernel cannot be made, or the prediction reads a frame.
+    pub fn compile(solver: &Solver, precision: Precision) -> Option<Kernels> {
+        if solver.model().needs_a_frame() {
+            return None;
+        }
+        let program = solver.model().prediction(Prediction::Intensity, lowering(Control::Plain))?.ok()?;
         let options = KernelOptions {
             precision: Precision::F32,
             formats: vec![PixelFormat::F32; program.channels()],
@@ -48,8 +91,34 @@ impl Kernels {
         let render = Arc::new(Kernel::compile(&program, &options).ok()?);
         let pixel = [0u8; 4];
         let plane = PlaneView::new(PixelFormat::F32, &pixel, 1, 1, 4, 4).ok()?;
-        let information = solver.compiled.loops(Job::Covariance, Control::Dropping, &Layout::of(&[plane])).ok()?;
+        let layout = Layout::of(&vec![plane; solver.model().channels().len()]);
+        let information = solver.compiled.loops_in(precision, Job::Covariance, Control::Dropping, &layout).ok()?;
         Some(Kernels { render, information })
+    }
+
+    /// The Fisher information about the parameters of the last stage with pixels at the limit left out or censored, as the
+    /// model says, and what was summed. Every channel sees the same picture.
+    pub fn information(
+        &self,
+        solver: &Solver,
+        parameters: &[f64],
+        light: &Light,
+        limit: f64,
+    ) -> Option<(DMatrix<f64>, Totals)> {
+        let channels = solver.model().channels().len();
+        let limits = vec![limit; channels];
+        let bindings = bindings(solver, parameters, &limits, &[]);
+        let sums = self.information.sums(&bindings, &vec![light.plane()?; channels], light.window)?;
+        let n = solver.compiled.last_parameters().len();
+        let upper = sums.outputs.get(1 + n..).filter(|upper| upper.len() == n * (n + 1) / 2)?;
+        let mut information = DMatrix::zeros(n, n);
+        let mut entries = upper.iter();
+        for (i, j) in (0..n).flat_map(|i| (i..n).map(move |j| (i, j))) {
+            let entry = 0.5 * entries.next()?;
+            information[(i, j)] = entry;
+            information[(j, i)] = entry;
+        }
+        Some((information, sums))
     }
 }
 
@@ -64,34 +133,10 @@ pub(crate) fn tried(
 ) -> Option<Tried> {
     let model = solver.model();
     let (window, parameters) = moved(solver, &brighter(solver, parameters, factor))?;
-    let mut pixels = vec![0f32; window.pixels()];
-    let saturation = [f64::INFINITY];
-    let bindings = |saturation| Bindings {
-        parameters: &parameters,
-        entry: &parameters,
-        constants: &solver.constants,
-        saturation,
-        shift: &[0.0, 0.0],
-    };
-    kernels.render.render(&bindings(&saturation), window, &mut pixels).ok()?;
-    let bytes: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_ne_bytes()).collect();
-    let [width, height, depth, length] = window.size();
-    let strides = [4, 4 * width, 4 * width * height, 4 * width * height * depth];
-    let plane = PlaneView::stack(PixelFormat::F32, &bytes, [width, height, depth, length], strides).ok()?;
-    let limit = [limit - HALF_STEP];
-    let bindings = Bindings { shift: &[], ..bindings(&limit) };
-    let sums = kernels.information.sums(&bindings, &[plane], window)?;
-    let order = solver.compiled.last_parameters();
-    let n = order.len();
-    let upper = sums.outputs.get(1 + n..).filter(|upper| upper.len() == n * (n + 1) / 2)?;
-    let mut information = DMatrix::zeros(n, n);
-    let mut entries = upper.iter();
-    for (i, j) in (0..n).flat_map(|i| (i..n).map(move |j| (i, j))) {
-        let entry = 0.5 * entries.next()?;
-        information[(i, j)] = entry;
-        information[(j, i)] = entry;
-    }
-    let saturated = pixels.iter().filter(|pixel| f64::from(**pixel) >= limit[0]).count() as f64;
+    let light = Light::of(solver, kernels, &parameters, window)?;
+    let limit = limit - HALF_STEP;
+    let (information, sums) = kernels.information(solver, &parameters, &light, limit)?;
+    let saturated = light.pixels().iter().filter(|pixel| f64::from(**pixel) >= limit).count() as f64;
     let share = share(solver, &parameters, saturated, (sums.pixels + sums.saturated) as f64);
     // Without `noise` a pixel's variance is thought to grow with the light, as that of electrons does.
     let variance = if model.has_noise() { 1.0 } else { factor };

@@ -3,16 +3,16 @@
 //! What comes in: a frame, starting values. What goes out: an [`Attempt`], a fit and whether it is believed. It never knows
 //! what was seen in earlier frames.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use isophote_jit::{PlaneView, Slices, Window};
+use isophote_jit::{PlaneView, Window};
 use isophote_symbolic::Model;
 
 use super::rival::Rival;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::{Ending, Rejection};
-use crate::fit::{Fit, View, fit};
+use crate::fit::{Fit, View, fit, limit};
 use crate::frame::Frame;
 use crate::mask::Mask;
 use crate::options::TrackerOptions;
@@ -38,6 +38,8 @@ pub(crate) struct Solver {
 pub(crate) struct Look<'a> {
     planes: Vec<PlaneView<'a>>,
     pub window: Window,
+    /// Where its pixels are clipped, for each window that was looked at.
+    limits: Mutex<Vec<(Window, Vec<f64>)>>,
 }
 
 /// One try on a frame.
@@ -90,12 +92,26 @@ impl Solver {
         let whole = Window::of_size(frame.sides());
         let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
         let planes = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
-        Some(Look { planes, window })
+        Some(Look { planes, window, limits: Mutex::default() })
     }
 
     /// A part of what may be looked at.
     pub fn view<'a>(&self, look: &Look<'a>, window: Window) -> View<'a> {
-        View::new(look.planes.clone(), window, self.options.camera.saturation, self.compiled.precision())
+        View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision())
+    }
+
+    /// One limit a plane: the camera's, else what the window's pixels show. Looked for once a frame and window.
+    fn limits(&self, look: &Look, window: Window) -> Vec<f64> {
+        if let Some(limit) = self.options.camera.saturation {
+            return vec![limit; look.planes.len()];
+        }
+        let mut known = look.limits.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, limits)) = known.iter().find(|(seen, _)| *seen == window) {
+            return limits.clone();
+        }
+        let limits: Vec<f64> = look.planes.iter().map(|plane| limit(plane, window)).collect();
+        known.push((window, limits.clone()));
+        limits
     }
 
     /// The window around targets with these parameters; all there is where that cannot be said.
@@ -133,16 +149,9 @@ impl Solver {
         self.reach.window(self.model(), parameters, margin, whole)
     }
 
-    /// The pixel value at which the camera clips; infinite where it does not.
-    pub fn limit(&self, look: &Look) -> Option<f64> {
-        self.view(
-            look,
-            Window { width: 1, height: 1, slices: Slices { count: [1, 1], ..look.window.slices }, ..look.window },
-        )
-        .saturation
-        .iter()
-        .copied()
-        .reduce(f64::min)
+    /// The pixel value at which the camera clips, as it shows around a target; infinite where it does not.
+    pub fn limit(&self, look: &Look, parameters: &[f64]) -> Option<f64> {
+        self.limits(look, self.window(look, parameters, Margin::NONE)).into_iter().reduce(f64::min)
     }
 
     /// True when windows around targets are smaller than the frame.

@@ -1,12 +1,23 @@
-//! `CheckReport`: what `model check` says about a model that compiles.
+//! `CheckReport`: what `model check` says about a model that compiles, and about what it promises.
+//!
+//! What comes in: a model's programs. What goes out: costs, self-check, and at made-up points the condition of each stage, the
+//! Cramér–Rao bound and the best exposure. It never sees a frame.
+
+mod information;
+mod outlook;
+mod points;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeMap;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat};
-use isophote_symbolic::{Diagnostics, Lowering, Method, Model, Objective, Proof};
+use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, Objective, Proof};
 use serde::{Deserialize, Serialize};
 
+use self::outlook::Outlook;
 use crate::compiled::{CompileFailure, Compiled, Control, lowering};
+use crate::exposure::ExposureAdvice;
 
 /// Costs and self-check of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,6 +32,31 @@ pub struct CheckReport {
     /// [`Proof`]). Absent when F is finite at none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub self_check_error: Option<f64>,
+    /// What the model promises; absent where the normal equations are singular at the made-up point, or nothing can be made
+    /// up.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub bound: Option<Bound>,
+    /// How much light would be best for the target of `bound` on an 8-bit camera: for its centre and for its brightness, as
+    /// far as the model has them.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub exposure: Vec<ExposureAdvice>,
+    /// What is doubtful in the document.
+    #[serde(default)]
+    pub warnings: Vec<Diagnostic>,
+}
+
+/// The Cramér–Rao bound at a made-up point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bound {
+    /// The point: all parameters, by name.
+    pub parameters: BTreeMap<String, f64>,
+    /// The least standard deviation that an unbiased fit can have, for each free parameter of the last stage.
+    pub deviation: BTreeMap<String, f64>,
+    /// Share of the target that is saturated.
+    pub saturated: f64,
+    /// The standard deviation of a pixel that this is for, in pixel values; absent where the model says it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub noise: Option<f64>,
 }
 
 /// What one gradient pass of a stage costs.
@@ -45,6 +81,13 @@ pub struct StageCost {
     pub proof: Option<Proof>,
     /// From checked model to native code.
     pub compile_ms: f64,
+    /// The reciprocal condition of the Fisher matrix with a unit diagonal at the made-up point of the bound: 1 is best, 0 is
+    /// singular. Absent where it is not known, also for parameters that the last stage does not free.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub condition: Option<f64>,
+    /// The same with 30 % of the target saturated.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub condition_saturated: Option<f64>,
 }
 
 impl StageCost {
@@ -70,15 +113,18 @@ impl StageCost {
             calls: cost.calls.iter().map(|(name, count)| (name.to_string(), *count)).collect(),
             proof: objective.proof().copied(),
             compile_ms,
+            condition: None,
+            condition_saturated: None,
         })
     }
 }
 
 impl Compiled {
-    /// Derives and compiles every stage once more, on 8-bit pixels, and says what it costs. `clock_ns`: any monotonic clock.
+    /// Derives and compiles every stage once more, on 8-bit pixels, and says what it costs and promises. `clock_ns`: any
+    /// monotonic clock.
     ///
     /// # Errors
-    /// When a kernel cannot be made.
+    /// When a kernel cannot be made, or parameters of the last stage can never be told apart.
     pub fn report(&self, clock_ns: &dyn Fn() -> u64) -> Result<CheckReport, CompileFailure> {
         let model = self.model();
         let mut stages = Vec::new();
@@ -98,12 +144,19 @@ impl Compiled {
             let cost = StageCost::of(model, &objective, stage.method, lowering(Control::Plain), compile_ms);
             stages.push(cost.map_err(CompileFailure::Model)?);
         }
+        let outlook = Outlook::of(self).map_err(CompileFailure::Model)?;
+        for (stage, [clear, saturated]) in stages.iter_mut().zip(outlook.conditions) {
+            (stage.condition, stage.condition_saturated) = (clear, saturated);
+        }
         let errors = stages.iter().filter_map(|stage| stage.proof?.error);
         Ok(CheckReport {
             model: model.name().to_string(),
             digest: model.digest().to_string(),
             self_check_error: errors.reduce(f64::max),
             stages,
+            bound: outlook.bound,
+            exposure: outlook.exposure,
+            warnings: outlook.warnings,
         })
     }
 }

@@ -1,0 +1,150 @@
+//! Where a camera clips, found in the picture itself: many cameras clip below the largest value of their format, at 253 or
+//! at 4095 of 65535.
+//!
+//! What comes in: the pixels of a window. What goes out: the value at which they are clipped, when they show it. It never
+//! knows the model.
+//!
+//! All light beyond the limit is read as one value, so the largest value present is a spike of the histogram. A flat bright
+//! top is none in a picture with noise, which spreads it. A picture without noise has spikes wherever it is even, so there
+//! the spike at the top says nothing.
+
+use isophote_jit::{PixelFormat, PlaneView, Window};
+
+/// Pixels of a spike, at least.
+const PIXELS_MIN: u32 = 12;
+/// A spike has so many times the pixels of its neighbours, on the average, at least.
+const HIGHER: f64 = 5.0;
+/// Neighbours: values that occur, below the spike at the top, on both sides of any other.
+const NEIGHBOURS: usize = 4;
+/// Largest values of converters in formats of 16 bit.
+const CONVERTERS: [u32; 3] = [0x3ff, 0xfff, 0x3fff];
+
+/// The value at which the pixels of a window are clipped; `None` when they do not show it, or have fractions.
+pub(crate) fn clipping(plane: &PlaneView, window: Window) -> Option<f64> {
+    let largest = match plane.format() {
+        PixelFormat::U8 => u32::from(u8::MAX),
+        PixelFormat::U16 => u32::from(u16::MAX),
+        PixelFormat::F32 | PixelFormat::F64 => return None,
+    };
+    let mut top = (0, 0);
+    let mut counts = vec![0; if largest == u32::from(u8::MAX) { 256 } else { 0 }];
+    each(plane, window, |value| match counts.get_mut(value as usize) {
+        Some(count) => *count += 1,
+        None if value > top.0 => top = (value, 1),
+        None => top.1 += u32::from(value == top.0),
+    });
+    if counts.is_empty() {
+        if top.1 < PIXELS_MIN || !is_plausible(top.0, largest) {
+            return None; // spares the large table
+        }
+        counts = vec![0; 1 << 16];
+        each(plane, window, |value| counts[value as usize] += 1);
+    }
+    let present = (0..).zip(counts).filter(|(_, count)| *count > 0);
+    spike(&present.collect::<Vec<_>>(), largest).map(f64::from)
+}
+
+fn each(plane: &PlaneView, window: Window, mut see: impl FnMut(u32)) {
+    let [x, y, z, w] = window.first();
+    let [width, height, depth, length] = window.size();
+    for row in 0..height * depth * length {
+        let place = [x, y + row % height, z + row / height % depth, w + row / height / depth];
+        match plane.bytes_of_row(place, width) {
+            Some(bytes) => bytes.iter().for_each(|byte| see(u32::from(*byte))),
+            None => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]) as u32)),
+        }
+    }
+}
+
+/// In the upper half of the format's range, or the largest value of a narrower converter.
+fn is_plausible(top: u32, largest: u32) -> bool {
+    top > largest / 2 || CONVERTERS.contains(&top)
+}
+
+/// The largest value, when it is a spike and there is no other. `present`: values that occur, ascending, and how often.
+fn spike(present: &[(u32, u32)], largest: u32) -> Option<u32> {
+    let (&(top, pixels), below) = present.split_last()?;
+    let beside = below.get(below.len().checked_sub(NEIGHBOURS)?..)?;
+    let is_spike = |pixels: u32, beside: &mut dyn Iterator<Item = &(u32, u32)>| {
+        let (mut sum, mut number) = (0.0, 0.0);
+        beside.for_each(|(_, count)| (sum, number) = (sum + f64::from(*count), number + 1.0));
+        pixels >= PIXELS_MIN && f64::from(pixels) * number >= HIGHER * sum
+    };
+    if !is_plausible(top, largest) || !is_spike(pixels, &mut beside.iter()) {
+        return None;
+    }
+    let is_even = |i: usize| {
+        let (before, after) = (&below[i.saturating_sub(NEIGHBOURS / 2)..i], &below[i + 1..]);
+        is_spike(below[i].1, &mut before.iter().chain(after.iter().take(NEIGHBOURS / 2)))
+    };
+    (!(0..below.len()).any(is_even)).then_some(top)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::frame::{Frame, Plane};
+    use crate::picture::{Picture, Profile, Spot};
+
+    fn found(picture: &Picture) -> Option<f64> {
+        let frame = picture.frame();
+        clipping(&frame.plane_view(0), Window::whole(picture.width, picture.height))
+    }
+
+    /// Noise of 1.2 on a ground of 20.
+    fn picture(amplitude: f64, profile: Profile, limit: f64) -> Picture {
+        let spot = Spot { profile, ..Spot::at(48.3, 47.6, 20.0, amplitude) };
+        Picture { noise: 1.2, saturation: limit, ..Picture::new(96, 96, vec![spot]) }
+    }
+    const CUBIC: Profile = Profile::Cubic(-0.5, -0.3);
+
+    #[test]
+    fn the_limit_of_clipped_frames_is_found() {
+        for limit in [253.0, 255.0, 235.0, 200.0] {
+            for amplitude in [300.0, 450.0, 2000.0] {
+                assert_eq!(found(&picture(amplitude, CUBIC, limit)), Some(limit), "{amplitude}");
+            }
+        }
+        assert_eq!(found(&picture(300.0, Profile::Disc, 253.0)), Some(253.0));
+    }
+
+    #[test]
+    fn frames_that_do_not_clip_have_none() {
+        for amplitude in [0.0, 60.0, 150.0, 220.0] {
+            assert_eq!(found(&picture(amplitude, CUBIC, 255.0)), None, "{amplitude}");
+        }
+        for amplitude in [120.0, 180.0, 215.0] {
+            assert_eq!(found(&picture(amplitude, Profile::Disc, 255.0)), None, "an even top of {amplitude} with noise");
+            let silent = Picture { noise: 0.0, samples: 4, ..picture(amplitude, Profile::Disc, 255.0) };
+            assert_eq!(found(&silent), None, "an even top of {amplitude} without noise");
+            let bright = Picture { ground: 220.0, ..silent };
+            assert_eq!(found(&Picture { spots: vec![Spot { amplitude: -100.0, ..bright.spots[0] }], ..bright }), None);
+        }
+        assert_eq!(found(&picture(300.0, CUBIC, 100.0)), None, "below half of the range");
+    }
+
+    #[test]
+    fn sixteen_bits_and_interleaved_channels() {
+        let pixels = Picture { ground: 300.0, noise: 20.0, ..picture(6000.0, CUBIC, 1e9) }.pixels();
+        let frame = |limit: u16, shift: u32| {
+            let value = |pixel: &f64| (pixel.max(0.0) as u16).min(limit) << shift;
+            let bytes = pixels.iter().flat_map(|pixel| value(pixel).to_ne_bytes()).collect();
+            Frame::new(&[96, 96], vec![Plane::owned(PixelFormat::U16, bytes, 96)]).unwrap()
+        };
+        let found = |frame: &Frame| clipping(&frame.plane_view(0), Window::whole(96, 96));
+        assert_eq!(found(&frame(4095, 0)), Some(4095.0));
+        assert_eq!(found(&frame(4095, 4)), Some(65520.0));
+        assert_eq!(found(&frame(4000, 0)), None, "not the largest value of any converter");
+        assert_eq!(found(&frame(u16::MAX, 0)), None);
+
+        let red = picture(450.0, CUBIC, 253.0).pixels();
+        let bytes: Vec<u8> = red.iter().flat_map(|pixel| [pixel.clamp(0.0, 253.0) as u8, 7]).collect();
+        let buffer = crate::frame::Buffer::Owned(bytes.into());
+        let planes = (0..2).map(|channel| Plane::interleaved(PixelFormat::U8, &buffer, 96, 2, channel)).collect();
+        let frame = Frame::new(&[96, 96], planes).unwrap();
+        let window = Window { x: 20, y: 10, width: 70, height: 80, ..Window::whole(96, 96) };
+        assert_eq!(clipping(&frame.plane_view(0), window), Some(253.0));
+        assert_eq!(clipping(&frame.plane_view(1), window), None);
+    }
+}

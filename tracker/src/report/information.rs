@@ -1,0 +1,125 @@
+//! What the pixels of a made-up picture tell about the parameters: the Fisher information, its condition, its inverse.
+//!
+//! What comes in: a model's kernels and a made-up point. What goes out: the matrix for the parameters of the last stage, at
+//! the model's noise or at one pixel value of it. The picture is the model's own, so residuals are rounding and no more.
+
+use isophote_symbolic::ParameterId;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use super::points::Point;
+use crate::exposure::{Kernels, Light};
+use crate::track::solver::Solver;
+
+/// Share of the target's pixels that a short dynamic range loses.
+const SATURATED: f64 = 0.3;
+/// A pixel belongs to the target from this share of the picture's contrast on.
+const TARGET: f64 = 0.05;
+/// An entry of the diagonal, at parameters of their own magnitude, that is nothing beside the largest.
+const SILENT: f64 = 1e-12;
+/// Entries of a null vector that count, beside the largest.
+const LARGE: f64 = 0.05;
+/// Sweeps of the eigenvalue iteration, per parameter.
+const SWEEPS: usize = 200;
+
+/// The information about the parameters of the last stage, in their order.
+#[derive(Clone, Debug)]
+pub(crate) struct Information {
+    order: Vec<ParameterId>,
+    matrix: DMatrix<f64>,
+    /// How large they are, 1 at least.
+    magnitudes: Vec<f64>,
+}
+
+/// What is wrong with a matrix, or not.
+#[derive(Clone, Debug)]
+pub(crate) struct Condition {
+    /// Least over largest eigenvalue when all have a unit diagonal: 1 where no parameter resembles others, 0 where one
+    /// does nothing or some cannot be told apart.
+    pub reciprocal: f64,
+    /// Those that change no pixel value.
+    pub silent: Vec<ParameterId>,
+    /// Of the others, those that cannot be told apart if the matrix is singular, most involved first.
+    pub alike: Vec<ParameterId>,
+    /// So many combinations of them change nothing.
+    pub nullity: usize,
+    /// The same as `reciprocal` without the silent ones.
+    pub others: f64,
+}
+
+impl Information {
+    /// Of a picture that nothing saturates, and of the same with a third of the target saturated. `None` where the picture
+    /// has fewer pixels than parameters, or something is no number.
+    pub fn of(solver: &Solver, kernels: &Kernels, point: &Point) -> Option<[Option<Information>; 2]> {
+        let light = Light::of(solver, kernels, &point.parameters, point.window)?;
+        let clear = Information::at(solver, kernels, point, &light, f64::INFINITY)?;
+        let limit = quantile(light.pixels());
+        let saturated = limit.and_then(|limit| Information::at(solver, kernels, point, &light, limit));
+        Some([Some(clear), saturated])
+    }
+
+    fn at(solver: &Solver, kernels: &Kernels, point: &Point, light: &Light, limit: f64) -> Option<Information> {
+        let order = solver.compiled.last_parameters().to_vec();
+        let (matrix, sums) = kernels.information(solver, &point.parameters, light, limit)?;
+        let is_enough = sums.pixels + sums.saturated > order.len() as u64;
+        let magnitudes = order.iter().map(|p| point.parameters[p.index()].abs().max(1.0)).collect();
+        (is_enough && matrix.iter().all(|x| x.is_finite())).then_some(Information { order, matrix, magnitudes })
+    }
+
+    /// The condition for some of the parameters; `None` where they are not all among those of the last stage.
+    pub fn condition(&self, subset: &[ParameterId], singular: f64) -> Option<Condition> {
+        let at: Option<Vec<usize>> = subset.iter().map(|p| self.order.iter().position(|q| q == p)).collect();
+        let at = at?;
+        let effect = |i: usize| self.matrix[(i, i)].max(0.0).sqrt() * self.magnitudes[i];
+        let largest = at.iter().map(|i| effect(*i)).fold(0.0, f64::max);
+        let (heard, silent): (Vec<usize>, Vec<usize>) =
+            at.into_iter().partition(|i| self.matrix[(*i, *i)] > 0.0 && effect(*i) > SILENT * largest);
+        let name = |i: &usize| self.order[*i];
+        let silent: Vec<ParameterId> = silent.iter().map(name).collect();
+        if heard.is_empty() {
+            return Some(Condition { reciprocal: 0.0, silent, alike: Vec::new(), nullity: 0, others: 1.0 });
+        }
+        let scaled = self.scaled(&heard);
+        let eigen = SymmetricEigen::try_new(scaled, f64::EPSILON, SWEEPS * heard.len())?;
+        let most = eigen.eigenvalues.amax();
+        let null: Vec<usize> = (0..heard.len()).filter(|k| eigen.eigenvalues[*k] <= singular * most).collect();
+        let others = (eigen.eigenvalues.min() / most).max(0.0);
+        let share = |i: usize| null.iter().map(|k| eigen.eigenvectors[(i, *k)].powi(2)).sum::<f64>().sqrt();
+        let shares = DVector::from_fn(heard.len(), |i, _| share(i));
+        let mut alike: Vec<usize> = (0..heard.len()).filter(|i| shares[*i] > LARGE * shares.amax()).collect();
+        if null.is_empty() {
+            alike.clear();
+        }
+        let alike = alike.into_iter().map(|i| name(&heard[i])).collect();
+        let reciprocal = if silent.is_empty() { others } else { 0.0 };
+        Some(Condition { reciprocal, silent, alike, nullity: null.len(), others })
+    }
+
+    /// The Cramér–Rao bound: standard deviations, in the order of the last stage's parameters; `None` when singular.
+    pub fn deviations(&self) -> Option<Vec<f64>> {
+        let all: Vec<usize> = (0..self.order.len()).collect();
+        if !all.iter().all(|i| self.matrix[(*i, *i)] > 0.0) {
+            return None;
+        }
+        let inverse = self.scaled(&all).cholesky()?.inverse();
+        let deviation = |i: usize| (inverse[(i, i)] / self.matrix[(i, i)]).sqrt();
+        Some(all.into_iter().map(deviation).collect())
+    }
+
+    fn scaled(&self, at: &[usize]) -> DMatrix<f64> {
+        let scale: Vec<f64> = at.iter().map(|i| self.matrix[(*i, *i)].sqrt()).collect();
+        DMatrix::from_fn(at.len(), at.len(), |i, j| self.matrix[(at[i], at[j])] / (scale[i] * scale[j]))
+    }
+}
+
+/// The value that a share of the target's pixels reach; NaN is outside of the domain, and f32::min and max pass it over.
+fn quantile(pixels: &[f32]) -> Option<f64> {
+    let (least, most) = pixels.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
+    let floor = least + TARGET as f32 * (most - least);
+    let mut target: Vec<f32> = pixels.iter().copied().filter(|pixel| *pixel > floor).collect();
+    let rank = (SATURATED * target.len() as f64) as usize;
+    if rank == 0 || rank >= target.len() {
+        return None;
+    }
+    let (_, value, _) = target.select_nth_unstable_by(rank, |a, b| b.total_cmp(a));
+    Some(f64::from(*value))
+}

@@ -1,0 +1,238 @@
+//! What a model promises before any frame: how well its parameters can be told apart, how sure they will be, and with how
+//! much light.
+//!
+//! What comes in: a model's programs. What goes out: an [`Outlook`], or the reason why the model could never be fitted. All
+//! of it is computed at made-up points (see [`super::points`]), so a refusal needs several of them to agree: a document that
+//! is refused wrongly is worse than one that turns out to be degenerate later.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use isophote_symbolic::{Diagnostics, Model, ParameterId, Precision, Severity, Start};
+
+use super::Bound;
+use super::information::{Condition, Information};
+use super::points::{Numbers, Point, sizes};
+use crate::compiled::Compiled;
+use crate::exposure::{ExposureAdvice, ExposureGoal, Kernels, outlook};
+use crate::options::TrackerOptions;
+use crate::track::solver::Solver;
+use crate::track::window::Reach;
+
+/// Below this a matrix is singular to working precision.
+pub(super) const SINGULAR: f64 = 1e-13;
+/// Below this it is nearly so: deviations are 10⁴ times what they would be if all other parameters were known.
+pub(super) const NEARLY: f64 = 1e-8;
+/// How far parameters that start at numbers are shaken.
+const SHAKEN: [f64; 2] = [0.05, 0.4];
+/// Points that must agree.
+const POINTS_MIN: usize = 2;
+/// What an 8-bit camera can read.
+const LIMIT: f64 = 255.0;
+
+/// What can be said about a model at a made-up point.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Outlook {
+    /// Of each stage: the reciprocal condition without saturation, and with a third of the target saturated.
+    pub conditions: Vec<[Option<f64>; 2]>,
+    pub bound: Option<Bound>,
+    pub exposure: Vec<ExposureAdvice>,
+    pub warnings: Diagnostics,
+}
+
+/// A model, and what looks at it.
+struct Survey {
+    solver: Solver,
+    kernels: Kernels,
+    reach: Reach,
+}
+
+impl Outlook {
+    /// Looks at a model from all made-up points that are needed.
+    ///
+    /// # Errors
+    /// When parameters of the last stage can be told apart at none of them.
+    pub fn of(compiled: &Compiled) -> Result<Outlook, Diagnostics> {
+        let model = compiled.model();
+        let mut found = Outlook { warnings: unused(model), ..Outlook::default() };
+        found.conditions = vec![[None; 2]; model.stages().len()];
+        let solver = Solver::new(Arc::new(compiled.share()), TrackerOptions::default());
+        let Some(kernels) = Kernels::compile(&solver, Precision::F64) else { return Ok(found) };
+        let reach = Reach::of(model, &solver.constants);
+        let survey = Survey { solver, kernels, reach };
+        let started = |size: &f64| survey.at(*size, Numbers::AsStarted);
+        let Some((point, [Some(clear), saturated])) = sizes(model).iter().find_map(started) else { return Ok(found) };
+        for (stage, conditions) in model.stages().iter().zip(&mut found.conditions) {
+            let of = |information: &Information| information.condition(&stage.parameters, SINGULAR);
+            *conditions = [Some(&clear), saturated.as_ref()].map(|known| Some(of(known?)?.reciprocal));
+        }
+        if let Some(condition) = clear.condition(compiled.last_parameters(), SINGULAR) {
+            survey.silent(&condition, &mut found.warnings);
+            survey.alike(condition, &mut found.warnings)?;
+        }
+        found.bound = clear.deviations().map(|deviations| bound(compiled, &point.parameters, deviations));
+        let goals = [ExposureGoal::Centre, ExposureGoal::Brightness];
+        let advice = |goal| outlook(&survey.solver, &survey.kernels, goal, &point.parameters, LIMIT);
+        found.exposure = goals.into_iter().filter_map(advice).collect();
+        Ok(found)
+    }
+}
+
+fn bound(compiled: &Compiled, parameters: &[f64], deviations: Vec<f64>) -> Bound {
+    let model = compiled.model();
+    let name = |id: ParameterId| model.parameters()[id.index()].name.clone();
+    let names = model.parameters().iter().map(|parameter| parameter.name.clone());
+    let free = compiled.last_parameters().iter().map(|id| name(*id));
+    Bound {
+        parameters: names.zip(parameters.iter().copied()).collect::<BTreeMap<_, _>>(),
+        deviation: free.zip(deviations).collect::<BTreeMap<_, _>>(),
+        saturated: 0.0,
+        noise: (!model.has_noise()).then_some(1.0),
+    }
+}
+
+/// Parameters that no formula reads.
+fn unused(model: &Model) -> Diagnostics {
+    let ids = (0..model.parameters().len() as u32).map(ParameterId);
+    let remark = |id: ParameterId| {
+        let message = format!("no formula reads `{}`", model.parameters()[id.index()].name);
+        let remark = model.remark(Severity::Warning, "unused", (None, id), message);
+        remark.help("remove it, or use it in a formula")
+    };
+    ids.filter(|id| !model.reads(*id)).map(remark).collect()
+}
+
+impl Survey {
+    fn model(&self) -> &Model {
+        self.solver.model()
+    }
+
+    fn last(&self) -> &[ParameterId] {
+        self.solver.compiled.last_parameters()
+    }
+
+    fn at(&self, size: f64, numbers: Numbers) -> Option<(Point, [Option<Information>; 2])> {
+        let point = Point::made_up(self.model(), &self.solver.constants, &self.reach, size, numbers)?;
+        let known = Information::of(&self.solver, &self.kernels, &point)?;
+        Some((point, known))
+    }
+
+    /// The condition of the last stage without saturation.
+    fn condition(&self, size: f64, numbers: Numbers) -> Option<Condition> {
+        let (_, [clear, _]) = self.at(size, numbers)?;
+        clear?.condition(self.last(), SINGULAR)
+    }
+
+    fn all(&self, numbers: Numbers) -> impl Iterator<Item = Condition> {
+        sizes(self.model()).into_iter().filter_map(move |size| self.condition(size, numbers))
+    }
+
+    /// Parameters that change no pixel are told, not refused: perhaps the made-up points are not where they count.
+    fn silent(&self, condition: &Condition, warnings: &mut Diagnostics) {
+        if condition.silent.is_empty() {
+            return;
+        }
+        let shaken: Vec<Condition> = SHAKEN.into_iter().flat_map(|by| self.all(Numbers::Shaken(by))).collect();
+        for id in condition.silent.iter().filter(|id| self.model().reads(**id)) {
+            let name = &self.model().parameters()[id.index()].name;
+            let is_always = shaken.iter().all(|other| other.silent.contains(id));
+            let (message, help) = match is_always {
+                true => (format!("`{name}` changes no pixel of a made-up picture"), "take it out of the stage"),
+                false => (format!("`{name}` changes no pixel where it starts"), "start it at another number"),
+            };
+            let stage = self.model().stages().len() - 1;
+            warnings.push(self.model().remark(Severity::Warning, "no-effect", (Some(stage), *id), message).help(help));
+        }
+    }
+
+    /// Parameters that cannot be told apart.
+    fn alike(&self, first: Condition, warnings: &mut Diagnostics) -> Result<(), Diagnostics> {
+        if first.others >= NEARLY {
+            return Ok(());
+        }
+        let started: Vec<Condition> = self.all(Numbers::AsStarted).collect();
+        let Some(best) = started.iter().max_by(|a, b| a.others.total_cmp(&b.others)) else { return Ok(()) };
+        if best.others >= NEARLY {
+            return Ok(());
+        }
+        if best.others >= SINGULAR {
+            warnings.push(self.remark(Severity::Warning, &self.nearly(), "can hardly be told apart"));
+            return Ok(());
+        }
+        let shaken: Vec<Condition> = SHAKEN.into_iter().flat_map(|by| self.all(Numbers::Shaken(by))).collect();
+        let is_everywhere = shaken.len() >= POINTS_MIN && shaken.iter().all(|other| other.others < SINGULAR);
+        let (points, words) = match is_everywhere {
+            true => (&shaken, "cannot be told apart"),
+            false => (&started, "cannot be told apart where they start"),
+        };
+        let is_involved = |id: &&ParameterId| points.iter().any(|point| point.alike.contains(id));
+        let alike: Vec<ParameterId> = self.last().iter().filter(is_involved).copied().collect();
+        let is_sure = alike.len() >= 2 && (is_everywhere || self.is_sure(&started));
+        let severity = if is_sure { Severity::Error } else { Severity::Warning };
+        let remark = self.remark(severity, &alike, words);
+        if is_sure {
+            return Err(vec![remark]);
+        }
+        warnings.push(remark);
+        Ok(())
+    }
+
+    /// Where only the numbers at which parameters start make a stage degenerate, it is refused when these are no accident:
+    /// when it is one combination, the same for targets of all sizes, and what is found in the picture is part of it.
+    /// Components that start alike are several combinations, and part at the first step.
+    fn is_sure(&self, started: &[Condition]) -> bool {
+        let is_common = |id: &&ParameterId| started.iter().all(|point| point.alike.contains(id));
+        let common: Vec<&ParameterId> = self.last().iter().filter(is_common).collect();
+        let is_found = |id: &&ParameterId| number(self.model().parameters()[id.index()].start).is_none();
+        let agree = started.len() >= POINTS_MIN && started.iter().all(|point| point.nullity == 1);
+        agree && common.len() >= 2 && common.iter().copied().any(|id| is_found(&id))
+    }
+
+    /// Those that go together where the matrix is nearly singular.
+    fn nearly(&self) -> Vec<ParameterId> {
+        let known = sizes(self.model()).into_iter().find_map(|size| self.at(size, Numbers::AsStarted));
+        let condition = known.and_then(|(_, [clear, _])| clear?.condition(self.last(), NEARLY));
+        condition.map_or_else(|| self.last().to_vec(), |condition| condition.alike)
+    }
+
+    fn remark(&self, severity: Severity, alike: &[ParameterId], words: &str) -> isophote_symbolic::Diagnostic {
+        let model = self.model();
+        let name = |index: usize| model.parameters()[index].name.as_str();
+        let is_free = |id: &&ParameterId| number(model.parameters()[id.index()].start).is_some();
+        // What starts at a number is what can be held.
+        let held = alike.iter().rev().find(is_free).or(alike.last()).copied().unwrap_or(ParameterId(0));
+        let moved = |index: &usize| {
+            let is_number = number(model.parameters()[*index].start).is_some();
+            let regular = |size| self.condition(size, Numbers::Moved(*index)).is_some_and(|c| c.others >= SINGULAR);
+            words.ends_with("start") && is_number && sizes(model).into_iter().any(regular)
+        };
+        let elsewhere: Vec<&str> = (0..model.parameters().len()).filter(moved).map(name).collect();
+        let names: Vec<&str> = alike.iter().map(|id| name(id.index())).collect();
+        let message = format!("{} {words}: together they change the pixels as one of them would", list(&names, "and"));
+        let mut help = format!("hold one of them: take it out of the stage, e.g. `{}`", name(held.index()));
+        if !elsewhere.is_empty() {
+            help += &format!("; or start {} at another number", list(&elsewhere, "or"));
+        }
+        let code = if words.contains("hardly") { "nearly-degenerate" } else { "degenerate" };
+        model.remark(severity, code, (Some(model.stages().len() - 1), held), message).help(help)
+    }
+}
+
+fn number(start: Start) -> Option<f64> {
+    match start {
+        Start::Number(number) => Some(number),
+        Start::Estimator(_) => None,
+    }
+}
+
+/// `a, b and c`.
+fn list(names: &[&str], last: &str) -> String {
+    match names {
+        [] => String::new(),
+        [one] => format!("`{one}`"),
+        [most @ .., one] => {
+            let most: Vec<String> = most.iter().map(|name| format!("`{name}`")).collect();
+            format!("{} {last} `{one}`", most.join(", "))
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Made-up points: numbers for all parameters of a model, near those of which a fit would start, and the pixels around them.
+//!
+//! What comes in: a model, the size of a target. What goes out: a [`Point`], the same every time. It never knows a camera.
+
+use isophote_jit::Window;
+use isophote_symbolic::{Estimator, Model, Parameter, Start};
+
+use crate::track::window::{Margin, Reach};
+
+/// Half widths of the targets of up to two and of more dimensions, px; the first is the one that figures are told for.
+const SIZES_PX: [[f64; 3]; 2] = [[12.0, 4.0, 40.0], [4.0, 3.0, 6.0]];
+/// Where they are, px.
+const MIDDLES_PX: [[f64; 4]; 2] = [[100.3, 80.7, 0.0, 0.0], [20.3, 18.7, 8.3, 4.7]];
+/// Where a picture without known reach ends beyond the middle, in sizes.
+const BEYOND: f64 = 4.0;
+/// The least side of a picture of which nothing is known, px.
+const SIDES_PX: [[f64; 4]; 2] = [[128.0, 96.0, 1.0, 1.0], [36.0, 32.0, 16.0, 8.0]];
+/// How far the targets of one model are from each other, in sizes.
+const APART: f64 = 3.0;
+/// Of an 8-bit camera, pixel values.
+const BACKGROUND: f64 = 20.0;
+const AMPLITUDE: f64 = 160.0;
+/// The least value that is inside a bound, relative to it or to one.
+const INSIDE: f64 = 0.05;
+
+/// Numbers for everything that a model's formulas read but its constants.
+#[derive(Clone, Debug)]
+pub(crate) struct Point {
+    pub parameters: Vec<f64>,
+    pub window: Window,
+}
+
+/// Whether parameters that start at numbers are there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Numbers {
+    /// They are.
+    AsStarted,
+    /// All are off by up to a tenth and so many times one.
+    Shaken(f64),
+    /// One is, by its index.
+    Moved(usize),
+}
+
+/// Sizes to try, px.
+pub(crate) fn sizes(model: &Model) -> [f64; 3] {
+    SIZES_PX[usize::from(model.coordinates().len() > 2)]
+}
+
+impl Point {
+    /// `None` where constraints do not hold, or nothing of the domain is in a picture.
+    pub fn made_up(model: &Model, constants: &[f64], reach: &Reach, size: f64, numbers: Numbers) -> Option<Point> {
+        let parameters = parameters(model, size, numbers);
+        if !model.constraints_hold(&parameters, constants) {
+            return None;
+        }
+        let whole = Window::of_size(sides(model, &parameters, size));
+        let window = reach.window(model, &parameters, Margin::even(0.1, 2.0), whole)?;
+        Some(Point { parameters, window })
+    }
+}
+
+/// Where the picture ends.
+fn sides(model: &Model, parameters: &[f64], size: f64) -> [usize; 4] {
+    let n = model.coordinates().len();
+    let kind = usize::from(n > 2);
+    std::array::from_fn(|axis| {
+        if axis >= n {
+            return 1;
+        }
+        let centres = model.roles().iter().filter_map(|roles| roles.centre.get(axis)).map(|p| parameters[p.index()]);
+        let farthest = centres.fold(MIDDLES_PX[kind][axis], f64::max).min(1024.0);
+        (farthest + BEYOND * size).max(SIDES_PX[kind][axis]).ceil() as usize
+    })
+}
+
+fn parameters(model: &Model, size: f64, numbers: Numbers) -> Vec<f64> {
+    let n = model.coordinates().len();
+    let middle = MIDDLES_PX[usize::from(n > 2)];
+    let target = |index: usize| model.roles().iter().position(|roles| roles.centre.iter().any(|p| p.index() == index));
+    let made_up = |(index, parameter): (usize, &Parameter)| {
+        let off = off(index, size);
+        let value = match parameter.start {
+            Start::Number(value) => match numbers {
+                Numbers::Shaken(by) => value + off * (0.1 * value + by),
+                Numbers::Moved(moved) if moved == index => value + 0.1 * value.abs().max(1.0),
+                _ => value,
+            },
+            Start::Estimator(estimator) => match estimator {
+                Estimator::Centroid(0) => middle[0] + APART * size * target(index).unwrap_or(0) as f64 + off,
+                Estimator::Centroid(axis) => middle[axis] + off,
+                Estimator::Extent(row, column) if row == column => (1.0 + 0.3 * off) / (size * size),
+                Estimator::Extent(..) => (0.1 + 0.1 * off) / (size * size),
+                Estimator::Size(_) => size * (1.0 + 0.2 * off),
+                Estimator::Background => BACKGROUND + off,
+                Estimator::Amplitude if parameter.max.is_some_and(|max| max <= 0.0) => -AMPLITUDE * (1.0 + 0.1 * off),
+                Estimator::Amplitude => AMPLITUDE * (1.0 + 0.1 * off),
+            },
+        };
+        inside(parameter, value)
+    };
+    model.parameters().iter().enumerate().map(made_up).collect()
+}
+
+/// Between −1 and 1, another number for each parameter and size: multiples of the golden ratio.
+fn off(index: usize, size: f64) -> f64 {
+    let turns = 0.618_033_988_749_895 * (index as f64 + 1.0) + 0.37 * size;
+    2.0 * turns.fract() - 1.0
+}
+
+fn inside(parameter: &Parameter, value: f64) -> f64 {
+    let least = parameter.min.map(|min| min + INSIDE * min.abs().min(1.0));
+    let most = parameter.max.map(|max| max - INSIDE * max.abs().min(1.0));
+    match (parameter.min, parameter.max) {
+        (Some(min), Some(max)) if !(value > min && value < max) => 0.5 * (min + max),
+        (Some(min), _) if value <= min => least.filter(|least| *least > min).unwrap_or(min + INSIDE),
+        (_, Some(max)) if value >= max => most.filter(|most| *most < max).unwrap_or(max - INSIDE),
+        _ => value,
+    }
+}
