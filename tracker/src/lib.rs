@@ -14,6 +14,7 @@ mod alternatives;
 mod background;
 mod camera;
 mod cold;
+mod colours;
 mod compiled;
 mod component;
 mod contour;
