@@ -108,7 +108,7 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
     Tracker::new(Arc::new(compiled), options).map_err(|error| Failure::Usage(error.to_string()))
 }
 
-fn camera(path: &Path) -> Result<Camera, Failure> {
+pub(crate) fn camera(path: &Path) -> Result<Camera, Failure> {
     json(path, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})")
 }
 

@@ -1,9 +1,10 @@
 //! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
-//! `fit`, `render`, `model check`, `model explain` and `model export` work alone; `serve` is the service; the others are its clients.
+//! `fit`, `render`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the service; the others are its clients.
 
 mod arguments;
+mod calibrate;
 mod export;
 mod failure;
 mod fit;
@@ -48,6 +49,14 @@ enum Command {
     Watch(watch::WatchArgs),
     Fit(fit::FitArgs),
     Render(render::RenderArgs),
+    /// Measure what belongs to the camera
+    #[command(subcommand)]
+    Calibrate(CalibrateCommand),
+}
+
+#[derive(Subcommand)]
+enum CalibrateCommand {
+    Colours(calibrate::ColoursArgs),
 }
 
 #[derive(Subcommand)]
@@ -106,5 +115,6 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
         Command::Watch(args) => watch::run(args, out),
         Command::Fit(args) => fit::run(args, out),
         Command::Render(args) => render::run(args, out),
+        Command::Calibrate(CalibrateCommand::Colours(args)) => calibrate::colours(args, out),
     }
 }

@@ -14,6 +14,15 @@ use crate::loops::{Loops, Totals};
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
+/// The largest pixel value of a format: the camera's limit where nothing else is known.
+pub(crate) fn limit(format: PixelFormat) -> f64 {
+    match format {
+        PixelFormat::U8 => f64::from(u8::MAX),
+        PixelFormat::U16 => f64::from(u16::MAX),
+        PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
+    }
+}
+
 /// What a fit looks at.
 pub(crate) struct View<'a> {
     pub planes: Vec<PlaneView<'a>>,
@@ -31,11 +40,6 @@ pub(crate) struct View<'a> {
 impl<'a> View<'a> {
     /// Planes of one size; the window lies inside. `saturation`: the camera's limit, if known.
     pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Option<f64>, precision: Precision) -> View<'a> {
-        let limit = |format| match format {
-            PixelFormat::U8 => f64::from(u8::MAX),
-            PixelFormat::U16 => f64::from(u16::MAX),
-            PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
-        };
         let saturation: Vec<f64> = planes.iter().map(|plane| saturation.unwrap_or(limit(plane.format()))).collect();
         let largest =
             planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);

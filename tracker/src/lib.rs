@@ -26,6 +26,7 @@ mod grey;
 mod halved;
 mod loops;
 mod mask;
+mod mixing;
 mod motion;
 mod options;
 #[cfg(test)]
@@ -44,6 +45,7 @@ pub use contour::{Contour, contours};
 pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use frame::{Buffer, Frame, FrameError, Lease, Plane};
+pub use mixing::{Mixing, MixingError, MixingMeasurement};
 pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
 pub use report::{CheckReport, StageCost};
 pub use track::evidence::Evidence;

@@ -23,7 +23,8 @@ use crate::{File, expect_none, files};
 /// Commands that a reader runs and this test does not, by how they begin.
 const NOT_RUN: [&str; 7] = ["git clone", "cd ", "cargo test", "cargo bench", "cargo build", "cargo install", ".ci/run"];
 /// Commands of `isophote` that need no service.
-const OFFLINE: [&str; 7] = ["model check", "model explain", "model export", "fit", "render", "--help", "--version"];
+const OFFLINE: [&str; 8] =
+    ["model check", "model explain", "model export", "fit", "render", "calibrate", "--help", "--version"];
 /// Time for one command.
 const COMMAND_S_MAX: u64 = 300;
 /// The address that the documents use.
