@@ -5,9 +5,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use isophote_capture::{Captured, FrameSource, Synthetic, SyntheticSpec};
+use isophote_capture::{Captured, FrameSource, Synthetic, SyntheticSpec, decode, encode_png_planes};
+use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Compiled, Frame, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Compiled, Frame, Plane, TrackState, Tracker, TrackerOptions};
 
 fn shipped(name: &str) -> Arc<Model> {
     let path = format!("{}/../models/{name}.toml", env!("CARGO_MANIFEST_DIR"));
@@ -46,6 +47,22 @@ fn every_channel_reads_its_own_prediction() {
         assert_eq!((plane(&captured.frame, 0), plane(&captured.frame, 1)), (p, q), "{observed}");
         assert_eq!(captured.truth.unwrap(), BTreeMap::from([("v".to_string(), 3.0)]));
     }
+}
+
+/// Three planes of 8 and of 16 bit are a colour picture; two are none.
+#[test]
+fn colour_pictures_come_back_plane_by_plane() {
+    for (format, bytes) in [(PixelFormat::U8, 6), (PixelFormat::U16, 12)] {
+        let planes: [Vec<u8>; 3] = std::array::from_fn(|plane| (0..bytes).map(|i| 40 * plane as u8 + i).collect());
+        let png = encode_png_planes(3, 2, format, &planes.each_ref().map(Vec::as_slice)).unwrap();
+        let frame = decode(&png).unwrap();
+        for (number, bytes) in planes.into_iter().enumerate() {
+            let alone = Frame::new(&[3, 2], vec![Plane::owned(format, bytes, 3)]).unwrap();
+            assert_eq!(plane(&frame, number), plane(&alone, 0), "{format:?}, plane {number}");
+        }
+    }
+    let two = encode_png_planes(3, 2, PixelFormat::U8, &[&[0; 6], &[0; 6]]).unwrap_err();
+    assert_eq!(two.to_string(), "pictures have 1 channel or 3 (r, g, b), not 2");
 }
 
 /// Noise of the same size in both channels, and nothing in common: r < 4 standard errors.
