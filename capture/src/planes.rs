@@ -23,7 +23,9 @@ pub(crate) fn of_channels(model: &Arc<Model>) -> Result<Vec<Arc<Model>>, String>
         let is = |entry: &&Model| entry.observed_channel().is_some_and(|channel| channel.index() == number);
         let entry = entries.iter().find(is);
         entry.cloned().map(Arc::new).ok_or_else(|| {
-            format!("nothing says what the channel {name} reads; write observed = \"[{all}]\" with an intensity for each")
+            format!(
+                "nothing says what the channel {name} reads; write observed = \"[{all}]\" with an intensity for each"
+            )
         })
     };
     channels.iter().enumerate().map(of).collect()

@@ -56,7 +56,8 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mut recording = Recording::open(&args.frames).map_err(other)?.for_channels(channels);
     let camera = args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?;
     let mut measurement = MixingMeasurement::new(channels.len(), camera.saturation);
-    let refused = |error: MixingError| Failure::Other(format!("{}: {}", args.frames.display(), reason(&error, channels)));
+    let refused =
+        |error: MixingError| Failure::Other(format!("{}: {}", args.frames.display(), reason(&error, channels)));
     while let Some(captured) = recording.next().map_err(other)? {
         measurement.add(&captured.frame).map_err(refused)?;
     }
@@ -70,9 +71,8 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
         constants: &constants,
     };
     if let Some(path) = &args.out {
-        let failed = |error: &dyn std::fmt::Display| {
-            Failure::Other(format!("{}: cannot be written: {error}", path.display()))
-        };
+        let failed =
+            |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
         let text = serde_json::to_string_pretty(&answer).map_err(|error| failed(&error))?;
         std::fs::write(path, text + "\n").map_err(|error| failed(&error))?;
     }

@@ -6,7 +6,8 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-const LIGHTS: &str = "xr=60,yr=50,xg=180,yg=55,xb=120,yb=130,vr=400,vg=150,vb=110,m_rg=0.25,m_gr=0.2,m_bg=0.15,m_br=0.1";
+const LIGHTS: &str =
+    "xr=60,yr=50,xg=180,yg=55,xb=120,yb=130,vr=400,vg=150,vb=110,m_rg=0.25,m_gr=0.2,m_bg=0.15,m_br=0.1";
 
 fn model(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name)
@@ -59,8 +60,7 @@ fn lights_become_constants_of_the_fit() {
     let (table, option) = told.trim_end().rsplit_once('\n').unwrap();
     assert!(table.starts_with("CHANNEL  LIGHT r"), "{told}");
     let constants = option.strip_prefix("--constant ").unwrap();
-    let fitted =
-        output(&["fit", text(&raw), "--frames", text(&frames), "--constant", constants, "--json"]);
+    let fitted = output(&["fit", text(&raw), "--frames", text(&frames), "--constant", constants, "--json"]);
     let line: Value = serde_json::from_str(fitted.trim_end()).unwrap();
     assert_eq!(line["state"], "tracking", "{line}");
     for name in ["vr", "vg", "vb", "xr", "yb"] {
