@@ -144,11 +144,14 @@ impl Colours {
                 around.extend(self.values(view, place));
             }
         }
-        let ground = |entry: usize| median(around.iter().map(|values| values[entry]).collect());
+        // A thing that fills the window has no ground around it: the sum's is shared evenly.
+        let even = sight.background / self.entries.len() as f64;
+        let ground = |entry: usize| median(around.iter().map(|values| values[entry]).collect()).unwrap_or(even);
         let grounds: Vec<f64> = (0..self.entries.len()).map(ground).collect();
         let above = |entry: usize| inside.iter().map(|values| values[entry] - grounds[entry]).sum();
         let colour = DVector::from_fn(self.entries.len(), |entry, _| above(entry));
-        let light = (&self.unmixing * colour).iter().copied().collect();
+        // A dark thing takes light away.
+        let light = (&self.unmixing * colour).iter().map(|light| light * sight.amplitude.signum()).collect();
         Coloured { sight: sight.clone(), light, grounds }
     }
 
@@ -176,8 +179,8 @@ fn largest(light: &[f64]) -> Option<usize> {
     (*most.1 > 0.0).then_some(most.0)
 }
 
-/// 0 of nothing.
-fn median(mut values: Vec<f64>) -> f64 {
+/// `None` of nothing.
+fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
+    values.get(values.len() / 2).copied()
 }
