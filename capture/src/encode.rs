@@ -1,4 +1,4 @@
-//! A plane of pixels in, the bytes of a gray PNG file out (8 or 16 bit). Stacks become TIFF, see [`crate::encode_tiff`].
+//! Planes of pixels in, the bytes of a PNG file out (8 or 16 bit): one plane as gray, three as colour. Stacks become TIFF, see [`crate::encode_tiff`].
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
@@ -10,6 +10,9 @@ pub enum EncodeError {
     /// Files are written with 8 and 16 bit only.
     #[error("{0:?} pixels are not written; only u8 and u16 are")]
     Format(PixelFormat),
+    /// A picture is gray or has three colours.
+    #[error("pictures have 1 channel or 3 (r, g, b), not {0}")]
+    Planes(usize),
     /// What the encoder says.
     #[error("{0}")]
     Encoder(#[from] image::ImageError),
@@ -26,6 +29,26 @@ pub fn encode_png(width: usize, height: usize, format: PixelFormat, pixels: &[u8
         other => return Err(EncodeError::Format(other)),
     };
     encode(width, height, colour, CompressionType::Fast, pixels)
+}
+
+/// Encodes planes of `width` × `height` tightly packed pixels each: one as gray, three as red, green and blue.
+pub fn encode_png_planes(
+    width: usize,
+    height: usize,
+    format: PixelFormat,
+    planes: &[&[u8]],
+) -> Result<Vec<u8>, EncodeError> {
+    let colour = match (planes, format) {
+        ([gray], _) => return encode_png(width, height, format, gray),
+        ([_, _, _], PixelFormat::U8) => ExtendedColorType::Rgb8,
+        ([_, _, _], PixelFormat::U16) => ExtendedColorType::Rgb16,
+        ([_, _, _], other) => return Err(EncodeError::Format(other)),
+        _ => return Err(EncodeError::Planes(planes.len())),
+    };
+    let bytes = format.bytes_per_pixel();
+    let pixel = |i: usize| planes.iter().flat_map(move |plane| plane.iter().skip(i * bytes).take(bytes).copied());
+    let pixels: Vec<u8> = (0..width * height).flat_map(pixel).collect();
+    encode(width, height, colour, CompressionType::Fast, &pixels)
 }
 
 /// Encodes `width` × `height` tightly packed r, g, b bytes (overlays): slower and smaller.

@@ -24,6 +24,7 @@ pub mod limits;
 mod motion;
 mod noise;
 mod order;
+mod planes;
 pub mod recording;
 mod sampling;
 pub mod source;
@@ -34,7 +35,7 @@ mod tiff;
 mod truth;
 
 pub use decode::decode;
-pub use encode::encode_png;
+pub use encode::{encode_png, encode_png_planes};
 pub use exposure::Exposure;
 pub use limits::LIMITS;
 pub use recording::Recording;

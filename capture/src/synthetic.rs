@@ -12,8 +12,12 @@ use crate::exposure::Exposure;
 use crate::limits::LIMITS;
 use crate::motion::{Motion, MotionFault};
 use crate::noise::{ReadOut, Sensor};
+use crate::planes::of_channels;
 use crate::sampling::{BAND_ROWS, Numbers, Scene, SceneFault, Scratch};
 use crate::source::{Captured, FrameSource, SourceError};
+
+/// Between the seeds of two channels: the golden ratio's bits, so that neighbouring seeds do not meet.
+const CHANNEL_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// When the next frame is due. The source itself never waits; its owner obeys.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,7 +33,7 @@ pub enum Pace {
 /// What to render and how to see it. `SyntheticSpec::new(model)` has the contract's defaults.
 #[derive(Clone, Debug)]
 pub struct SyntheticSpec {
-    /// Of one channel.
+    /// Of one channel, or of several that `observed` names one by one.
     pub model: Arc<Model>,
     /// Parameters and constants by name; what is not set starts as [`Synthetic`] says.
     pub set: BTreeMap<String, f64>,
@@ -152,11 +156,12 @@ fn first_message(diagnostics: &Diagnostics) -> String {
 pub struct Synthetic {
     spec: SyntheticSpec,
     size: Vec<usize>,
-    scene: Scene,
+    /// One a channel, and its read-out.
+    scenes: Vec<Scene>,
+    read_outs: Vec<ReadOut>,
     motion: Motion,
     parameters: Vec<f64>,
     constants: Vec<f64>,
-    read_out: ReadOut,
     frame: u64,
     scratch: Scratch,
     means: Vec<f32>,
@@ -170,16 +175,16 @@ impl Synthetic {
     pub fn new(spec: SyntheticSpec) -> Result<Synthetic, SyntheticError> {
         check(&spec)?;
         let refused = |reason: String| SyntheticError::Model { model: spec.model.name().into(), reason };
-        if spec.model.channels().len() != 1 {
-            let channels = spec.model.channels().join(", ");
-            return Err(refused(format!("it reads {channels}; the synthetic camera has one channel")));
-        }
+        let models = of_channels(&spec.model).map_err(refused)?;
         let sides = [spec.width, spec.height, spec.depth, spec.length];
         let size = sides[..spec.model.coordinates().len().min(4)].to_vec();
-        let scene = Scene::new(&spec.model, spec.samples).map_err(|fault| match fault {
-            SceneFault::Model(diagnostics) => refused(first_message(&diagnostics)),
-            SceneFault::Compile(reason) => refused(format!("{reason} (a bug of isophote)")),
-        })?;
+        let scene = |model| {
+            Scene::new(model, spec.samples).map_err(|fault| match fault {
+                SceneFault::Model(diagnostics) => refused(first_message(&diagnostics)),
+                SceneFault::Compile(reason) => refused(format!("{reason} (a bug of isophote)")),
+            })
+        };
+        let scenes = models.iter().map(scene).collect::<Result<Vec<_>, _>>()?;
         let motion = Motion::parse(&spec.model, &spec.motion).map_err(|fault| match fault {
             MotionFault::UnknownName(name) => unknown(&spec.model, "parameter", name),
             MotionFault::Formula { name, diagnostics } => SyntheticError::Motion { name, diagnostics },
@@ -187,17 +192,18 @@ impl Synthetic {
         let (parameters, constants) = numbers(&spec)?;
         let electrons_per_dn = spec.full_well_e / spec.saturation;
         let sensor = Sensor { saturation: spec.saturation, electrons_per_dn, read_noise_e: spec.read_noise_e };
-        let (read_out, scratch, means) = (ReadOut::new(sensor), Scratch::default(), Vec::new());
+        let read_outs = scenes.iter().map(|_| ReadOut::new(sensor)).collect();
+        let (scratch, means) = (Scratch::default(), Vec::new());
         let exposures = std::iter::repeat_n(1.0, spec.exposure_latency as usize).collect();
         let exposure = Exposure::default();
         Ok(Synthetic {
             spec,
             size,
-            scene,
+            scenes,
+            read_outs,
             motion,
             parameters,
             constants,
-            read_out,
             frame: 0,
             scratch,
             means,
@@ -231,13 +237,16 @@ impl Synthetic {
         self.exposures.pop_front().unwrap_or(1.0)
     }
 
-    fn pixels(&mut self, frame: u64, exposure: f64) -> Result<Plane, SourceError> {
+    /// What one channel reads.
+    fn pixels(&mut self, channel: usize, frame: u64, exposure: f64) -> Result<Plane, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
         let numbers = Numbers { parameters: &parameters, constants: &self.constants };
+        let (scene, read_out) = (&self.scenes[channel], &mut self.read_outs[channel]);
         let side = |axis: usize| self.size.get(axis).copied().unwrap_or(1);
         let (width, height, depth, length) = (side(0), side(1), side(2), side(3));
-        self.read_out.begin(self.spec.seed, frame);
+        // Every channel has noise of its own; the first that of the seed.
+        read_out.begin(self.spec.seed.wrapping_add((channel as u64).wrapping_mul(CHANNEL_SEED)), frame);
         let mut row = vec![0u16; width];
         let format = if self.spec.bits > 8 { PixelFormat::U16 } else { PixelFormat::U8 };
         let mut bytes = Vec::with_capacity(width * height * depth * length * format.bytes_per_pixel());
@@ -245,12 +254,12 @@ impl Synthetic {
         for (slices, y) in slices.flat_map(|slices| (0..height).step_by(BAND_ROWS).map(move |y| (slices, y))) {
             let band = Window { x: 0, y, width, height: BAND_ROWS.min(height - y), slices };
             self.means.resize(width * band.height, 0.0);
-            self.scene.render(&numbers, band, &mut self.scratch, &mut self.means).map_err(fault)?;
+            scene.render(&numbers, band, &mut self.scratch, &mut self.means).map_err(fault)?;
             if exposure != 1.0 {
                 self.means.iter_mut().for_each(|mean| *mean *= exposure as f32);
             }
             for means in self.means.chunks_exact(width) {
-                self.read_out.row(means, &mut row);
+                read_out.row(means, &mut row);
                 match format {
                     PixelFormat::U16 => bytes.extend(row.iter().flat_map(|pixel| pixel.to_le_bytes())),
                     // The saturation limit is at most 255 here, so no pixel is cut.
@@ -267,7 +276,8 @@ impl FrameSource for Synthetic {
         let frame = self.frame;
         self.frame += 1;
         let exposure = self.take_exposure();
-        let plane = self.pixels(frame, exposure)?;
+        let planes = (0..self.scenes.len()).map(|channel| self.pixels(channel, frame, exposure));
+        let planes = planes.collect::<Result<Vec<_>, _>>()?;
         let mut truth = self.truth(frame)?;
         // Targets may share a background: a set names it once.
         let roles = self.spec.model.roles().iter();
@@ -277,7 +287,7 @@ impl FrameSource for Synthetic {
                 *value *= exposure;
             }
         }
-        let made = Frame::new(&self.size, vec![plane])
+        let made = Frame::new(&self.size, planes)
             .map_err(|error| SourceError::Synthetic { frame, reason: error.to_string() })?;
         Ok(Some(Captured { frame: made.with_sequence(frame), file: None, truth: Some(truth) }))
     }

@@ -1,9 +1,11 @@
 //! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
-//! `fit`, `render`, `tune`, `compare`, `model check`, `model explain` and `model export` work alone; `serve` is the service; the others are its clients.
+//! `fit`, `render`, `tune`, `compare`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
+//! service; the others are its clients.
 
 mod arguments;
+mod calibrate;
 mod compare;
 mod export;
 mod failure;
@@ -53,6 +55,14 @@ enum Command {
     Render(render::RenderArgs),
     Tune(tune::TuneArgs),
     Compare(compare::CompareArgs),
+    /// Measure what belongs to the camera
+    #[command(subcommand)]
+    Calibrate(CalibrateCommand),
+}
+
+#[derive(Subcommand)]
+enum CalibrateCommand {
+    Colours(calibrate::ColoursArgs),
 }
 
 #[derive(Subcommand)]
@@ -113,5 +123,6 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
         Command::Render(args) => render::run(args, out),
         Command::Tune(args) => tune::run(args, out),
         Command::Compare(args) => compare::run(args, out),
+        Command::Calibrate(CalibrateCommand::Colours(args)) => calibrate::colours(args, out),
     }
 }

@@ -4,8 +4,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isophote_capture::{
-    Captured, FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png, encode_tiff,
+    Captured, FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png_planes, encode_tiff,
 };
+use isophote_symbolic::Model;
 use isophote_tracker::Frame;
 use serde::Serialize;
 
@@ -90,6 +91,7 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         ..typical
     };
     let coordinates = spec.model.coordinates().len();
+    check_channels(args, &spec.model)?;
     let mut camera = Synthetic::new(spec).map_err(|error| refused(&args.model, error))?;
     let failed = |path: &Path, error: &dyn std::fmt::Display| {
         Failure::Other(format!("{}: cannot be written: {error}", path.display()))
@@ -110,6 +112,19 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
     warn_of_strangers(args, coordinates);
     Ok(())
+}
+
+/// Files hold one channel, or the three of a colour picture.
+fn check_channels(args: &RenderArgs, model: &Model) -> Result<(), Failure> {
+    let (channels, coordinates) = (model.channels(), model.coordinates().len());
+    let what = match channels.len() {
+        1 => return Ok(()),
+        3 if coordinates <= 2 => return Ok(()),
+        _ if coordinates > 2 => "stacks are written with one channel",
+        _ => "pictures are written with one channel or with three, red, green and blue",
+    };
+    let (file, names) = (args.model.display(), channels.join(", "));
+    Err(Failure::Model(format!("error: {file}: it has the channels {names}; {what}")))
 }
 
 /// Pixels along x, y, z, w.
@@ -140,6 +155,7 @@ fn write(folder: &Path, number: u64, frame: &Frame) -> Result<String, Failure> {
     let [width, height, _, volumes] = frame.sides();
     let plane = &frame.planes()[0];
     let pixels = plane.buffer.bytes();
+    let planes: Vec<&[u8]> = frame.planes().iter().map(|plane| plane.buffer.bytes()).collect();
     let save = |path: PathBuf, bytes: Result<Vec<u8>, isophote_capture::encode::EncodeError>| {
         let bytes = bytes.map_err(|error| failed(&path, &error))?;
         std::fs::write(&path, bytes).map_err(|error| failed(&path, &error))
@@ -151,7 +167,7 @@ fn write(folder: &Path, number: u64, frame: &Frame) -> Result<String, Failure> {
     };
     let path = folder.join(&name);
     match frame.size().len() {
-        0..=2 => save(path, encode_png(width, height, plane.format, pixels))?,
+        0..=2 => save(path, encode_png_planes(width, height, plane.format, &planes))?,
         3 => save(path, encode_tiff(width, height, plane.format, pixels))?,
         _ => {
             std::fs::create_dir_all(&path).map_err(|error| failed(&path, &error))?;

@@ -29,6 +29,7 @@ mod double_double;
 mod duals_tests;
 mod elaborate;
 pub mod elementary;
+mod entry;
 mod evaluate;
 mod explain;
 mod export;

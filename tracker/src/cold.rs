@@ -2,6 +2,7 @@
 
 use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
+use crate::colours::Colours;
 use crate::compiled::Control;
 use crate::fit::View;
 use crate::grey::{Grey, Mixture};
@@ -43,6 +44,8 @@ pub(crate) struct Starts {
 const CLIPPED_PIXELS: usize = 10;
 /// … and this many times as much is tried as well.
 const BRIGHTER: f64 = 2.5;
+/// Where targets are told apart by colour, so many other things are looked at.
+const OTHERS: usize = 5;
 /// A is this many times the estimated one for the tighter start. Where the domain ends at the outline and nothing is said of
 /// what lies beyond, a fit that begins with too large an outline takes the surroundings for its rim and grows without end;
 /// one that begins inside the target does not.
@@ -88,17 +91,33 @@ impl Cold {
         }
         let targets = model.roles().len().max(1);
         let several = if targets == 1 { sights_max } else { 1 };
+        let colours = Colours::of(model, constants);
         (wanted.targets_max, wanted.faint, wanted.masks) = (targets.max(several), several > 1, masks);
+        if colours.is_some() && targets > 1 {
+            // The faintest of them may be far below the brightest, with other things in between.
+            (wanted.targets_max, wanted.faint) = (targets + OTHERS, true);
+        }
         let found = if grain == Grain::Halved { find_halved(&grey, &wanted) } else { find(&grey, &wanted) };
         if found.sights.len() < targets {
             return None;
         }
-        let sights = match targets {
-            1 => found.sights.iter().map(std::slice::from_ref).collect(),
-            _ => vec![&found.sights[..targets]],
+        let is_placed = wanted.near.is_some();
+        let sights: Vec<&[Sight]> = match (&colours, targets) {
+            (_, 1) => found.sights.iter().map(std::slice::from_ref).collect(),
+            (Some(_), _) => vec![&found.sights[..]],
+            (None, _) => vec![&found.sights[..targets]],
         };
-        let sights = sights.into_iter().map(|sights| starts(model, given, sights, &estimators, origin)).collect();
-        Some(Cold { sights, control, variance: Some(found.noise.powi(2)), is_placed: wanted.near.is_some() })
+        let start = |sights: &[Sight]| match &colours {
+            Some(colours) => {
+                let (sights, given) = colours.sorted(view, sights, given, is_placed)?;
+                Some(starts(model, &given, &sights, &estimators, origin))
+            }
+            None => Some(starts(model, given, sights, &estimators, origin)),
+        };
+        let sights: Vec<Starts> = sights.into_iter().filter_map(start).collect();
+        // The picture is the sum of all that is fitted.
+        let variance = Some(found.noise.powi(2) / model.entries() as f64);
+        (!sights.is_empty()).then_some(Cold { sights, control, variance, is_placed })
     }
 }
 

@@ -16,6 +16,15 @@ use crate::pose::Geometry;
 use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
+/// The largest pixel value of a format: the camera's limit where nothing else is known.
+pub(crate) fn limit(format: PixelFormat) -> f64 {
+    match format {
+        PixelFormat::U8 => f64::from(u8::MAX),
+        PixelFormat::U16 => f64::from(u16::MAX),
+        PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
+    }
+}
+
 /// What a fit looks at.
 pub(crate) struct View<'a> {
     pub planes: Vec<PlaneView<'a>>,

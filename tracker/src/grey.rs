@@ -36,7 +36,8 @@ impl Mixture {
         self.at(saturation.iter().zip(&self.weights).map(|(l, w)| if *w > 0.0 { *l } else { 0.0 }))
     }
 
-    fn at(&self, values: impl Iterator<Item = f64>) -> f64 {
+    /// The mixture of one pixel, from its value in each plane.
+    pub fn at(&self, values: impl Iterator<Item = f64>) -> f64 {
         self.weights.iter().zip(values).map(|(weight, value)| weight * value).sum::<f64>() + self.constant
     }
 }

@@ -72,7 +72,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         .map_err(|error| Problem::wrong_key("wrong-source", prefix.trim_end_matches('.'), error.to_string()))?;
     let shape = Shape {
         dimensions: Some(model.coordinates().len()),
-        planes: Some(1),
+        planes: Some(model.channels().len()),
         format: Some(if document.bits <= 8 { PixelFormat::U8 } else { PixelFormat::U16 }),
         saturation: Some(saturation),
         size: source.size(),

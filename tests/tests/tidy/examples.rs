@@ -23,8 +23,18 @@ use crate::{File, expect_none, files};
 /// Commands that a reader runs and this test does not, by how they begin.
 const NOT_RUN: [&str; 7] = ["git clone", "cd ", "cargo test", "cargo bench", "cargo build", "cargo install", ".ci/run"];
 /// Commands of `isophote` that need no service.
-const OFFLINE: [&str; 9] =
-    ["model check", "model explain", "model export", "fit", "render", "tune", "compare", "--help", "--version"];
+const OFFLINE: [&str; 10] = [
+    "model check",
+    "model explain",
+    "model export",
+    "fit",
+    "render",
+    "tune",
+    "compare",
+    "calibrate",
+    "--help",
+    "--version",
+];
 /// Time for one command.
 const COMMAND_S_MAX: u64 = 300;
 /// The address that the documents use.

@@ -1,0 +1,16 @@
+//! `cargo bench -p isophote-benches --bench colour`: the brightness of a red spot under saturation, unmixed first against
+//! raw channels. The same frames come in every run; with `UPDATE_EXPECT=1` the table of docs/colour.md is written.
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
+
+use isophote_benches::{colour, page};
+
+/// Frames of a row.
+const FRAMES: usize = 1000;
+
+fn main() {
+    let text = colour::table(&colour::measure(FRAMES), FRAMES);
+    println!("{text}");
+    if std::env::var_os("UPDATE_EXPECT").is_some() {
+        page::write_to("colour.md", "colour", &text);
+    }
+}

@@ -1,0 +1,147 @@
+//! `isophote calibrate colours`: the mixing matrix of a colour camera, from frames of its lights.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::PathBuf;
+
+use isophote_capture::{FrameSource, Recording};
+use isophote_symbolic::Model;
+use isophote_tracker::{Camera, Mixing, MixingError, MixingMeasurement};
+use serde::Serialize;
+
+use crate::failure::Failure;
+use crate::fit::{camera, with_deviation};
+use crate::{model_files, output};
+
+/// Measure how much of each light every channel reads, from frames that show one light at a time, or several apart
+#[derive(Clone, Debug, clap::Args)]
+pub struct ColoursArgs {
+    /// A folder of pictures, or one: of each channel's light, alone or apart from the others
+    #[arg(long, value_name = "PATH")]
+    pub frames: PathBuf,
+    /// The model document whose channels they are (TOML; JSON if it is named *.json)
+    #[arg(long, value_name = "FILE")]
+    pub model: PathBuf,
+    /// A JSON document about the camera, for its saturation
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Print the answer as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Write the answer as JSON to a file as well
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// The answer as JSON; rows are channels, columns are lights, both in the order of `channels`.
+#[derive(Serialize)]
+struct Colours<'a> {
+    channels: &'a [String],
+    mixing: &'a [Vec<f64>],
+    standard_errors: &'a [Vec<f64>],
+    pixels: &'a [usize],
+    /// For `--constant`: those that the model has, `m_rg` for what r reads of the light of g.
+    constants: &'a BTreeMap<String, f64>,
+}
+
+/// Looks at all frames, then answers.
+pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let model = model_files::read(&args.model)?;
+    let channels = model.channels();
+    if channels.len() < 2 {
+        let file = args.model.display();
+        return Err(Failure::Usage(format!("{file} has one channel, {}: there is nothing to mix", channels.join(""))));
+    }
+    let other = |error: isophote_capture::SourceError| Failure::Other(error.to_string());
+    let mut recording = Recording::open(&args.frames).map_err(other)?.for_channels(channels);
+    let camera = args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?;
+    let mut measurement = MixingMeasurement::new(channels.len(), camera.saturation);
+    let refused =
+        |error: MixingError| Failure::Other(format!("{}: {}", args.frames.display(), reason(&error, channels)));
+    while let Some(captured) = recording.next().map_err(other)? {
+        measurement.add(&captured.frame).map_err(refused)?;
+    }
+    let mixing = measurement.finish().map_err(refused)?;
+    let constants = constants(&model, &mixing);
+    let answer = Colours {
+        channels,
+        mixing: &mixing.matrix,
+        standard_errors: &mixing.errors,
+        pixels: &mixing.pixels,
+        constants: &constants,
+    };
+    if let Some(path) = &args.out {
+        let failed =
+            |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
+        let text = serde_json::to_string_pretty(&answer).map_err(|error| failed(&error))?;
+        std::fs::write(path, text + "\n").map_err(|error| failed(&error))?;
+    }
+    if args.json {
+        return output::json(out, &answer);
+    }
+    table(out, channels, &mixing)?;
+    if !constants.is_empty() {
+        let pairs: Vec<String> = constants.iter().map(|(name, value)| format!("{name}={value:.5}")).collect();
+        writeln!(out, "--constant {}", pairs.join(",")).map_err(Failure::output)?;
+    }
+    Ok(())
+}
+
+/// One row a channel, one column a light.
+fn table(out: &mut dyn Write, channels: &[String], mixing: &Mixing) -> Result<(), Failure> {
+    let head: Vec<String> = channels.iter().map(|light| format!("LIGHT {light}")).collect();
+    let head: Vec<&str> = ["CHANNEL"].into_iter().chain(head.iter().map(String::as_str)).collect();
+    let cell = |(value, error): (&f64, &f64)| match *error > 0.0 {
+        true => with_deviation(*value, Some(*error)),
+        false => format!("{value}"),
+    };
+    let rows = channels.iter().zip(mixing.matrix.iter().zip(&mixing.errors));
+    let rows = rows.map(|(channel, (values, errors))| {
+        [channel.clone()].into_iter().chain(values.iter().zip(errors).map(cell)).collect()
+    });
+    output::table(out, &head, &rows.collect::<Vec<Vec<String>>>())
+}
+
+fn constants(model: &Model, mixing: &Mixing) -> BTreeMap<String, f64> {
+    let channels = model.channels();
+    let names = |row: usize, column: usize| format!("m_{}{}", channels[row], channels[column]);
+    let all = mixing.matrix.iter().enumerate();
+    let all = all.flat_map(|(row, values)| values.iter().enumerate().map(move |(column, v)| (names(row, column), *v)));
+    all.filter(|(name, _)| model.constant(name).is_some()).collect()
+}
+
+/// What is wrong with the frames, and what would be right.
+fn reason(error: &MixingError, channels: &[String]) -> String {
+    match error {
+        MixingError::Planes { found, .. } => {
+            format!("a picture has {found} channels, the model {}: {}", channels.len(), channels.join(", "))
+        }
+        MixingError::NoLight { channel, seen } => {
+            let counts = seen.iter().zip(channels).filter(|(count, _)| **count > 0);
+            let counts: Vec<String> = counts.map(|(count, channel)| format!("{count} in {channel}")).collect();
+            let seen = if counts.is_empty() { "nothing was found".to_string() } else { counts.join(", ") };
+            format!(
+                "no light is brightest in the channel {} ({seen}); either it is missing, or two lights have the same colour: \
+                 show a light for each channel, alone or apart from the others",
+                channels[*channel]
+            )
+        }
+        MixingError::Clipped(light) => format!(
+            "the light of the channel {} is clipped everywhere; expose less, or give it a soft edge (out of focus)",
+            channels[*light]
+        ),
+        MixingError::SameColour(a, b) => format!(
+            "the lights of the channels {} and {} have the same colour as far as this camera sees: they cannot be told apart",
+            channels[*a], channels[*b]
+        ),
+        MixingError::TwoLights(light) => format!(
+            "two lights of different colours are brightest in the channel {}; show one light for each channel",
+            channels[*light]
+        ),
+        MixingError::Mixed(light) => format!(
+            "what is brightest in the channel {} has more than one colour; lights must lie apart from each other, and \
+             from others",
+            channels[*light]
+        ),
+    }
+}
