@@ -231,8 +231,7 @@ impl Compiled {
                 &skipping
             }
         };
-        let options =
-            KernelOptions { precision, formats: layout.formats.clone(), packed: layout.packed };
+        let options = KernelOptions { precision, formats: layout.formats.clone(), packed: layout.packed };
         let kernel = self.cache.get_or_compile(program, &options);
         let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
         let mut ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);

@@ -17,7 +17,7 @@ use crate::stage::{self, Pass, Problem, Rules};
 use crate::trust::{Curvature, Quadratic, Spectrum};
 
 /// The largest pixel value of a format: the camera's limit where nothing else is known.
-pub(crate) fn limit(format: PixelFormat) -> f64 {
+pub(crate) fn largest_value(format: PixelFormat) -> f64 {
     match format {
         PixelFormat::U8 => f64::from(u8::MAX),
         PixelFormat::U16 => f64::from(u16::MAX),
@@ -74,12 +74,7 @@ impl View<'_> {
 /// The limit of one plane of a camera of which nothing is known: where the pixels show that they are clipped, else the
 /// largest value of the format.
 pub(crate) fn limit(plane: &PlaneView, window: Window) -> f64 {
-    let largest = match plane.format() {
-        PixelFormat::U8 => f64::from(u8::MAX),
-        PixelFormat::U16 => f64::from(u16::MAX),
-        PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
-    };
-    clipping(plane, window).unwrap_or(largest)
+    clipping(plane, window).unwrap_or(largest_value(plane.format()))
 }
 
 fn is_whole(plane: &PlaneView) -> bool {
@@ -251,8 +246,7 @@ pub(crate) fn quadratic_at(
 ) -> Result<Option<Quadratic>, CompileFailure> {
     let Stage { parameters, method, .. } = &compiled.model().stages()[stage];
     let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
-    let bindings =
-        Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
+    let bindings = Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
     let sums = gradient.sums(&bindings, &view.planes, view.window);
     Ok(sums.and_then(|sums| quadratic(&sums.outputs, parameters.len(), curvature(*method))))
 }

@@ -122,7 +122,11 @@ impl Tracker {
     fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, time_s: f64) -> Estimate {
         let name = name(self.solver.model(), self.tracks.len(), number);
         let only = self.solver.look(frame).filter(|_| frame.planes().len() == 1);
-        let saturation = only.and_then(|look| self.solver.limit(&look)).unwrap_or(f64::INFINITY);
+        let limit = |look: Look| match &outcome {
+            Outcome::Seen(candidate) => self.solver.limit(&look, &candidate.attempt.fit.as_ref()?.parameters),
+            _ => None,
+        };
+        let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
         let told = Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s, saturation };
         estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
     }

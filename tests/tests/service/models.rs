@@ -81,7 +81,10 @@ fn an_upload_says_what_the_model_promises() {
     service.get("/v1/models/flat").expect(404);
     let unread = spot.replace("v1 = {", "z9 = { start = 1.0 }\nv1 = {");
     let warned = service.request("PUT", "/v1/models/unread", &toml, unread.as_bytes()).expect(201);
-    assert_eq!((&warned["warnings"][0]["code"], &warned["warnings"][0]["severity"]), (&json!("unused"), &json!("warning")));
+    assert_eq!(
+        (&warned["warnings"][0]["code"], &warned["warnings"][0]["severity"]),
+        (&json!("unused"), &json!("warning"))
+    );
 }
 
 #[test]

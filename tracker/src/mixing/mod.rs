@@ -14,7 +14,7 @@ mod slope;
 
 use isophote_jit::{PlaneView, Window};
 
-use crate::fit::limit;
+use crate::fit::largest_value;
 use crate::frame::Frame;
 use crate::grey::{Grey, Mixture};
 use crate::start::{Sight, Sign, Wanted, find};
@@ -111,7 +111,7 @@ impl MixingMeasurement {
         if planes.len() != self.channels || self.channels < 2 {
             return Err(MixingError::Planes { found: planes.len(), wanted: self.channels.max(2) });
         }
-        let limit = self.saturation.unwrap_or(limit(planes[0].format()));
+        let limit = self.saturation.unwrap_or(largest_value(planes[0].format()));
         let window = Window::whole(frame.width(), frame.rows());
         let limits = vec![limit; planes.len()];
         let grey = Grey::read(&planes, window, &limits, &Mixture::mean(planes.len()));

@@ -59,6 +59,9 @@ impl Point {
     }
 }
 
+/// How far a target is whose pose is made up, mm.
+const DISTANCE_MM: f64 = 1000.0;
+
 /// Where the picture ends.
 fn sides(model: &Model, parameters: &[f64], size: f64) -> [usize; 4] {
     let n = model.coordinates().len();
@@ -92,6 +95,9 @@ fn parameters(model: &Model, size: f64, numbers: Numbers) -> Vec<f64> {
                 Estimator::Extent(..) => (0.1 + 0.1 * off) / (size * size),
                 Estimator::Size(_) => size * (1.0 + 0.2 * off),
                 Estimator::Background => BACKGROUND + off,
+                Estimator::Position(2) => DISTANCE_MM * (1.0 + 0.1 * off),
+                Estimator::Position(_) => 10.0 * off,
+                Estimator::Orientation(_) => 0.1 * off,
                 Estimator::Amplitude if parameter.max.is_some_and(|max| max <= 0.0) => -AMPLITUDE * (1.0 + 0.1 * off),
                 Estimator::Amplitude => AMPLITUDE * (1.0 + 0.1 * off),
             },
