@@ -192,8 +192,7 @@ pub(crate) fn quadratic_at(
 ) -> Result<Option<Quadratic>, CompileFailure> {
     let Stage { parameters, method, .. } = &compiled.model().stages()[stage];
     let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
-    let bindings =
-        Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
+    let bindings = Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
     let sums = gradient.sums(&bindings, &view.planes, view.window);
     Ok(sums.and_then(|sums| quadratic(&sums.outputs, parameters.len(), curvature(*method))))
 }
