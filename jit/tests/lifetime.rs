@@ -30,7 +30,7 @@ fn a_kernel_may_move_between_threads() {
 
 #[test]
 fn code_lives_as_long_as_its_kernel() {
-    let model = shipped("spot");
+    let model = shipped("thesis-spot");
     let program = programs(&model, Lowering { fma: false, drop_saturated: false }).swap_remove(2).1;
     let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
     let compile = || Kernel::compile(&program, &options).unwrap();

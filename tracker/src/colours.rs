@@ -63,7 +63,8 @@ impl Colours {
             Start::Estimator(Estimator::Size(_)) => 1.0,
             Start::Estimator(_) => 0.0,
         };
-        let base: Vec<f64> = model.parameters().iter().map(|parameter| plain(&parameter.start)).collect();
+        let mut base: Vec<f64> = model.parameters().iter().map(|parameter| plain(&parameter.start)).collect();
+        model.roles().iter().flat_map(|roles| &roles.centre).for_each(|centre| base[centre.index()] = 0.0);
         let added = |entry: &Model, parameter: usize| {
             let at = |value: f64| {
                 let mut parameters = base.clone();

@@ -101,7 +101,7 @@ pub struct Compiled {
 }
 
 /// Kernels held; beyond, the oldest is let go (an unusual mixture of pixel formats, or a hostile one).
-const KERNELS_MAX: usize = 64;
+const KERNELS_MAX: usize = 512;
 
 impl Compiled {
     /// Derives all programs of the model's stages, with a cache of its own. Kernels follow when a pixel layout is known.

@@ -19,6 +19,11 @@ impl Mixture {
 
     /// `observed` of a model; the mean where that is not linear.
     pub fn observed(model: &Model, constants: &[f64]) -> Mixture {
+        Mixture::linear(model, constants).unwrap_or_else(|| Mixture::mean(model.channels().len()))
+    }
+
+    /// `observed` of a model, when it is linear.
+    pub fn linear(model: &Model, constants: &[f64]) -> Option<Mixture> {
         let channels = model.channels().len();
         let at =
             |value: &dyn Fn(usize) -> f64| model.observed(&(0..channels).map(value).collect::<Vec<f64>>(), constants);
@@ -28,7 +33,7 @@ impl Mixture {
         let probe = |i: usize| PROBE / 3.0 + 7.0 * i as f64;
         let (is, should) = (at(&probe), mixture.at((0..channels).map(probe)));
         let is_linear = (is - should).abs() <= 1e-9 * (is.abs() + PROBE);
-        if is_linear { mixture } else { Mixture::mean(channels) }
+        is_linear.then_some(mixture)
     }
 
     /// `observed` of a pixel that is saturated in all planes.

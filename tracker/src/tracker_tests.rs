@@ -6,7 +6,7 @@ use crate::workers::InTurn;
 use isophote_jit::{PixelFormat, Slices, Window};
 use isophote_symbolic::{Model, Precision};
 
-const SPOT: &str = include_str!("../../models/spot.toml");
+const SPOT: &str = include_str!("../../tests/documents/plain-spot.toml");
 const THESIS: &str = include_str!("../../models/thesis-spot.toml");
 const DISC: &str = include_str!("../../models/dark-disc.toml");
 const GAUSSIAN: &str = include_str!("../../models/gaussian.toml");

@@ -148,13 +148,16 @@ fn no_kernel(error: CompileFailure) -> Failure {
 }
 
 fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> Result<Vec<Candidate>, Failure> {
-    let bench = |schedule: Schedule| {
+    let bench = |schedule: Schedule| -> Result<Candidate, Failure> {
         let changed = source.with_stages(&schedule.stages).ok_or_else(|| not_understood(args))?;
         let compiled = compiled(&args.model, changed, options.precision)?;
         let bench = Bench::new(compiled, options.clone()).map_err(|error| Failure::Usage(error.to_string()))?;
         Ok(Candidate { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
     };
-    schedules(source.model).into_iter().map(bench).collect()
+    // The document's own comes first and must be there; what is too large to derive among the others is left out.
+    let mut all = schedules(source.model).into_iter().map(bench);
+    let own = all.next().ok_or_else(|| not_understood(args))??;
+    Ok(std::iter::once(own).chain(all.filter_map(Result::ok)).collect())
 }
 
 /// The answers, by one damped stage over all parameters from near them; frames without one are left out.

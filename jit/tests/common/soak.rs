@@ -49,7 +49,7 @@ pub fn subjects() -> Vec<Subject> {
         let program = programs(&model, lowering).swap_remove(at).1;
         Subject::new(&model, program)
     };
-    [("spot", 0), ("thesis-spot", 4), ("gaussian", 4)].map(subject).into()
+    [("rational-spot", 0), ("thesis-spot", 4), ("gaussian", 4)].map(subject).into()
 }
 
 /// Resident memory of the process, KiB.

@@ -5,6 +5,7 @@ use crate::document::{Entry, Item, Key};
 use crate::formulas::FormulaReader;
 use crate::graph::{Graph, Node, NodeId};
 use crate::likelihood::{Loss, Saturated};
+use crate::limits::LIMITS;
 use crate::model::{Formulas, Observation};
 use crate::program::{ChannelId, CoordinateId};
 use crate::reader::faults::get;
@@ -93,6 +94,12 @@ pub(crate) fn read_model(
         let span = get(model, "intensity").map_or(at, |e| e.span);
         let help = "`intensity` has one entry for each entry of `observed` (without it: for each channel)";
         reader.faults.tell("shape", "model.intensity", span, message, help);
+        return None;
+    }
+    if observed.len() > LIMITS.channels {
+        let message = format!("at most {} values are fitted, not {}", LIMITS.channels, observed.len());
+        let span = get(model, "observed").map_or(at, |e| e.span);
+        reader.faults.tell("limit", "model.observed", span, message, "one for each channel is what there is");
         return None;
     }
     let likelihood = likelihood?;

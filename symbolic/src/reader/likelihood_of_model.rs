@@ -38,6 +38,9 @@ fn read_saturated(faults: &mut Faults, entry: &Entry) -> Option<Saturated> {
     }
 }
 
+/// Beyond these a loss is least squares, or nothing.
+const DEVIATIONS: std::ops::RangeInclusive<f64> = 0.1..=100.0;
+
 /// `least-squares`, `huber(c)`, `tukey(c)`.
 fn read_loss(faults: &mut Faults, entry: &Entry) -> Option<Loss> {
     const NAMES: [&str; 3] = ["least-squares", "huber", "tukey"];
@@ -57,9 +60,9 @@ fn read_loss(faults: &mut Faults, entry: &Entry) -> Option<Loss> {
     }
     let number = rest.and_then(|rest| rest.strip_suffix(')')).and_then(|text| text.trim().parse::<f64>().ok());
     match number {
-        Some(c) if c.is_finite() && c > 0.0 => Some(if name == "huber" { Loss::Huber(c) } else { Loss::Tukey(c) }),
+        Some(c) if DEVIATIONS.contains(&c) => Some(if name == "huber" { Loss::Huber(c) } else { Loss::Tukey(c) }),
         _ => {
-            let message = format!("{} takes one positive number", quoted(name));
+            let message = format!("{} takes one number between 0.1 and 100", quoted(name));
             let help = format!("how many standard deviations a residual may have: \"{name}(5)\"");
             faults.tell("bad-range", "model.loss", entry.span, message, help);
             None

@@ -95,7 +95,7 @@ fn wrong_documents_name_the_key() {
     let cases = [
         (with("widnow", json!(null)), "widnow"),
         (with("start", json!({"bz": 1})), "start.bz"),
-        (with("constants", json!({"gain": 1})), "constants.gain"),
+        (with("constants", json!({"amplification": 1})), "constants.amplification"),
         (with("start", json!({"a1": -1})), "model"),
         (with("window", json!({"x": 0, "y": 0, "width": 0, "height": 5})), "window"),
         (with("target", json!({"name": "t"})), "target"),

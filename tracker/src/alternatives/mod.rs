@@ -97,7 +97,12 @@ impl Alternatives {
         };
         let variant = |variant| -> Result<Option<Fitted>, CompileFailure> {
             let model = Arc::new(model.variant(variant));
-            fitted(Arc::new(Compiled::with_cache(model, precision, cache.clone(), &InTurn)?))
+            match Compiled::with_cache(model, precision, cache.clone(), &InTurn) {
+                Ok(compiled) => fitted(Arc::new(compiled)),
+                // More than a model may have: there is one alternative fewer.
+                Err(CompileFailure::Model(_)) => Ok(None),
+                Err(failure) => Err(failure),
+            }
         };
         let plain = Variant { degree: 0, loss: Loss::Squares, saturated: Saturated::Censored, reach: REACH };
         let robust = Variant { loss: Loss::Tukey(OUTLIER), saturated: Saturated::Dropped, ..plain };

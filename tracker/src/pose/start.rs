@@ -87,14 +87,17 @@ fn rough(seen: &[SpotSeen]) -> DMatrix<f64> {
 /// Every way to give `count` of `spots` spots a sight of their own.
 fn assignments(spots: usize, sights: usize, count: usize) -> Vec<Vec<Option<usize>>> {
     let mut partial = vec![Vec::new()];
-    for _ in 0..spots {
+    for left in (0..spots).rev() {
         let mut longer = Vec::new();
         for assignment in &partial {
-            let choices = std::iter::once(None).chain((0..sights).map(Some));
+            let choices = (0..sights).map(Some).chain([None]);
             for choice in choices.filter(|choice| choice.is_none() || !assignment.contains(choice)) {
                 let mut next = assignment.clone();
                 next.push(choice);
-                longer.push(next);
+                let named = next.iter().flatten().count();
+                if named <= count && named + left >= count {
+                    longer.push(next);
+                }
             }
         }
         // Sixteen spots would have more ways than there is time: those that name the most massive sights come first.
@@ -110,7 +113,7 @@ const ASSIGNMENTS_MAX: usize = 400;
 
 #[cfg(test)]
 mod tests {
-    use super::assignments;
+    use super::{ASSIGNMENTS_MAX, assignments};
 
     #[test]
     fn every_assignment_once() {
@@ -119,6 +122,9 @@ mod tests {
         assert_eq!(assignments(3, 2, 2).len(), 6);
         assert_eq!(assignments(3, 1, 1).len(), 3);
         assert_eq!(assignments(1, 2, 1), [vec![Some(0)], vec![Some(1)]]);
+        assert_eq!(assignments(5, 5, 5).len(), 120);
+        assert_eq!(assignments(5, 4, 4).len(), 120);
+        assert_eq!(assignments(16, 16, 16).len(), ASSIGNMENTS_MAX);
         for assignment in assignments(3, 4, 3) {
             let mut named: Vec<_> = assignment.iter().flatten().collect();
             named.sort();

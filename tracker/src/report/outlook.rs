@@ -184,7 +184,8 @@ impl Survey {
         let is_common = |id: &&ParameterId| started.iter().all(|point| point.alike.contains(id));
         let common: Vec<&ParameterId> = self.last().iter().filter(is_common).collect();
         let is_found = |id: &&ParameterId| number(self.model().parameters()[id.index()].start).is_none();
-        let agree = started.len() >= POINTS_MIN && started.iter().all(|point| point.nullity == 1);
+        let agree =
+            started.len() >= POINTS_MIN && started.iter().all(|point| point.nullity == 1 && point.silent.is_empty());
         agree && common.len() >= 2 && common.iter().copied().any(|id| is_found(&id))
     }
 

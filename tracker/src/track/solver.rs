@@ -193,7 +193,7 @@ impl Solver {
         let (first, size) = (whole.first(), whole.size());
         let dimensions = model.coordinates().len();
         // A pose has spots to spare: it is believed while one of them shines.
-        let mut shining = false;
+        let (mut shining, mut known) = (false, false);
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
                 let place = fit.parameters[parameter.index()] - first as f64;
@@ -218,12 +218,13 @@ impl Solver {
                 let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
                 Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
             });
+            known |= brightness.is_some();
             shining |= brightness.is_some_and(|significance| significance >= SIGNIFICANT);
             if !self.fits_pose() && brightness.is_some_and(|significance| significance < SIGNIFICANT) {
                 return Some(Rejection::Faint);
             }
         }
-        (self.fits_pose() && !shining).then_some(Rejection::Faint)
+        (self.fits_pose() && known && !shining).then_some(Rejection::Faint)
     }
 
     /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.

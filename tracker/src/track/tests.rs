@@ -8,7 +8,7 @@ use isophote_symbolic::{Model, Precision};
 use crate::picture::{Picture, Profile, Spot};
 use crate::{Compiled, Estimate, Frame, MotionOptions, TrackState, Tracker, TrackerOptions};
 
-const SPOT: &str = include_str!("../../../models/spot.toml");
+const SPOT: &str = include_str!("../../../tests/documents/plain-spot.toml");
 
 fn tracker(options: TrackerOptions) -> Tracker {
     let model = Model::from_toml(SPOT).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
