@@ -148,7 +148,7 @@ pub struct Registry {
 }
 
 /// The shipped documents.
-const SHIPPED: [&str; 20] = [
+const SHIPPED: [&str; 25] = [
     include_str!("../../models/bead.toml"),
     include_str!("../../models/blob-3d.toml"),
     include_str!("../../models/blob-4d.toml"),
@@ -159,15 +159,20 @@ const SHIPPED: [&str; 20] = [
     include_str!("../../models/laser-beam.toml"),
     include_str!("../../models/moffat.toml"),
     include_str!("../../models/profile-1d.toml"),
+    include_str!("../../models/raised-spot-pose.toml"),
     include_str!("../../models/rational-spot.toml"),
     include_str!("../../models/ring.toml"),
     include_str!("../../models/spot-lobe.toml"),
     include_str!("../../models/spot-motion.toml"),
     include_str!("../../models/spot-plane.toml"),
+    include_str!("../../models/spot-pose.toml"),
     include_str!("../../models/spot-psf.toml"),
     include_str!("../../models/spot-quadratic.toml"),
     include_str!("../../models/spot.toml"),
     include_str!("../../models/thesis-spot.toml"),
+    include_str!("../../models/three-spots-pose-lens.toml"),
+    include_str!("../../models/three-spots-pose.toml"),
+    include_str!("../../models/three-spots-raw.toml"),
     include_str!("../../models/three-spots.toml"),
 ];
 

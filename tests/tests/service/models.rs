@@ -27,16 +27,21 @@ fn the_shipped_models_are_there() {
         "laser-beam",
         "moffat",
         "profile-1d",
+        "raised-spot-pose",
         "rational-spot",
         "ring",
         "spot",
         "spot-lobe",
         "spot-motion",
         "spot-plane",
+        "spot-pose",
         "spot-psf",
         "spot-quadratic",
         "thesis-spot",
         "three-spots",
+        "three-spots-pose",
+        "three-spots-pose-lens",
+        "three-spots-raw",
     ];
     assert_eq!(names, shipped);
     let spot = service.get("/v1/models/spot").expect(200);
