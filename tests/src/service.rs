@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn a_command_that_does_not_end_is_ended() {
         let mut command = Command::new("sh");
-        command.args(["-c", "echo begun; exec tail -f /dev/null"]);
+        command.args(["-c", "echo begun; exec sleep 60"]);
         let finished = finish(&mut command, Duration::from_millis(500)).unwrap();
         assert_eq!((finished.status, finished.stdout.as_str()), (None, "begun\n"));
     }
