@@ -396,13 +396,7 @@ impl Model {
 
     /// True when the model says something about a place: no domain, or one that holds there. One value a coordinate.
     pub fn domain_holds(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> bool {
-        let leaf = |node: &Node| match node {
-            Node::Input(Input::Parameter(p)) => parameters[p.index()],
-            Node::Input(Input::Constant(c)) => constants[c.index()],
-            Node::Coordinate(c) => place[c.index()],
-            _ => f64::NAN,
-        };
-        self.formulas.domain.is_none_or(|domain| self.formulas.graph.evaluate(domain, &leaf) == 1.0)
+        self.formulas.domain.is_none_or(|domain| self.at_place(domain, place, parameters, constants) == 1.0)
     }
 
     /// F, its gradient and its Hessian for a subset of the parameters.

@@ -34,6 +34,7 @@ mod options;
 mod picture;
 mod pose;
 mod report;
+mod scaled;
 mod stage;
 mod start;
 mod track;

@@ -107,23 +107,25 @@ impl Tracker {
         };
         let time_s = self.now(frame);
         let missing = |ending| self.tracks.iter().map(|_| Outcome::Missing(Attempt::none(ending))).collect();
-        let outcomes: Vec<Outcome> = match self.solver.look(frame) {
-            Some(look) => self.outcomes(&look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
+        let look = self.solver.look(frame);
+        let outcomes: Vec<Outcome> = match &look {
+            Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),
         };
         let numbered = outcomes.into_iter().enumerate();
         let mut estimates: Vec<Estimate> =
-            numbered.map(|(number, outcome)| self.take(number, outcome, frame, time_s)).collect();
-        self.advise(frame, &mut estimates);
+            numbered.map(|(number, outcome)| self.take(number, outcome, frame, look.as_ref(), time_s)).collect();
+        self.advise(look.as_ref(), &mut estimates);
         estimates
     }
 
     /// Remembers what a frame said about a target, and says it.
-    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, time_s: f64) -> Estimate {
+    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, look: Option<&Look>, time_s: f64) -> Estimate {
         let name = name(self.solver.model(), self.tracks.len(), number);
-        let only = self.solver.look(frame).filter(|_| frame.planes().len() == 1);
-        let limit = |look: Look| match &outcome {
-            Outcome::Seen(candidate) => self.solver.limit(&look, &candidate.attempt.fit.as_ref()?.parameters),
+        // Only a pose made of spots asks for it.
+        let only = look.filter(|_| frame.planes().len() == 1 && self.solver.options.target.is_some());
+        let limit = |look: &Look| match &outcome {
+            Outcome::Seen(candidate) => self.solver.limit(look, &candidate.attempt.fit.as_ref()?.parameters),
             _ => None,
         };
         let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
@@ -131,11 +133,11 @@ impl Tracker {
         estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
     }
 
-    fn advise(&mut self, frame: &Frame, estimates: &mut [Estimate]) {
-        let Some((advisor, look)) = self.advisor.as_mut().zip(self.solver.look(frame)) else { return };
+    fn advise(&mut self, look: Option<&Look>, estimates: &mut [Estimate]) {
+        let Some((advisor, look)) = self.advisor.as_mut().zip(look) else { return };
         for (number, estimate) in estimates.iter_mut().enumerate() {
             if estimate.state == TrackState::Tracking {
-                estimate.exposure_advice = advisor.advise(&self.solver, &look, number, estimate);
+                estimate.exposure_advice = advisor.advise(&self.solver, look, number, estimate);
             }
         }
     }

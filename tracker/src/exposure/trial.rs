@@ -13,6 +13,7 @@ use nalgebra::DMatrix;
 use super::ExposureGoal;
 use crate::compiled::{Control, Job, Layout, lowering};
 use crate::loops::{Loops, Totals};
+use crate::scaled;
 use crate::track::solver::Solver;
 use crate::track::window::{Margin, shape};
 
@@ -155,18 +156,11 @@ pub(crate) fn share(solver: &Solver, parameters: &[f64], saturated: f64, domain:
 
 /// The sum of the centres' variances, or the variance of the brightness relative to it; `None` when singular.
 fn bound(solver: &Solver, goal: ExposureGoal, information: &DMatrix<f64>, parameters: &[f64]) -> Option<f64> {
-    // Scaled to a unit diagonal: parameters differ by many orders of magnitude.
-    let scale = information.diagonal().map(|entry| entry.sqrt());
-    if !scale.iter().all(|d| *d > 0.0) {
-        return None;
-    }
-    let n = scale.len();
-    let scaled = DMatrix::from_fn(n, n, |i, j| information[(i, j)] / (scale[i] * scale[j]));
-    let inverse = scaled.cholesky()?.inverse();
+    let inverse = scaled::inverse(information)?;
     let order = solver.compiled.last_parameters();
     let variance = |parameter| {
         let i = order.iter().position(|&p| p == parameter)?;
-        Some(inverse[(i, i)] / (scale[i] * scale[i]))
+        Some(inverse[(i, i)])
     };
     let roles = solver.model().roles();
     match goal {

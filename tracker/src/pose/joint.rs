@@ -15,6 +15,7 @@ use super::rigid::Rigid;
 use super::seen::{Five, outline, seen};
 use super::target::TargetSpot;
 use crate::camera::Intrinsics;
+use crate::scaled;
 
 /// A spot and its fitted ellipse.
 #[derive(Clone, Debug)]
@@ -59,15 +60,10 @@ const ANY_ANGLE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 impl<'a> Joint<'a> {
     /// `covariance`: 5k × 5k, in the order of the spots. `None` when it is no covariance.
     pub fn new(lens: &'a Intrinsics, spots: &'a [SpotSeen<'a>], covariance: &DMatrix<f64>) -> Option<Joint<'a>> {
-        // Entries differ by ten orders of magnitude: px beside px⁻².
-        let scale = covariance.diagonal().map(|variance| variance.sqrt().recip());
-        if !scale.iter().all(|s| s.is_finite()) || covariance.nrows() != 5 * spots.len() || spots.is_empty() {
+        if covariance.nrows() != 5 * spots.len() || spots.is_empty() {
             return None;
         }
-        let scaled = DMatrix::from_fn(scale.len(), scale.len(), |i, j| scale[i] * covariance[(i, j)] * scale[j]);
-        let inverse = scaled.cholesky()?.inverse();
-        let weight = DMatrix::from_fn(scale.len(), scale.len(), |i, j| scale[i] * inverse[(i, j)] * scale[j]);
-        Some(Joint { lens, spots, weight })
+        Some(Joint { lens, spots, weight: scaled::inverse(covariance)? })
     }
 
     /// Every local minimum, the best first.

@@ -9,6 +9,7 @@ use super::seen::Five;
 use super::target::{Target, TargetSpot};
 use super::{Alternative, DELTA_CHI_SQUARE_MAX, Pose};
 use crate::camera::Intrinsics;
+use crate::scaled;
 
 /// What a fit says about all of a model's parameters.
 pub(crate) struct Fitted<'a> {
@@ -55,21 +56,16 @@ fn published(minima: &[Minimum], spots: usize) -> Option<Pose> {
         orientation_xyzw: other.pose.quaternion(),
         delta_chi_square: other.chi_square - best.chi_square,
     });
+    let information = DMatrix::from_column_slice(6, 6, best.information.as_slice());
+    let covariance = scaled::inverse(&information);
     Some(Pose {
         position_mm: best.pose.translation.into(),
         orientation_xyzw: best.pose.quaternion(),
-        covariance: inverse(&best.information).map(|c| row_major(&c)),
+        covariance: covariance.map(|c| row_major(&Matrix6::from_column_slice(c.as_slice()))),
         degrees_of_freedom: if spots == 1 { 5 } else { 6 },
         chi_square: Some(best.chi_square),
         alternatives: near.filter(|other| other.delta_chi_square < DELTA_CHI_SQUARE_MAX).collect(),
     })
-}
-
-fn inverse(information: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-    let scale = information.diagonal().map(|d| d.sqrt().recip());
-    let scaled = Matrix6::from_fn(|i, j| scale[i] * information[(i, j)] * scale[j]);
-    let inverse = scaled.cholesky()?.inverse();
-    Some(Matrix6::from_fn(|i, j| scale[i] * inverse[(i, j)] * scale[j]))
 }
 
 /// 36 numbers, row by row.

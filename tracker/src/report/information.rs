@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::points::Point;
 use crate::exposure::{Kernels, Light};
+use crate::scaled;
 use crate::track::solver::Solver;
 
 /// Share of the target's pixels that a short dynamic range loses.
@@ -96,13 +97,7 @@ impl Information {
 
     /// The Cramér–Rao bound: standard deviations, in the order of the last stage's parameters; `None` when singular.
     pub fn deviations(&self) -> Option<Vec<f64>> {
-        let all: Vec<usize> = (0..self.order.len()).collect();
-        if !all.iter().all(|i| self.matrix[(*i, *i)] > 0.0) {
-            return None;
-        }
-        let inverse = self.scaled(&all).cholesky()?.inverse();
-        let deviation = |i: usize| (inverse[(i, i)] / self.matrix[(i, i)]).sqrt();
-        Some(all.into_iter().map(deviation).collect())
+        Some(scaled::inverse(&self.matrix)?.diagonal().iter().map(|variance| variance.sqrt()).collect())
     }
 
     fn scaled(&self, at: &[usize]) -> DMatrix<f64> {

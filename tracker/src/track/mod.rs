@@ -35,13 +35,13 @@ const FADED: f64 = 4.0;
 /// So many measurements make a track that coasts, and that takes only what suits it.
 const CONFIRMED: u32 = 3;
 /// The window around a prediction is larger than the domain by this share, …
-const MARGIN_SHARE: f64 = 0.1;
+pub(crate) const MARGIN_SHARE: f64 = 0.1;
 /// … by so many px, …
-const MARGIN_PX: f64 = 3.0;
+pub(crate) const MARGIN_PX: f64 = 3.0;
 /// … and by so many standard deviations of the prediction, …
 const MARGIN_DEVIATIONS: f64 = 3.0;
 /// … but by no more than this, px.
-const MARGIN_PX_MAX: f64 = 32.0;
+pub(crate) const MARGIN_PX_MAX: f64 = 32.0;
 
 /// What a frame says about one target.
 pub(crate) enum Outcome {

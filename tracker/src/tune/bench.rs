@@ -10,16 +10,12 @@ use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
+use crate::track::{MARGIN_PX, MARGIN_PX_MAX, MARGIN_SHARE};
 
 /// An end within so many standard deviations of the answer is the answer, …
 const DEVIATIONS: f64 = 3.0;
 /// … and so is a coordinate of a centre within this, px.
 const CENTRE_PX: f64 = 0.1;
-/// As for a target that is followed: the window is larger than the domain by this share and this much, px, …
-const MARGIN_SHARE: f64 = 0.1;
-const MARGIN_PX: f64 = 3.0;
-/// … and by the start's own doubt, up to this, px.
-const DOUBT_PX_MAX: f64 = 32.0;
 
 /// One schedule, ready to fit.
 pub struct Bench {
@@ -123,7 +119,8 @@ impl Bench {
     }
 
     fn attempt(&self, look: &Look, start: &[f64], control: Control, doubt_px: f64) -> Result<Attempt, CompileFailure> {
-        let margin = Margin::even(MARGIN_SHARE, MARGIN_PX + doubt_px.min(DOUBT_PX_MAX));
+        // As for a target that is followed, with the start's own doubt in the place of the prediction's.
+        let margin = Margin::even(MARGIN_SHARE, MARGIN_PX + doubt_px.min(MARGIN_PX_MAX));
         self.solver.attempt(look, start, control, margin)
     }
 }
