@@ -1,6 +1,7 @@
 //! Where frames come from.
 //!
-//! In: a path ([`Recording`]), a model with numbers ([`Synthetic`]), or bytes of an image ([`decode()`]).
+//! In: a path ([`Recording`]), a model with numbers ([`Synthetic`]), bytes of an image ([`decode()`]), or a camera's
+//! buffer ([`Encoding`]).
 //! Out: [`Captured`] frames in capture order, through one door, [`FrameSource`].
 //! It never waits and never looks at a clock: pace is kept by whoever owns the source (the server's camera thread), so a
 //! recording and a simulated minute run as fast as the machine goes. It knows no solver, no session and no socket.
@@ -11,6 +12,7 @@
 //! CSV ─────────► table ───────────┼─► Recording ─┐
 //! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
 //! Model ─► sampling ─► noise ─► Synthetic ───────┘
+//! a camera's buffer ─► pixels ─────────────────────────────────► Frame
 //! ```
 //! The door for a camera is [`FrameSource`] as well: a V4L2 `Camera` is one more file here (its ioctls the only place of
 //! the crate where `unsafe` may stand), whose frames lease the driver's buffers ([`isophote_tracker::Lease`]) and carry
@@ -24,6 +26,7 @@ pub mod limits;
 mod motion;
 mod noise;
 mod order;
+pub mod pixels;
 mod planes;
 pub mod recording;
 mod sampling;
@@ -38,6 +41,7 @@ pub use decode::decode;
 pub use encode::{encode_png, encode_png_planes};
 pub use exposure::Exposure;
 pub use limits::LIMITS;
+pub use pixels::{Colour, Encoding, PixelsError};
 pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
 pub use synthetic::{Pace, Synthetic, SyntheticError, SyntheticSpec};

@@ -17,7 +17,7 @@ const MAY_USE: [(&str, &[&str]); 8] = [
 ];
 
 /// Crates from outside, by how their names begin, the crates of ours that may use them, and why nobody else does.
-const ONLY_IN: [(&str, &[&str], &str); 15] = [
+const ONLY_IN: [(&str, &[&str], &str); 16] = [
     ("tokio", &["isophote-server", "isophote", "isophote-tests"], "nothing below server is async"),
     ("axum", &["isophote-server", "isophote", "isophote-tests"], "sockets end at the server"),
     ("hyper", &["isophote-server", "isophote", "isophote-tests"], "sockets end at the server"),
@@ -35,7 +35,8 @@ const ONLY_IN: [(&str, &[&str], &str); 15] = [
         "the core sees planes, not file formats",
     ),
     ("rand", &["isophote-capture", "isophote-tests", "isophote-benches"], "the core is deterministic"),
-    ("v4l", &["isophote-capture"], "one crate talks to cameras"),
+    ("zune", &["isophote-capture"], "the core sees planes, not file formats"),
+    ("v4l", &["isophote-capture", "isophote-tests"], "one crate talks to cameras, and tests play one"),
     ("clap", &["isophote", "isophote-benches"], "one crate reads a command line"),
 ];
 

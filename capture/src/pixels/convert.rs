@@ -1,0 +1,62 @@
+//! Whole pictures of known layout into planes: mostly which bytes of one copy a plane is.
+
+use isophote_jit::PixelFormat;
+use isophote_tracker::{Buffer, Frame, Plane};
+
+use super::encoding::Layout;
+use super::{Colour, PixelsError, jpeg, mosaic};
+
+/// `whole` has every byte of the picture and none behind it.
+pub(super) fn frame(
+    layout: Layout,
+    format: PixelFormat,
+    whole: &[u8],
+    size: [usize; 2],
+    stride: usize,
+    colour: Colour,
+) -> Result<Frame, PixelsError> {
+    let [width, height] = size;
+    let one = |bytes: &[u8], row_stride, pixel_stride, offset| {
+        vec![Plane { format, row_stride, pixel_stride, offset, buffer: Buffer::Owned(bytes.into()) }]
+    };
+    let pixel = format.bytes_per_pixel();
+    let planes = match layout {
+        Layout::Grey => one(whole, stride, pixel, 0),
+        Layout::Packed { luma } => one(whole, stride, 2, luma),
+        Layout::Planar { .. } => one(&whole[..stride * (height - 1) + width], stride, 1, 0),
+        Layout::Rgb { red } => rgb(&Buffer::Owned(whole.into()), stride, red, colour),
+        Layout::Mosaic { red } => match place(red, colour) {
+            Some([x, y]) => {
+                let planes = one(whole, 2 * stride, 2 * pixel, y * stride + x * pixel);
+                return Ok(Frame::new(&[width / 2, height / 2], planes)?);
+            }
+            None => mosaic::planes(whole, size, stride, format, red),
+        },
+        Layout::Jpeg => return jpeg::frame(whole, size, colour),
+    };
+    Ok(Frame::new(&size, planes)?)
+}
+
+/// Column and row of a colour among 2 × 2 pixels of a mosaic.
+fn place([x, y]: [usize; 2], colour: Colour) -> Option<[usize; 2]> {
+    match colour {
+        Colour::All => None,
+        Colour::Red => Some([x, y]),
+        Colour::Green => Some([1 - x, y]),
+        Colour::Blue => Some([1 - x, 1 - y]),
+    }
+}
+
+/// The planes r, g, b of interleaved bytes, or one of them; red is byte 0 or 2 of each pixel, blue the other.
+pub(super) fn rgb(buffer: &Buffer, row_stride: usize, red: usize, colour: Colour) -> Vec<Plane> {
+    let offsets = [red, 1, 2 - red];
+    let wanted = colour.channel().map_or(0..3, |channel| channel..channel + 1);
+    let plane = |offset: &usize| Plane {
+        format: PixelFormat::U8,
+        row_stride,
+        pixel_stride: 3,
+        offset: *offset,
+        buffer: buffer.clone(),
+    };
+    offsets[wanted].iter().map(plane).collect()
+}

@@ -1,0 +1,222 @@
+//! The table of pixel formats: what each is called, and how its bytes lie.
+
+use isophote_jit::PixelFormat;
+use isophote_tracker::Frame;
+
+use super::{Colour, PixelsError, convert, jpeg};
+use crate::limits::LIMITS;
+
+/// How the pixels of a picture lie in a buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layout {
+    /// One value for each pixel.
+    Grey,
+    /// Colour filters in front of a grey sensor; column and row of the red one among 2 × 2. Blue stands across from it.
+    Mosaic { red: [usize; 2] },
+    /// Luma and chroma take turns: byte `luma` of two is luma.
+    Packed { luma: usize },
+    /// A plane of luma; behind it chroma of 2 × 2 pixels each, in this number of planes.
+    Planar { chroma: usize },
+    /// Three bytes for each pixel; red is this one of them, blue the one across.
+    Rgb { red: usize },
+    /// A compressed picture.
+    Jpeg,
+}
+
+/// A pixel format of cameras that is read, with its V4L2 four-character code.
+///
+/// Formats of more than 8 bits lie in the low bits of 16, low byte first.
+///
+/// ```
+/// use isophote_capture::{Colour, Encoding};
+///
+/// let yuyv = Encoding::of(*b"YUYV").ok_or("unknown")?;
+/// let frame = yuyv.frame(&[10, 128, 20, 128, 0, 0, 30, 128, 40, 128, 0, 0], [2, 2], 6, Colour::All)?;
+/// assert_eq!(frame.plane_view(0).pixel(1, 1), 40.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Encoding {
+    fourcc: [u8; 4],
+    bits: u32,
+    layout: Layout,
+}
+
+const fn row(fourcc: &[u8; 4], bits: u32, layout: Layout) -> Encoding {
+    Encoding { fourcc: *fourcc, bits, layout }
+}
+
+const RGGB: Layout = Layout::Mosaic { red: [0, 0] };
+const GRBG: Layout = Layout::Mosaic { red: [1, 0] };
+const GBRG: Layout = Layout::Mosaic { red: [0, 1] };
+const BGGR: Layout = Layout::Mosaic { red: [1, 1] };
+
+/// Every format, the best for measuring light first; [`Encoding::all`] says why.
+const TABLE: [Encoding; 28] = [
+    row(b"Y16 ", 16, Layout::Grey),
+    row(b"Y12 ", 12, Layout::Grey),
+    row(b"Y10 ", 10, Layout::Grey),
+    row(b"GREY", 8, Layout::Grey),
+    row(b"RG16", 16, RGGB),
+    row(b"GR16", 16, GRBG),
+    row(b"GB16", 16, GBRG),
+    row(b"BYR2", 16, BGGR),
+    row(b"RG12", 12, RGGB),
+    row(b"BA12", 12, GRBG),
+    row(b"GB12", 12, GBRG),
+    row(b"BG12", 12, BGGR),
+    row(b"RG10", 10, RGGB),
+    row(b"BA10", 10, GRBG),
+    row(b"GB10", 10, GBRG),
+    row(b"BG10", 10, BGGR),
+    row(b"RGGB", 8, RGGB),
+    row(b"GRBG", 8, GRBG),
+    row(b"GBRG", 8, GBRG),
+    row(b"BA81", 8, BGGR),
+    row(b"YUYV", 8, Layout::Packed { luma: 0 }),
+    row(b"UYVY", 8, Layout::Packed { luma: 1 }),
+    row(b"NV12", 8, Layout::Planar { chroma: 1 }),
+    row(b"YU12", 8, Layout::Planar { chroma: 2 }),
+    row(b"RGB3", 8, Layout::Rgb { red: 0 }),
+    row(b"BGR3", 8, Layout::Rgb { red: 2 }),
+    row(b"MJPG", 8, Layout::Jpeg),
+    row(b"JPEG", 8, Layout::Jpeg),
+];
+
+impl Encoding {
+    /// Every format, the best for measuring light first.
+    ///
+    /// Grey sensors lead: each pixel is one count, at its place. Mosaics follow: counts as well, but each colour sees a
+    /// quarter or half of the pixels. Deeper comes before shallower, so that rounding stays below the noise. Then luma
+    /// without compression, which the camera has mixed from colours and bent to the eye's liking, then the same as r, g, b
+    /// with more bytes. JPEG is last: it throws away what the eye does not miss, and a fit does.
+    pub fn all() -> impl Iterator<Item = Encoding> {
+        TABLE.into_iter()
+    }
+
+    /// The format of a four-character code; `None` when it is not read.
+    pub fn of(fourcc: [u8; 4]) -> Option<Encoding> {
+        TABLE.into_iter().find(|encoding| encoding.fourcc == fourcc)
+    }
+
+    /// Its four-character code.
+    pub fn fourcc(self) -> [u8; 4] {
+        self.fourcc
+    }
+
+    /// The code for people, trailing blanks cut: `GREY`, `Y10`.
+    pub fn name(self) -> String {
+        String::from_utf8_lossy(&self.fourcc).trim_end().to_string()
+    }
+
+    /// Whether pictures have no fixed number of bytes.
+    pub fn is_compressed(self) -> bool {
+        self.layout == Layout::Jpeg
+    }
+
+    /// Whether it is a colour mosaic.
+    pub fn is_bayer(self) -> bool {
+        matches!(self.layout, Layout::Mosaic { .. })
+    }
+
+    /// Whether [`Encoding::frame`] can give `colour`: formats of luma have no red, green and blue.
+    pub fn has(self, colour: Colour) -> bool {
+        colour == Colour::All || matches!(self.layout, Layout::Mosaic { .. } | Layout::Rgb { .. } | Layout::Jpeg)
+    }
+
+    /// The largest value of a pixel.
+    pub fn saturation(self) -> f64 {
+        f64::from((1u32 << self.bits) - 1)
+    }
+
+    /// What a pixel of the planes is.
+    pub fn format(self) -> PixelFormat {
+        if self.bits > 8 { PixelFormat::U16 } else { PixelFormat::U8 }
+    }
+
+    /// Planes of the frames that come out: 1 (grey, luma or one colour) or 3 (r, g, b).
+    pub fn planes(self, colour: Colour) -> usize {
+        match (self.layout, colour) {
+            (Layout::Mosaic { .. } | Layout::Rgb { .. }, Colour::All) => 3,
+            _ => 1,
+        }
+    }
+
+    /// Width and height of the frames that come out, px: one colour of a mosaic has half the sides of the picture.
+    pub fn size(self, size: [usize; 2], colour: Colour) -> [usize; 2] {
+        if self.is_bayer() && colour != Colour::All { size.map(|side| side / 2) } else { size }
+    }
+
+    /// The fewest bytes of a whole picture whose (first) plane has rows `stride` bytes apart; 0 when compressed. The last
+    /// row needs no padding.
+    pub fn bytes_min(self, size: [usize; 2], stride: usize) -> usize {
+        let [width, height] = size;
+        let above = stride.saturating_mul(height.saturating_sub(1));
+        match self.layout {
+            Layout::Jpeg => 0,
+            Layout::Planar { chroma } => {
+                // Chroma sides are rounded up, so that the last pixel of an odd side has some too.
+                let (rows, apart) = (height.div_ceil(2), stride.div_ceil(2).saturating_mul(2 / chroma));
+                let last = width.div_ceil(2) * (2 / chroma);
+                let above = apart.saturating_mul((rows * chroma).saturating_sub(1));
+                stride.saturating_mul(height).saturating_add(above).saturating_add(last)
+            }
+            _ => above.saturating_add(self.row_bytes(width)),
+        }
+    }
+
+    /// Bytes of a row of the (first) plane.
+    pub(super) fn row_bytes(self, width: usize) -> usize {
+        let each = match self.layout {
+            Layout::Grey | Layout::Mosaic { .. } => self.format().bytes_per_pixel(),
+            Layout::Packed { .. } => 2,
+            Layout::Planar { .. } => 1,
+            Layout::Rgb { .. } => 3,
+            Layout::Jpeg => 0,
+        };
+        width.saturating_mul(each)
+    }
+
+    /// The picture of `size` px in `bytes` as a frame. Bytes behind it are left alone; `stride` means nothing when it is
+    /// compressed. Pixels are copied once, as they are, but for a mosaic's planes r, g, b and for JPEG.
+    ///
+    /// - A mosaic's gaps are filled with the mean of the nearest pixels of the colour (bilinear); beyond the edges it is
+    ///   continued by reflection. With one colour nothing is made up: pixel (x, y) is the sensor's pixel
+    ///   (2x + a, 2y + b), where (a, b) is the colour's place among 2 × 2; of green, the place in red's row.
+    /// - JPEG gives the luma that it holds; with one colour the decoder's r, g or b.
+    ///
+    /// # Errors
+    /// When the size is beyond the limits, rows overlap, bytes are missing, the format lacks the colour, or a JPEG is
+    /// damaged or has another size.
+    pub fn frame(self, bytes: &[u8], size: [usize; 2], stride: usize, colour: Colour) -> Result<Frame, PixelsError> {
+        self.check_size(size)?;
+        if !self.has(colour) {
+            return Err(PixelsError::NoColour { name: self.name() });
+        }
+        if self.is_compressed() {
+            return jpeg::frame(bytes, size, colour);
+        }
+        let least = self.row_bytes(size[0]);
+        if stride < least {
+            return Err(PixelsError::Stride { name: self.name(), least, given: stride });
+        }
+        let expected = self.bytes_min(size, stride);
+        let whole = bytes.get(..expected).ok_or(PixelsError::Short { expected, got: bytes.len() })?;
+        convert::frame(self.layout, self.format(), whole, size, stride, colour)
+    }
+
+    fn check_size(self, size: [usize; 2]) -> Result<(), PixelsError> {
+        let least = if self.is_bayer() { 2 } else { 1 };
+        let [width, height] = size.map(|side| side as u64);
+        let reason = if width.min(height) < least {
+            format!("a {} picture has at least {least} px on each side", self.name())
+        } else if width.max(height) > u64::from(LIMITS.side_px) {
+            format!("a side may have {} px", LIMITS.side_px)
+        } else if width * height > LIMITS.frame_pixels {
+            format!("a frame may have {} px", LIMITS.frame_pixels)
+        } else {
+            return Ok(());
+        };
+        Err(PixelsError::Size { size, reason })
+    }
+}

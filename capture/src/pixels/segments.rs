@@ -1,0 +1,89 @@
+//! What a decoder of files does not ask of a camera's JPEG: is it whole, and which Huffman tables were left out?
+//!
+//! In: the bytes of one picture. Out: the same picture as a decoder needs it, or what it lacks. No pixel is decoded here.
+
+/// Second bytes of markers; the first is 0xff.
+const BASELINE: [u8; 2] = [0xc0, 0xc1];
+const PROGRESSIVE: u8 = 0xc2;
+const HUFFMAN_TABLES: u8 = 0xc4;
+const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
+const START_OF_IMAGE: u8 = 0xd8;
+const END_OF_IMAGE: u8 = 0xd9;
+const START_OF_SCAN: u8 = 0xda;
+const RESTART_INTERVAL: u8 = 0xdd;
+
+/// The segment by which the decoder knows a picture of a film, whose Huffman tables are the usual ones (T.81, K.3.3).
+const FILM: [u8; 18] = *b"\xff\xe0\x00\x10AVI1\0\0\0\0\0\0\0\0\0\0";
+/// Ones, which begin no Huffman code: a decoder that still looks for pixels here finds a fault, not grey ones.
+const BARRIER: [u8; 32] =
+    *b"\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0";
+
+/// What stands before the scan.
+#[derive(Debug, Default)]
+struct Head {
+    has_tables: bool,
+    is_baseline: bool,
+    /// Groups of blocks in the picture, and from a restart marker to the next; 0 without such markers.
+    units: usize,
+    interval: usize,
+    /// Where the scan's segment begins.
+    scan: usize,
+}
+
+/// The picture with Huffman tables promised where it has none, and ended so that missing pixels are a fault.
+///
+/// # Errors
+/// When its end, its scan or a part of the scan is missing.
+pub(super) fn prepared(bytes: &[u8]) -> Result<Vec<u8>, String> {
+    let is_end = |pair: &[u8]| pair == [0xff, END_OF_IMAGE];
+    let end = bytes.windows(2).rposition(is_end).ok_or("it ends before its end marker")?;
+    if !bytes.starts_with(&[0xff, START_OF_IMAGE]) {
+        return Err("it does not begin with the marker of a JPEG".into());
+    }
+    let head = head(&bytes[..end]).ok_or("it ends before its first pixel")?;
+    if head.interval > 0 && head.is_baseline {
+        let is_restart = |pair: &&[u8]| pair[0] == 0xff && RESTARTS.contains(&pair[1]);
+        let found = bytes[head.scan..end].windows(2).filter(is_restart).count();
+        let expected = head.units.div_ceil(head.interval).saturating_sub(1);
+        if found < expected {
+            return Err(format!("{} of its {expected} restart markers are missing", expected - found));
+        }
+    }
+    let promise: &[u8] = if head.has_tables { &[] } else { &FILM };
+    let barrier: &[u8] = if head.is_baseline { &BARRIER } else { &[] };
+    Ok([&bytes[..2], promise, &bytes[2..end], barrier, &[0xff, END_OF_IMAGE]].concat())
+}
+
+/// Goes from segment to segment up to the scan.
+fn head(bytes: &[u8]) -> Option<Head> {
+    let (mut head, mut at) = (Head::default(), 2);
+    loop {
+        let [first, marker, high, low] = *bytes.get(at..)?.first_chunk::<4>()?;
+        if first != 0xff || marker == 0xff {
+            at += 1; // cameras pad between segments
+            continue;
+        }
+        let end = at + 2 + usize::from(u16::from_be_bytes([high, low])).max(2);
+        let body = bytes.get(at + 4..end)?;
+        match marker {
+            START_OF_SCAN => return Some(Head { scan: at, ..head }),
+            HUFFMAN_TABLES => head.has_tables = true,
+            RESTART_INTERVAL => head.interval = usize::from(u16::from_be_bytes(*body.first_chunk()?)),
+            PROGRESSIVE => head.is_baseline = false,
+            _ if BASELINE.contains(&marker) => (head.is_baseline, head.units) = (true, units(body)?),
+            _ => {}
+        }
+        at = end;
+    }
+}
+
+/// Groups of blocks in a picture, from the segment that has its size and sampling.
+fn units(body: &[u8]) -> Option<usize> {
+    let [_, h0, h1, w0, w1, components] = *body.first_chunk::<6>()?;
+    let side = |high, low| usize::from(u16::from_be_bytes([high, low]));
+    let sampling = || body[6..].chunks_exact(3).take(usize::from(components)).map(|one| one[1]);
+    let most = |shift: u32| sampling().map(|both| usize::from(both >> shift & 15)).max().filter(|most| *most > 0);
+    // One component alone is not grouped.
+    let [across, down] = if components == 1 { [1, 1] } else { [most(4)?, most(0)?] };
+    Some(side(w0, w1).div_ceil(8 * across) * side(h0, h1).div_ceil(8 * down))
+}
