@@ -1,9 +1,10 @@
 //! Where frames come from.
 //!
-//! In: a path ([`Recording`]), a model with numbers ([`Synthetic`]), bytes of an image ([`decode()`]), or a camera's
-//! buffer ([`Encoding`]).
-//! Out: [`Captured`] frames in capture order, through one door, [`FrameSource`].
-//! It never waits and never looks at a clock: pace is kept by whoever owns the source (the server's camera thread), so a
+//! In: a path ([`Recording`]), a model with numbers ([`Synthetic`]), bytes of an image ([`decode()`]), or a device
+//! ([`Camera`]).
+//! Out: [`Captured`] frames in capture order, through one door, [`FrameSource`]; a camera has its own, since it waits, stalls,
+//! is lost and comes back.
+//! But for the camera it never waits and never looks at a clock: pace is kept by whoever owns the source (the server's camera thread), so a
 //! recording and a simulated minute run as fast as the machine goes. It knows no solver, no session and no socket.
 //!
 //! ```text
@@ -12,12 +13,10 @@
 //! CSV ─────────► table ───────────┼─► Recording ─┐
 //! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
 //! Model ─► sampling ─► noise ─► Synthetic ───────┘
-//! a camera's buffer ─► pixels ─────────────────────────────────► Frame
+//! V4L2 ─► camera ─► pixels ─► Camera ──────────────────────────► Frame
 //! ```
-//! The door for a camera is [`FrameSource`] as well: a V4L2 `Camera` is one more file here (its ioctls the only place of
-//! the crate where `unsafe` may stand), whose frames lease the driver's buffers ([`isophote_tracker::Lease`]) and carry
-//! the driver's time stamp. It blocks in `next` until the driver has a frame; nothing else in this crate ever does.
 
+pub mod camera;
 pub mod decode;
 pub mod encode;
 mod exposure;
@@ -36,7 +35,9 @@ pub mod synthetic;
 mod table;
 mod tiff;
 mod truth;
+mod wake;
 
+pub use camera::{Camera, CameraError, CameraSpec, CameraState};
 pub use decode::decode;
 pub use encode::{encode_png, encode_png_planes};
 pub use exposure::Exposure;
@@ -46,3 +47,4 @@ pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
 pub use synthetic::{Pace, Synthetic, SyntheticError, SyntheticSpec};
 pub use tiff::encode_tiff;
+pub use wake::Wake;

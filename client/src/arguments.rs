@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
+use isophote_capture::camera::ControlValue;
 use isophote_jit::{Slices, Window};
 use isophote_symbolic::Precision;
 
@@ -13,6 +14,10 @@ pub struct Numbers(pub BTreeMap<String, f64>);
 /// `k=FORMULA,…`: formulas by name; a comma inside brackets belongs to its formula.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Formulas(pub BTreeMap<String, String>);
+
+/// `k=v,…`: numbers, `true` and `false`, or words, by name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Values(pub BTreeMap<String, ControlValue>);
 
 /// `x,y,w,h`: a pixel rectangle, in all slices; `x,y,z,w,h,d`: of some of them; with eight numbers of some volumes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,6 +55,13 @@ impl Numbers {
 impl Formulas {
     /// All options of one kind as one map; a name may stand once.
     pub fn merged(options: &[Formulas]) -> Result<BTreeMap<String, String>, String> {
+        merged(options.iter().map(|option| &option.0))
+    }
+}
+
+impl Values {
+    /// All options of one kind as one map; a name may stand once.
+    pub fn merged(options: &[Values]) -> Result<BTreeMap<String, ControlValue>, String> {
         merged(options.iter().map(|option| &option.0))
     }
 }
@@ -93,6 +105,24 @@ impl FromStr for Formulas {
             }
         }
         Ok(Formulas(formulas))
+    }
+}
+
+impl FromStr for Values {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Values, String> {
+        let mut values = BTreeMap::new();
+        for (name, value) in pairs(text)? {
+            let value = match (value.parse(), value.parse()) {
+                (Ok(number), _) => ControlValue::Number(number),
+                (_, Ok(on)) => ControlValue::Switch(on),
+                _ => ControlValue::Word(value.to_string()),
+            };
+            if values.insert(name.to_string(), value).is_some() {
+                return Err(format!("`{name}` is given twice"));
+            }
+        }
+        Ok(Values(values))
     }
 }
 
@@ -187,6 +217,15 @@ mod tests {
         assert_eq!(line.clipped(400, 1), Some(Window { x: 7, width: 9, ..Window::whole(400, 1) }));
         assert_eq!("640x480".parse(), Ok(Size(vec![640, 480])));
         assert_eq!("64x64x32x8".parse(), Ok(Size(vec![64, 64, 32, 8])));
+    }
+
+    #[test]
+    fn controls_are_numbers_switches_or_words() {
+        let Values(values) = "gain=10,hflip=true , auto_exposure=Manual Mode".parse().unwrap();
+        assert_eq!(values["gain"], ControlValue::Number(10));
+        assert_eq!(values["hflip"], ControlValue::Switch(true));
+        assert_eq!(values["auto_exposure"], ControlValue::Word("Manual Mode".into()));
+        assert!("gain=1,gain=2".parse::<Values>().is_err());
     }
 
     #[test]

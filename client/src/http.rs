@@ -17,11 +17,21 @@ use crate::failure::Failure;
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServiceArgs {
     /// Where the service is
-    #[arg(long, value_name = "URL", env = "ISOPHOTE_SERVER", default_value = "http://127.0.0.1:7240")]
+    #[arg(long, value_name = "URL", env = "ISOPHOTE_SERVER", default_value = DEFAULT)]
     pub server: String,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// Where a service is when nobody says so.
+const DEFAULT: &str = "http://127.0.0.1:7240";
+
+impl ServiceArgs {
+    /// Whether it is where a service is when nobody says so.
+    pub fn is_default(&self) -> bool {
+        self.server == DEFAULT
+    }
 }
 
 /// For every answer; a model compiles in milliseconds, but may wait for others.
@@ -57,10 +67,22 @@ impl Service {
         Ok(self.text(answer)?)
     }
 
+    /// `GET`; the refusal as it came.
+    pub fn try_get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Refusal> {
+        let answer = self.agent.get(format!("{}{path}", self.url)).header("accept", "application/json").call();
+        read(&self.text(answer)?).map_err(Refusal::Failed)
+    }
+
     /// `PUT` of a JSON document.
     pub fn put<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Failure> {
-        let body = serde_json::to_string_pretty(document).map_err(|error| Failure::Other(error.to_string()))?;
-        read(&self.put_text(path, "application/json", &body, None)?)
+        Ok(self.try_put(path, document)?)
+    }
+
+    /// `PUT` of a JSON document; the refusal as it came.
+    pub fn try_put<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Refusal> {
+        let wrong = |error: serde_json::Error| Refusal::Failed(Failure::Other(error.to_string()));
+        let body = serde_json::to_string_pretty(document).map_err(wrong)?;
+        read(&self.put_text(path, "application/json", &body, None)?).map_err(Refusal::Failed)
     }
 
     /// `PUT` of a text; the refusal as it came.
@@ -79,7 +101,7 @@ impl Service {
     }
 
     fn text(&self, answer: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Result<String, Refusal> {
-        let unreachable = |error: ureq::Error| Refusal::Failed(self.unreachable(&error));
+        let unreachable = |error: ureq::Error| Refusal::Unreachable(self.unreachable(&error));
         let mut answer = answer.map_err(unreachable)?;
         let status = answer.status().as_u16();
         let body = answer.body_mut().with_config().limit(ANSWER_BYTES_MAX).read_to_string().map_err(unreachable)?;
@@ -150,7 +172,9 @@ impl Estimates {
 pub enum Refusal {
     /// The service's own words.
     Problem(ProblemDocument),
-    /// No answer, or none that is understood.
+    /// No answer.
+    Unreachable(Failure),
+    /// An answer that is not understood.
     Failed(Failure),
 }
 
@@ -166,7 +190,7 @@ impl Refusal {
 impl From<Refusal> for Failure {
     fn from(refusal: Refusal) -> Failure {
         match refusal {
-            Refusal::Failed(failure) => failure,
+            Refusal::Failed(failure) | Refusal::Unreachable(failure) => failure,
             Refusal::Problem(problem) if problem.diagnostics.is_empty() => {
                 Failure::Other(format!("{} ({})", problem.detail, problem.status))
             }

@@ -2,10 +2,11 @@
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
 //! `fit`, `render`, `tune`, `compare`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
-//! service; the others are its clients.
+//! service; the others are its clients, of which `cameras` and `camera` do without it.
 
 mod arguments;
 mod calibrate;
+mod cameras;
 mod compare;
 mod export;
 mod failure;
@@ -51,6 +52,10 @@ enum Command {
     #[command(subcommand)]
     Session(SessionCommand),
     Watch(watch::WatchArgs),
+    Cameras(cameras::ListArgs),
+    /// A camera of the service's machine
+    #[command(subcommand)]
+    Camera(CameraCommand),
     Fit(fit::FitArgs),
     Render(render::RenderArgs),
     Tune(tune::TuneArgs),
@@ -58,6 +63,11 @@ enum Command {
     /// Measure what belongs to the camera
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+}
+
+#[derive(Subcommand)]
+enum CameraCommand {
+    Set(cameras::SetArgs),
 }
 
 #[derive(Subcommand)]
@@ -119,6 +129,8 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
         Command::Session(SessionCommand::Swap(args)) => sessions::swap(args, out),
         Command::Session(SessionCommand::Stop(args)) => sessions::stop(args, out),
         Command::Watch(args) => watch::run(args, out),
+        Command::Cameras(args) => cameras::list(args, out),
+        Command::Camera(CameraCommand::Set(args)) => cameras::set(args, out),
         Command::Fit(args) => fit::run(args, out),
         Command::Render(args) => render::run(args, out),
         Command::Tune(args) => tune::run(args, out),

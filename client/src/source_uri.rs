@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
 
-/// `@FILE`, `synthetic:MODEL`, `file:PATH` or a path, `pushed:WIDTHxHEIGHT`, or the name of a source. Keys after `?`
+/// `@FILE`, `synthetic:MODEL`, `file:PATH` or a path, `/dev/video0` or `camera:IDENTITY`, `pushed:WIDTHxHEIGHT`, or the name of a source. Keys after `?`
 /// (`rate_hz=30&loop=true`) go into the document; whether they are right is the service's to say.
 pub fn document(text: &str) -> Result<Value, Failure> {
     if let Some(file) = text.strip_prefix('@') {
@@ -28,8 +28,9 @@ pub fn document(text: &str) -> Result<Value, Failure> {
         };
         return Ok(of_kind("pushed", [("width", json!(width)), ("height", json!(height))], keys));
     }
-    if text.starts_with("/dev/") {
-        return Ok(of_kind("camera", [("device", json!(text))], Map::new()));
+    if let Some(rest) = text.strip_prefix("camera:").or_else(|| Some(text).filter(|text| text.starts_with("/dev/"))) {
+        let (device, keys) = keys(rest)?;
+        return Ok(of_kind("camera", [("device", json!(device.trim_start_matches("//")))], keys));
     }
     if text.contains(['/', '.']) {
         return Ok(of_kind("recording", [("path", absolute(text)?)], Map::new()));
@@ -92,6 +93,10 @@ mod tests {
             ("file:///data/x", json!({"kind": "recording", "path": "/data/x"})),
             ("pushed:64x48?format=u16le", json!({"kind": "pushed", "width": 64, "height": 48, "format": "u16le"})),
             ("/dev/video0", json!({"kind": "camera", "device": "/dev/video0"})),
+            (
+                "camera:rig-camera-0001?format=GREY&rate_hz=25",
+                json!({"kind": "camera", "device": "rig-camera-0001", "format": "GREY", "rate_hz": 25}),
+            ),
         ];
         for (text, expected) in cases {
             assert_eq!(document(text).unwrap(), expected, "{text}");

@@ -183,18 +183,27 @@ impl Service {
             return Err(Problem::over_limit("sessions", LIMITS.sessions));
         }
         let entry = self.registry.get(&document.model)?;
-        let source = self.source_of(name, &document.source, &entry)?;
-        let session = Session::start(name.as_str(), document, source.clone(), &entry).inspect_err(|_| {
-            if source.is_own {
-                source.source.stop();
-            }
-        })?;
+        // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
+        let own = before.as_ref().map(|before| before.source()).filter(|source| source.is_own);
+        own.iter().for_each(|old| old.source.pause());
+        let session = self.session_of(name, document, &entry);
+        own.iter().filter(|_| session.is_err()).for_each(|old| old.source.resume());
+        let session = session?;
         insert(&self.sessions, name, session);
         match before {
             Some(before) => before.stop(End::SessionStopped),
             None => return Ok(Put::Created),
         }
         Ok(Put::Replaced)
+    }
+
+    fn session_of(&self, name: &Name, document: SessionDocument, entry: &Entry) -> Result<Session, Problem> {
+        let source = self.source_of(name, &document.source, entry)?;
+        Session::start(name.as_str(), document, source.clone(), entry).inspect_err(|_| {
+            if source.is_own {
+                source.source.stop();
+            }
+        })
     }
 
     fn source_of(&self, name: &Name, reference: &SourceReference, entry: &Entry) -> Result<SourceOf, Problem> {

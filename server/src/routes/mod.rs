@@ -1,5 +1,6 @@
 //! HTTP: what the contract's routes do, in terms of [`Service`].
 
+mod cameras;
 mod estimates;
 mod frames;
 mod health;
@@ -46,6 +47,9 @@ pub fn router(app: App) -> Router {
         .route("/v1/models:check", post(models::check))
         .route("/v1/models/{name}", put(models::put).get(models::get).delete(models::delete))
         .route("/v1/models/{name}/explain", get(models::explain))
+        .route("/v1/cameras", get(cameras::list))
+        .route("/v1/cameras/{device}", get(cameras::get))
+        .route("/v1/cameras/{device}/controls", put(cameras::set))
         .route("/v1/sources", get(sources::list))
         .route("/v1/sources/{name}", put(sources::put).get(sources::get).delete(sources::delete))
         .route("/v1/sessions", get(sessions::list))

@@ -49,10 +49,12 @@ impl Light {
         if let SourceDocument::Synthetic(synthetic) = source.document() {
             options.latency = u64::from(synthetic.exposure_latency);
         }
+        options.range = exposure.range().unwrap_or(options.range);
         Ok(Some(Light { controller: ExposureController::new(options), exposure }))
     }
 
     fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
+        self.controller.took(self.exposure.taken());
         if let Some(factor) = self.controller.step(estimate) {
             self.exposure.set(factor);
         }
@@ -125,9 +127,10 @@ impl Fitter {
         estimate.publish_ns = Some(end_ns);
         estimate.truth =
             captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
-        let wait_ns = frame.capture_ns.map(|capture_ns| start_ns.saturating_sub(capture_ns));
+        // Below 0 where a driver's stamp lies ahead of the clock.
+        let wait = frame.capture_ns.map(|capture_ns| (start_ns as i64 - capture_ns as i64) / 1000);
         let fit = end_ns.saturating_sub(start_ns) / 1000;
-        estimate.timing_us = Some(Timing { wait: wait_ns.map(|ns| ns / 1000), fit });
+        estimate.timing_us = Some(Timing { wait, fit });
         estimate
     }
 

@@ -19,7 +19,7 @@ use crate::problem::Problem;
 use crate::registry::Entry;
 use crate::source::{Shape, Source};
 use crate::threads::Threads;
-use crate::wire::{SessionDocument, SessionView};
+use crate::wire::{SessionDocument, SessionState, SessionView};
 use fit::{Fitter, Light};
 use inbox::Inbox;
 use status::Status;
@@ -116,11 +116,15 @@ impl Session {
         let mut document = self.document.clone();
         let status = self.shared.status();
         document.model = status.active.name.clone();
+        let state = status.state(monotonic_ns(), self.source.source.is_steady());
+        let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
+        let trouble = self.source.source.trouble().filter(|_| !is_over);
+        let (state, reason) = trouble.unwrap_or_else(|| (state, status.reason.clone()));
         SessionView {
             name: self.name.clone(),
             document,
-            state: status.state(monotonic_ns(), self.source.source.is_steady()),
-            reason: status.reason.clone(),
+            state,
+            reason,
             requested_model: status.requested_model.clone(),
             active_model: status.active.name.clone(),
             active_digest: status.active.model.digest().to_string(),

@@ -1,9 +1,11 @@
 //! A source: one named thread that produces frames and hands them to the sessions that subscribed.
 //!
 //! It waits until the first session subscribes. In pace `realtime` a frame goes out when it is due and replaces one that a
-//! session has not begun; in pace `fit` it goes out when every session has finished the last one. Numbers of frames
-//! count what the source produced, so that gaps say what was lost.
+//! session has not begun; in pace `fit` it goes out when every session has finished the last one. A camera keeps its own
+//! pace, and rests while no session listens. Numbers of frames count what the source produced, so that gaps say what was
+//! lost.
 
+mod live;
 mod open;
 mod schedule;
 #[cfg(test)]
@@ -14,15 +16,16 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-use isophote_capture::{Captured, Exposure, FrameSource};
+use isophote_capture::camera::CameraStatus;
+use isophote_capture::{Camera, Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
 
 use crate::clock::monotonic_ns;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
-use crate::wire::{Pace, SourceDocument, SourceState, SourceView};
-pub use open::{Opened, open, pixel_format};
+use crate::wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
+pub use open::{Opened, camera_problem, open, pixel_format};
 use schedule::Schedule;
 
 /// What is known about a source's frames before the first one comes.
@@ -46,6 +49,8 @@ pub enum Producer {
     Frames(Box<dyn FrameSource>),
     /// Clients send them.
     Pushed,
+    /// A camera sends them.
+    Camera(Box<Camera>),
 }
 
 /// A running source.
@@ -53,6 +58,8 @@ pub struct Source {
     document: SourceDocument,
     shape: Shape,
     exposure: Option<Exposure>,
+    /// Ends a camera's wait.
+    wake: Option<Wake>,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
@@ -68,7 +75,17 @@ struct State {
     state: SourceState,
     reason: Option<String>,
     frames: u64,
+    camera: Option<CameraStatus>,
+    /// A camera is closed, and stays so while `is_paused`.
+    is_resting: bool,
+    is_paused: bool,
     is_stopping: bool,
+}
+
+impl State {
+    fn is_wanted(&self) -> bool {
+        !self.is_stopping && !self.is_paused && !self.sessions.is_empty()
+    }
 }
 
 impl Shared {
@@ -86,20 +103,24 @@ impl Source {
             state: SourceState::Idle,
             reason: None,
             frames: 0,
+            camera: None,
+            is_resting: true,
+            is_paused: false,
             is_stopping: false,
         };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let (pace, rate_hz) = (opened.pace, opened.rate_hz);
-        let exposure = match &opened.producer {
-            Producer::Frames(frames) => frames.exposure(),
-            Producer::Pushed => None,
+        let (exposure, wake) = match &opened.producer {
+            Producer::Frames(frames) => (frames.exposure(), None),
+            Producer::Pushed => (None, None),
+            Producer::Camera(camera) => (camera.exposure(), Some(camera.wake())),
         };
         let worker = Worker { shared: shared.clone(), pace, schedule: Schedule::new(rate_hz), frame: 0 };
         let thread = std::thread::Builder::new()
             .name(format!("source {label}"))
             .spawn(move || worker.run(opened.producer))
             .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
-        Ok(Source { document, shape: opened.shape, exposure, shared, thread: Mutex::new(Some(thread)) })
+        Ok(Source { document, shape: opened.shape, exposure, wake, shared, thread: Mutex::new(Some(thread)) })
     }
 
     /// What is known about its frames.
@@ -132,6 +153,17 @@ impl Source {
             reason: state.reason.clone(),
             frames: state.frames,
             sessions: state.sessions.len(),
+            camera: state.camera.clone(),
+        }
+    }
+
+    /// What its sessions suffer from, and why: a camera that stalls or is gone.
+    pub fn trouble(&self) -> Option<(SessionState, Option<String>)> {
+        let state = self.shared.lock();
+        match state.state {
+            SourceState::Stalled => Some((SessionState::Stalled, state.reason.clone())),
+            SourceState::Lost => Some((SessionState::LostSource, state.reason.clone())),
+            _ => None,
         }
     }
 
@@ -153,6 +185,7 @@ impl Source {
     /// No more frames for `inbox`.
     pub fn unsubscribe(&self, inbox: &Arc<Inbox>) {
         self.shared.lock().sessions.retain(|one| !Arc::ptr_eq(one, inbox));
+        self.wake.iter().for_each(Wake::ring);
     }
 
     /// A frame that a client sent.
@@ -173,6 +206,7 @@ impl Source {
     pub fn stop(&self) {
         self.shared.lock().is_stopping = true;
         self.shared.changed.notify_all();
+        self.wake.iter().for_each(Wake::ring);
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         if thread.is_some_and(|thread| thread.join().is_err()) {
             eprintln!("isophote: a source thread panicked");
@@ -197,6 +231,7 @@ impl Worker {
         match producer {
             Producer::Frames(frames) => self.run_frames(frames),
             Producer::Pushed => self.run_pushed(),
+            Producer::Camera(camera) => self.run_camera(*camera),
         }
     }
 
@@ -207,7 +242,7 @@ impl Worker {
                     if !self.wait_until_due() {
                         return;
                     }
-                    self.deliver(captured, None);
+                    self.number(captured, None);
                 }
                 Ok(None) => return finish(&self.shared, SourceState::Ended, "the recording has ended".into()),
                 Err(error) => return finish(&self.shared, SourceState::Failed, error.to_string()),
@@ -222,7 +257,8 @@ impl Worker {
             let mut state = waited.unwrap_or_else(PoisonError::into_inner);
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
             drop(state);
-            self.deliver(captured, Some(reply));
+            self.wait_for_fits(); // every pushed frame is answered
+            self.number(captured, Some(reply));
         }
     }
 
@@ -233,7 +269,7 @@ impl Worker {
             state.state = SourceState::Idle;
             self.schedule.restart();
         }
-        let idle = |state: &mut State| !state.is_stopping && state.sessions.is_empty();
+        let idle = |state: &mut State| !state.is_stopping && !state.is_wanted();
         let mut state = self.shared.changed.wait_while(state, idle).unwrap_or_else(PoisonError::into_inner);
         state.state = SourceState::Running;
         !state.is_stopping
@@ -261,17 +297,19 @@ impl Worker {
         sessions.iter().for_each(|inbox| inbox.wait_idle());
     }
 
-    fn deliver(&mut self, mut captured: Captured, reply: Option<Reply>) {
-        if reply.is_some() {
-            self.wait_for_fits(); // every pushed frame is answered
-        }
+    /// A frame of a source that does not count its frames itself.
+    fn number(&mut self, mut captured: Captured, reply: Option<Reply>) {
         captured.frame.sequence = self.frame;
-        captured.frame.capture_ns = Some(monotonic_ns());
         self.frame += 1;
+        self.deliver(captured, reply);
+    }
+
+    fn deliver(&mut self, mut captured: Captured, reply: Option<Reply>) {
+        captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
         let delivery = Arc::new(Delivery { captured, reply: Mutex::new(reply) });
         let sessions = {
             let mut state = self.shared.lock();
-            state.frames = self.frame;
+            state.frames += 1;
             state.sessions.clone()
         };
         for inbox in &sessions {

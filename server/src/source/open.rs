@@ -3,14 +3,19 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use isophote_capture::{Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticSpec};
+use isophote_capture::camera::FormatWanted;
+use isophote_capture::{
+    Camera, CameraError, CameraSpec, Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticSpec,
+};
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
 
 use super::{Producer, Shape};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::{Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument};
+use crate::wire::{
+    CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
+};
 
 /// A source that is ready to start.
 pub struct Opened {
@@ -36,10 +41,7 @@ pub fn open(
         SourceDocument::Synthetic(synthetic) => open_synthetic(synthetic, prefix, find(&synthetic.model)?),
         SourceDocument::Recording(recording) => open_recording(recording, prefix, reader),
         SourceDocument::Pushed(pushed) => open_pushed(pushed, prefix),
-        SourceDocument::Camera(_) => {
-            let message = "this build has no cameras; use a source of kind synthetic, recording or pushed";
-            Err(Problem::wrong_key("not-in-this-build", &format!("{prefix}kind"), message))
-        }
+        SourceDocument::Camera(camera) => open_camera(camera, prefix),
     }
 }
 
@@ -115,6 +117,47 @@ fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Proble
         size: Some(vec![document.width, document.height]),
     };
     Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0 })
+}
+
+fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Problem> {
+    let size = match (document.width, document.height) {
+        (Some(width), Some(height)) => {
+            check_size(width as usize, height as usize, prefix)?;
+            Some([width, height])
+        }
+        (None, None) => None,
+        (width, _) => {
+            let key = if width.is_none() { "width" } else { "height" };
+            let message = format!("{key} is missing; give width and height, or neither");
+            return Err(Problem::wrong_key("missing-key", prefix.trim_end_matches('.'), message));
+        }
+    };
+    if let Some(rate_hz) = document.rate_hz {
+        check_rate(rate_hz, Pace::Realtime, prefix)?;
+    }
+    let spec = CameraSpec {
+        device: document.device.clone(),
+        format: FormatWanted { format: document.format.clone(), size, rate_hz: document.rate_hz },
+        colour: document.colour,
+        controls: document.controls.clone(),
+    };
+    let camera = Camera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
+    let shape = Shape {
+        dimensions: Some(2),
+        planes: Some(camera.planes()),
+        format: Some(camera.pixel_format()),
+        saturation: Some(camera.saturation()),
+        size: Some(camera.size().to_vec()),
+    };
+    Ok(Opened { producer: Producer::Camera(Box::new(camera)), shape, pace: Pace::Realtime, rate_hz: 0.0 })
+}
+
+/// A camera that others use is a conflict; anything else is the document's, at its key.
+pub fn camera_problem(error: &CameraError, prefix: &str) -> Problem {
+    match error {
+        CameraError::Busy { .. } => Problem::conflict("in-use", error.to_string()),
+        _ => Problem::wrong_key("wrong-source", &format!("{prefix}{}", error.key()), error.to_string()),
+    }
 }
 
 /// The pixels of raw pushed frames.

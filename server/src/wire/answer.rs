@@ -1,5 +1,6 @@
 //! What the service answers.
 
+pub use isophote_capture::camera::{CameraInfo, CameraStatus, ControlInfo, ControlKind};
 use isophote_symbolic::{Diagnostic, Method};
 pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
 use serde::{Deserialize, Serialize};
@@ -119,6 +120,9 @@ pub struct SourceView {
     pub frames: u64,
     /// Sessions that listen.
     pub sessions: usize,
+    /// Of a camera: how it is set, and what was lost.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub camera: Option<CameraStatus>,
 }
 
 /// What a source does.
@@ -129,6 +133,10 @@ pub enum SourceState {
     Idle,
     /// Frames come.
     Running,
+    /// A camera streams, but there is no picture; see `reason`.
+    Stalled,
+    /// A camera is gone; see `reason`. It is looked for again.
+    Lost,
     /// There are no more.
     Ended,
     /// It cannot deliver; see `reason`.
@@ -145,7 +153,7 @@ pub enum SessionState {
     Running,
     /// The source should have delivered, but has not.
     Stalled,
-    /// The source failed.
+    /// The source failed, or its camera is gone and looked for; see `reason`.
     LostSource,
     /// The source has no more frames.
     Stopped,

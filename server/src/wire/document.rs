@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use isophote_capture::camera::ControlValues;
+use isophote_capture::pixels::Colour;
 use isophote_symbolic::Precision;
 pub use isophote_tracker::ExposureGoal;
 use isophote_tracker::{Camera, Target};
@@ -321,22 +323,41 @@ pub enum PushedFormat {
     F32,
 }
 
-/// A V4L2 device. This build has none; the document is known so that the answer can say so.
+/// A V4L2 camera of the machine of the service.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[allow(missing_docs)]
 pub struct CameraDocument {
+    /// A path such as `/dev/video0`, or an identity as `GET /v1/cameras` lists it, which stays when numbers change.
     pub device: String,
-    #[serde(default)]
+    /// Four-character code; the best that has the size and reaches the rate when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub format: Option<String>,
-    #[serde(default)]
-    pub width: Option<usize>,
-    #[serde(default)]
-    pub height: Option<usize>,
-    #[serde(default)]
+    /// px; with `height`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub width: Option<u32>,
+    /// px; with `width`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
+    /// Frames a second, at least.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<f64>,
+    /// Which planes the frames of a colour camera have.
+    #[serde(default, skip_serializing_if = "is_all")]
+    pub colour: Colour,
+    /// Exposure, gain and so on, by name; what is automatic and in their way is switched off.
     #[serde(default)]
-    pub controls: BTreeMap<String, serde_json::Value>,
+    pub controls: ControlValues,
+}
+
+fn is_all(colour: &Colour) -> bool {
+    *colour == Colour::default()
+}
+
+/// `PUT /v1/cameras/{device}/controls` answers what the driver made of the controls that were sent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ControlsAnswer {
+    /// By name, as read back.
+    pub controls: ControlValues,
 }
 
 /// `PUT /v1/sessions/{name}/model`.

@@ -107,7 +107,7 @@ pub struct Illumination {
 pub struct Timing {
     /// From capture to the start of the fit.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub wait: Option<u64>,
+    pub wait: Option<i64>,
     /// The fit.
     pub fit: u64,
 }

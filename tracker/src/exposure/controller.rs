@@ -52,6 +52,14 @@ impl ExposureController {
         self.factor
     }
 
+    /// What the camera made of the exposure that was asked for: it has steps and ends. What is not a positive number is left
+    /// alone.
+    pub fn took(&mut self, factor: f64) {
+        if factor > 0.0 && factor.is_finite() {
+            self.factor = factor;
+        }
+    }
+
     /// After each frame: the exposure to set from now on, when it changes.
     pub fn step(&mut self, estimate: &Estimate) -> Option<f64> {
         let change = match (estimate.state, &estimate.exposure_advice) {

@@ -1,0 +1,351 @@
+//! `Camera`: one camera through all that may happen to it.
+//!
+//! It rests (closed), streams, or is down. What ends a stream, whatever it is, closes the device; from then on the camera is
+//! looked for by identity and set up anew, as if for the first time. So there is one way up and one way down.
+
+use std::io;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use isophote_tracker::Frame;
+use rustix::fd::AsFd;
+
+use super::device::{self, Found, Identity};
+use super::formats::{self, Plan};
+use super::ioctl::{Format, Node};
+use super::light::Light;
+use super::sequence::Sequence;
+use super::stream::{Lost, Stream, Taken, wait};
+use super::watch::Watch;
+use super::{CameraError, CameraSpec, CameraState, CameraStatus, controls};
+use crate::exposure::Exposure;
+use crate::source::Captured;
+use crate::wake::Wake;
+
+/// A lost camera is looked for after this long, …
+const RETRY_MIN: Duration = Duration::from_millis(50);
+/// … then after twice as long, and so on up to this.
+const RETRY_MAX: Duration = Duration::from_secs(1);
+/// Without a picture for so long, and for so many intervals, a camera has stalled; after twice that it is opened anew.
+const STALL: Duration = Duration::from_secs(2);
+const STALL_INTERVALS: u32 = 8;
+/// The driver whose streams are joined: its numbers begin with a leap.
+const LOOPBACK: &str = "v4l2 loopback";
+
+/// A camera that is bound to one identity, format and size.
+pub struct Camera {
+    spec: CameraSpec,
+    identity: Identity,
+    plan: Plan,
+    format: Format,
+    interval: Option<Duration>,
+    path: PathBuf,
+    link: Link,
+    state: CameraState,
+    status: CameraStatus,
+    wake: Wake,
+    /// `None` where the kernel has no more of them: then only time brings a camera back.
+    watch: Option<Watch>,
+    light: Option<Light>,
+    exposure: Option<Exposure>,
+    /// Of the exposure knob, as the device has it; `None` after it was opened.
+    applied: Option<f64>,
+    /// Lost since the last frame.
+    lost: Lost,
+    next_number: u64,
+    /// When the last picture came, or the stream began.
+    since: Instant,
+}
+
+enum Link {
+    Resting,
+    Streaming(Stream),
+    Down { next: Instant, pause: Duration },
+}
+
+impl Camera {
+    /// Finds the camera, chooses and tries the format, sets the controls, and closes it again: it rests.
+    ///
+    /// # Errors
+    /// A camera that is not there, is in use, or does not have what the document wants.
+    pub fn open(spec: CameraSpec) -> Result<Camera, CameraError> {
+        let Found { node, path, identity } = device::named(&spec.device)?;
+        let device = path.display().to_string();
+        let plan = formats::choose(&node, &device, &spec.format)?;
+        let unwaitable = |reason| CameraError::Io { device: device.clone(), doing: "waited for", reason };
+        let wake = Wake::new().map_err(unwaitable)?;
+        let status = CameraStatus {
+            device,
+            identity: identity.key(),
+            format: plan.encoding.name(),
+            width: plan.size[0],
+            height: plan.size[1],
+            rate_hz: None,
+            controls_taken: Default::default(),
+            gaps: 0,
+            damaged: 0,
+            overtaken: 0,
+            reconnects: 0,
+        };
+        let format = Format { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0 };
+        let mut camera = Camera {
+            spec,
+            identity,
+            plan,
+            format,
+            interval: None,
+            path,
+            link: Link::Resting,
+            state: CameraState::Resting,
+            status,
+            wake,
+            watch: Watch::new().ok(),
+            light: None,
+            exposure: None,
+            applied: None,
+            lost: Lost::default(),
+            next_number: 0,
+            since: Instant::now(),
+        };
+        camera.set_up(&node)?;
+        camera.light = Light::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
+        camera.exposure = camera.light.map(|light| Exposure::waking(camera.wake.clone(), light.reach()));
+        Ok(camera)
+    }
+
+    /// What it does.
+    pub fn state(&self) -> &CameraState {
+        &self.state
+    }
+
+    /// Who it is and what was lost.
+    pub fn status(&self) -> &CameraStatus {
+        &self.status
+    }
+
+    /// Ends a wait in [`Camera::next`] from another thread.
+    pub fn wake(&self) -> Wake {
+        self.wake.clone()
+    }
+
+    /// The knob, where the camera has exposure time or gain.
+    pub fn exposure(&self) -> Option<Exposure> {
+        self.exposure.clone()
+    }
+
+    /// Of the frames: width and height, px.
+    pub fn size(&self) -> [usize; 2] {
+        self.plan.encoding.size(self.plan.size.map(|side| side as usize), self.spec.colour)
+    }
+
+    /// Planes of a frame.
+    pub fn planes(&self) -> usize {
+        self.plan.encoding.planes(self.spec.colour)
+    }
+
+    /// Of the frames' pixels.
+    pub fn pixel_format(&self) -> isophote_jit::PixelFormat {
+        self.plan.encoding.format()
+    }
+
+    /// Largest pixel value.
+    pub fn saturation(&self) -> f64 {
+        self.plan.encoding.saturation()
+    }
+
+    /// Closes the device.
+    pub fn rest(&mut self) {
+        self.link = Link::Resting;
+        self.state = CameraState::Resting;
+        self.lost = Lost::default();
+    }
+
+    /// The newest frame, waiting for it `limit` at most. `None` says nothing about the camera; its state does.
+    pub fn next(&mut self, limit: Duration) -> Option<Captured> {
+        self.wake.hear();
+        let now = Instant::now();
+        match &self.link {
+            Link::Resting => {
+                self.state = CameraState::Running;
+                self.connect();
+                None
+            }
+            Link::Down { next, .. } if now < *next => {
+                self.wait_for_devices(limit.min(*next - now));
+                None
+            }
+            Link::Down { .. } => {
+                self.connect();
+                None
+            }
+            Link::Streaming(_) => self.take(limit),
+        }
+    }
+
+    fn wait_for_devices(&mut self, limit: Duration) {
+        let mut waited = vec![self.wake.as_fd()];
+        waited.extend(self.watch.as_ref().map(AsFd::as_fd));
+        if wait(&waited, limit).is_err() {
+            return; // the next try comes at its time
+        }
+        if self.watch.as_ref().is_some_and(Watch::has_changed) {
+            self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
+        }
+    }
+
+    /// Opens, sets up, streams; or is down for longer than before.
+    fn connect(&mut self) {
+        let was_down = match self.link {
+            Link::Down { pause, .. } => Some(pause),
+            _ => None,
+        };
+        if let Some(watch) = &self.watch {
+            watch.has_changed(); // what comes after this look counts
+        }
+        match self.stream() {
+            Ok(stream) => {
+                self.link = Link::Streaming(stream);
+                self.since = Instant::now();
+                self.status.reconnects += u64::from(was_down.is_some());
+            }
+            Err(error) => {
+                let pause = was_down.map_or(RETRY_MIN, |pause| (2 * pause).min(RETRY_MAX));
+                self.link = Link::Down { next: Instant::now() + pause, pause };
+                self.state = CameraState::Lost(error.to_string());
+            }
+        }
+    }
+
+    fn stream(&mut self) -> Result<Stream, CameraError> {
+        let Some(found) = device::again(&self.identity) else {
+            let device = self.identity.key();
+            return Err(CameraError::Missing { device, present: device::present() });
+        };
+        self.path = found.path;
+        self.status.device = self.path.display().to_string();
+        self.set_up(&found.node)?;
+        self.applied = None;
+        let sequence = if self.identity.driver == LOOPBACK { Sequence::joining() } else { Sequence::default() };
+        let size = self.plan.size.map(|side| side as usize);
+        let bytes_min = self.plan.encoding.bytes_min(size, self.format.stride as usize);
+        Stream::start(found.node, bytes_min, sequence).map_err(|reason| self.fault("started", reason))
+    }
+
+    /// Format, rate and controls.
+    fn set_up(&mut self, node: &Node) -> Result<(), CameraError> {
+        let fourcc = self.plan.encoding.fourcc();
+        let format = node.set_format(fourcc, self.plan.size).map_err(|reason| self.fault("set up", reason))?;
+        if (format.fourcc, format.size) != (fourcc, self.plan.size) {
+            let name = |fourcc, size: [u32; 2]| format!("{} of {}×{} px", formats::name(fourcc), size[0], size[1]);
+            let (given, wanted) = (name(format.fourcc, format.size), name(fourcc, self.plan.size));
+            return Err(CameraError::Changed { device: self.status.device.clone(), given, wanted });
+        }
+        if let Some(interval) = self.plan.interval {
+            drop(node.set_interval(interval)); // not every driver can; what holds is read back
+        }
+        self.format = format;
+        let interval = node.interval();
+        self.interval = interval.map(Duration::from_secs_f64);
+        self.status.rate_hz = interval.map(|interval| (1000.0 / interval).round() / 1000.0);
+        self.status.controls_taken = controls::apply(node, &self.spec.controls)?;
+        drop(node.subscribe_source_change()); // a driver that cannot has no signal that changes
+        Ok(())
+    }
+
+    fn fault(&self, doing: &'static str, reason: io::Error) -> CameraError {
+        let device = self.status.device.clone();
+        match reason.kind() {
+            io::ErrorKind::ResourceBusy => CameraError::Busy { device },
+            _ => CameraError::Io { device, doing, reason },
+        }
+    }
+
+    fn take(&mut self, limit: Duration) -> Option<Captured> {
+        self.apply_exposure();
+        let Link::Streaming(stream) = &mut self.link else { return None };
+        let (plan, format, colour) = (&self.plan, &self.format, self.spec.colour);
+        let size = plan.size.map(|side| side as usize);
+        let mut lost = self.lost;
+        let taken = stream.newest(self.wake.as_fd(), limit, &mut lost, |taken| match taken {
+            Taken::Picture(picture) => {
+                let frame = plan.encoding.frame(picture.bytes, size, format.stride as usize, colour);
+                let capture_ns = picture.monotonic.map(|time| time.as_nanos() as u64);
+                Event::Picture { frame: frame.map(|frame| frame.with_capture_ns(capture_ns)).ok(), lost: picture.lost }
+            }
+            Taken::Nothing => Event::Nothing,
+            Taken::SourceChanged => Event::SourceChanged,
+        });
+        self.lost = lost;
+        match taken {
+            Ok(Event::Picture { frame: Some(frame), lost }) => Some(self.hand_on(frame, lost)),
+            Ok(Event::Picture { frame: None, lost }) => {
+                self.lost = Lost { damaged: lost.damaged + 1, ..lost };
+                None
+            }
+            Ok(Event::Nothing) => self.look_at_the_time(),
+            Ok(Event::SourceChanged) => self.down("the signal has another format now".into()),
+            Err(error) => self.down(reason_of(&error)),
+        }
+    }
+
+    fn hand_on(&mut self, frame: Frame, lost: Lost) -> Captured {
+        self.state = CameraState::Running;
+        self.since = Instant::now();
+        self.status.gaps += lost.gaps;
+        self.status.damaged += lost.damaged;
+        self.status.overtaken += lost.overtaken;
+        let number = self.next_number + lost.all();
+        self.next_number = number + 1;
+        Captured { frame: frame.with_sequence(number), file: None, truth: None }
+    }
+
+    fn look_at_the_time(&mut self) -> Option<Captured> {
+        let limit = STALL.max(self.interval.unwrap_or_default() * STALL_INTERVALS);
+        let silence = self.since.elapsed();
+        if silence > 2 * limit {
+            // Some drivers only wake up when they are opened again.
+            self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
+        }
+        if silence > limit {
+            self.state = CameraState::Stalled(format!("no picture for {:.0} s", silence.as_secs_f64()));
+        }
+        None
+    }
+
+    fn down(&mut self, reason: String) -> Option<Captured> {
+        self.link = Link::Down { next: Instant::now() + RETRY_MIN, pause: RETRY_MIN };
+        self.state = CameraState::Lost(reason);
+        None
+    }
+
+    /// Turns the knob on the device, when it was turned.
+    fn apply_exposure(&mut self) {
+        let (Some(light), Some(exposure), Link::Streaming(stream)) = (self.light, &self.exposure, &self.link) else {
+            return;
+        };
+        let wanted = exposure.get();
+        // Who never touched the knob keeps the camera's own exposure.
+        if self.applied == Some(wanted) || (self.applied.is_none() && wanted == 1.0) {
+            return;
+        }
+        self.applied = Some(wanted);
+        if let Ok(taken) = light.set(stream.node(), wanted) {
+            exposure.took(taken);
+        } // else it stays as it is; a device that is gone says so with the next picture
+    }
+}
+
+/// What one look at the stream gave.
+enum Event {
+    Picture { frame: Option<Frame>, lost: Lost },
+    Nothing,
+    SourceChanged,
+}
+
+fn reason_of(error: &io::Error) -> String {
+    const ENODEV: i32 = rustix::io::Errno::NODEV.raw_os_error();
+    match error.raw_os_error() {
+        Some(ENODEV) => "the camera was unplugged".into(),
+        _ => format!("the stream broke off: {error}"),
+    }
+}

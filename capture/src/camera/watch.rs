@@ -1,0 +1,37 @@
+//! `Watch`: says that devices came or went.
+
+use std::io;
+
+use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
+use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
+
+use super::device::DEVICES;
+
+/// Hears of every change in `/dev`.
+pub(super) struct Watch(OwnedFd);
+
+impl Watch {
+    /// From now on.
+    pub fn new() -> io::Result<Watch> {
+        let watch = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK)?;
+        // Nodes are made first and get their permissions later.
+        inotify::add_watch(&watch, DEVICES, WatchFlags::CREATE | WatchFlags::ATTRIB | WatchFlags::DELETE)?;
+        Ok(Watch(watch))
+    }
+
+    /// Whether something has changed since the last call.
+    pub fn has_changed(&self) -> bool {
+        let mut events = [0; 4096];
+        let mut changed = false;
+        while rustix::io::read(&self.0, &mut events).is_ok_and(|bytes| bytes > 0) {
+            changed = true;
+        }
+        changed
+    }
+}
+
+impl AsFd for Watch {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.as_fd()
+    }
+}

@@ -1,0 +1,135 @@
+//! `isophote cameras`, `isophote camera set`: the cameras of the service's machine. Where no service was named and none runs,
+//! those of this machine: one wants to know them before there is a session.
+
+use std::io::Write;
+
+use isophote_capture::camera::{self, ControlValue, ControlValues};
+use isophote_server::wire::{CameraInfo, ControlsAnswer, Items};
+
+use crate::arguments::Values;
+use crate::failure::Failure;
+use crate::http::{Refusal, Service, ServiceArgs, segment};
+use crate::output;
+
+/// List the cameras with their formats and controls
+#[derive(Clone, Debug, clap::Args)]
+pub struct ListArgs {
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Set controls of a camera, also while it streams; prints what the driver made of them
+#[derive(Clone, Debug, clap::Args)]
+pub struct SetArgs {
+    /// A path such as /dev/video0, or an identity as `isophote cameras` lists it
+    pub device: String,
+    /// Controls: numbers, true or false, or the word of a menu; exposure, gain and white_balance are known for every camera
+    #[arg(required = true, value_name = "k=v")]
+    pub controls: Vec<Values>,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Lists all.
+pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let cameras = match Service::new(&args.service)?.try_get::<Items<CameraInfo>>("/v1/cameras") {
+        Ok(cameras) => cameras,
+        Err(refusal) => own(&args.service, refusal, || Ok(Items { items: camera::cameras() }))?,
+    };
+    if args.service.json {
+        return output::json(out, &cameras);
+    }
+    if cameras.items.is_empty() {
+        return writeln!(out, "no camera is plugged in").map_err(Failure::output);
+    }
+    for (number, camera) in cameras.items.iter().enumerate() {
+        if number > 0 {
+            writeln!(out).map_err(Failure::output)?;
+        }
+        print(camera, out)?;
+    }
+    Ok(())
+}
+
+/// Where nobody said which service is meant, and none answers, this machine is.
+fn own<T>(args: &ServiceArgs, refusal: Refusal, here: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+    match refusal {
+        Refusal::Unreachable(_) if args.is_default() => {
+            eprintln!("no service runs at {}: these are the cameras of this machine", args.server);
+            here()
+        }
+        refusal => Err(refusal.into()),
+    }
+}
+
+fn print(camera: &CameraInfo, out: &mut dyn Write) -> Result<(), Failure> {
+    let serial = camera.serial.as_ref().map(|serial| format!(", serial number {serial}")).unwrap_or_default();
+    writeln!(
+        out,
+        "{}  {}\n  {} ({}, {}{serial})",
+        camera.device, camera.identity, camera.name, camera.driver, camera.bus
+    )
+    .map_err(Failure::output)?;
+    let read = camera.formats.iter().filter(|format| format.is_read);
+    let formats: Vec<Vec<String>> = read
+        .flat_map(|format| {
+            format.sizes.iter().map(|size| {
+                let from = size.from.map(|[width, height]| format!("{width}x{height} to ")).unwrap_or_default();
+                let rates: Vec<String> = size.rates_hz.iter().map(|rate| format!("{rate}")).collect();
+                vec![format.format.clone(), format!("{from}{}x{}", size.width, size.height), rates.join(" ")]
+            })
+        })
+        .collect();
+    output::table(out, &["FORMAT", "SIZE", "HZ"], &formats)?;
+    let others: Vec<&str> = camera.formats.iter().filter(|f| !f.is_read).map(|f| f.format.as_str()).collect();
+    if !others.is_empty() {
+        writeln!(out, "formats that are not read here: {}", others.join(" ")).map_err(Failure::output)?;
+    }
+    let row = |control: &isophote_server::wire::ControlInfo| {
+        let meaning = control.value.and_then(|value| control.items.get(&value)).cloned();
+        vec![
+            control.name.clone(),
+            control.value.map_or_else(|| "-".into(), |value| value.to_string()),
+            format!("{} to {}", control.minimum, control.maximum),
+            control.step.to_string(),
+            control.default.to_string(),
+            [meaning, control.is_inactive.then(|| "(inactive)".to_string())]
+                .into_iter()
+                .flatten()
+                .collect::<Vec<_>>()
+                .join(" "),
+        ]
+    };
+    let controls: Vec<Vec<String>> = camera.controls.iter().map(row).collect();
+    output::table(out, &["CONTROL", "VALUE", "RANGE", "STEP", "DEFAULT", ""], &controls)
+}
+
+/// Sets some controls of one.
+pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let values: ControlValues = Values::merged(&args.controls).map_err(Failure::Usage)?;
+    let path = format!("/v1/cameras/{}/controls", segment(&args.device));
+    let answer: ControlsAnswer = match Service::new(&args.service)?.try_put(&path, &values) {
+        Ok(answer) => answer,
+        Err(refusal) => own(&args.service, refusal, || {
+            let controls = camera::set_controls(&args.device, &values);
+            Ok(ControlsAnswer { controls: controls.map_err(|error| Failure::Other(error.to_string()))? })
+        })?,
+    };
+    if args.service.json {
+        return output::json(out, &answer);
+    }
+    for (name, taken) in &answer.controls {
+        let asked = values.get(name).filter(|asked| *asked != taken && !matches!(asked, ControlValue::Word(_)));
+        let asked = asked.map(|asked| format!(" (asked for {})", text(asked))).unwrap_or_default();
+        writeln!(out, "{name} {}{asked}", text(taken)).map_err(Failure::output)?;
+    }
+    Ok(())
+}
+
+fn text(value: &ControlValue) -> String {
+    match value {
+        ControlValue::Switch(on) => on.to_string(),
+        ControlValue::Number(number) => number.to_string(),
+        ControlValue::Word(word) => word.clone(),
+    }
+}

@@ -1,0 +1,48 @@
+//! `/v1/cameras`: the cameras of this machine, and their controls.
+
+use axum::body::Body;
+use axum::http::{HeaderMap, StatusCode};
+use isophote_capture::CameraError;
+use isophote_capture::camera::{self, ControlValues};
+
+use super::{Answer, RawName, json, raw};
+use crate::documents::{place, read_json};
+use crate::problem::Problem;
+use crate::source::camera_problem;
+use crate::wire::{ControlsAnswer, Items};
+
+/// `GET /v1/cameras`
+pub async fn list() -> Answer {
+    json(StatusCode::OK, &Items { items: blocking(camera::cameras).await? })
+}
+
+/// `GET /v1/cameras/{device}`: by path (percent-encoded) or identity.
+pub async fn get(name: RawName) -> Answer {
+    let device = raw(name)?;
+    let found = blocking(move || camera::camera(&device)).await?;
+    json(StatusCode::OK, &found.map_err(|error| problem(&error))?)
+}
+
+/// `PUT /v1/cameras/{device}/controls`: sets those that are named, also while it streams.
+pub async fn set(name: RawName, headers: HeaderMap, body: Body) -> Answer {
+    let device = raw(name)?;
+    let (values, text) = read_json::<ControlValues>(&headers, body).await?;
+    let controls = blocking(move || camera::set_controls(&device, &values)).await?;
+    let controls = controls.map_err(|error| place(problem(&error), &text))?;
+    json(StatusCode::OK, &ControlsAnswer { controls })
+}
+
+/// Drivers may take their time.
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(work).await.map_err(|_| Problem::bug("asking a camera panicked"))
+}
+
+fn problem(error: &CameraError) -> Problem {
+    match error {
+        CameraError::Missing { .. } | CameraError::NotACamera { .. } => {
+            Problem::new(StatusCode::NOT_FOUND, "unknown-name", error.to_string())
+        }
+        CameraError::Control { name, .. } => Problem::wrong_key("wrong-value", name, error.to_string()),
+        _ => camera_problem(error, ""),
+    }
+}
