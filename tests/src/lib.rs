@@ -1,7 +1,8 @@
-//! What every whole-system test needs: the repository's folder, the program, and a running service.
+//! What every whole-system test needs: the repository's folder, the program, a running service, and a machine with cameras.
 //!
-//! What comes in: a checkout. What goes out: the path of `isophote` as built from these sources, and services on ports of
-//! their own. It must never know a service's inside: tests speak to it as users do.
+//! What comes in: a checkout. What goes out: the path of `isophote` as built from these sources, services on ports of
+//! their own, a [`rig`] to run a test in, and cameras there: [`uvccam`], a USB camera, and [`loopback`], frames of known
+//! truth. It must never know a service's inside: tests speak to it as users do.
 
 use std::fs;
 use std::io;
@@ -10,7 +11,10 @@ use std::process::Command;
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
+pub mod loopback;
+pub mod rig;
 mod service;
+pub mod uvccam;
 
 pub use service::{Finished, Service, finish};
 

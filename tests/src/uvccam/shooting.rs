@@ -1,0 +1,89 @@
+//! The thread that takes pictures and sends them, at the rate that was agreed on.
+
+use std::io;
+use std::sync::{MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::descriptors::PAYLOAD;
+use super::picture::Painter;
+use super::usbip::Answers;
+use super::{Fault, Kind, Shared, State};
+
+/// Header of a piece: its length, and flags.
+const HEADER: usize = 2;
+const END_OF_HEADER: u8 = 0x80;
+const IS_FAULTY: u8 = 0x40;
+const LAST_PIECE: u8 = 0x02;
+/// The driver takes the rest of a picture within this time, or has stopped.
+const REST_MS_MAX: u64 = 200;
+
+impl Shared {
+    /// Waits as long as `hold` says so, at most until `end`.
+    fn wait_while(&self, end: Option<Instant>, hold: impl Fn(&State) -> bool) -> MutexGuard<'_, State> {
+        let mut state = self.state();
+        while !state.is_gone && hold(&state) {
+            let left = end.map_or(Duration::MAX, |end| end.saturating_duration_since(Instant::now()));
+            if left.is_zero() {
+                break;
+            }
+            // A very long wait is cut into pieces: deadlines have to be times that a clock can show.
+            let waited = self.changed.wait_timeout(state, left.min(Duration::from_secs(60)));
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        state
+    }
+}
+
+/// Takes and sends pictures as long as the driver wants some and the camera is plugged in.
+pub(super) fn shoot(answers: &Answers, shared: &Shared) -> io::Result<()> {
+    let mut painter = Painter::default();
+    let (mut due, mut toggle) = (Instant::now(), 0);
+    loop {
+        let is_idle = shared.state().requests.is_empty();
+        drop(shared.wait_while(None, |state| state.requests.is_empty()));
+        if is_idle {
+            due = due.max(Instant::now());
+        }
+        let silence = shared.state().silence.take();
+        if let Some(silence) = silence {
+            due = Instant::now() + silence;
+        }
+        let mut state = shared.wait_while(Some(due), |_| true);
+        if state.is_gone {
+            return Ok(());
+        }
+        let step = Duration::from_nanos(u64::from(state.interval) * 100);
+        due = (due + step).max(Instant::now());
+        let (kind, fault) = (state.kind, state.fault.take());
+        painter.begin(&state.scene, state.noise, state.controls, state.size);
+        let number = state.pictures;
+        state.pictures = state.pictures.wrapping_add(1);
+        let numbered = state.numbered.then_some(number);
+        drop(state);
+        let mut picture = painter.paint(number, numbered);
+        if kind == Kind::Yuyv {
+            picture = picture.into_iter().flat_map(|luma| [luma, 128]).collect();
+        }
+        if fault == Some(Fault::Short) {
+            picture.truncate(picture.len() / 2);
+        }
+        let flags = END_OF_HEADER | toggle | if fault == Some(Fault::Error) { IS_FAULTY } else { 0 };
+        send(answers, shared, &picture, flags)?;
+        toggle ^= 1;
+    }
+}
+
+/// Piece by piece, as the driver asks for them.
+fn send(answers: &Answers, shared: &Shared, picture: &[u8], flags: u8) -> io::Result<()> {
+    let pieces = picture.chunks(PAYLOAD - HEADER);
+    let last = pieces.len().saturating_sub(1);
+    for (number, piece) in pieces.enumerate() {
+        let end = Instant::now() + Duration::from_millis(REST_MS_MAX);
+        let mut state = shared.wait_while(Some(end), |state| state.requests.is_empty());
+        let Some((request, _)) = state.requests.pop_front().filter(|_| !state.is_gone) else { return Ok(()) };
+        drop(state);
+        let flags = flags | if number == last { LAST_PIECE } else { 0 };
+        answers.give(request, &[&[HEADER as u8, flags], piece].concat())?;
+    }
+    Ok(())
+}

@@ -1,0 +1,33 @@
+//! The machine with cameras, and the cameras on it: what other tests of cameras rely on.
+#![allow(clippy::unwrap_used)]
+
+mod loopback;
+mod machine;
+mod uvccam;
+mod vivid;
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use isophote_tests::{Finished, finish};
+
+/// Time for one command in the rig.
+const COMMAND: Duration = Duration::from_secs(20);
+
+/// Runs v4l2-ctl on a device; its output, whatever its status.
+fn ctl(device: &Path, arguments: &[&str]) -> Finished {
+    let mut command = Command::new("v4l2-ctl");
+    command.arg("--device").arg(device).args(arguments);
+    finish(&mut command, COMMAND).unwrap()
+}
+
+/// Sets a format and gives the pictures that follow, one after the other.
+fn stream(device: &Path, fourcc: &str, [width, height]: [usize; 2], pictures: usize) -> Vec<u8> {
+    let file = std::env::temp_dir().join(format!("stream-{}", fourcc.trim()));
+    let format = format!("--set-fmt-video=width={width},height={height},pixelformat={fourcc}");
+    let (count, to) = (format!("--stream-count={pictures}"), format!("--stream-to={}", file.display()));
+    let finished = ctl(device, &[&format, "--stream-mmap=4", &count, &to]);
+    assert_eq!(finished.status, Some(0), "{fourcc}: {}{}", finished.stdout, finished.stderr);
+    std::fs::read(file).unwrap()
+}

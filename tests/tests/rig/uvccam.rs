@@ -1,0 +1,101 @@
+//! The USB camera made of software, as the kernel's driver and a stranger's program see it.
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use isophote_tests::rig::{Rig, USB, in_rig, until};
+use isophote_tests::uvccam::{Camera, Fault, Noise, Scene, commands, node};
+
+use crate::{ctl, stream};
+
+const SIZE: [usize; 2] = [640, 480];
+const SPOT: Scene = Scene::Spot { centre: [300.0, 200.0], half_axes: [40.0, 30.0], amplitude: 600.0, background: 20.0 };
+
+/// Pictures with their numbers.
+fn pictures(bytes: &[u8], [width, height]: [usize; 2]) -> Vec<(u32, &[u8])> {
+    assert_eq!(bytes.len() % (width * height), 0);
+    let number = |picture: &[u8]| u32::from_le_bytes(picture[..4].try_into().unwrap());
+    bytes.chunks_exact(width * height).map(|picture| (number(picture), picture)).collect()
+}
+
+#[test]
+fn exposure_gain_and_brightness_act_on_the_picture() {
+    in_rig(Rig { modules: USB, ..Rig::default() }, || {
+        let mut camera = Camera::new(SPOT);
+        camera.number(true);
+        camera.plug("rig-7").unwrap();
+        let device = node("rig-7").unwrap();
+        let all = ctl(&device, &["--all", "--list-ctrls"]).stdout;
+        for name in ["uvcvideo", "auto_exposure", "exposure_time_absolute", "gain", "brightness", "rig-7"] {
+            assert!(all.contains(name), "no {name} in\n{all}");
+        }
+        // Automatic: light as it is, the spot's middle beyond the limit.
+        let bytes = stream(&device, "GREY", SIZE, 3);
+        let at = |picture: &[u8], x: usize, y: usize| picture[y * SIZE[0] + x];
+        let seen = pictures(&bytes, SIZE);
+        assert!(seen.windows(2).all(|pair| pair[0].0 < pair[1].0), "numbers grow");
+        let last = seen[2].1;
+        assert_eq!((at(last, 300, 200), at(last, 10, 10)), (255, 20));
+        // By hand: a fifth of the time and half the gain, 5 DN more: 62 + 5 in the middle, 2 + 5 around.
+        let set =
+            ctl(&device, &["--set-ctrl=auto_exposure=1", "--set-ctrl=exposure_time_absolute=20,gain=32,brightness=5"]);
+        assert_eq!(set.status, Some(0), "{}", set.stderr);
+        let (controls, _) = camera.controls().unwrap();
+        assert_eq!((controls.light(), controls.brightness), (0.1, 5));
+        let bytes = stream(&device, "GREY", SIZE, 2);
+        let dim = pictures(&bytes, SIZE)[1].1;
+        assert_eq!((at(dim, 300, 200), at(dim, 10, 10)), (67, 7));
+        // The small size, with chroma; noise scatters around the mean.
+        camera.scatter(Noise { read_dn: 2.0, dn_per_e: 0.0, seed: 3 });
+        let small = stream(&device, "YUYV", [320, 240], 2);
+        assert_eq!(small.len(), 2 * 2 * 320 * 240);
+        let luma = small[2 * 320 * 240..].chunks_exact(2).map(|pair| f64::from(pair[0]));
+        let dark: Vec<f64> = luma.skip(320).take(320 * 100).collect();
+        let mean = dark.iter().sum::<f64>() / dark.len() as f64;
+        let spread = dark.iter().map(|pixel| (pixel - mean).powi(2)).sum::<f64>() / dark.len() as f64;
+        assert!((mean - 7.0).abs() < 0.1 && (spread.sqrt() - 2.02).abs() < 0.1, "{mean} {spread}");
+    });
+}
+
+/// The program, by its commands: unplugged the node goes, plugged in again one comes; a spoilt picture is lost.
+#[test]
+fn the_camera_does_what_commands_say() {
+    in_rig(Rig { modules: USB, ..Rig::default() }, || {
+        let socket = Path::new("/run/uvccam");
+        let mut program = Command::new(env!("CARGO_BIN_EXE_uvccam")).arg(socket).arg("rig-8").spawn().unwrap();
+        let tell = |line: &str| commands::tell(socket, line).unwrap();
+        let device = node("rig-8").unwrap();
+        assert_eq!(tell("number on"), "ok");
+        assert_eq!(tell("error"), "ok");
+        let bytes = stream(&device, "GREY", [320, 240], 3);
+        let numbers: Vec<u32> = pictures(&bytes, [320, 240]).iter().map(|(number, _)| *number).collect();
+        assert!(!numbers.contains(&0) && numbers[0] <= 2, "the flagged picture does not arrive: {numbers:?}");
+        assert!(tell("state").contains("exposure: 100"));
+        assert!(commands::tell(socket, "jump").unwrap_err().to_string().contains("jump: not a command"));
+        tell("unplug");
+        until("end of the node", Duration::from_secs(10), || (!device.exists()).then_some(())).unwrap();
+        tell("plug rig-9");
+        assert!(node("rig-9").unwrap().exists());
+        tell("quit");
+        assert!(program.wait().unwrap().success());
+    });
+}
+
+/// Silence and half a picture, by the library.
+#[test]
+fn the_camera_falls_silent_and_comes_back() {
+    in_rig(Rig { modules: USB, ..Rig::default() }, || {
+        let mut camera = Camera::new(Scene::Ramp);
+        camera.number(true);
+        camera.plug("rig-10").unwrap();
+        let device = node("rig-10").unwrap();
+        camera.spoil(Fault::Short);
+        let before = std::time::Instant::now();
+        camera.stall(Duration::from_millis(1500));
+        let bytes = stream(&device, "GREY", [320, 240], 2);
+        assert!(before.elapsed() > Duration::from_millis(1500));
+        let numbers: Vec<u32> = pictures(&bytes, [320, 240]).iter().map(|(number, _)| *number).collect();
+        assert!(!numbers.contains(&0), "half a picture does not arrive: {numbers:?}");
+    });
+}
