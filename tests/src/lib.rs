@@ -37,6 +37,9 @@ fn find_or_build() -> io::Result<PathBuf> {
     let profile = test.parent().and_then(Path::parent).ok_or_else(missing)?;
     let target = profile.parent().ok_or_else(missing)?;
     let program = profile.join(format!("isophote{}", std::env::consts::EXE_SUFFIX));
+    if rig::is_inside() {
+        return Ok(program); // built before the machine was started
+    }
     let built = fs::metadata(&program).and_then(|file| file.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
     if newest_source(&repository())? < built {
         return Ok(program);

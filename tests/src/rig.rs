@@ -80,11 +80,16 @@ pub fn in_rig<F: FnOnce()>(rig: Rig, body: F) {
 /// # Errors
 /// Outside, when the body failed inside. Inside, a body's panic goes on its way.
 pub fn try_in_rig<F: FnOnce()>(rig: Rig, body: F) -> Result<Outcome, String> {
-    if std::env::var_os(INSIDE).is_some() {
+    if is_inside() {
         body();
         return Ok(Outcome::Passed);
     }
     outside(rig, &test_of(type_name::<F>()))
+}
+
+/// Whether this runs in the rig.
+pub(crate) fn is_inside() -> bool {
+    std::env::var_os(INSIDE).is_some()
 }
 
 /// `cameras::unplug` of a closure's `crate::cameras::unplug::{{closure}}`.

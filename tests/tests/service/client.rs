@@ -55,10 +55,14 @@ impl Running {
     pub fn start_with(data: Option<&Path>, demo: bool) -> Running {
         let options = Options { listen: "127.0.0.1:0".parse().unwrap(), data: data.map(Path::to_path_buf), demo };
         let server = Server::start(&options).unwrap();
-        let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(DEADLINE));
         let address = server.address().to_string();
+        Running { server: Some(server), ..Running::at(&address) }
+    }
+    /// A service of another process.
+    pub fn at(address: &str) -> Running {
+        let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(DEADLINE));
         let agent = config.allow_non_standard_methods(true).build().into();
-        Running { server: Some(server), agent, url: format!("http://{address}"), address }
+        Running { server: None, agent, url: format!("http://{address}"), address: address.to_string() }
     }
     pub fn stop(mut self) {
         self.server.take().unwrap().stop();

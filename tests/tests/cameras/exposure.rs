@@ -1,0 +1,53 @@
+//! A session that controls exposure, on a camera whose driver really sets it.
+
+use isophote_tests::rig::{Rig, USB, in_rig};
+use isophote_tests::uvccam::{Camera, Noise, Scene, node};
+use isophote_tests::{program, repository};
+use serde_json::json;
+
+use crate::{Whole, session};
+
+/// Frames until the light must be right.
+const FRAMES: u64 = 15;
+
+#[test]
+fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
+    program().unwrap();
+    in_rig(Rig { modules: USB, timeout_s: 120, ..Rig::default() }, || {
+        // f(0.6) = 0.549: up to s = 0.6, which is 60 % of the area, it is beyond 255.
+        let spot = Scene::Spot { centre: [330.0, 250.0], half_axes: [40.0, 30.0], amplitude: 428.0, background: 20.0 };
+        let mut camera = Camera::new(spot);
+        camera.scatter(Noise { read_dn: 0.75, dn_per_e: 0.05, seed: 5 });
+        camera.plug("rig-light").unwrap();
+        let device = node("rig-light").unwrap();
+        let whole = Whole::start();
+        // Noise and clipped pixels as in the recommended spot, but sampled at pixel centres, as the camera here does.
+        let spot = std::fs::read_to_string(repository().join("models/spot.toml")).unwrap();
+        let quick = spot.replace("quadrature = 2", "quadrature = 1");
+        assert_ne!(quick, spot);
+        whole.client.put_text("/v1/models/quick-spot", "application/toml", &quick).expect(201);
+        let mut document = session(json!({"kind": "camera", "device": device, "format": "GREY", "rate_hz": 5}));
+        document["model"] = json!("quick-spot");
+        document["camera"] = json!({"electrons_per_dn": 20.0, "read_noise_e": 15});
+        document["options"] = json!({"exposure": {"goal": "brightness", "control": true}});
+        whole.client.put("/v1/sessions/one", &document).expect(201);
+        let mut socket = whole.client.socket("one", "mode=all");
+        let (mut seen, mut first) = (Vec::new(), None);
+        while seen.len() < 30 {
+            let estimate = socket.next().unwrap();
+            let frame = estimate["frame"].as_u64().unwrap();
+            let start = *first.get_or_insert(frame);
+            // The share of the outline: the domain of models/spot.toml is 2.2 outlines large.
+            let share = 2.2 * estimate["saturated"].as_f64().unwrap_or(0.0);
+            seen.push((frame - start, estimate["state"].as_str().unwrap().to_string(), share));
+        }
+        let (controls, _) = camera.controls().unwrap();
+        println!("saturated share by frame: {seen:?}; light at the end {}", controls.light());
+        let begin = seen.iter().find(|(_, state, _)| state == "tracking").unwrap();
+        assert!((begin.2 - 0.6).abs() < 0.1, "it begins at 60 %: {begin:?}");
+        for (frame, state, share) in seen.iter().filter(|(frame, ..)| *frame >= FRAMES) {
+            assert!(state == "tracking" && (0.005..0.04).contains(share), "frame {frame}: {state}, {share}");
+        }
+        assert!(seen.iter().any(|(frame, ..)| *frame >= FRAMES));
+    });
+}

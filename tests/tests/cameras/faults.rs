@@ -1,0 +1,111 @@
+//! The table of faults: what a driver may do wrong, done by vivid while a session tracks what its loop shows.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Instant;
+
+use isophote_tests::loopback::Film;
+use isophote_tests::program;
+use isophote_tests::rig::{Rig, WEBCAM, in_rig};
+use serde_json::{Value, json};
+
+use crate::{COMMAND, PICTURES, Whole, circling, session};
+
+fn ctl(device: &str, arguments: &[&str]) {
+    let mut command = Command::new("v4l2-ctl");
+    let done = isophote_tests::finish(command.arg("--device").arg(device).args(arguments), COMMAND).unwrap();
+    assert_eq!(done.status, Some(0), "{arguments:?}: {}", done.stderr);
+}
+
+/// A film goes into vivid's output and comes out of its input; the writer is to be ended.
+pub fn loop_back(film: &Film) -> Child {
+    ctl("/dev/video0", &["--set-input=3"]);
+    ctl("/dev/video1", &["--set-output=1"]);
+    ctl("/dev/video1", &["--set-dv-bt-timings=index=0"]);
+    ctl("/dev/video0", &["--set-dv-bt-timings=index=0"]);
+    ctl("/dev/video1", &["--set-fmt-video-out=width=320,height=240,pixelformat=GREY"]);
+    ctl("/dev/video0", &["--set-ctrl=loop_video=1,osd_text_mode=2"]);
+    let file = Path::new("/run/film.raw");
+    std::fs::write(file, film.pictures.concat()).unwrap();
+    let mut writer = Command::new("v4l2-ctl");
+    writer.args(["--device=/dev/video1", "--stream-out-mmap=4", "--stream-loop", "--stream-from"]).arg(file);
+    writer.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// What a source says of its camera.
+fn camera(whole: &Whole) -> Value {
+    whole.client.get("/v1/sources/eye").expect(200)["camera"].clone()
+}
+
+fn count(camera: &Value, what: &str) -> u64 {
+    camera[what].as_u64().unwrap_or_else(|| panic!("{camera}"))
+}
+
+#[test]
+fn whatever_vivid_does_wrong_a_session_goes_on_tracking() {
+    program().unwrap();
+    in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 240, ..Rig::default() }, || {
+        let film = Film::render(circling(), PICTURES, *b"GREY").unwrap();
+        let mut writer = loop_back(&film);
+        let whole = Whole::start();
+        let eye = json!({"kind": "camera", "device": "/dev/video0", "format": "GREY"});
+        whole.client.put("/v1/sources/eye", &eye).expect(201);
+        whole.client.put("/v1/sessions/one", &session(json!("eye"))).expect(201);
+        whole.until_tracking("one", 5);
+        let inject = |control: &str| ctl("/dev/video0", &[&format!("--set-ctrl={control}")]);
+
+        // Flagged frames are counted, left out, and nothing ends.
+        let before = camera(&whole);
+        inject("inject_v4l2_buf_flag_error=1");
+        whole.until_tracking("one", 5);
+        let after = camera(&whole);
+        assert_eq!(count(&after, "damaged"), count(&before, "damaged") + 1);
+        assert_eq!(count(&after, "reconnects"), count(&before, "reconnects"));
+
+        // Lost frames are gaps; what is dropped in all is what the numbers leave out.
+        inject("percentage_of_dropped_buffers=30");
+        let mut socket = whole.client.socket("one", "mode=all");
+        let (mut first, mut dropped, mut seen) = (None, 0, 0);
+        while seen < 100 {
+            let estimate = socket.next().unwrap();
+            let frame = estimate["frame"].as_u64().unwrap();
+            dropped += if first.is_some() { estimate["dropped"].as_u64().unwrap() } else { 0 };
+            seen += 1;
+            let first = *first.get_or_insert(frame);
+            assert_eq!(frame - first, seen - 1 + dropped);
+        }
+        drop(socket);
+        inject("percentage_of_dropped_buffers=0");
+        let gaps = count(&camera(&whole), "gaps") - count(&after, "gaps");
+        println!("30 % dropped buffers: {seen} frames, {dropped} dropped, {gaps} gaps of the driver's numbers");
+        assert!(gaps >= 20, "{gaps}");
+
+        // What ends a stream: it is opened anew.
+        for fault in [
+            &["inject_vidioc_qbuf_error=1"][..],
+            &["inject_fatal_streaming_error=1"],
+            &["inject_vidioc_reqbufs_error=1", "inject_fatal_streaming_error=1"],
+            &["inject_vidioc_streamon_error=1", "inject_fatal_streaming_error=1"],
+            &["disconnect=1"],
+        ] {
+            let before = count(&camera(&whole), "reconnects");
+            fault.iter().for_each(|control| inject(control));
+            let start = Instant::now();
+            whole.until("one", "back", |_| count(&camera(&whole), "reconnects") > before);
+            let view = whole.until_tracking("one", 3);
+            println!("{fault:?}: tracks again after {:.1} s", start.elapsed().as_secs_f64());
+            assert_eq!(view["reason"], Value::Null, "{view}");
+        }
+
+        // Numbers that wrap lose nothing.
+        inject("wrap_sequence_number=1");
+        inject("inject_fatal_streaming_error=1");
+        whole.until_tracking("one", 150);
+
+        writer.kill().unwrap();
+        assert_eq!(whole.client.delete("/v1/sessions/one").status, 204);
+        assert_eq!(whole.client.delete("/v1/sources/eye").status, 204);
+        // Nobody has it any more.
+        ctl("/dev/video0", &["--set-fmt-video=width=640,height=480,pixelformat=YUYV"]);
+    });
+}

@@ -1,0 +1,164 @@
+//! What cameras show is tracked, as well as the same pictures from files.
+
+use std::path::Path;
+
+use isophote_capture::encode_png;
+use isophote_jit::PixelFormat;
+use isophote_tests::loopback::Film;
+use isophote_tests::program;
+use isophote_tests::rig::{LOOPBACK, Rig, WEBCAM, in_rig};
+use serde_json::{Value, json};
+
+use crate::{PICTURES, Whole, circling, nearest, rms, session};
+
+/// Errors of the centre by picture, px, and the ages of the frames when their fits began, µs.
+fn follow(whole: &Whole, name: &str, truths: &[[f64; 2]], estimates: usize) -> (Vec<(usize, f64)>, Vec<i64>) {
+    let mut socket = whole.client.socket(name, "mode=all");
+    let (mut errors, mut ages, mut last) = (Vec::new(), Vec::new(), None);
+    while errors.len() < estimates {
+        let estimate = socket.next().unwrap();
+        let frame = estimate["frame"].as_u64().unwrap();
+        if let Some(last) = last {
+            assert_eq!(frame - last, 1 + estimate["dropped"].as_u64().unwrap(), "what is missing is told");
+        }
+        last = Some(frame);
+        if estimate["state"] == "tracking" {
+            let (picture, error) = nearest(truths, &estimate);
+            errors.push((picture, error));
+            ages.push(estimate["timing_us"]["wait"].as_i64().unwrap());
+        }
+    }
+    (errors, ages)
+}
+
+fn truths(film: &Film) -> Vec<[f64; 2]> {
+    film.truths.iter().map(|truth| [truth["bx"], truth["by"]]).collect()
+}
+
+/// The film as PNG files, fitted from there.
+fn from_files(whole: &Whole, film: &Film, truths: &[[f64; 2]]) -> Vec<(usize, f64)> {
+    let folder = std::env::temp_dir().join("film");
+    std::fs::create_dir_all(&folder).unwrap();
+    for (number, picture) in film.pictures.iter().enumerate() {
+        let png = encode_png(film.size[0], film.size[1], PixelFormat::U8, picture).unwrap();
+        std::fs::write(folder.join(format!("{number:03}.png")), png).unwrap();
+    }
+    let source = json!({"kind": "recording", "path": folder, "pace": "fit", "rate_hz": 0, "loop": true});
+    whole.client.put("/v1/sessions/files", &session(source)).expect(201);
+    let (errors, _) = follow(whole, "files", truths, PICTURES);
+    assert_eq!(whole.client.delete("/v1/sessions/files").status, 204);
+    errors
+}
+
+/// The rule of the hand-over: a fit begins with the newest frame, so that its age is at most one frame time, in which
+/// the next one was not there yet, and the fit before.
+fn say_ages(what: &str, ages: &[i64]) {
+    let mut sorted = ages.to_vec();
+    sorted.sort_unstable();
+    let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize] as f64 / 1000.0;
+    println!(
+        "{what}: age at the start of the fit: median {:.1} ms, 95 % {:.1} ms, {:.1} ms at most",
+        at(0.5),
+        at(0.95),
+        at(1.0)
+    );
+}
+
+fn compare(what: &str, camera: &[(usize, f64)], files: &[(usize, f64)]) {
+    let of = |errors: &[(usize, f64)]| rms(&errors.iter().map(|(_, error)| *error).collect::<Vec<_>>());
+    let (camera, files) = (of(camera), of(files));
+    println!("{what}: error of the centre {camera:.4} px, from files {files:.4} px");
+    assert!(files < 0.05, "the film is easy: {files}");
+    assert!(camera < 1.2 * files, "{what}: {camera} px, from files {files} px");
+}
+
+#[test]
+fn frames_of_a_loopback_device_are_tracked_as_well_as_from_files() {
+    program().unwrap(); // built where there is a compiler
+    in_rig(Rig { loopback: Some(LOOPBACK), timeout_s: 150, ..Rig::default() }, || {
+        let film = Film::render(circling(), PICTURES, *b"GREY").unwrap();
+        let truths = truths(&film);
+        let whole = Whole::start();
+        let files = from_files(&whole, &film, &truths);
+        let playing = film.play(Path::new("/dev/video0"), 10.0).unwrap();
+        whole.client.put("/v1/sessions/one", &session(json!({"kind": "camera", "device": "/dev/video0"}))).expect(201);
+        let (camera, ages) = follow(&whole, "one", &truths, 2 * PICTURES);
+        say_ages("v4l2loopback, 10 Hz", &ages);
+        compare("v4l2loopback", &camera, &files);
+        // Who watches sees the camera's frames, numbered by the driver.
+        let view = whole.client.get("/v1/sessions/one").expect(200);
+        assert_eq!(view["state"], "running");
+        assert_eq!(view["source"]["device"], "/dev/video0");
+        drop(playing);
+    });
+}
+
+/// vivid sends what is written to its output to its own input: 60 pictures a second, out of step with the writer.
+#[test]
+fn frames_of_vivids_own_loop_are_tracked_as_well_as_from_files() {
+    program().unwrap();
+    in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 150, ..Rig::default() }, || {
+        let film = Film::render(circling(), PICTURES, *b"GREY").unwrap();
+        let truths = truths(&film);
+        let whole = Whole::start();
+        let files = from_files(&whole, &film, &truths);
+        let mut writer = crate::faults::loop_back(&film);
+        whole
+            .client
+            .put("/v1/sessions/one", &session(json!({"kind": "camera", "device": "/dev/video0", "format": "GREY"})))
+            .expect(201);
+        let (camera, ages) = follow(&whole, "one", &truths, 2 * PICTURES);
+        say_ages("vivid's loop", &ages);
+        compare("vivid's loop", &camera, &files);
+        writer.kill().unwrap();
+    });
+}
+
+/// A listing and a setting by the command line, as a user sees them.
+#[test]
+fn cameras_are_listed_and_set_by_the_command_line() {
+    program().unwrap();
+    in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 150, ..Rig::default() }, || {
+        let whole = Whole::start();
+        let table = whole.isophote(&["cameras"]);
+        println!("{}", table.stdout);
+        assert_eq!(table.status, Some(0), "{}", table.stderr);
+        for word in ["/dev/video0", "vivid-platform-vivid-000", "640x480", "GREY", "gain_automatic", "0 to 255"] {
+            assert!(table.stdout.contains(word), "no {word} in\n{}", table.stdout);
+        }
+        let listed: Value = serde_json::from_str(&whole.isophote(&["cameras", "--json"]).stdout).unwrap();
+        let gain = |listed: &Value| {
+            let controls = listed["items"][0]["controls"].as_array().unwrap().clone();
+            controls.iter().find(|control| control["name"] == "gain").unwrap().clone()
+        };
+        assert_eq!((&gain(&listed)["minimum"], &gain(&listed)["maximum"]), (&json!(0), &json!(255)));
+        // vivid takes a gain while it is automatic, and ignores it; so automatic gain goes first.
+        let set = whole.isophote(&["camera", "set", "/dev/video0", "gain=9999", "brightness=17"]);
+        assert_eq!(set.stdout, "brightness 17\ngain 255 (asked for 9999)\n", "{}", set.stderr);
+        let set = whole.isophote(&["camera", "set", "vivid-platform-vivid-000", "gain=33", "--json"]);
+        assert_eq!(set.stdout, "{\"controls\":{\"gain\":33}}\n", "{}", set.stderr);
+        let listed: Value = serde_json::from_str(&whole.isophote(&["cameras", "--json"]).stdout).unwrap();
+        assert_eq!(gain(&listed)["value"], 33);
+        let wrong = whole.isophote(&["camera", "set", "/dev/video0", "gian=33"]);
+        assert_eq!(wrong.status, Some(1));
+        assert!(wrong.stderr.contains("gain_automatic, gain,"), "{}", wrong.stderr);
+        // A camera that streams is nobody else's, and says so. Colour bars are full of edges: a small window will do.
+        let document = |source: Value| {
+            let mut document = session(source);
+            document["window"] = json!({"x": 300, "y": 200, "width": 32, "height": 24});
+            document
+        };
+        let eye = json!({"kind": "camera", "device": "/dev/video0"});
+        whole.client.put("/v1/sessions/one", &document(eye.clone())).expect(201);
+        whole.until("one", "running", |view| view["frames"].as_u64() > Some(3));
+        let two = whole.client.put("/v1/sessions/two", &document(eye));
+        assert!(two.expect(409)["detail"].as_str().unwrap().contains("in use"));
+        // The same session anew has it, and keeps it when what it is to become is wrong.
+        let with = |format: &str| document(json!({"kind": "camera", "device": "/dev/video0", "format": format}));
+        whole.client.put("/v1/sessions/one", &with("YUYV")).expect(200);
+        whole.until("one", "running", |view| view["source"]["format"] == "YUYV" && view["frames"].as_u64() > Some(3));
+        whole.client.put("/v1/sessions/one", &with("H264")).expect(422);
+        let frames = whole.client.get("/v1/sessions/one").expect(200)["frames"].as_u64();
+        whole.until("one", "running still", |view| view["frames"].as_u64() > frames);
+    });
+}
