@@ -10,7 +10,7 @@
 //! TIFF ────────► pages ├─► stack ─┐
 //! CSV ─────────► table ───────────┼─► Recording ─┐
 //! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
-//! Model ─► sampling ─► noise ─► Synthetic ───────┘
+//! Model ─► sampling ─► light ─► noise ─► Synthetic ┘
 //! ```
 //! The door for a camera is [`FrameSource`] as well: a V4L2 `Camera` is one more file here (its ioctls the only place of
 //! the crate where `unsafe` may stand), whose frames lease the driver's buffers ([`isophote_tracker::Lease`]) and carry
@@ -20,14 +20,17 @@ pub mod decode;
 pub mod encode;
 mod exposure;
 mod levels;
+pub mod light;
 pub mod limits;
 mod motion;
+mod moving;
 mod noise;
 mod order;
 mod planes;
 pub mod recording;
 mod sampling;
 pub mod source;
+pub mod spec;
 mod stack;
 pub mod synthetic;
 mod table;
@@ -37,8 +40,11 @@ mod truth;
 pub use decode::decode;
 pub use encode::{encode_png, encode_png_planes};
 pub use exposure::Exposure;
+pub use light::Light;
 pub use limits::LIMITS;
+pub use moving::Moving;
 pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
-pub use synthetic::{Pace, Synthetic, SyntheticError, SyntheticSpec};
+pub use spec::{Pace, SyntheticError, SyntheticSpec};
+pub use synthetic::Synthetic;
 pub use tiff::encode_tiff;
