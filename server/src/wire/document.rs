@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use isophote_capture::{Light, Moving};
 use isophote_symbolic::Precision;
 pub use isophote_tracker::ExposureGoal;
 use isophote_tracker::{Camera, Target};
@@ -260,9 +261,15 @@ pub struct SyntheticDocument {
     /// Electrons, 1 σ.
     #[serde(default)]
     pub read_noise_e: f64,
+    /// DN for each DN, after the electrons are counted.
+    #[serde(default = "default_gain", skip_serializing_if = "is_default_gain")]
+    pub gain: Moving,
     /// Largest pixel value; 2^bits − 1 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation: Option<f64>,
+    /// Glare, occluders, blindness, defocus.
+    #[serde(default, skip_serializing_if = "Light::is_clean")]
+    pub light: Light,
     /// The same seed gives the same frames.
     #[serde(default = "default_seed")]
     pub seed: u64,
@@ -393,6 +400,12 @@ fn default_exposure_latency() -> u32 {
 }
 fn is_default_exposure_latency(frames: &u32) -> bool {
     *frames == default_exposure_latency()
+}
+fn default_gain() -> Moving {
+    Moving::Number(1.0)
+}
+fn is_default_gain(gain: &Moving) -> bool {
+    *gain == default_gain()
 }
 fn default_seed() -> u64 {
     1
