@@ -9,13 +9,14 @@ const RATE_HZ: f64 = 200.0;
 /// The frames in bad light that are looked at, 1 s to 1.1 s.
 const BAD: std::ops::Range<u64> = 200..220;
 /// From here on frames are looked at. Before, from 0.5 s on, the same light was there for a while: the first such frame takes
-/// as long as alternatives to the model take to compile, and time stamps are those of a clock that does not wait.
+/// as long as alternatives to the model take to compile.
 const FIRST: u64 = 190;
 
-/// A spot of 20 × 14 px that moves by 30 px/s, with noise.
+/// A spot of 20 × 14 px with noise. It stands still: time stamps are those of a clock that goes on while a slow fit is waited
+/// for, and the motion that they tell is not that of the scene.
 fn source(more: &Value) -> Value {
     let mut source = json!({"kind": "synthetic", "model": "spot", "width": 160, "height": 120, "rate_hz": RATE_HZ, "pace": "fit",
-        "set": {"a1": 0.0025, "a2": 0.0, "a3": 0.0051, "by": 60.3}, "motion": {"bx": "50 + 30*t"},
+        "set": {"a1": 0.0025, "a2": 0.0, "a3": 0.0051, "bx": 80.15, "by": 60.3},
         "full_well_e": 5000, "read_noise_e": 15});
     let all = source.as_object_mut().unwrap();
     all.extend(more.as_object().unwrap().clone());
@@ -71,7 +72,7 @@ fn check_tracked(estimates: &[Value], clean_px: f64, bad_px: f64) {
 fn a_target_is_tracked_while_something_hides_a_part_of_it() {
     let service = Running::start();
     // It covers what is left of a line 8 px left of the centre: some 23 % of the spot.
-    let light = json!({"occluders": twice(&json!({"width": "42.5 + 30*t", "value": 5}))});
+    let light = json!({"occluders": twice(&json!({"width": 72.65, "value": 5}))});
     let found = estimates(&service, &json!({"light": light}));
     check_tracked(&found, 0.1, 1.0);
     let replaced = found.iter().filter(|one| is_bad(one) && one.get("substitute").is_some()).count();
@@ -82,7 +83,7 @@ fn a_target_is_tracked_while_something_hides_a_part_of_it() {
 #[test]
 fn a_target_is_tracked_while_the_camera_is_blind_in_a_part_of_it() {
     let service = Running::start();
-    let light = json!({"blind": twice(&json!({"x": "58 + 30*t", "width": 60, "y": 40, "height": 14}))});
+    let light = json!({"blind": twice(&json!({"x": 88, "width": "60 + 2*t", "y": 40, "height": 14}))});
     let more = json!({"light": light, "bits": 12, "gain": 1.25, "full_well_e": 20_000});
     let found = estimates(&service, &more);
     check_tracked(&found, 0.1, 1.0);
@@ -99,7 +100,9 @@ fn a_target_is_tracked_while_the_camera_is_blind_in_a_part_of_it() {
 fn a_target_that_disappears_is_predicted_and_found_again() {
     let service = Running::start();
     for light in [json!({"occluders": twice(&json!({"value": 20}))}), json!({"blind": twice(&json!({}))})] {
-        let found = estimates(&service, &json!({"light": light}));
+        // Meanwhile it goes elsewhere.
+        let motion = json!({"bx": "if(t < 1.05, 50.4, 110.2)"});
+        let found = estimates(&service, &json!({"light": light, "motion": motion}));
         for estimate in &found {
             let (frame, state) = (estimate["frame"].as_u64().unwrap(), estimate["state"].as_str().unwrap());
             if is_bad(estimate) {
