@@ -64,6 +64,8 @@ pub(crate) enum Range {
     Finite,
     /// Above 0.
     Positive,
+    /// 0 and above.
+    NotNegative,
     /// Both ends included.
     Between(f64, f64),
 }
@@ -73,6 +75,7 @@ impl Range {
         let is_inside = match self {
             Range::Finite => true,
             Range::Positive => value > 0.0,
+            Range::NotNegative => value >= 0.0,
             Range::Between(from, to) => (from..=to).contains(&value),
         };
         is_inside && value.is_finite()
@@ -84,6 +87,7 @@ impl fmt::Display for Range {
         match self {
             Range::Finite => formatter.write_str("a finite number"),
             Range::Positive => formatter.write_str("positive"),
+            Range::NotNegative => formatter.write_str("0 or positive"),
             Range::Between(from, to) => write!(formatter, "{from} to {to}"),
         }
     }

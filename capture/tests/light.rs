@@ -201,6 +201,42 @@ fn defocus_blurs_the_scene_with_its_surroundings() {
     assert_eq!(edge(Light { defocus_px: number(0.0), ..Light::default() }), edge(Light::default()));
 }
 
+/// A line has no y, and every slice of a stack has the same light.
+#[test]
+fn lines_and_stacks_have_their_light_too() {
+    let even = |coordinates: &str| {
+        let document = format!(
+            "name = \"test\"\ncoordinates = [{coordinates}]\nchannels = [\"phi\"]\n[parameters]\nv = {{ start = 5000.0 }}\n[model]\nintensity = \"v\"\n"
+        );
+        SyntheticSpec { model: Arc::new(Model::from_toml(&document).unwrap()), ..even(Light::default()) }
+    };
+    let light = || Light {
+        defocus_px: number(2.0),
+        slope: Some([10.0.into(), 0.0.into()]),
+        occluders: vec![occluder(10.0, 3.5, 800.0)],
+        blind: vec![Blind { y: None, height: None, ..blind(30.0, 0.0, 2.0, 0.0) }],
+        ..Light::default()
+    };
+    let expected = |x: usize| match x {
+        10..=12 => 800.0,
+        13 => 400.0 + (5000.0 + 10.0 * (13.0 - 23.5)) / 2.0,
+        30 | 31 => 65_535.0,
+        _ => 5000.0 + 10.0 * (x as f64 - 23.5),
+    };
+    let frame = |spec| Synthetic::new(spec).unwrap().next().unwrap().unwrap().frame;
+    let line = frame(SyntheticSpec { light: light(), height: 1, ..even("\"x\"") });
+    assert!((0..WIDTH).all(|x| (line.plane_view(0).pixel(x, 0) - expected(x)).abs() <= 0.51));
+    let stack = frame(SyntheticSpec { light: light(), depth: 3, ..even("\"x\", \"y\", \"z\"") });
+    let pixels: Vec<u16> = stack.planes()[0]
+        .buffer
+        .bytes()
+        .chunks_exact(2)
+        .map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]))
+        .collect();
+    assert_eq!(pixels.len(), WIDTH * HEIGHT * 3);
+    assert!(pixels.iter().enumerate().all(|(i, pixel)| (f64::from(*pixel) - expected(i % WIDTH)).abs() <= 0.51));
+}
+
 /// Mean g·m and variance g²·(m/e + (r/e)²) + 1/12 for m DN of light, e electrons a DN, r electrons of read noise and a gain
 /// of g; five standard errors. The light of half of the frame is uneven, so that both ways of counting are looked at.
 #[test]
@@ -291,7 +327,7 @@ fn wrong_light_is_told_by_its_key() {
         ),
         (
             "{\"occluders\": [{\"value\": 2, \"width\": -1}]}".into(),
-            "`light.occluders[0].width` is -1; it must be 0 to ",
+            "`light.occluders[0].width` is -1; it must be 0 or positive",
         ),
         (
             "{\"occluders\": [{\"value\": 2, \"from_s\": 3, \"to_s\": 3}]}".into(),
@@ -301,7 +337,7 @@ fn wrong_light_is_told_by_its_key() {
             "{\"occluders\": [{\"value\": 2e6}]}".into(),
             "`light.occluders[0].value` is 2000000; it must be 0 to 1000000",
         ),
-        ("{\"blind\": [{\"soft_px\": -0.5}]}".into(), "`light.blind[0].soft_px` is -0.5; it must be 0 to "),
+        ("{\"blind\": [{\"soft_px\": -0.5}]}".into(), "`light.blind[0].soft_px` is -0.5; it must be 0 or positive"),
         ("{\"slope\": [1]}".into(), "invalid length 1"),
         ("{\"slope\": [1, true]}".into(), "invalid type: boolean `true`, expected a number or a formula of t"),
         ("{\"defocus_px\": 64.1}".into(), "`light.defocus_px` is 64.1; it must be 0 to 64"),

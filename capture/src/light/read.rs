@@ -9,7 +9,7 @@ use crate::moving::{Law, Moving, MovingFault, Range};
 /// Pixels from anywhere.
 const ANYWHERE: Range = Range::Finite;
 /// Columns or rows.
-const SIDE: Range = Range::Between(0.0, f64::MAX);
+const SIDE: Range = Range::NotNegative;
 /// Light.
 const DN: Range = Range::Between(0.0, LIMITS.light_dn);
 /// Light a pixel.

@@ -302,7 +302,7 @@ pub struct RecordingDocument {
     pub repeat: bool,
 }
 
-/// Frames that clients send with `POST /v1/sessions/{name}/frames`.
+/// Frames that clients send to `/v1/sessions/{name}/frames`, with `POST` or over a WebSocket.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PushedDocument {
@@ -310,7 +310,7 @@ pub struct PushedDocument {
     pub width: usize,
     /// px.
     pub height: usize,
-    /// Of frames sent as `application/octet-stream`.
+    /// Of raw frames.
     #[serde(default)]
     pub format: PushedFormat,
 }

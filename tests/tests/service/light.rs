@@ -133,7 +133,7 @@ fn wrong_light_is_refused_at_its_key() {
             "source.light.occluders[0].height",
             "no formula of t",
         ),
-        (json!({"light": {"blind": [{"width": -1}]}}), "source.light.blind[0].width", "it must be 0 to"),
+        (json!({"light": {"blind": [{"width": -1}]}}), "source.light.blind[0].width", "it must be 0 or positive"),
         (json!({"light": {"blind": [{"radius": 1}]}}), "source.radius", "unknown field `radius`"),
         (json!({"light": {"defocus_px": 65}}), "source.light.defocus_px", "0 to 64"),
         (json!({"light": {"slope": [1, 2, 3]}}), "source", "3"),
