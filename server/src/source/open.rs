@@ -65,7 +65,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         read_noise_e: document.read_noise_e,
         gain: document.gain.clone(),
         saturation,
-        light: document.light.clone(),
+        light: (*document.light).clone(),
         seed: document.seed,
         exposure_latency: document.exposure_latency,
         ..typical

@@ -269,7 +269,7 @@ pub struct SyntheticDocument {
     pub saturation: Option<f64>,
     /// Glare, occluders, blindness, defocus.
     #[serde(default, skip_serializing_if = "Light::is_clean")]
-    pub light: Light,
+    pub light: Box<Light>,
     /// The same seed gives the same frames.
     #[serde(default = "default_seed")]
     pub seed: u64,

@@ -108,7 +108,7 @@ fn a_target_that_disappears_is_predicted_and_found_again() {
             if is_bad(estimate) {
                 let is_right = state == "coasting" || (state == "lost" && frame > BAD.start);
                 assert!(is_right, "{light}: {estimate}");
-            } else if frame < BAD.start || frame > BAD.end + 3 {
+            } else if !(BAD.start..=BAD.end + 3).contains(&frame) {
                 assert_eq!(state, "tracking", "{light}: {estimate}");
                 assert!(error_px(estimate) < 0.1, "{light}: {} px: {estimate}", error_px(estimate));
             }
