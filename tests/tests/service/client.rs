@@ -144,6 +144,10 @@ impl Socket {
     pub fn send(&mut self, text: &str) {
         self.0.send(Message::text(text)).unwrap();
     }
+    /// Bytes that need not be a message.
+    pub fn send_raw(&mut self, bytes: &[u8]) {
+        std::io::Write::write_all(self.0.get_mut(), bytes).unwrap();
+    }
     pub fn send_bytes(&mut self, bytes: &[u8]) {
         self.0.send(Message::binary(bytes.to_vec())).unwrap();
     }

@@ -91,6 +91,18 @@ fn sockets_for_frames_that_are_refused() {
     let mut socket = service.frames_socket("one").unwrap();
     socket.send("{\"credit\": 1}");
     assert_eq!(socket.next(), Err(1008), "text is no frame");
+    // The head of a binary message of 64 MiB and a byte; nothing of it needs to come.
+    let mut socket = service.frames_socket("one").unwrap();
+    let length = (64 * 1024 * 1024 + 1u64).to_be_bytes();
+    socket.send_raw(&[&[0x82, 0xff], &length[..], &[1, 2, 3, 4]].concat());
+    assert_eq!(socket.next(), Err(1008), "too large");
+    check_still_there(&service);
+}
+
+fn check_still_there(service: &Running) {
+    let mut socket = service.frames_socket("one").unwrap();
+    socket.send_bytes(&raw(0));
+    check(&socket.next().unwrap(), 0);
 }
 
 #[test]
