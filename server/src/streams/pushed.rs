@@ -132,10 +132,10 @@ mod tests {
         let document = PushedDocument { width: 4, height: 3, format: PushedFormat::U16le };
         let cases: [(&[u8], Media); 6] = [
             (b"\x89PNG\r\n\x1a\n and so on", Media::Image),
-            (b"\x89PNG\r\n\x1a\n of 24 bytes...", Media::Image),
+            (b"\x89PNG\r\n\x1a\n of 24 bytes....", Media::Image),
             (b"\x89PNG\n is not how it begins", Media::Raw),
             (b"\xff\xd8\xff\xe0 and so on", Media::Image),
-            (b"\xff\xd8\xff\xe0 pixels, 24 bytes.", Media::Raw),
+            (b"\xff\xd8\xff\xe0 of pixels 24 bytes.", Media::Raw),
             (b"", Media::Raw),
         ];
         assert_eq!((cases[1].0.len(), cases[4].0.len()), (24, 24));
