@@ -12,7 +12,7 @@
 //! TIFF ────────► pages ├─► stack ─┐
 //! CSV ─────────► table ───────────┼─► Recording ─┐
 //! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
-//! Model ─► sampling ─► noise ─► Synthetic ───────┘
+//! Model ─► sampling ─► light ─► noise ─► Synthetic ┘
 //! V4L2 ─► camera ─► pixels ─► Camera ──────────────────────────► Frame
 //! ```
 
@@ -21,8 +21,10 @@ pub mod decode;
 pub mod encode;
 mod exposure;
 mod levels;
+pub mod light;
 pub mod limits;
 mod motion;
+mod moving;
 mod noise;
 mod order;
 pub mod pixels;
@@ -30,6 +32,7 @@ mod planes;
 pub mod recording;
 mod sampling;
 pub mod source;
+pub mod spec;
 mod stack;
 pub mod synthetic;
 mod table;
@@ -41,10 +44,13 @@ pub use camera::{Camera, CameraError, CameraSpec, CameraState};
 pub use decode::decode;
 pub use encode::{encode_png, encode_png_planes};
 pub use exposure::Exposure;
+pub use light::Light;
 pub use limits::LIMITS;
+pub use moving::Moving;
 pub use pixels::{Colour, Encoding, PixelsError};
 pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
-pub use synthetic::{Pace, Synthetic, SyntheticError, SyntheticSpec};
+pub use spec::{Pace, SyntheticError, SyntheticSpec};
+pub use synthetic::Synthetic;
 pub use tiff::encode_tiff;
 pub use wake::Wake;

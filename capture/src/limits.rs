@@ -1,7 +1,7 @@
 //! The one table of bounds on what a source reads or makes.
 
 /// Bounds, checked before memory is taken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Pixels of one frame.
     pub frame_pixels: u64,
@@ -19,6 +19,12 @@ pub struct Limits {
     pub bits: u32,
     /// Frames until an exposure of a synthetic source is applied.
     pub exposure_latency: u32,
+    /// Entries of each list of a synthetic source's light.
+    pub light_items: usize,
+    /// Brightness of glare and of occluders, DN.
+    pub light_dn: f64,
+    /// Standard deviation of defocus, px.
+    pub defocus_px: f64,
 }
 
 /// The bounds in force.
@@ -31,4 +37,7 @@ pub const LIMITS: Limits = Limits {
     samples: 32,
     bits: 16,
     exposure_latency: 64,
+    light_items: 64,
+    light_dn: 1e6,
+    defocus_px: 64.0,
 };

@@ -1,7 +1,7 @@
 //! The sensor: expected light in, pixel values out.
 //!
 //! A pixel that should read m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts
-//! Poisson(e) of them, adds N(0, read noise²) electrons, is converted back to DN, rounded, and clipped to
+//! Poisson(e) of them, adds N(0, read noise²) electrons, is converted back to DN, times the gain, rounded, and clipped to
 //! 0…saturation. Without electrons (a full well of 0) it is only rounded and clipped.
 //!
 //! Poisson numbers are exact: inversion for small means, Hörmann's transformed rejection PTRS otherwise (W. Hörmann, The
@@ -38,6 +38,8 @@ const GROUNDS_MAX: u32 = 2;
 /// Reads frames out, row by row.
 pub(crate) struct ReadOut {
     sensor: Sensor,
+    /// Of the sensor at a gain of 1.
+    electrons_per_dn: f64,
     random: Random,
     /// The last mean, how many pixels it has stood for, and its distribution.
     mean_dn: f32,
@@ -54,12 +56,20 @@ impl ReadOut {
     /// For frames from number 0 on.
     pub fn new(sensor: Sensor) -> ReadOut {
         let (random, poisson) = (Random::of_frame(0, 0), Poisson::new(0.0));
-        ReadOut { sensor, random, mean_dn: f32::NAN, run: 0, poisson, ground: None, grounds: 0, memory: None }
+        let (electrons_per_dn, mean_dn) = (sensor.electrons_per_dn, f32::NAN);
+        ReadOut { sensor, electrons_per_dn, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
     }
 
-    /// Starts a frame: its random numbers are its own.
-    pub fn begin(&mut self, seed: u64, frame: u64) {
+    /// Starts a frame: its random numbers are its own. With a gain of g, m electrons read g times as many DN: the means
+    /// that follow are g times the light.
+    pub fn begin(&mut self, seed: u64, frame: u64, gain: f64) {
         self.random = Random::of_frame(seed, frame);
+        let electrons_per_dn = self.electrons_per_dn / gain;
+        if electrons_per_dn != self.sensor.electrons_per_dn {
+            // Tables are of the gain that they were made at.
+            self.sensor.electrons_per_dn = electrons_per_dn;
+            (self.ground, self.memory) = (None, None);
+        }
         (self.mean_dn, self.run, self.grounds) = (f32::NAN, 0, 0);
         self.memory = self.ground.take().or(self.memory.take());
     }
@@ -276,7 +286,7 @@ mod tests {
             let sensor = Sensor { saturation: 65_535.0, electrons_per_dn: gain, read_noise_e };
             let mut pixels = vec![0; N];
             let mut read_out = ReadOut::new(sensor);
-            read_out.begin(42, 7);
+            read_out.begin(42, 7, 1.0);
             // A neighbour that differs by nothing that matters: no ground, every pixel is counted.
             let means: Vec<f32> = (0..N).map(|i| if i % 2 == 0 { mean } else { mean * 1.000_001 }).collect();
             read_out.row(&means, &mut pixels);
@@ -304,7 +314,7 @@ mod tests {
             let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e };
             let count = |means: Vec<f32>, seed| {
                 let mut read_out = ReadOut::new(sensor);
-                read_out.begin(seed, 0);
+                read_out.begin(seed, 0, 1.0);
                 let mut pixels = vec![0; N];
                 read_out.row(&means, &mut pixels);
                 let mut counts = vec![0.0; 256];
@@ -332,10 +342,10 @@ mod tests {
         let means = vec![20.0; 2000];
         let (mut fresh, mut used) = (ReadOut::new(sensor), ReadOut::new(sensor));
         let (mut first, mut second) = (vec![0; 2000], vec![0; 2000]);
-        used.begin(1, 0);
+        used.begin(1, 0, 1.0);
         used.row(&means, &mut second);
         for read_out in [&mut fresh, &mut used] {
-            read_out.begin(1, 1);
+            read_out.begin(1, 1, 1.0);
         }
         fresh.row(&means, &mut first);
         used.row(&means, &mut second);

@@ -129,6 +129,7 @@ impl Scene {
 
     fn add(&self, numbers: &Numbers, window: Window, shift: [f64; 2], plane: &mut [f32]) -> Result<(), String> {
         let saturation = &vec![f64::INFINITY; self.kernel.program().channels()];
+        let shift = [shift[0] + numbers.origin[0], shift[1] + numbers.origin[1]];
         let bindings = Bindings {
             parameters: numbers.parameters,
             entry: numbers.parameters,
@@ -146,6 +147,8 @@ pub(crate) struct Numbers<'a> {
     pub parameters: &'a [f64],
     /// In document order.
     pub constants: &'a [f64],
+    /// Where the frame's first pixel lies, px: left of and above (0, 0) when its surroundings are rendered as well.
+    pub origin: [f64; 2],
 }
 
 /// The means of a row of pixels as if all were smooth, from the centres of five rows around it; marks the columns that are

@@ -4,7 +4,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isophote_capture::{
-    Captured, FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png_planes, encode_tiff,
+    Captured, FrameSource, Light, Moving, Recording, Synthetic, SyntheticError, SyntheticSpec, encode_png_planes,
+    encode_tiff,
 };
 use isophote_symbolic::Model;
 use isophote_tracker::Frame;
@@ -50,6 +51,12 @@ pub struct RenderArgs {
     /// Standard deviation of the read noise
     #[arg(long, value_name = "E", default_value_t = 0.0)]
     pub read_noise_e: f64,
+    /// DN for each DN after the electrons are counted, a number or a formula of t
+    #[arg(long, value_name = "GAIN", default_value = "1")]
+    pub gain: Moving,
+    /// Glare, occluders, blindness and defocus: JSON, as `light` of a synthetic source
+    #[arg(long, value_name = "FILE")]
+    pub light: Option<PathBuf>,
     /// Pixel values are clipped here [default: the largest of the bits, 255 for 8]
     #[arg(long, value_name = "DN")]
     pub saturation: Option<f64>,
@@ -86,6 +93,8 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         samples: args.samples,
         full_well_e: args.full_well_e,
         read_noise_e: args.read_noise_e,
+        gain: args.gain.clone(),
+        light: args.light.as_deref().map(read_light).transpose()?.unwrap_or_default(),
         saturation: args.saturation.unwrap_or_else(|| f64::from((1u32 << args.bits.clamp(1, 16)) - 1)),
         seed: args.seed,
         ..typical
@@ -112,6 +121,12 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
     warn_of_strangers(args, coordinates);
     Ok(())
+}
+
+fn read_light(path: &Path) -> Result<Light, Failure> {
+    let wrong = |error: &dyn std::fmt::Display| Failure::Usage(format!("--light {}: {error}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(&error))?;
+    serde_json::from_str(&text).map_err(|error| wrong(&error))
 }
 
 /// Files hold one channel, or the three of a colour picture.

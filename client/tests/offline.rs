@@ -79,6 +79,38 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
     assert!(first.contains("000000.png") && first.contains("tracking") && first.contains("bx 340.0"), "{first}");
 }
 
+/// A lamp that goes out and a camera that is blind in a corner, at 12 bits and a gain of 2: as asked for, and the truth told.
+#[test]
+fn bad_light_is_rendered_from_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let (spot, out, light) = (model("spot.toml"), folder.path().join("out"), folder.path().join("light.json"));
+    let document = r#"{"occluders": [{"value": "30 + 5*t", "from_s": 1}], "blind": [{"width": 3, "height": 2}]}"#;
+    std::fs::write(&light, document).unwrap();
+    let common = ["render", text(&spot), "--out", text(&out), "--light", text(&light), "--size", "64x48"];
+    output(&[&common[..], &["--frames", "3", "--rate-hz", "1", "--bits", "12", "--gain", "1 + 1"]].concat());
+    let pixels = |frame: u64| {
+        let bytes = std::fs::read(out.join(format!("{frame:06}.png"))).unwrap();
+        let frame = isophote_capture::decode(&bytes).unwrap();
+        let plane = frame.plane_view(0);
+        [plane.pixel(0, 0), plane.pixel(2, 1), plane.pixel(3, 1), plane.pixel(32, 24)]
+    };
+    assert_eq!([pixels(1), pixels(2)], [[4095.0, 4095.0, 70.0, 70.0], [4095.0, 4095.0, 80.0, 80.0]]);
+    let background = (20.0 * 4095.0 / 255.0 * 2.0f64).round();
+    assert_eq!(pixels(0), [4095.0, 4095.0, background, 4095.0]);
+    let truth = lines(&std::fs::read_to_string(out.join("truth.jsonl")).unwrap());
+    let told = truth.iter().map(|line| line["parameters"]["v0"].as_f64().unwrap());
+    assert!(told.into_iter().all(|v0| (v0 - 20.0 * 4095.0 / 255.0 * 2.0).abs() < 1e-9));
+
+    std::fs::write(&light, r#"{"blind": [{"width": -3}]}"#).unwrap();
+    let (status, message) = failure(&common);
+    assert!(status == 2 && message.contains("`light.blind[0].width` is -3; it must be 0 or positive"), "{message}");
+    std::fs::write(&light, r#"{"blindness": []}"#).unwrap();
+    let (status, message) = failure(&common);
+    assert!(status == 2 && message.contains("light.json: unknown field `blindness`"), "{message}");
+    let (status, message) = failure(&["render", text(&spot), "--out", text(&out), "--gain", "2*u"]);
+    assert!(status == 2 && message.contains("`gain` is no formula of t"), "{message}");
+}
+
 #[test]
 fn the_same_seed_renders_the_same_files() {
     let folder = tempfile::tempdir().unwrap();

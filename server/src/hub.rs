@@ -19,6 +19,9 @@ pub enum Mode {
     Latest,
     /// Every estimate, up to the queue's bound; then the oldest go.
     All,
+    /// No estimate, only the end. No client can ask for it.
+    #[serde(skip)]
+    End,
 }
 
 /// Why there will be no more estimates.
@@ -112,6 +115,9 @@ impl Hub {
 
 impl Subscriber {
     fn push(&self, estimate: Arc<Estimate>) {
+        if self.mode == Mode::End {
+            return;
+        }
         let mut queue = lock(&self.queue);
         if self.mode == Mode::Latest {
             queue.waiting.retain(|waiting| waiting.target != estimate.target);
@@ -157,7 +163,7 @@ impl Subscription {
         }
     }
 
-    /// The end, for a subscriber without credit: at once when the service stops, else when nothing waits any more.
+    /// The end, for a subscriber without credit or in mode `End`: at once when the service stops, else when nothing waits any more.
     pub async fn end(&mut self) -> Next {
         loop {
             {
@@ -283,6 +289,18 @@ mod tests {
         assert_eq!(all.take(), Some(Next::End(End::SessionStopped)));
         let mut late = hub.subscribe(Mode::All).unwrap();
         assert_eq!(late.take(), Some(Next::End(End::SessionStopped)));
+    }
+
+    #[test]
+    fn who_waits_for_the_end_gets_nothing_else() {
+        let hub = Arc::new(Hub::default());
+        hub.publish(estimate(0));
+        let mut end = hub.subscribe(Mode::End).unwrap();
+        hub.publish(estimate(1));
+        assert_eq!(end.take(), None);
+        hub.end(End::SessionStopped);
+        assert_eq!(end.take(), Some(Next::End(End::SessionStopped)));
+        assert!(serde_json::from_str::<Mode>("\"end\"").is_err());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The service: models, sources, sessions and streams.
 //!
-//! What comes in: documents over HTTP, frames from `capture`. What goes out: estimates over WebSocket, server-sent events
+//! What comes in: documents over HTTP, frames from `capture` and from clients. What goes out: estimates over WebSocket, server-sent events
 //! or NDJSON, and answers in JSON ([`wire`]). It contains no mathematics: what a frame says, the tracker says.
 //!
 //! ```text

@@ -27,6 +27,8 @@ pub struct Limits {
     pub compile_jobs: usize,
     /// Pushed frames that wait for their source.
     pub pushed_frames: usize,
+    /// Pushed frames of one socket that are on their way: the next is read when one of them is answered.
+    pub pushed_window: usize,
     /// Frames a second.
     pub rate_hz: f64,
     /// Pixels of a frame or window.
@@ -66,6 +68,7 @@ pub const LIMITS: Limits = Limits {
     credit: 65_536,
     compile_jobs: 64,
     pushed_frames: 8,
+    pushed_window: 4,
     rate_hz: 10_000.0,
     window_pixels: 16 * 1024 * 1024,
     sockets: 1024,

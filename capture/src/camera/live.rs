@@ -13,7 +13,7 @@ use rustix::fd::AsFd;
 use super::device::{self, Found, Identity};
 use super::formats::{self, Plan};
 use super::ioctl::{Format, Node};
-use super::light::Light;
+use super::knob::Knob;
 use super::sequence::Sequence;
 use super::stream::{Lost, Stream, Taken, wait};
 use super::watch::Watch;
@@ -46,7 +46,7 @@ pub struct Camera {
     wake: Wake,
     /// `None` where the kernel has no more of them: then only time brings a camera back.
     watch: Option<Watch>,
-    light: Option<Light>,
+    knob: Option<Knob>,
     exposure: Option<Exposure>,
     /// Of the exposure knob, as the device has it; `None` after it was opened.
     applied: Option<f64>,
@@ -100,7 +100,7 @@ impl Camera {
             status,
             wake,
             watch: Watch::new().ok(),
-            light: None,
+            knob: None,
             exposure: None,
             applied: None,
             lost: Lost::default(),
@@ -108,8 +108,8 @@ impl Camera {
             since: Instant::now(),
         };
         camera.set_up(&node)?;
-        camera.light = Light::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
-        camera.exposure = camera.light.map(|light| Exposure::waking(camera.wake.clone(), light.reach()));
+        camera.knob = Knob::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
+        camera.exposure = camera.knob.map(|knob| Exposure::waking(camera.wake.clone(), knob.reach()));
         Ok(camera)
     }
 
@@ -320,7 +320,7 @@ impl Camera {
 
     /// Turns the knob on the device, when it was turned.
     fn apply_exposure(&mut self) {
-        let (Some(light), Some(exposure), Link::Streaming(stream)) = (self.light, &self.exposure, &self.link) else {
+        let (Some(knob), Some(exposure), Link::Streaming(stream)) = (self.knob, &self.exposure, &self.link) else {
             return;
         };
         let wanted = exposure.get();
@@ -329,7 +329,7 @@ impl Camera {
             return;
         }
         self.applied = Some(wanted);
-        if let Ok(taken) = light.set(stream.node(), wanted) {
+        if let Ok(taken) = knob.set(stream.node(), wanted) {
             exposure.took(taken);
         } // else it stays as it is; a device that is gone says so with the next picture
     }

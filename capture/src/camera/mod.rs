@@ -6,7 +6,7 @@
 //! no longer than it is told to.
 //!
 //! ```text
-//! ioctl (unsafe) ─► device ─► formats, controls, light ─┐
+//! ioctl (unsafe) ─► device ─► formats, controls, knob ──┐
 //!       └─► stream (buffers) ─► pixels ─────────────────┴─► Camera: rests, streams, is down and comes back
 //! ```
 //! A camera that is lost is looked for again by identity, at growing intervals of one second at most and whenever
@@ -16,7 +16,7 @@ mod controls;
 mod device;
 mod formats;
 mod ioctl;
-mod light;
+mod knob;
 mod live;
 mod sequence;
 mod stream;

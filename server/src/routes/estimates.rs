@@ -7,14 +7,11 @@ use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use serde::Deserialize;
 
-use super::{Answer, App, RawName, raw};
+use super::{Answer, App, RawName, raw, upgraded};
 use crate::hub::Mode;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::streams::{body, websocket};
-
-/// The subprotocol's name.
-pub const PROTOCOL: &str = "isophote.v1";
 
 /// How to be sent estimates.
 #[derive(Deserialize)]
@@ -40,12 +37,7 @@ pub async fn get(
         return Err(Problem::bad_request(format!("credit is at most {}", LIMITS.credit)));
     }
     if headers.contains_key(header::UPGRADE) {
-        let upgrade = upgrade.map_err(|error| Problem::bad_request(error.body_text()))?;
-        let is_offered = headers.contains_key(header::SEC_WEBSOCKET_PROTOCOL);
-        let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(LIMITS.message_bytes);
-        if is_offered && upgrade.selected_protocol().is_none() {
-            return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
-        }
+        let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
         let subscription = session.hub().subscribe(query.mode)?;
         let held = app.stream.clone();
         return Ok(upgrade.on_upgrade(async move |socket| {

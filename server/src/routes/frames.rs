@@ -1,58 +1,50 @@
-//! `POST /v1/sessions/{name}/frames`: one frame in, its estimate out.
+//! `POST /v1/sessions/{name}/frames`: one frame in, its estimate out. `GET` of the same: a WebSocket for many frames.
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode};
-use isophote_capture::Captured;
-use isophote_tracker::{Frame, Plane};
-use tokio::sync::oneshot;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::http::{HeaderMap, StatusCode, header};
 
-use super::{Answer, App, RawName, json, raw};
+use super::{Answer, App, RawName, json, raw, upgraded};
 use crate::documents::{media_type, read_body};
+use crate::hub::Mode;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::session::inbox::Reply;
-use crate::source::pixel_format;
-use crate::wire::{PushedDocument, SourceDocument};
+use crate::streams::frames;
+use crate::streams::pushed::{Media, Pushed};
 
 /// Waits for the fit of this very frame.
 pub async fn post(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
-    let session = app.service.session(&raw(name)?)?;
-    let SourceDocument::Pushed(document) = session.source().source.document().clone() else {
-        let kind = session.source().source.document().kind();
-        let message = format!("the session's frames come from a source of kind {kind}; only kind pushed takes frames");
-        return Err(Problem::conflict("not-applicable", message));
+    let pushed = Pushed::of(&*app.service.session(&raw(name)?)?)?;
+    let media = match media_type(&headers).as_str() {
+        "application/octet-stream" => Media::Raw,
+        "image/png" | "image/jpeg" => Media::Image,
+        _ => return Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream")),
     };
-    let media = media_type(&headers);
-    if !["application/octet-stream", "image/png", "image/jpeg"].contains(&media.as_str()) {
-        return Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream"));
-    }
     let bytes = read_body(body, LIMITS.frame_bytes).await?;
-    let decoding = tokio::task::spawn_blocking(move || decode(&document, &media, bytes));
-    let frame = decoding.await.map_err(|_| Problem::bug("decoding panicked"))??;
-    let (sender, answer) = oneshot::channel();
-    let reply = Reply { session: session.inbox().clone(), sender };
-    session.source().source.push(Captured { frame, file: None, truth: None }, reply)?;
-    let late = |_| Problem::conflict("not-applicable", "the frame was not fitted in time");
-    let gone = |_| Problem::conflict("not-applicable", "the session ended before the frame was fitted");
-    let estimate = tokio::time::timeout(LIMITS.push_time, answer).await.map_err(late)?.map_err(gone)?;
+    let frame = pushed.decode(media, bytes).await?;
+    let estimate = pushed.push(frame)?.estimate().await?;
     json(StatusCode::OK, &*estimate)
 }
 
-fn decode(document: &PushedDocument, media: &str, bytes: Vec<u8>) -> Result<Frame, Problem> {
-    let size = [document.width, document.height];
-    let wrong = |message: String| Problem::wrong_key("wrong-frame", "", message);
-    if media != "application/octet-stream" {
-        let frame = isophote_capture::decode(&bytes).map_err(|error| wrong(error.to_string()))?;
-        if frame.size() != size {
-            return Err(wrong(format!("the frame has {:?} px, the source {size:?}", frame.size())));
-        }
-        return Ok(frame);
+/// Takes frames until one side ends it.
+pub async fn get(
+    State(app): State<App>,
+    name: RawName,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Answer {
+    let session = app.service.session(&raw(name)?)?;
+    let pushed = Pushed::of(&session)?;
+    if !headers.contains_key(header::UPGRADE) {
+        return Err(Problem::bad_request("frames come with POST, or over a WebSocket"));
     }
-    let format = pixel_format(document.format);
-    let expected = document.width * document.height * format.bytes_per_pixel();
-    if bytes.len() != expected {
-        return Err(wrong(format!("the frame has {} bytes, {expected} are expected", bytes.len())));
-    }
-    Frame::new(&size, vec![Plane::owned(format, bytes, document.width)]).map_err(|error| wrong(error.to_string()))
+    let upgrade = upgraded(&headers, upgrade, LIMITS.frame_bytes)?;
+    let subscription = session.hub().subscribe(Mode::End)?;
+    let held = app.stream.clone();
+    Ok(upgrade.on_upgrade(async move |socket| {
+        frames::serve(socket, pushed, subscription).await;
+        drop(held);
+    }))
 }

@@ -14,7 +14,9 @@ use std::sync::Arc;
 use axum::Router;
 use axum::extract::Path;
 use axum::extract::rejection::PathRejection;
-use axum::http::{HeaderValue, StatusCode, Uri, header};
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post, put};
 use serde::Serialize;
@@ -23,6 +25,9 @@ use tokio::sync::mpsc;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::service::{Put, Service};
+
+/// The name of the WebSockets' subprotocol.
+const PROTOCOL: &str = "isophote.v1";
 
 /// What every handler gets.
 #[derive(Clone)]
@@ -55,7 +60,7 @@ pub fn router(app: App) -> Router {
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{name}", put(sessions::put).get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{name}/model", put(sessions::swap))
-        .route("/v1/sessions/{name}/frames", post(frames::post))
+        .route("/v1/sessions/{name}/frames", post(frames::post).get(frames::get))
         .route("/v1/sessions/{name}/estimates", get(estimates::get))
         .route("/v1/sessions/{name}/preview", get(|| absent("preview")))
         .route("/v1/sessions/{name}/shadow", put(|| absent("shadow models")).delete(|| absent("shadow models")))
@@ -100,6 +105,21 @@ pub fn new_name(name: RawName) -> Result<Name, Problem> {
 pub fn old_name(what: &str, name: RawName) -> Result<Name, Problem> {
     let name = raw(name)?;
     Name::parse(&name).ok_or_else(|| Problem::unknown(what, &name))
+}
+
+/// An upgrade to our subprotocol, for messages of at most so many bytes from the client.
+fn upgraded(
+    headers: &HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+    message_bytes: usize,
+) -> Result<WebSocketUpgrade, Problem> {
+    let upgrade = upgrade.map_err(|error| Problem::bad_request(error.body_text()))?;
+    let is_offered = headers.contains_key(header::SEC_WEBSOCKET_PROTOCOL);
+    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(message_bytes).max_frame_size(message_bytes);
+    if is_offered && upgrade.selected_protocol().is_none() {
+        return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
+    }
+    Ok(upgrade)
 }
 
 fn put_status(put: Put) -> StatusCode {

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use isophote_capture::camera::FormatWanted;
 use isophote_capture::{
-    Camera, CameraError, CameraSpec, Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticSpec,
+    Camera, CameraError, CameraSpec, Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticError,
+    SyntheticSpec,
 };
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
@@ -65,13 +66,17 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         samples: document.samples,
         full_well_e: document.full_well_e,
         read_noise_e: document.read_noise_e,
+        gain: document.gain.clone(),
         saturation,
+        light: (*document.light).clone(),
         seed: document.seed,
         exposure_latency: document.exposure_latency,
         ..typical
     };
-    let source = Synthetic::new(spec)
-        .map_err(|error| Problem::wrong_key("wrong-source", prefix.trim_end_matches('.'), error.to_string()))?;
+    let source = Synthetic::new(spec).map_err(|error| {
+        let key = if let SyntheticError::Light { key, .. } = &error { key } else { "" };
+        Problem::wrong_key("wrong-source", format!("{prefix}{key}").trim_end_matches('.'), error.to_string())
+    })?;
     let shape = Shape {
         dimensions: Some(model.coordinates().len()),
         planes: Some(model.channels().len()),

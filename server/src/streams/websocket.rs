@@ -86,15 +86,17 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
 }
 
 /// False when the client does not take it.
-async fn send(socket: &mut WebSocket, message: Message, deadline: Duration) -> bool {
+pub(super) async fn send(socket: &mut WebSocket, message: Message, deadline: Duration) -> bool {
     matches!(tokio::time::timeout(deadline, socket.send(message)).await, Ok(Ok(())))
 }
 
-async fn refuse(socket: &mut WebSocket, reason: &str) {
+/// Ends the stream of a client that does not keep to the protocol.
+pub(super) async fn refuse(socket: &mut WebSocket, reason: &str) {
     finish(socket, close_code::POLICY, reason).await;
 }
 
-async fn close(socket: &mut WebSocket, end: &End) {
+/// Says why nothing more will come.
+pub(super) async fn close(socket: &mut WebSocket, end: &End) {
     match end {
         End::ServiceStops => finish(socket, close_code::AWAY, "the service stops").await,
         End::SessionStopped => finish(socket, close_code::NORMAL, "the session was stopped").await,

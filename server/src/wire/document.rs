@@ -5,6 +5,7 @@ use std::fmt;
 
 use isophote_capture::camera::ControlValues;
 use isophote_capture::pixels::Colour;
+use isophote_capture::{Light, Moving};
 use isophote_symbolic::Precision;
 pub use isophote_tracker::ExposureGoal;
 use isophote_tracker::{Camera, Target};
@@ -262,9 +263,15 @@ pub struct SyntheticDocument {
     /// Electrons, 1 σ.
     #[serde(default)]
     pub read_noise_e: f64,
+    /// DN for each DN, after the electrons are counted.
+    #[serde(default = "default_gain", skip_serializing_if = "is_default_gain")]
+    pub gain: Moving,
     /// Largest pixel value; 2^bits − 1 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation: Option<f64>,
+    /// Glare, occluders, blindness, defocus.
+    #[serde(default, skip_serializing_if = "Light::is_clean")]
+    pub light: Box<Light>,
     /// The same seed gives the same frames.
     #[serde(default = "default_seed")]
     pub seed: u64,
@@ -297,7 +304,7 @@ pub struct RecordingDocument {
     pub repeat: bool,
 }
 
-/// Frames that clients send with `POST /v1/sessions/{name}/frames`.
+/// Frames that clients send to `/v1/sessions/{name}/frames`, with `POST` or over a WebSocket.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PushedDocument {
@@ -305,7 +312,7 @@ pub struct PushedDocument {
     pub width: usize,
     /// px.
     pub height: usize,
-    /// Of frames sent as `application/octet-stream`.
+    /// Of raw frames.
     #[serde(default)]
     pub format: PushedFormat,
 }
@@ -414,6 +421,12 @@ fn default_exposure_latency() -> u32 {
 }
 fn is_default_exposure_latency(frames: &u32) -> bool {
     *frames == default_exposure_latency()
+}
+fn default_gain() -> Moving {
+    Moving::Number(1.0)
+}
+fn is_default_gain(gain: &Moving) -> bool {
+    *gain == default_gain()
 }
 fn default_seed() -> u64 {
     1

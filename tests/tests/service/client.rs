@@ -108,7 +108,14 @@ impl Running {
         self.try_socket(session, query, "isophote.v1").unwrap()
     }
     pub fn try_socket(&self, session: &str, query: &str, protocol: &str) -> Result<Socket, u16> {
-        let url = format!("ws://{}/v1/sessions/{session}/estimates?{query}", self.address);
+        self.open(&format!("/v1/sessions/{session}/estimates?{query}"), protocol)
+    }
+    /// A socket for frames.
+    pub fn frames_socket(&self, session: &str) -> Result<Socket, u16> {
+        self.open(&format!("/v1/sessions/{session}/frames"), "isophote.v1")
+    }
+    pub fn open(&self, path: &str, protocol: &str) -> Result<Socket, u16> {
+        let url = format!("ws://{}{path}", self.address);
         let mut request = url.into_client_request().unwrap();
         request.headers_mut().insert("sec-websocket-protocol", HeaderValue::from_str(protocol).unwrap());
         let stream = TcpStream::connect(&self.address).unwrap();
@@ -123,11 +130,11 @@ impl Running {
     }
 }
 
-/// Estimates over a WebSocket.
+/// A WebSocket of the service, which sends JSON.
 pub struct Socket(WebSocket<TcpStream>);
 
 impl Socket {
-    /// The next estimate, or the code with which the service closed.
+    /// The next message, or the code with which the service closed.
     pub fn next(&mut self) -> Result<Value, u16> {
         loop {
             match self.0.read() {
@@ -141,6 +148,13 @@ impl Socket {
     pub fn send(&mut self, text: &str) {
         self.0.send(Message::text(text)).unwrap();
     }
+    /// Bytes that need not be a message.
+    pub fn send_raw(&mut self, bytes: &[u8]) {
+        std::io::Write::write_all(self.0.get_mut(), bytes).unwrap();
+    }
+    pub fn send_bytes(&mut self, bytes: &[u8]) {
+        self.0.send(Message::binary(bytes.to_vec())).unwrap();
+    }
 }
 
 /// A small synthetic source that is cheap to render and to fit.
@@ -153,6 +167,20 @@ pub fn synthetic(pace: &str, rate_hz: f64) -> Value {
 /// A session over it.
 pub fn session(pace: &str, rate_hz: f64) -> Value {
     json!({"source": synthetic(pace, rate_hz), "model": "spot"})
+}
+
+/// A spot of the kind that `spot` fits, 8 bit.
+pub fn picture(width: usize, height: usize, centre: (f64, f64)) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let (dx, dy) = (x as f64 - centre.0, y as f64 - centre.1);
+            let s = dx * dx * 0.01 + dy * dy * 0.015625;
+            let f = if s <= 1.0 { 1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s } else { 0.0 };
+            bytes.push((20.0 + 150.0 * f).round() as u8);
+        }
+    }
+    bytes
 }
 
 /// Names of an object, in order.

@@ -3,7 +3,7 @@
 use isophote_jit::PixelFormat;
 use serde_json::json;
 
-use crate::client::{Folder, Running, session, synthetic};
+use crate::client::{Folder, Running, picture, session, synthetic};
 
 #[test]
 fn life_cycle() {
@@ -161,20 +161,6 @@ fn sixty_four_sessions_and_no_more() {
     service.put("/v1/sessions/s63", &document).expect(200);
     service.delete("/v1/sessions/s0");
     service.put("/v1/sessions/s64", &document).expect(201);
-}
-
-/// A spot of the kind that `spot` fits, 8 bit.
-fn picture(width: usize, height: usize, centre: (f64, f64)) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    for y in 0..height {
-        for x in 0..width {
-            let (dx, dy) = (x as f64 - centre.0, y as f64 - centre.1);
-            let s = dx * dx * 0.01 + dy * dy * 0.015625;
-            let f = if s <= 1.0 { 1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s } else { 0.0 };
-            bytes.push((20.0 + 150.0 * f).round() as u8);
-        }
-    }
-    bytes
 }
 
 #[test]

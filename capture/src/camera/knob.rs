@@ -45,15 +45,15 @@ impl Screw {
 
 /// Exposure time and gain of a camera that has at least one of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Light {
+pub(super) struct Knob {
     time: Option<Screw>,
     gain: Option<Screw>,
 }
 
-impl Light {
+impl Knob {
     /// Starts at what is set now. `interval` is the time from a frame to the next, s: longer exposures would slow the
     /// camera down.
-    pub fn of(node: &Node, interval: Option<f64>) -> Option<Light> {
+    pub fn of(node: &Node, interval: Option<f64>) -> Option<Knob> {
         let entries = node.controls();
         let mut time = Screw::of(node, &entries, &[V4L2_CID_EXPOSURE_ABSOLUTE, V4L2_CID_EXPOSURE]);
         if let (Some(screw), Some(interval)) = (&mut time, interval)
@@ -62,7 +62,7 @@ impl Light {
             screw.range[1] = (interval / EXPOSURE_UNIT_S).clamp(screw.start.min(screw.range[1]), screw.range[1]);
         }
         let gain = Screw::of(node, &entries, &[V4L2_CID_GAIN, V4L2_CID_ANALOGUE_GAIN]);
-        (time.is_some() || gain.is_some()).then_some(Light { time, gain })
+        (time.is_some() || gain.is_some()).then_some(Knob { time, gain })
     }
 
     /// How much less and how much more light there can be.

@@ -1,0 +1,154 @@
+//! What the light of one frame does to its rows.
+
+use std::ops::Range;
+
+use super::{Light, read};
+use crate::moving::Law;
+
+/// A function of the frame that is a product of one of x and one of y.
+struct Product {
+    across: Vec<f32>,
+    along: Vec<f32>,
+}
+
+/// The light of one frame.
+pub(crate) struct Shine {
+    defocus_px: f64,
+    slope: Option<Slope>,
+    /// DN.
+    lobes: Vec<Product>,
+    /// The share of a pixel that is hidden, and by what, DN.
+    covers: Vec<(Product, f32)>,
+    /// DN.
+    veils: Vec<Product>,
+    /// Columns and rows.
+    blind: Vec<[Range<usize>; 2]>,
+}
+
+#[derive(Clone, Copy)]
+struct Slope {
+    dn_per_px: [f64; 2],
+    middle: [f64; 2],
+}
+
+impl Shine {
+    /// Of a frame of so many columns and rows at time `t_s`; a sentence when a number is out of its range then.
+    pub fn at(light: &Light<Law>, t_s: f64, size: [usize; 2], saturation: f64) -> Result<Shine, String> {
+        let light = read::at(light, t_s)?;
+        let slope =
+            light.slope.map(|dn_per_px| Slope { dn_per_px, middle: size.map(|side| (side as f64 - 1.0) / 2.0) });
+        let lobes = light.glare.iter().map(|one| Product {
+            across: lobe(one.x, one.sigma_px, size[0], one.height),
+            along: lobe(one.y, one.sigma_px, size[1], 1.0),
+        });
+        let covers = light.occluders.iter().map(|one| {
+            let across = edges(one.x, one.width);
+            let along = edges(one.y, one.height);
+            (Product { across: covered(across, size[0]), along: covered(along, size[1]) }, one.value as f32)
+        });
+        let places = light.blind.iter().map(|one| ([edges(one.x, one.width), edges(one.y, one.height)], one.soft_px));
+        let veils = places.clone().filter_map(|([across, along], soft_px)| {
+            let soft_px = soft_px.filter(|px| *px > 0.0)?;
+            let [across, along] =
+                [veil(across, soft_px, size[0], 2.0 * saturation), veil(along, soft_px, size[1], 1.0)];
+            Some(Product { across, along })
+        });
+        let blind = places.map(|([across, along], _)| [inside(across, size[0]), inside(along, size[1])]);
+        Ok(Shine {
+            defocus_px: light.defocus_px.unwrap_or(0.0),
+            slope,
+            lobes: lobes.collect(),
+            covers: covers.collect(),
+            veils: veils.collect(),
+            blind: blind.collect(),
+        })
+    }
+
+    /// Standard deviation of the blur; 0: none.
+    pub fn defocus_px(&self) -> f64 {
+        self.defocus_px
+    }
+
+    /// What becomes of the light of row `y`, DN.
+    pub fn shine(&self, y: usize, row: &mut [f32]) {
+        if let Some(Slope { dn_per_px: [along_x, along_y], middle: [mx, my] }) = self.slope {
+            let first = along_y * (y as f64 - my);
+            row.iter_mut().enumerate().for_each(|(x, light)| *light += (first + along_x * (x as f64 - mx)) as f32);
+        }
+        self.lobes.iter().for_each(|lobe| lobe.add(y, row));
+        if self.slope.is_some() {
+            row.iter_mut().for_each(|light| *light = light.max(0.0));
+        }
+        for (cover, value) in &self.covers {
+            let along = cover.along[y];
+            if along > 0.0 {
+                row.iter_mut().zip(&cover.across).for_each(|(light, across)| {
+                    let share = across * along;
+                    *light = *light * (1.0 - share) + value * share;
+                });
+            }
+        }
+        self.veils.iter().for_each(|veil| veil.add(y, row));
+    }
+
+    /// Puts the blind pixels of row `y` to saturation.
+    pub fn blind(&self, y: usize, row: &mut [u16], saturation: u16) {
+        let here = self.blind.iter().filter(|[_, rows]| rows.contains(&y));
+        here.for_each(|[columns, _]| row[columns.clone()].fill(saturation));
+    }
+}
+
+impl Product {
+    fn add(&self, y: usize, row: &mut [f32]) {
+        let along = self.along[y];
+        if along > 0.0 {
+            row.iter_mut().zip(&self.across).for_each(|(light, across)| *light += across * along);
+        }
+    }
+}
+
+/// The mean of `height`·exp(−(x − middle)²/2σ²) over each pixel: σ√(π/2)·(erf(b) − erf(a)) with a and b its sides over σ√2.
+fn lobe(middle: Option<f64>, sigma_px: f64, side: usize, height: f64) -> Vec<f32> {
+    let Some(middle) = middle else { return vec![height as f32; side] };
+    let scale = height * sigma_px * (std::f64::consts::PI / 2.0).sqrt();
+    let from = |i: usize| (i as f64 - 0.5 - middle) / (sigma_px * std::f64::consts::SQRT_2);
+    let mean = |i: usize| {
+        let (a, b) = (from(i), from(i + 1));
+        // Where a lobe is much wider than a pixel, the difference would be of rounding errors.
+        let difference = b - a;
+        let between = if difference > 1e-4 {
+            libm::erf(b) - libm::erf(a)
+        } else {
+            let centre = (a + b) / 2.0;
+            2.0 / std::f64::consts::PI.sqrt() * difference * libm::exp(-centre * centre)
+        };
+        (scale * between) as f32
+    };
+    (0..side).map(mean).collect()
+}
+
+/// The outer edges of `count` pixels from `first` on, px.
+fn edges(first: Option<f64>, count: Option<f64>) -> [f64; 2] {
+    let low = first.map_or(f64::NEG_INFINITY, |first| first - 0.5);
+    [low, count.map_or(f64::INFINITY, |count| first.unwrap_or(0.0) - 0.5 + count)]
+}
+
+/// The share of each pixel between two edges.
+fn covered([low, high]: [f64; 2], side: usize) -> Vec<f32> {
+    let share = |i: usize| (high.min(i as f64 + 0.5) - low.max(i as f64 - 0.5)).clamp(0.0, 1.0) as f32;
+    (0..side).map(share).collect()
+}
+
+/// The pixels whose middle lies between two edges.
+fn inside([low, high]: [f64; 2], side: usize) -> Range<usize> {
+    // `as` saturates: what lies left of the frame is 0.
+    let first = |edge: f64| (edge.ceil() as usize).min(side);
+    let (from, to) = (first(low), first(high));
+    from..to.max(from)
+}
+
+/// `height`·(Φ((x − low)/σ) − Φ((x − high)/σ)) at each pixel.
+fn veil([low, high]: [f64; 2], sigma_px: f64, side: usize, height: f64) -> Vec<f32> {
+    let normal = |x: f64| 0.5 * libm::erfc(-x / (sigma_px * std::f64::consts::SQRT_2));
+    (0..side).map(|i| (height * (normal(i as f64 - low) - normal(i as f64 - high))) as f32).collect()
+}

@@ -1,0 +1,131 @@
+//! `Moving`: a number of a document that stands still, or that moves as a formula of time.
+
+use std::convert::Infallible;
+use std::fmt;
+use std::str::FromStr;
+
+use isophote_symbolic::{Diagnostics, Formula};
+use serde::de::{self, Deserializer, Visitor};
+use serde::{Deserialize, Serialize};
+
+/// A number, or a formula of `t`, seconds since the first frame.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Moving {
+    /// Stands still.
+    Number(f64),
+    /// Moves.
+    Formula(String),
+}
+
+impl From<f64> for Moving {
+    fn from(number: f64) -> Moving {
+        Moving::Number(number)
+    }
+}
+
+impl FromStr for Moving {
+    type Err = Infallible;
+    /// What is no number is taken for a formula; whether it is one is told when it is read.
+    fn from_str(text: &str) -> Result<Moving, Infallible> {
+        Ok(text.trim().parse().map_or_else(|_| Moving::Formula(text.to_string()), Moving::Number))
+    }
+}
+
+impl<'de> Deserialize<'de> for Moving {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Moving, D::Error> {
+        struct Either;
+        impl Visitor<'_> for Either {
+            type Value = Moving;
+            fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+                formatter.write_str("a number or a formula of t")
+            }
+            fn visit_f64<E: de::Error>(self, number: f64) -> Result<Moving, E> {
+                Ok(Moving::Number(number))
+            }
+            fn visit_i64<E: de::Error>(self, number: i64) -> Result<Moving, E> {
+                Ok(Moving::Number(number as f64))
+            }
+            fn visit_u64<E: de::Error>(self, number: u64) -> Result<Moving, E> {
+                Ok(Moving::Number(number as f64))
+            }
+            fn visit_str<E: de::Error>(self, formula: &str) -> Result<Moving, E> {
+                Ok(Moving::Formula(formula.to_string()))
+            }
+        }
+        deserializer.deserialize_any(Either)
+    }
+}
+
+/// The values that a number may have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Range {
+    /// Every finite number.
+    Finite,
+    /// Above 0.
+    Positive,
+    /// 0 and above.
+    NotNegative,
+    /// Both ends included.
+    Between(f64, f64),
+}
+
+impl Range {
+    fn holds(self, value: f64) -> bool {
+        let is_inside = match self {
+            Range::Finite => true,
+            Range::Positive => value > 0.0,
+            Range::NotNegative => value >= 0.0,
+            Range::Between(from, to) => (from..=to).contains(&value),
+        };
+        is_inside && value.is_finite()
+    }
+}
+
+impl fmt::Display for Range {
+    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Range::Finite => formatter.write_str("a finite number"),
+            Range::Positive => formatter.write_str("positive"),
+            Range::NotNegative => formatter.write_str("0 or positive"),
+            Range::Between(from, to) => write!(formatter, "{from} to {to}"),
+        }
+    }
+}
+
+/// A [`Moving`] that has been read.
+pub(crate) enum Law {
+    /// In its range.
+    Still(f64),
+    /// Its values are looked at when they are known.
+    Moves(Formula),
+}
+
+/// Why a [`Moving`] is wrong.
+#[derive(Debug)]
+pub(crate) enum MovingFault {
+    /// A number out of its range, with a sentence.
+    Range(String),
+    /// No formula of t.
+    Formula(Diagnostics),
+}
+
+impl Law {
+    /// Parses a formula; looks whether a number is in its range.
+    pub fn read(moving: &Moving, range: Range) -> Result<Law, MovingFault> {
+        match moving {
+            Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
+            Moving::Number(number) => Err(MovingFault::Range(format!("is {number}; it must be {range}"))),
+            Moving::Formula(text) => Formula::parse(text, &["t"]).map(Law::Moves).map_err(MovingFault::Formula),
+        }
+    }
+
+    /// The value at time `t_s`; a sentence when it is out of its range then.
+    pub fn at(&self, t_s: f64, range: Range) -> Result<f64, String> {
+        let value = match self {
+            Law::Still(number) => return Ok(*number),
+            Law::Moves(formula) => formula.evaluate(&[t_s]),
+        };
+        if range.holds(value) { Ok(value) } else { Err(format!("is {value} at t = {t_s} s; it must be {range}")) }
+    }
+}

@@ -1,0 +1,130 @@
+//! Frames over a WebSocket, `isophote.v1`: one binary message a frame, answered in order by one JSON text message, the
+//! estimate or a problem. While a frame is fitted the next ones are decoded; further ones wait in the client's socket.
+
+use std::collections::VecDeque;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::extract::ws::{Message, WebSocket};
+use isophote_tracker::Frame;
+
+use super::pushed::{Pushed, Waiting, gone};
+use super::websocket::{close, refuse, send};
+use crate::hub::{End, Next, Subscription};
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::wire::Estimate;
+
+type Decoding = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
+
+/// What happened.
+enum Turn {
+    Ended(Next),
+    Answered(Result<Arc<Estimate>, Problem>),
+    Decoded(Result<Frame, Problem>),
+    Received(Option<Result<Message, axum::Error>>),
+    Ping,
+}
+
+/// Until one side ends it. `subscription` says when the session does.
+pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subscription) {
+    let pushed = Arc::new(pushed);
+    let mut heard = Instant::now();
+    let mut ping = tokio::time::interval(LIMITS.ping_time);
+    ping.reset();
+    // One frame is decoded at a time, so that frames keep their order; then they wait for their fits.
+    let mut decoding: Option<Decoding> = None;
+    let mut waiting: VecDeque<Result<Waiting, Problem>> = VecDeque::new();
+    loop {
+        let has_room = decoding.is_none() && waiting.len() < LIMITS.pushed_window;
+        let turn = tokio::select! {
+            end = subscription.end() => Turn::Ended(end),
+            answer = first(&mut waiting) => Turn::Answered(answer),
+            frame = decoded(&mut decoding) => Turn::Decoded(frame),
+            received = socket.recv(), if has_room => Turn::Received(received),
+            _ = ping.tick() => Turn::Ping,
+        };
+        match turn {
+            Turn::Answered(answer) => {
+                waiting.pop_front();
+                if !tell(&mut socket, answer).await {
+                    return;
+                }
+            }
+            Turn::Decoded(frame) => {
+                decoding = None;
+                waiting.push_back(frame.and_then(|frame| pushed.push(frame)));
+            }
+            Turn::Ended(Next::End(end)) => {
+                let unfinished = decoding.is_some().then(|| Err(gone()));
+                let answers = waiting.into_iter().map(|one| one.and_then(Waiting::last)).chain(unfinished);
+                return leave(&mut socket, answers.collect(), &end).await;
+            }
+            Turn::Ended(Next::Estimate(_)) => {}
+            Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
+            Turn::Ping => {
+                if !send(&mut socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await {
+                    return;
+                }
+            }
+            Turn::Received(None) => return,
+            Turn::Received(Some(Err(error))) => return refuse(&mut socket, &error.to_string()).await,
+            Turn::Received(Some(Ok(message))) => {
+                heard = Instant::now();
+                match message {
+                    Message::Binary(bytes) => {
+                        let pushed = pushed.clone();
+                        decoding = Some(Box::pin(async move {
+                            let media = pushed.media(&bytes);
+                            pushed.decode(media, bytes.into()).await
+                        }));
+                    }
+                    Message::Text(_) => return refuse(&mut socket, "messages are frames, each a binary one").await,
+                    Message::Close(_) | Message::Ping(_) | Message::Pong(_) => {}
+                }
+            }
+        }
+    }
+}
+
+/// The answer to the frame that has waited longest; never, when none waits.
+async fn first(waiting: &mut VecDeque<Result<Waiting, Problem>>) -> Result<Arc<Estimate>, Problem> {
+    match waiting.front_mut() {
+        None => std::future::pending().await,
+        Some(Ok(frame)) => frame.estimate().await,
+        Some(Err(problem)) => Err(problem.clone()),
+    }
+}
+
+/// The frame that is being decoded; never, when none is.
+async fn decoded(decoding: &mut Option<Decoding>) -> Result<Frame, Problem> {
+    match decoding {
+        None => std::future::pending().await,
+        Some(decoding) => decoding.await,
+    }
+}
+
+/// Every frame that was taken is answered, unless the service is in a hurry.
+async fn leave(socket: &mut WebSocket, answers: Vec<Result<Arc<Estimate>, Problem>>, end: &End) {
+    if *end != End::ServiceStops {
+        for answer in answers {
+            if !tell(socket, answer).await {
+                return;
+            }
+        }
+    }
+    close(socket, end).await;
+}
+
+/// False when the client does not take it.
+async fn tell(socket: &mut WebSocket, answer: Result<Arc<Estimate>, Problem>) -> bool {
+    let json = match answer {
+        Ok(estimate) => serde_json::to_string(&*estimate),
+        Err(problem) => serde_json::to_string(&problem.document()),
+    };
+    match json {
+        Ok(json) => send(socket, Message::Text(json.into()), LIMITS.send_time).await,
+        Err(_) => false,
+    }
+}
