@@ -7,7 +7,7 @@
 //!
 //! ```text
 //! PNG, JPEG ─► decode ─┐
-//! TIFF ────────► pages ├─► stack ─┐
+//! TIFF, Y4M ───► pages ├─► stack ─┐
 //! CSV ─────────► table ───────────┼─► Recording ─┐
 //! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
 //! Model ─► sampling ─► noise ─► Synthetic ───────┘
@@ -24,6 +24,7 @@ pub mod limits;
 mod motion;
 mod noise;
 mod order;
+mod pages;
 mod planes;
 pub mod recording;
 mod sampling;
@@ -33,6 +34,7 @@ pub mod synthetic;
 mod table;
 mod tiff;
 mod truth;
+mod y4m;
 
 pub use decode::decode;
 pub use encode::{encode_png, encode_png_planes};

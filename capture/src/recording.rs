@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use isophote_tracker::Frame;
 
 use crate::limits::LIMITS;
+use crate::pages::Reader;
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::stack::{Kind, Node, entries, picture_size, read, too_many};
+use crate::stack::{Kind, Node, entries, picture_size, read};
 use crate::table::Table;
-use crate::tiff::Pages;
 use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG and TIFF files count; if there are none, its CSV files. Everything else in it (licences,
-/// notes) is left alone. Each page of a TIFF is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
+/// Of a folder, the PNG, JPEG, TIFF and Y4M files count; if there are none, its CSV files. Everything else in it
+/// (licences, notes) is left alone. Each page of a TIFF and each frame of a video is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
 /// subfolders count as well; [`Recording::for_channels`] fits the planes to a model.
 #[derive(Debug)]
 pub struct Recording {
@@ -25,7 +25,7 @@ pub struct Recording {
     sequence: u64,
     channels: Option<Vec<String>>,
     truth: BTreeMap<String, BTreeMap<String, f64>>,
-    open: Option<(PathBuf, Pages)>,
+    reader: Reader,
 }
 
 impl Recording {
@@ -35,7 +35,7 @@ impl Recording {
     }
 
     /// Opens a folder or a file for a document of so many coordinates. Up to two, every picture and every page is a frame. A
-    /// frame of three dimensions is a TIFF of several pages, or all pictures of a folder; one of four is a folder of either.
+    /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
     /// A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
         let path = path.as_ref().to_path_buf();
@@ -54,7 +54,7 @@ impl Recording {
         // The truth stands beside the frames.
         let folder = if is_folder { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
-        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, open: None })
+        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, reader: Reader::default() })
     }
 
     /// Fits every frame's planes to the channels of a model: one channel takes the image's only plane or the Rec. 601 luma
@@ -94,7 +94,7 @@ impl Recording {
             let table = Table::parse(path, &read(path)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
-        let frame = node.load(&mut self.open)?;
+        let frame = node.load(&mut self.reader)?;
         match &self.channels {
             Some(channels) => fitted(path, frame, channels),
             None => Ok(frame),
@@ -148,8 +148,10 @@ fn pictures(files: Vec<PathBuf>) -> Result<Vec<Node>, SourceError> {
     let mut frames = Vec::new();
     for path in files {
         match Node::of_file(path)? {
-            Node::Pages(path, pages) if frames.len() + pages > LIMITS.files => return Err(too_many(&path)),
-            Node::Pages(path, pages) => frames.extend((0..pages).map(|page| Node::Page(path.clone(), page))),
+            Node::Pages(file) if frames.len() + file.pages > LIMITS.files => {
+                return Err(SourceError::too_many(&file.path));
+            }
+            Node::Pages(file) => frames.extend((0..file.pages).map(|page| Node::Page(file.clone(), page))),
             node => frames.push(node),
         }
     }

@@ -1,24 +1,25 @@
 //! `Node`: where the pixels of one frame are. A path in, a tree of pictures out, and its pixels when they are asked for.
 //!
-//! A picture has two dimensions, a TIFF of several pages three, and a folder one more than what it holds. So a document of
-//! three coordinates takes a TIFF of several pages, or a folder of pictures, as one frame; one of four takes a folder of
+//! A picture has two dimensions, a file of several pages three, and a folder one more than what it holds. So a document of
+//! three coordinates takes a file of several pages, or a folder of pictures, as one frame; one of four takes a folder of
 //! either.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use isophote_tracker::{Buffer, Frame, Plane};
 
 use crate::decode::{self, Picture};
 use crate::limits::LIMITS;
 use crate::order::natural;
+use crate::pages::{Format, Paged, Reader};
 use crate::source::SourceError;
-use crate::tiff::{PageFault, Pages};
 
 /// What a file's name says that it is.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
     Image,
-    Tiff,
+    Paged(Format),
     Csv,
 }
 
@@ -27,7 +28,8 @@ impl Kind {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "png" | "jpg" | "jpeg" => Some(Kind::Image),
-            "tif" | "tiff" => Some(Kind::Tiff),
+            "tif" | "tiff" => Some(Kind::Paged(Format::Tiff)),
+            "y4m" => Some(Kind::Paged(Format::Y4m)),
             "csv" => Some(Kind::Csv),
             _ => None,
         }
@@ -37,30 +39,22 @@ impl Kind {
 /// Pictures, and how they lie on each other.
 #[derive(Clone, Debug)]
 pub(crate) enum Node {
-    /// A PNG, JPEG or CSV file, or a TIFF of one page.
+    /// A PNG, JPEG or CSV file.
     File(PathBuf),
-    /// One page of a TIFF of several, from 0.
-    Page(PathBuf, usize),
-    /// All pages of a TIFF, of which there are several.
-    Pages(PathBuf, usize),
+    /// One page of a file of pages, from 0.
+    Page(Arc<Paged>, usize),
+    /// All pages of a file, of which there are several.
+    Pages(Arc<Paged>),
     /// What a folder holds, all of one kind.
     Folder(PathBuf, Vec<Node>),
 }
 
 impl Node {
-    /// A file; a TIFF by its number of pages.
+    /// A file; one of pages by their number.
     pub fn of_file(path: PathBuf) -> Result<Node, SourceError> {
-        if Kind::of(&path) != Some(Kind::Tiff) {
-            return Ok(Node::File(path));
-        }
-        match Pages::open(&path).and_then(|pages| pages.count(LIMITS.files)) {
-            Ok(pages) if pages > LIMITS.files => Err(too_many(&path)),
-            Ok(pages) if pages > 1 => Ok(Node::Pages(path, pages)),
-            Ok(_) => Ok(Node::File(path)),
-            // Where the chain of pages breaks, nobody knows how many there were.
-            Err(PageFault::Wrong(error)) => Err(about(&path, error)),
-            Err(PageFault::Unreadable(reason)) => Err(SourceError::Unreadable { path, reason }),
-        }
+        let Some(Kind::Paged(format)) = Kind::of(&path) else { return Ok(Node::File(path)) };
+        let file = Arc::new(Paged::of(path, format)?);
+        Ok(if file.pages == 1 { Node::Page(file, 0) } else { Node::Pages(file) })
     }
 
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
@@ -102,10 +96,10 @@ impl Node {
         match self {
             Node::File(path) if Kind::of(path) == Some(Kind::Csv) => "a table".into(),
             Node::File(_) | Node::Page(..) => "one picture".into(),
-            Node::Pages(_, pages) => format!("a TIFF of {pages} pages"),
+            Node::Pages(file) => file.what(),
             Node::Folder(_, nodes) => match (nodes.len(), nodes.first()) {
                 (1, Some(first)) => format!("a folder of {}", first.what()),
-                (n, Some(Node::Pages(..))) => format!("a folder of {n} stacks"),
+                (n, Some(Node::Pages(_))) => format!("a folder of {n} stacks"),
                 (n, Some(Node::Folder(..))) => format!("a folder of {n} folders"),
                 (n, _) => format!("a folder of {n} pictures"),
             },
@@ -114,16 +108,16 @@ impl Node {
 
     pub fn path(&self) -> &Path {
         match self {
-            Node::File(path) | Node::Page(path, _) | Node::Pages(path, _) | Node::Folder(path, _) => path,
+            Node::File(path) | Node::Folder(path, _) => path,
+            Node::Page(file, _) | Node::Pages(file) => &file.path,
         }
     }
 
     /// The name of file or folder; of a page with its number behind it.
     pub fn name(&self) -> String {
-        let name = self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         match self {
-            Node::Page(_, page) => format!("{name}#{page}"),
-            _ => name,
+            Node::Page(file, page) => file.name_of(*page),
+            _ => self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
         }
     }
 
@@ -139,7 +133,7 @@ impl Node {
     pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
         match self {
             Node::File(_) | Node::Page(..) => Ok(Vec::new()),
-            Node::Pages(_, pages) => Ok(vec![*pages]),
+            Node::Pages(file) => Ok(vec![file.pages]),
             Node::Folder(_, nodes) => {
                 let mut size = nodes.first().map_or(Ok(Vec::new()), Node::outer)?;
                 for node in nodes {
@@ -156,10 +150,10 @@ impl Node {
     }
 
     /// The pixels of all its pictures as one frame.
-    pub fn load(&self, open: &mut Option<(PathBuf, Pages)>) -> Result<Frame, SourceError> {
+    pub fn load(&self, reader: &mut Reader) -> Result<Frame, SourceError> {
         let outer = self.outer()?;
         let mut stack = Stack { slices: outer.iter().product(), outer, picture: None, name: String::new() };
-        stack.add(self, open)?;
+        stack.add(self, reader)?;
         let Some(Picture { size, format, stored, used, bytes }) = stack.picture else {
             return Err(SourceError::Empty { path: self.path().into() });
         };
@@ -181,18 +175,15 @@ struct Stack {
 }
 
 impl Stack {
-    fn add(&mut self, node: &Node, open: &mut Option<(PathBuf, Pages)>) -> Result<(), SourceError> {
+    fn add(&mut self, node: &Node, reader: &mut Reader) -> Result<(), SourceError> {
         match node {
-            Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, open)),
-            Node::Pages(path, pages) => {
-                (0..*pages).try_for_each(|page| self.add(&Node::Page(path.clone(), page), open))
-            }
-            Node::File(path) if Kind::of(path) == Some(Kind::Image) => {
-                let picture = decode::picture(&read(path)?).map_err(|error| about(path, error))?;
+            Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, reader)),
+            Node::Pages(file) => (0..file.pages).try_for_each(|page| self.add(&Node::Page(file.clone(), page), reader)),
+            Node::File(path) => {
+                let picture = decode::picture(&read(path)?).map_err(|error| error.about(path))?;
                 self.push(node, picture)
             }
-            Node::File(path) => self.push(node, page(path, 0, open)?),
-            Node::Page(path, number) => self.push(node, page(path, *number, open)?),
+            Node::Page(file, number) => self.push(node, reader.picture(file, *number)?),
         }
     }
 
@@ -223,32 +214,13 @@ impl Stack {
     }
 }
 
-/// A page of a TIFF; the file stays open for the page after it.
-fn page(path: &Path, number: usize, open: &mut Option<(PathBuf, Pages)>) -> Result<Picture, SourceError> {
-    let wrong = |fault: PageFault| match fault {
-        PageFault::Unreadable(reason) => SourceError::Unreadable { path: path.into(), reason },
-        PageFault::Wrong(error) => about(path, error),
-    };
-    let known = open.take().filter(|(name, _)| name == path).map(|(_, pages)| pages);
-    let forward = known.map(|pages| pages.forward(number)).transpose().map_err(wrong)?.flatten();
-    let pages = match forward {
-        Some(pages) => Some(pages),
-        None => Pages::open(path).and_then(|pages| pages.forward(number)).map_err(wrong)?,
-    };
-    let Some(mut pages) = pages else { return Err(SourceError::Empty { path: path.into() }) };
-    let picture = pages.picture().map_err(|error| about(path, error));
-    *open = Some((path.into(), pages));
-    picture
-}
-
 /// The size of a file's first picture.
 pub(crate) fn picture_size(node: &Node) -> Option<[usize; 2]> {
-    let path = node.path();
-    match (node, Kind::of(path)?) {
-        (_, Kind::Image) => decode::size(&read(path).ok()?).ok(),
-        (Node::Page(_, number), Kind::Tiff) => Pages::open(path).ok()?.forward(*number).ok()??.size().ok(),
-        (_, Kind::Tiff) => Pages::open(path).ok()?.size().ok(),
-        (_, Kind::Csv) => None,
+    match node {
+        Node::File(path) => decode::size(&read(path).ok()?).ok(),
+        Node::Page(file, page) => file.size(*page),
+        Node::Pages(file) => file.size(0),
+        Node::Folder(..) => None,
     }
 }
 
@@ -263,19 +235,12 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
             continue;
         }
         if found.len() == LIMITS.files {
-            return Err(too_many(folder));
+            return Err(SourceError::too_many(folder));
         }
         found.push((name, path));
     }
     found.sort_by(|a, b| natural(&a.0, &b.0));
     Ok(found.into_iter().map(|(_, path)| path).collect())
-}
-
-pub(crate) fn too_many(path: &Path) -> SourceError {
-    SourceError::TooLarge {
-        path: path.into(),
-        reason: format!("more than {} pictures; split the recording", LIMITS.files),
-    }
 }
 
 fn odd_one(path: &Path, reason: &str) -> SourceError {
@@ -291,15 +256,4 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SourceError> {
         return Err(SourceError::TooLarge { path: path.into(), reason });
     }
     std::fs::read(path).map_err(unreadable)
-}
-
-fn about(path: &Path, error: decode::DecodeError) -> SourceError {
-    use decode::DecodeError;
-    let path = path.to_path_buf();
-    match error {
-        DecodeError::UnknownKind => SourceError::UnknownKind { path },
-        DecodeError::TooLarge(reason) => SourceError::TooLarge { path, reason },
-        DecodeError::Damaged(reason) => SourceError::Damaged { path, reason },
-        DecodeError::Unsupported(reason) => SourceError::Unsupported { path, reason },
-    }
 }

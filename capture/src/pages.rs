@@ -1,0 +1,140 @@
+//! Files of several pictures behind one trait. A path in, its pictures by their number out, read one at a time, so that a
+//! recording of many pages costs no more memory than one.
+//!
+//! A further format is a file with an `impl Pages` and a row in [`Format`].
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::decode::{DecodeError, Picture};
+use crate::limits::LIMITS;
+use crate::source::SourceError;
+use crate::tiff::Tiff;
+use crate::y4m::Video;
+
+/// An open file of several pictures.
+pub(crate) trait Pages: Send {
+    /// How many pictures there are; those beyond `most` are counted as one.
+    fn count(&mut self, most: usize) -> Result<usize, PageFault>;
+
+    /// Width and height of a page, from 0.
+    fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault>;
+
+    /// The pixels of a page, from 0. Its size is checked before memory is taken.
+    fn picture(&mut self, page: usize) -> Result<Picture, PageFault>;
+}
+
+/// Why a file gives no page.
+pub(crate) enum PageFault {
+    /// The operating system refused.
+    Unreadable(std::io::Error),
+    /// It is not what it should be.
+    Wrong(DecodeError),
+}
+
+impl PageFault {
+    pub fn about(self, path: &Path) -> SourceError {
+        match self {
+            PageFault::Unreadable(reason) => SourceError::Unreadable { path: path.into(), reason },
+            PageFault::Wrong(error) => error.about(path),
+        }
+    }
+}
+
+impl From<DecodeError> for PageFault {
+    fn from(error: DecodeError) -> PageFault {
+        PageFault::Wrong(error)
+    }
+}
+
+impl From<std::io::Error> for PageFault {
+    fn from(error: std::io::Error) -> PageFault {
+        PageFault::Unreadable(error)
+    }
+}
+
+/// The formats whose files hold several pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Format {
+    Tiff,
+    Y4m,
+}
+
+impl Format {
+    /// For people: what the file is called, and what its pictures are.
+    fn words(self) -> [&'static str; 2] {
+        match self {
+            Format::Tiff => ["a TIFF", "pages"],
+            Format::Y4m => ["a Y4M video", "frames"],
+        }
+    }
+}
+
+/// A file of several pictures, not open.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Paged {
+    pub path: PathBuf,
+    format: Format,
+    /// How many.
+    pub pages: usize,
+}
+
+impl Paged {
+    /// Counts the pictures of a file.
+    pub fn of(path: PathBuf, format: Format) -> Result<Paged, SourceError> {
+        let mut file = Paged { path, format, pages: 0 };
+        match file.open().and_then(|mut open| open.count(LIMITS.files)) {
+            // Where the chain of pages breaks, nobody knows how many there were.
+            Err(fault) => return Err(fault.about(&file.path)),
+            Ok(0) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
+            Ok(pages) => file.pages = pages,
+        }
+        if file.pages > LIMITS.files { Err(SourceError::too_many(&file.path)) } else { Ok(file) }
+    }
+
+    fn open(&self) -> Result<Box<dyn Pages>, PageFault> {
+        Ok(match self.format {
+            Format::Tiff => Box::new(Tiff::open(&self.path)?),
+            Format::Y4m => Box::new(Video::open(&self.path)?),
+        })
+    }
+
+    /// For people.
+    pub fn what(&self) -> String {
+        let [file, pages] = self.format.words();
+        if self.pages == 1 { "one picture".into() } else { format!("{file} of {} {pages}", self.pages) }
+    }
+
+    /// The file's name; where there are several pictures, with the number of this one behind it.
+    pub fn name_of(&self, page: usize) -> String {
+        let name = self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        if self.pages == 1 { name } else { format!("{name}#{page}") }
+    }
+
+    /// Width and height of a page.
+    pub fn size(&self, page: usize) -> Option<[usize; 2]> {
+        self.open().ok()?.size(page).ok()
+    }
+}
+
+/// Reads pages; the file stays open for the page after it.
+#[derive(Default)]
+pub(crate) struct Reader {
+    open: Option<(Arc<Paged>, Box<dyn Pages>)>,
+}
+
+impl std::fmt::Debug for Reader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Reader").field(&self.open.as_ref().map(|(file, _)| file)).finish()
+    }
+}
+
+impl Reader {
+    /// The pixels of a page, from 0.
+    pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<Picture, SourceError> {
+        let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, pages)| pages);
+        let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.about(&file.path))?;
+        let (_, pages) = self.open.insert((file.clone(), pages));
+        pages.picture(page).map_err(|fault| fault.about(&file.path))
+    }
+}
