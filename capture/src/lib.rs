@@ -6,11 +6,11 @@
 //! recording and a simulated minute run as fast as the machine goes. It knows no solver, no session and no socket.
 //!
 //! ```text
-//! PNG, JPEG ─► decode ─┐
-//! TIFF, Y4M ───► pages ├─► stack ─┐
-//! CSV ─────────► table ───────────┼─► Recording ─┐
-//! truth.jsonl ────────────────────┘              ├─► FrameSource ─► Frame (tracker)
-//! Model ─► sampling ─► noise ─► Synthetic ───────┘
+//! PNG, JPEG ───────► decode ─┐
+//! TIFF, FITS, Y4M ──► pages ─┴─► stack ─┐
+//! CSV ──────────────► table ────────────┼─► Recording ─┐
+//! truth.jsonl ──────────────────────────┘              ├─► FrameSource ─► Frame (tracker)
+//! Model ─► sampling ─► noise ─► Synthetic ─────────────┘
 //! ```
 //! The door for a camera is [`FrameSource`] as well: a V4L2 `Camera` is one more file here (its ioctls the only place of
 //! the crate where `unsafe` may stand), whose frames lease the driver's buffers ([`isophote_tracker::Lease`]) and carry
@@ -19,6 +19,7 @@
 pub mod decode;
 pub mod encode;
 mod exposure;
+mod fits;
 mod levels;
 pub mod limits;
 mod motion;

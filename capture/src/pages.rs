@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::decode::{DecodeError, Picture};
+use crate::fits::Fits;
 use crate::limits::LIMITS;
 use crate::source::SourceError;
 use crate::tiff::Tiff;
@@ -57,6 +58,7 @@ impl From<std::io::Error> for PageFault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Format {
     Tiff,
+    Fits,
     Y4m,
 }
 
@@ -65,6 +67,7 @@ impl Format {
     fn words(self) -> [&'static str; 2] {
         match self {
             Format::Tiff => ["a TIFF", "pages"],
+            Format::Fits => ["a FITS file", "pages"],
             Format::Y4m => ["a Y4M video", "frames"],
         }
     }
@@ -95,6 +98,7 @@ impl Paged {
     fn open(&self) -> Result<Box<dyn Pages>, PageFault> {
         Ok(match self.format {
             Format::Tiff => Box::new(Tiff::open(&self.path)?),
+            Format::Fits => Box::new(Fits::open(&self.path)?),
             Format::Y4m => Box::new(Video::open(&self.path)?),
         })
     }

@@ -14,8 +14,8 @@ use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG, TIFF and Y4M files count; if there are none, its CSV files. Everything else in it
-/// (licences, notes) is left alone. Each page of a TIFF and each frame of a video is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
+/// Of a folder, the PNG, JPEG, TIFF, FITS and Y4M files count; if there are none, its CSV files. Everything else in it
+/// (licences, notes) is left alone. Each page of a TIFF or FITS file and each frame of a video is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
 /// subfolders count as well; [`Recording::for_channels`] fits the planes to a model.
 #[derive(Debug)]
 pub struct Recording {

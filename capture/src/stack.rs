@@ -29,6 +29,7 @@ impl Kind {
         match extension.as_str() {
             "png" | "jpg" | "jpeg" => Some(Kind::Image),
             "tif" | "tiff" => Some(Kind::Paged(Format::Tiff)),
+            "fits" | "fit" | "fts" => Some(Kind::Paged(Format::Fits)),
             "y4m" => Some(Kind::Paged(Format::Y4m)),
             "csv" => Some(Kind::Csv),
             _ => None,

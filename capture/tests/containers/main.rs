@@ -1,6 +1,7 @@
 //! Files that hold many pictures: what comes out of them, and what is said of those that are damaged.
 #![allow(clippy::unwrap_used)]
 
+mod fits;
 mod y4m;
 
 use std::path::Path;
