@@ -6,11 +6,11 @@
 //! recording and a simulated minute run as fast as the machine goes. It knows no solver, no session and no socket.
 //!
 //! ```text
-//! PNG, JPEG ───────► decode ─┐
-//! TIFF, FITS, Y4M ──► pages ─┴─► stack ─┐
-//! CSV ──────────────► table ────────────┼─► Recording ─┐
-//! truth.jsonl ──────────────────────────┘              ├─► FrameSource ─► Frame (tracker)
-//! Model ─► sampling ─► noise ─► Synthetic ─────────────┘
+//! PNG, JPEG ─────────────► decode ─┐
+//! TIFF, FITS, Y4M, MCAP ──► pages ─┴─► stack ─┐
+//! CSV ────────────────────► table ────────────┼─► Recording ─┐
+//! truth.jsonl ────────────────────────────────┘              ├─► FrameSource ─► Frame (tracker)
+//! Model ─► sampling ─► noise ─► Synthetic ───────────────────┘
 //! ```
 //! The door for a camera is [`FrameSource`] as well: a V4L2 `Camera` is one more file here (its ioctls the only place of
 //! the crate where `unsafe` may stand), whose frames lease the driver's buffers ([`isophote_tracker::Lease`]) and carry
@@ -22,6 +22,7 @@ mod exposure;
 mod fits;
 mod levels;
 pub mod limits;
+mod mcap;
 mod motion;
 mod noise;
 mod order;

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use crate::decode::{DecodeError, Picture};
 use crate::fits::Fits;
 use crate::limits::LIMITS;
+use crate::mcap::Mcap;
 use crate::source::SourceError;
 use crate::tiff::Tiff;
 use crate::y4m::Video;
@@ -60,6 +61,7 @@ pub(crate) enum Format {
     Tiff,
     Fits,
     Y4m,
+    Mcap,
 }
 
 impl Format {
@@ -69,7 +71,33 @@ impl Format {
             Format::Tiff => ["a TIFF", "pages"],
             Format::Fits => ["a FITS file", "pages"],
             Format::Y4m => ["a Y4M video", "frames"],
+            Format::Mcap => ["an MCAP file", "pictures"],
         }
+    }
+}
+
+/// What a path names: a file or folder, and of an MCAP file the topic behind a `#`.
+#[derive(Clone, Debug)]
+pub(crate) struct Place {
+    pub path: PathBuf,
+    pub topic: Option<String>,
+}
+
+impl Place {
+    /// A file whose own name has the `#` is that file.
+    pub fn of(path: &Path) -> Place {
+        const END: &str = ".mcap#";
+        let text = path.to_str().filter(|_| !path.exists()).unwrap_or_default();
+        match text.to_ascii_lowercase().find(END).map(|at| text.split_at(at + END.len())) {
+            Some((file, topic)) => Place { path: file.trim_end_matches('#').into(), topic: Some(topic.into()) },
+            None => path.to_path_buf().into(),
+        }
+    }
+}
+
+impl From<PathBuf> for Place {
+    fn from(path: PathBuf) -> Place {
+        Place { path, topic: None }
     }
 }
 
@@ -78,14 +106,17 @@ impl Format {
 pub(crate) struct Paged {
     pub path: PathBuf,
     format: Format,
+    /// Of MCAP: whose pictures.
+    topic: Option<String>,
     /// How many.
     pub pages: usize,
 }
 
 impl Paged {
     /// Counts the pictures of a file.
-    pub fn of(path: PathBuf, format: Format) -> Result<Paged, SourceError> {
-        let mut file = Paged { path, format, pages: 0 };
+    pub fn of(place: Place, format: Format) -> Result<Paged, SourceError> {
+        let Place { path, topic } = place;
+        let mut file = Paged { path, format, topic, pages: 0 };
         match file.open().and_then(|mut open| open.count(LIMITS.files)) {
             // Where the chain of pages breaks, nobody knows how many there were.
             Err(fault) => return Err(fault.about(&file.path)),
@@ -100,6 +131,7 @@ impl Paged {
             Format::Tiff => Box::new(Tiff::open(&self.path)?),
             Format::Fits => Box::new(Fits::open(&self.path)?),
             Format::Y4m => Box::new(Video::open(&self.path)?),
+            Format::Mcap => Box::new(Mcap::open(&self.path, self.topic.as_deref())?),
         })
     }
 

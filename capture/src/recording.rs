@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use isophote_tracker::Frame;
 
 use crate::limits::LIMITS;
-use crate::pages::Reader;
+use crate::pages::{Place, Reader};
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::stack::{Kind, Node, entries, picture_size, read};
 use crate::table::Table;
@@ -14,9 +14,11 @@ use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG, TIFF, FITS and Y4M files count; if there are none, its CSV files. Everything else in it
-/// (licences, notes) is left alone. Each page of a TIFF or FITS file and each frame of a video is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
-/// subfolders count as well; [`Recording::for_channels`] fits the planes to a model.
+/// Of a folder, the PNG, JPEG, TIFF, FITS, Y4M and MCAP files count; if there are none, its CSV files. Everything else in it
+/// (licences, notes) is left alone. Each page of a TIFF or FITS file, each frame of a video and each image of an MCAP file is
+/// a frame. Where an MCAP file holds several topics of images, the path names one behind a `#`: `run.mcap#/camera/image`.
+/// [`Recording::of_dimensions`] makes stacks of pictures, where subfolders count as well; [`Recording::for_channels`] fits
+/// the planes to a model.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
@@ -38,7 +40,8 @@ impl Recording {
     /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
     /// A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
-        let path = path.as_ref().to_path_buf();
+        let place = Place::of(path.as_ref());
+        let path = place.path.clone();
         let about = std::fs::metadata(&path).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: path.clone() },
             _ => SourceError::Unreadable { path: path.clone(), reason },
@@ -47,9 +50,9 @@ impl Recording {
             Kind::of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => (pictures(files_of(&path)?)?, true),
-            0..=2 => (pictures(vec![path.clone()])?, false),
-            _ => stacks(&path, dimensions)?,
+            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Place::from))?, true),
+            0..=2 => (pictures([place])?, false),
+            _ => stacks(place, dimensions)?,
         };
         // The truth stands beside the frames.
         let folder = if is_folder { Some(path.as_path()) } else { path.parent() };
@@ -144,10 +147,10 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
 }
 
 /// Every picture, every page and every table is a frame.
-fn pictures(files: Vec<PathBuf>) -> Result<Vec<Node>, SourceError> {
+fn pictures(files: impl IntoIterator<Item = Place>) -> Result<Vec<Node>, SourceError> {
     let mut frames = Vec::new();
-    for path in files {
-        match Node::of_file(path)? {
+    for place in files {
+        match Node::of_file(place)? {
             Node::Pages(file) if frames.len() + file.pages > LIMITS.files => {
                 return Err(SourceError::too_many(&file.path));
             }
@@ -159,15 +162,16 @@ fn pictures(files: Vec<PathBuf>) -> Result<Vec<Node>, SourceError> {
 }
 
 /// One frame, or all that a folder holds; whether it is the latter.
-fn stacks(path: &Path, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
-    let node = Node::of_path(path, dimensions - 1)?;
+fn stacks(place: Place, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
+    let path = place.path.clone();
+    let node = Node::of_path(place, dimensions - 1)?;
     let wanted = match dimensions {
         3 => "a TIFF of several pages, a folder of pictures, or a folder of such stacks",
         _ => "a folder of TIFFs of several pages, a folder of folders of pictures, or a folder of such folders",
     };
     let wrong = |what: String| {
         let reason = format!("{what}, but the document has {dimensions} coordinates and is fitted to {wanted}");
-        Err(SourceError::Dimensions { path: path.into(), reason })
+        Err(SourceError::Dimensions { path: path.clone(), reason })
     };
     let (frames, is_folder) = match node {
         Node::Folder(_, nodes) if nodes.first().is_some_and(|node| node.dimensions() == dimensions) => (nodes, true),

@@ -56,13 +56,13 @@ pub enum SourceError {
         reason: std::io::Error,
     },
     /// A folder without frames.
-    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG, TIFF or FITS files, one such file, a Y4M video, or one CSV file (folders in it count for documents of three and four coordinates)", path.display())]
+    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG, TIFF or FITS files, one such file, a Y4M video, an MCAP file, or one CSV file (folders in it count for documents of three and four coordinates)", path.display())]
     Empty {
         /// The folder.
         path: PathBuf,
     },
     /// A kind of file that this build does not read.
-    #[error("{}: not a PNG, JPEG, TIFF, FITS, Y4M or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
+    #[error("{}: not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
     UnknownKind {
         /// The file.
         path: PathBuf,

@@ -12,7 +12,7 @@ use isophote_tracker::{Buffer, Frame, Plane};
 use crate::decode::{self, Picture};
 use crate::limits::LIMITS;
 use crate::order::natural;
-use crate::pages::{Format, Paged, Reader};
+use crate::pages::{Format, Paged, Place, Reader};
 use crate::source::SourceError;
 
 /// What a file's name says that it is.
@@ -31,6 +31,7 @@ impl Kind {
             "tif" | "tiff" => Some(Kind::Paged(Format::Tiff)),
             "fits" | "fit" | "fts" => Some(Kind::Paged(Format::Fits)),
             "y4m" => Some(Kind::Paged(Format::Y4m)),
+            "mcap" => Some(Kind::Paged(Format::Mcap)),
             "csv" => Some(Kind::Csv),
             _ => None,
         }
@@ -52,25 +53,26 @@ pub(crate) enum Node {
 
 impl Node {
     /// A file; one of pages by their number.
-    pub fn of_file(path: PathBuf) -> Result<Node, SourceError> {
-        let Some(Kind::Paged(format)) = Kind::of(&path) else { return Ok(Node::File(path)) };
-        let file = Arc::new(Paged::of(path, format)?);
+    pub fn of_file(place: Place) -> Result<Node, SourceError> {
+        let Some(Kind::Paged(format)) = Kind::of(&place.path) else { return Ok(Node::File(place.path)) };
+        let file = Arc::new(Paged::of(place, format)?);
         Ok(if file.pages == 1 { Node::Page(file, 0) } else { Node::Pages(file) })
     }
 
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
-    pub fn of_path(path: &Path, levels: usize) -> Result<Node, SourceError> {
-        if !path.is_dir() {
-            return Node::of_file(path.into());
+    pub fn of_path(place: Place, levels: usize) -> Result<Node, SourceError> {
+        if !place.path.is_dir() {
+            return Node::of_file(place);
         }
+        let path = &place.path;
         let entries = entries(path)?;
         let files: Vec<&PathBuf> =
             entries.iter().filter(|path| path.is_file() && Kind::of(path).is_some_and(|k| k != Kind::Csv)).collect();
         let nodes = match files.is_empty() {
-            false => files.into_iter().map(|path| Node::of_file(path.clone())).collect::<Result<Vec<_>, _>>()?,
+            false => files.into_iter().map(|path| Node::of_file(path.clone().into())).collect::<Result<Vec<_>, _>>()?,
             true => {
                 let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
-                let nodes = folders.map(|path| Node::of_path(path, levels - 1));
+                let nodes = folders.map(|path| Node::of_path(path.clone().into(), levels - 1));
                 nodes.filter(|node| !matches!(node, Err(SourceError::Empty { .. }))).collect::<Result<_, _>>()?
             }
         };

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod fits;
+mod mcap;
 mod y4m;
 
 use std::path::Path;

@@ -278,7 +278,7 @@ impl SyntheticDocument {
     }
 }
 
-/// A folder or file of PNG, JPEG, TIFF, FITS, Y4M or CSV.
+/// A folder or file of PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingDocument {
