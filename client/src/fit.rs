@@ -25,9 +25,10 @@ pub struct FitArgs {
     /// The model document (TOML; JSON if it is named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// A folder of PNG, JPEG, TIFF or FITS files (in natural name order, counted from 0), one such file, a Y4M video, an
-    /// MCAP file (FILE.mcap#/topic where it holds images on several topics), or one CSV file, which is one 1-D frame whose header names the channels. For a model of three coordinates a folder of pictures
-    /// or a file of several pages is one frame; for one of four, a folder of either
+    /// A folder of PNG, JPEG, TIFF or FITS files (in natural name order, counted from 0), one such file, a Y4M video, an MCAP
+    /// file (FILE.mcap#/topic where it holds images on several topics), or one CSV file, which is one 1-D frame whose header
+    /// names the channels. For a model of three coordinates a folder of pictures or a file of several pages is one frame;
+    /// for one of four, a folder of either
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
     /// Starting values of the first frame, instead of the document's

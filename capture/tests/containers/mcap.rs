@@ -186,7 +186,7 @@ fn every_kind_of_message_is_read() {
     for (schema, encoding, payload) in kinds() {
         // In the file itself, and in a chunk without an index.
         let records = [channel(1, "/image", schema, encoding), message(1, 5, &payload)].concat();
-        for bytes in [file(&[records.clone()]), file(&[chunk("", records.len() as u64, 0, &records)])] {
+        for bytes in [file(std::slice::from_ref(&records)), file(&[chunk("", records.len() as u64, 0, &records)])] {
             std::fs::write(&path, bytes).unwrap();
             let mut recording = Recording::open(&path).unwrap();
             assert_eq!((recording.len(), recording.size()), (1, Some(vec![3, 2])), "{schema} {encoding}");
