@@ -19,6 +19,11 @@ pub(crate) trait Pages: Send {
     /// How many pictures there are; those beyond `most` are counted as one.
     fn count(&mut self, most: usize) -> Result<usize, PageFault>;
 
+    /// How many pages are a volume, where the file is a series of volumes.
+    fn volume(&self) -> Option<usize> {
+        None
+    }
+
     /// Width and height of a page, from 0.
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault>;
 
@@ -110,18 +115,20 @@ pub(crate) struct Paged {
     topic: Option<String>,
     /// How many.
     pub pages: usize,
+    /// How many of them are a volume, where the file is a series of volumes.
+    pub volume: Option<usize>,
 }
 
 impl Paged {
     /// Counts the pictures of a file.
     pub fn of(place: Place, format: Format) -> Result<Paged, SourceError> {
         let Place { path, topic } = place;
-        let mut file = Paged { path, format, topic, pages: 0 };
-        match file.open().and_then(|mut open| open.count(LIMITS.files)) {
+        let mut file = Paged { path, format, topic, pages: 0, volume: None };
+        match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume()))) {
             // Where the chain of pages breaks, nobody knows how many there were.
             Err(fault) => return Err(fault.about(&file.path)),
-            Ok(0) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
-            Ok(pages) => file.pages = pages,
+            Ok((0, _)) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
+            Ok((pages, volume)) => (file.pages, file.volume) = (pages, volume),
         }
         if file.pages > LIMITS.files { Err(SourceError::too_many(&file.path)) } else { Ok(file) }
     }
@@ -138,7 +145,11 @@ impl Paged {
     /// For people.
     pub fn what(&self) -> String {
         let [file, pages] = self.format.words();
-        if self.pages == 1 { "one picture".into() } else { format!("{file} of {} {pages}", self.pages) }
+        match self.volume {
+            _ if self.pages == 1 => "one picture".into(),
+            Some(volume) => format!("{file} of {} volumes of {volume} {pages}", self.pages / volume.max(1)),
+            None => format!("{file} of {} {pages}", self.pages),
+        }
     }
 
     /// The file's name; where there are several pictures, with the number of this one behind it.

@@ -1,12 +1,14 @@
 //! Recordings: pictures, stacks of them, or one CSV file, as a source of frames.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use isophote_tracker::Frame;
 
 use crate::limits::LIMITS;
-use crate::pages::{Place, Reader};
+use crate::pages::{Paged, Place, Reader};
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::stack::{Kind, Node, entries, picture_size, read};
 use crate::table::Table;
@@ -55,7 +57,7 @@ impl Recording {
             _ => stacks(place, dimensions)?,
         };
         // The truth stands beside the frames.
-        let folder = if is_folder { Some(path.as_path()) } else { path.parent() };
+        let folder = if is_folder && about.is_dir() { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
         Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, reader: Reader::default() })
     }
@@ -151,14 +153,26 @@ fn pictures(files: impl IntoIterator<Item = Place>) -> Result<Vec<Node>, SourceE
     let mut frames = Vec::new();
     for place in files {
         match Node::of_file(place)? {
-            Node::Pages(file) if frames.len() + file.pages > LIMITS.files => {
-                return Err(SourceError::too_many(&file.path));
+            Node::Pages(file, range) => add(&mut frames, &file, range)?,
+            Node::Folder(_, volumes) => {
+                for volume in volumes {
+                    if let Node::Pages(file, range) = volume {
+                        add(&mut frames, &file, range)?;
+                    }
+                }
             }
-            Node::Pages(file) => frames.extend((0..file.pages).map(|page| Node::Page(file.clone(), page))),
             node => frames.push(node),
         }
     }
     Ok(frames)
+}
+
+fn add(frames: &mut Vec<Node>, file: &Arc<Paged>, pages: Range<usize>) -> Result<(), SourceError> {
+    if frames.len() + pages.len() > LIMITS.files {
+        return Err(SourceError::too_many(&file.path));
+    }
+    frames.extend(pages.map(|page| Node::Page(file.clone(), page)));
+    Ok(())
 }
 
 /// One frame, or all that a folder holds; whether it is the latter.

@@ -4,6 +4,7 @@
 //! three coordinates takes a file of several pages, or a folder of pictures, as one frame; one of four takes a folder of
 //! either.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -45,9 +46,9 @@ pub(crate) enum Node {
     File(PathBuf),
     /// One page of a file of pages, from 0.
     Page(Arc<Paged>, usize),
-    /// All pages of a file, of which there are several.
-    Pages(Arc<Paged>),
-    /// What a folder holds, all of one kind.
+    /// Some pages of a file behind each other: all of them, or those of one volume.
+    Pages(Arc<Paged>, Range<usize>),
+    /// What a folder holds, all of one kind; or the volumes of a file.
     Folder(PathBuf, Vec<Node>),
 }
 
@@ -56,7 +57,16 @@ impl Node {
     pub fn of_file(place: Place) -> Result<Node, SourceError> {
         let Some(Kind::Paged(format)) = Kind::of(&place.path) else { return Ok(Node::File(place.path)) };
         let file = Arc::new(Paged::of(place, format)?);
-        Ok(if file.pages == 1 { Node::Page(file, 0) } else { Node::Pages(file) })
+        let all = 0..file.pages;
+        Ok(match file.volume {
+            _ if file.pages == 1 => Node::Page(file, 0),
+            None => Node::Pages(file, all),
+            Some(volume) => {
+                let begins = all.step_by(volume);
+                let volumes = begins.map(|begin| Node::Pages(file.clone(), begin..begin + volume)).collect();
+                Node::Folder(file.path.clone(), volumes)
+            }
+        })
     }
 
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
@@ -99,10 +109,11 @@ impl Node {
         match self {
             Node::File(path) if Kind::of(path) == Some(Kind::Csv) => "a table".into(),
             Node::File(_) | Node::Page(..) => "one picture".into(),
-            Node::Pages(file) => file.what(),
-            Node::Folder(_, nodes) => match (nodes.len(), nodes.first()) {
+            Node::Pages(file, _) => file.what(),
+            Node::Folder(path, nodes) => match (nodes.len(), nodes.first()) {
+                (_, Some(Node::Pages(file, _))) if file.path == *path => file.what(),
                 (1, Some(first)) => format!("a folder of {}", first.what()),
-                (n, Some(Node::Pages(_))) => format!("a folder of {n} stacks"),
+                (n, Some(Node::Pages(..))) => format!("a folder of {n} stacks"),
                 (n, Some(Node::Folder(..))) => format!("a folder of {n} folders"),
                 (n, _) => format!("a folder of {n} pictures"),
             },
@@ -112,7 +123,7 @@ impl Node {
     pub fn path(&self) -> &Path {
         match self {
             Node::File(path) | Node::Folder(path, _) => path,
-            Node::Page(file, _) | Node::Pages(file) => &file.path,
+            Node::Page(file, _) | Node::Pages(file, _) => &file.path,
         }
     }
 
@@ -120,6 +131,7 @@ impl Node {
     pub fn name(&self) -> String {
         match self {
             Node::Page(file, page) => file.name_of(*page),
+            Node::Pages(file, range) if range.len() < file.pages => file.name_of(range.start / range.len().max(1)),
             _ => self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
         }
     }
@@ -136,7 +148,7 @@ impl Node {
     pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
         match self {
             Node::File(_) | Node::Page(..) => Ok(Vec::new()),
-            Node::Pages(file) => Ok(vec![file.pages]),
+            Node::Pages(_, range) => Ok(vec![range.len()]),
             Node::Folder(_, nodes) => {
                 let mut size = nodes.first().map_or(Ok(Vec::new()), Node::outer)?;
                 for node in nodes {
@@ -181,7 +193,9 @@ impl Stack {
     fn add(&mut self, node: &Node, reader: &mut Reader) -> Result<(), SourceError> {
         match node {
             Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, reader)),
-            Node::Pages(file) => (0..file.pages).try_for_each(|page| self.add(&Node::Page(file.clone(), page), reader)),
+            Node::Pages(file, range) => {
+                range.clone().try_for_each(|page| self.add(&Node::Page(file.clone(), page), reader))
+            }
             Node::File(path) => {
                 let picture = decode::picture(&read(path)?).map_err(|error| error.about(path))?;
                 self.push(node, picture)
@@ -222,7 +236,7 @@ pub(crate) fn picture_size(node: &Node) -> Option<[usize; 2]> {
     match node {
         Node::File(path) => decode::size(&read(path).ok()?).ok(),
         Node::Page(file, page) => file.size(*page),
-        Node::Pages(file) => file.size(0),
+        Node::Pages(file, range) => file.size(range.start),
         Node::Folder(..) => None,
     }
 }

@@ -1,4 +1,4 @@
-//! FITS: pages in, pictures out. In: the first image of a file that has pixels, two or three axes. Out: planes whose
+//! FITS: pages in, pictures out. In: the first image of a file that has pixels, two to four axes. Out: planes whose
 //! numbers are the header's `BZERO + BSCALE · stored`, unscaled bytes and unsigned 16 bit as integers, all else as floating
 //! point. The first row of the file is y = 0. It knows no astronomy: what the axes and units mean is left alone.
 //!
@@ -25,6 +25,8 @@ pub(crate) struct Fits {
     start: u64,
     size: [usize; 2],
     pages: u64,
+    /// Of a volume, where there are four axes.
+    volume: Option<u64>,
     numbers: Numbers,
 }
 
@@ -35,24 +37,24 @@ impl Fits {
         let file_bytes = file.metadata()?.len();
         let (mut header, start) = header::first_image(&mut file, file_bytes)?;
         let numbers = Numbers::of(&header)?;
-        while header.axes.len() > 2 && header.axes.ends_with(&[1]) {
-            header.axes.pop();
-        }
-        let (width, height, pages) = match header.axes[..] {
-            [width, height] => (width, height, 1),
-            [width, height, pages] => (width, height, pages),
+        let mut number = 0;
+        header.axes.retain(|length| (number < 2 || *length > 1, number += 1).0);
+        let (width, height, pages, volume) = match header.axes[..] {
+            [width, height] => (width, height, 1, None),
+            [width, height, pages] => (width, height, pages, None),
+            [width, height, pages, volumes] => (width, height, pages.saturating_mul(volumes), Some(pages)),
             _ => return Err(axes(&header.axes).into()),
         };
         let [width, height] = [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
         check_size(width, height)?;
-        Ok(Fits { file, file_bytes, start, size: [width as usize, height as usize], pages, numbers })
+        Ok(Fits { file, file_bytes, start, size: [width as usize, height as usize], pages, volume, numbers })
     }
 }
 
 fn axes(axes: &[u64]) -> DecodeError {
     let sides: Vec<String> = axes.iter().take(9).map(u64::to_string).collect();
     DecodeError::Unsupported(format!(
-        "its image has {} axes ({}); FITS is read with two (a picture) or three (slices)",
+        "its image has {} axes ({}); FITS is read with two (a picture), three (pages) or four (volumes)",
         axes.len(),
         sides.join("×")
     ))
@@ -61,6 +63,10 @@ fn axes(axes: &[u64]) -> DecodeError {
 impl Pages for Fits {
     fn count(&mut self, most: usize) -> Result<usize, PageFault> {
         Ok(self.pages.min(most as u64 + 1) as usize)
+    }
+
+    fn volume(&self) -> Option<usize> {
+        self.volume.map(|pages| pages as usize)
     }
 
     fn size(&mut self, _: usize) -> Result<[usize; 2], PageFault> {

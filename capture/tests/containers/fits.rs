@@ -123,6 +123,31 @@ fn a_third_axis_is_pages() {
     assert_eq!(Recording::open(&path).unwrap().len(), 1);
 }
 
+#[test]
+fn a_fourth_axis_is_volumes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("series.fits");
+    std::fs::write(&path, image(8, &[3, 2, 4, 5], &[], (0..120).collect())).unwrap();
+    let mut pages = Recording::open(&path).unwrap();
+    assert_eq!((pages.len(), pages.size()), (20, Some(vec![3, 2])));
+    assert_eq!(frames(&mut pages)[19], ("series.fits#19".into(), vec![3, 2], (114..120).map(f64::from).collect()));
+    let mut volumes = Recording::of_dimensions(&path, 3).unwrap();
+    assert_eq!((volumes.len(), volumes.size()), (5, Some(vec![3, 2, 4])));
+    assert_eq!(volumes.next().unwrap().unwrap().file.as_deref(), Some("series.fits#0"));
+    let second = volumes.next().unwrap().unwrap();
+    assert_eq!(second.file.as_deref(), Some("series.fits#1"));
+    assert_eq!(second.frame.plane_view(0).pixel_at([2, 1, 3, 0]), 47.0);
+    let mut series = Recording::of_dimensions(&path, 4).unwrap();
+    assert_eq!((series.len(), series.size()), (1, Some(vec![3, 2, 4, 5])));
+    let whole = series.next().unwrap().unwrap();
+    assert_eq!((whole.file.as_deref(), whole.frame.plane_view(0).pixel_at([1, 0, 2, 4])), (Some("series.fits"), 109.0));
+    let error = Recording::of_dimensions(&path, 5).unwrap_err().to_string();
+    assert!(error.contains("a FITS file of 5 volumes of 4 pages, but the document has 5 coordinates"), "{error}");
+    // One slice a volume is no volume.
+    std::fs::write(&path, image(8, &[3, 2, 1, 5], &[], (0..30).collect())).unwrap();
+    assert_eq!(Recording::of_dimensions(&path, 3).unwrap().size(), Some(vec![3, 2, 5]));
+}
+
 /// The image may stand behind an empty primary array, a table and an empty image.
 #[test]
 fn the_first_image_with_pixels_is_taken() {
@@ -169,8 +194,8 @@ fn faults_are_named() {
     for (bytes, words) in [
         (cut[..cut.len() - 2880].to_vec(), "bad.fits: damaged: page 2 is cut off: 480 of its 1200 bytes are there"),
         (cut[..400].to_vec(), "header 0 has no END"),
-        (image(8, &[6], &[], vec![0; 6]), "its image has 1 axes (6); FITS is read with two (a picture) or three"),
-        (image(8, &[2, 2, 2, 3], &[], vec![0; 24]), "its image has 4 axes (2×2×2×3)"),
+        (image(8, &[6], &[], vec![0; 6]), "its image has 1 axes (6); FITS is read with two (a picture), three (pages)"),
+        (image(8, &[2, 2, 2, 3, 2], &[], vec![0; 48]), "its image has 5 axes (2×2×2×3×2)"),
         (image(64, &[2, 2], &[], vec![0; 32]), "BITPIX is 64; FITS is read with 8, 16, 32, −32 or −64"),
         (image(8, &[2, 2], &["BSCALE  = 0.0"], vec![0; 4]), "BSCALE = 0"),
         (image(8, &[2, 2], &["BZERO   = many / of them"], vec![0; 4]), "its header says BZERO = many"),
