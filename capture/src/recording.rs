@@ -69,6 +69,11 @@ impl Recording {
         self
     }
 
+    /// The file or folder, without the topic that was named behind it.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// How many frames there are.
     pub fn len(&self) -> usize {
         self.frames.len()

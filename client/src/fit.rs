@@ -68,7 +68,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let is_csv = recording.csv_channels().map_err(other)?.is_some();
     let precision = args.precision.map_or(if is_csv { Precision::F64 } else { Precision::F32 }, Precision::from);
     let mut tracker = tracker(args, &model, precision)?;
-    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, &args.frames)).transpose()?;
+    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, recording.path())).transpose()?;
     let model_id = wire::model_id(model.name(), model.digest());
     let window = args.window.map(|window| window.0);
     while let Some(captured) = recording.next().map_err(other)? {
