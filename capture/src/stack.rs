@@ -30,7 +30,8 @@ impl Kind {
         match extension.as_str() {
             "png" | "jpg" | "jpeg" => Some(Kind::Image),
             "tif" | "tiff" => Some(Kind::Paged(Format::Tiff)),
-            "fits" | "fit" | "fts" => Some(Kind::Paged(Format::Fits)),
+            // `.fits.fz` is refused with the word what to do.
+            "fits" | "fit" | "fts" | "fz" => Some(Kind::Paged(Format::Fits)),
             "y4m" => Some(Kind::Paged(Format::Y4m)),
             "mcap" => Some(Kind::Paged(Format::Mcap)),
             "csv" => Some(Kind::Csv),

@@ -35,15 +35,16 @@ impl Fits {
     pub fn open(path: &Path) -> Result<Fits, PageFault> {
         let mut file = File::open(path)?;
         let file_bytes = file.metadata()?.len();
-        let (mut header, start) = header::first_image(&mut file, file_bytes)?;
+        let (header, start) = header::first_image(&mut file, file_bytes)?;
         let numbers = Numbers::of(&header)?;
-        let mut number = 0;
-        header.axes.retain(|length| (number < 2 || *length > 1, number += 1).0);
-        let (width, height, pages, volume) = match header.axes[..] {
+        // Beyond the second, an axis of length 1 says nothing.
+        let counts = header.axes.iter().enumerate().filter(|(axis, length)| *axis < 2 || **length > 1);
+        let axes: Vec<u64> = counts.map(|(_, length)| *length).collect();
+        let (width, height, pages, volume) = match axes[..] {
             [width, height] => (width, height, 1, None),
             [width, height, pages] => (width, height, pages, None),
             [width, height, pages, volumes] => (width, height, pages.saturating_mul(volumes), Some(pages)),
-            _ => return Err(axes(&header.axes).into()),
+            _ => return Err(unsupported(&axes).into()),
         };
         let [width, height] = [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
         check_size(width, height)?;
@@ -51,7 +52,7 @@ impl Fits {
     }
 }
 
-fn axes(axes: &[u64]) -> DecodeError {
+fn unsupported(axes: &[u64]) -> DecodeError {
     let sides: Vec<String> = axes.iter().take(9).map(u64::to_string).collect();
     DecodeError::Unsupported(format!(
         "its image has {} axes ({}); FITS is read with two (a picture), three (pages) or four (volumes)",

@@ -180,9 +180,12 @@ fn the_first_image_with_pixels_is_taken() {
         ([empty, b"something else".to_vec()].concat(), no_image),
         (b"SIMPLY".to_vec(), "not a PNG, JPEG, TIFF, FITS"),
     ] {
-        std::fs::write(&path, bytes).unwrap();
+        std::fs::write(&path, &bytes).unwrap();
         let message = refusal(&path);
         assert!(message.contains("late.fts") && message.contains(words), "{message}");
+        let packed = folder.path().join("late.fits.fz");
+        std::fs::write(&packed, &bytes).unwrap();
+        assert!(refusal(&packed).contains(words));
     }
 }
 
