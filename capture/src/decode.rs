@@ -5,12 +5,14 @@
 //! 8 bit, as the PNG standard asks for). Which kind it is, the bytes say, not the name.
 
 use std::io::Cursor;
+use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader};
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Buffer, Frame, Plane};
 
 use crate::limits::LIMITS;
+use crate::source::SourceError;
 
 /// Why bytes are not a frame.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +29,19 @@ pub enum DecodeError {
     /// A file that cannot be decoded to its end.
     #[error("{0}")]
     Damaged(String),
+}
+
+impl DecodeError {
+    /// The same of a file.
+    pub(crate) fn about(self, path: &Path) -> SourceError {
+        let path = path.to_path_buf();
+        match self {
+            DecodeError::UnknownKind => SourceError::UnknownKind { path },
+            DecodeError::TooLarge(reason) => SourceError::TooLarge { path, reason },
+            DecodeError::Damaged(reason) => SourceError::Damaged { path, reason },
+            DecodeError::Unsupported(reason) => SourceError::Unsupported { path, reason },
+        }
+    }
 }
 
 /// Decodes one PNG or JPEG image. Its size is checked before memory is taken.

@@ -1,22 +1,26 @@
 //! Recordings: pictures, stacks of them, or one CSV file, as a source of frames.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use isophote_tracker::Frame;
 
 use crate::limits::LIMITS;
+use crate::pages::{Paged, Place, Reader};
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::stack::{Kind, Node, entries, picture_size, read, too_many};
+use crate::stack::{Kind, Node, entries, picture_size, read};
 use crate::table::Table;
-use crate::tiff::Pages;
 use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG and TIFF files count; if there are none, its CSV files. Everything else in it (licences,
-/// notes) is left alone. Each page of a TIFF is a frame. [`Recording::of_dimensions`] makes stacks of pictures, where
-/// subfolders count as well; [`Recording::for_channels`] fits the planes to a model.
+/// Of a folder, the PNG, JPEG, TIFF, FITS, Y4M and MCAP files count; if there are none, its CSV files. Everything else in it
+/// (licences, notes) is left alone. Each page of a TIFF or FITS file, each frame of a video and each image of an MCAP file is
+/// a frame. Where an MCAP file holds several topics of images, the path names one behind a `#`: `run.mcap#/camera/image`.
+/// [`Recording::of_dimensions`] makes stacks of pictures, where subfolders count as well; [`Recording::for_channels`] fits
+/// the planes to a model.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
@@ -25,7 +29,7 @@ pub struct Recording {
     sequence: u64,
     channels: Option<Vec<String>>,
     truth: BTreeMap<String, BTreeMap<String, f64>>,
-    open: Option<(PathBuf, Pages)>,
+    reader: Reader,
 }
 
 impl Recording {
@@ -35,10 +39,11 @@ impl Recording {
     }
 
     /// Opens a folder or a file for a document of so many coordinates. Up to two, every picture and every page is a frame. A
-    /// frame of three dimensions is a TIFF of several pages, or all pictures of a folder; one of four is a folder of either.
+    /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
     /// A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
-        let path = path.as_ref().to_path_buf();
+        let place = Place::of(path.as_ref());
+        let path = place.path.clone();
         let about = std::fs::metadata(&path).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: path.clone() },
             _ => SourceError::Unreadable { path: path.clone(), reason },
@@ -47,14 +52,14 @@ impl Recording {
             Kind::of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => (pictures(files_of(&path)?)?, true),
-            0..=2 => (pictures(vec![path.clone()])?, false),
-            _ => stacks(&path, dimensions)?,
+            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Place::from))?, true),
+            0..=2 => (pictures([place])?, false),
+            _ => stacks(place, dimensions)?,
         };
         // The truth stands beside the frames.
-        let folder = if is_folder { Some(path.as_path()) } else { path.parent() };
+        let folder = if is_folder && about.is_dir() { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
-        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, open: None })
+        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, reader: Reader::default() })
     }
 
     /// Fits every frame's planes to the channels of a model: one channel takes the image's only plane or the Rec. 601 luma
@@ -62,6 +67,11 @@ impl Recording {
     pub fn for_channels(mut self, channels: &[String]) -> Recording {
         self.channels = Some(channels.to_vec());
         self
+    }
+
+    /// The file or folder, without the topic that was named behind it.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// How many frames there are.
@@ -94,7 +104,7 @@ impl Recording {
             let table = Table::parse(path, &read(path)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
-        let frame = node.load(&mut self.open)?;
+        let frame = node.load(&mut self.reader)?;
         match &self.channels {
             Some(channels) => fitted(path, frame, channels),
             None => Ok(frame),
@@ -144,28 +154,43 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
 }
 
 /// Every picture, every page and every table is a frame.
-fn pictures(files: Vec<PathBuf>) -> Result<Vec<Node>, SourceError> {
+fn pictures(files: impl IntoIterator<Item = Place>) -> Result<Vec<Node>, SourceError> {
     let mut frames = Vec::new();
-    for path in files {
-        match Node::of_file(path)? {
-            Node::Pages(path, pages) if frames.len() + pages > LIMITS.files => return Err(too_many(&path)),
-            Node::Pages(path, pages) => frames.extend((0..pages).map(|page| Node::Page(path.clone(), page))),
+    for place in files {
+        match Node::of_file(place)? {
+            Node::Pages(file, range) => add(&mut frames, &file, range)?,
+            Node::Folder(_, volumes) => {
+                for volume in volumes {
+                    if let Node::Pages(file, range) = volume {
+                        add(&mut frames, &file, range)?;
+                    }
+                }
+            }
             node => frames.push(node),
         }
     }
     Ok(frames)
 }
 
+fn add(frames: &mut Vec<Node>, file: &Arc<Paged>, pages: Range<usize>) -> Result<(), SourceError> {
+    if frames.len() + pages.len() > LIMITS.files {
+        return Err(SourceError::too_many(&file.path));
+    }
+    frames.extend(pages.map(|page| Node::Page(file.clone(), page)));
+    Ok(())
+}
+
 /// One frame, or all that a folder holds; whether it is the latter.
-fn stacks(path: &Path, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
-    let node = Node::of_path(path, dimensions - 1)?;
+fn stacks(place: Place, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
+    let path = place.path.clone();
+    let node = Node::of_path(place, dimensions - 1)?;
     let wanted = match dimensions {
         3 => "a TIFF of several pages, a folder of pictures, or a folder of such stacks",
         _ => "a folder of TIFFs of several pages, a folder of folders of pictures, or a folder of such folders",
     };
     let wrong = |what: String| {
         let reason = format!("{what}, but the document has {dimensions} coordinates and is fitted to {wanted}");
-        Err(SourceError::Dimensions { path: path.into(), reason })
+        Err(SourceError::Dimensions { path: path.clone(), reason })
     };
     let (frames, is_folder) = match node {
         Node::Folder(_, nodes) if nodes.first().is_some_and(|node| node.dimensions() == dimensions) => (nodes, true),

@@ -1,11 +1,12 @@
 //! The door: what every source of frames offers.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use isophote_tracker::Frame;
 
 use crate::exposure::Exposure;
+use crate::limits::LIMITS;
 
 /// One frame and what is known about it besides its pixels.
 #[derive(Clone, Debug)]
@@ -55,13 +56,13 @@ pub enum SourceError {
         reason: std::io::Error,
     },
     /// A folder without frames.
-    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG or TIFF files, one such file, or one CSV file (folders in it count for documents of three and four coordinates)", path.display())]
+    #[error("{}: holds no frames; a recording is a folder of PNG, JPEG, TIFF or FITS files, one such file, a Y4M video, an MCAP file, or one CSV file (folders in it count for documents of three and four coordinates)", path.display())]
     Empty {
         /// The folder.
         path: PathBuf,
     },
     /// A kind of file that this build does not read.
-    #[error("{}: not a PNG, JPEG, TIFF or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
+    #[error("{}: not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
     UnknownKind {
         /// The file.
         path: PathBuf,
@@ -132,4 +133,11 @@ pub enum SourceError {
         /// What went wrong.
         reason: String,
     },
+}
+
+impl SourceError {
+    pub(crate) fn too_many(path: &Path) -> SourceError {
+        let reason = format!("more than {} pictures; split the recording", LIMITS.files);
+        SourceError::TooLarge { path: path.into(), reason }
+    }
 }

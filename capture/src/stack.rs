@@ -1,24 +1,26 @@
 //! `Node`: where the pixels of one frame are. A path in, a tree of pictures out, and its pixels when they are asked for.
 //!
-//! A picture has two dimensions, a TIFF of several pages three, and a folder one more than what it holds. So a document of
-//! three coordinates takes a TIFF of several pages, or a folder of pictures, as one frame; one of four takes a folder of
+//! A picture has two dimensions, a file of several pages three, and a folder one more than what it holds. So a document of
+//! three coordinates takes a file of several pages, or a folder of pictures, as one frame; one of four takes a folder of
 //! either.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use isophote_tracker::{Buffer, Frame, Plane};
 
 use crate::decode::{self, Picture};
 use crate::limits::LIMITS;
 use crate::order::natural;
+use crate::pages::{Format, Paged, Place, Reader};
 use crate::source::SourceError;
-use crate::tiff::{PageFault, Pages};
 
 /// What a file's name says that it is.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
     Image,
-    Tiff,
+    Paged(Format),
     Csv,
 }
 
@@ -27,7 +29,11 @@ impl Kind {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "png" | "jpg" | "jpeg" => Some(Kind::Image),
-            "tif" | "tiff" => Some(Kind::Tiff),
+            "tif" | "tiff" => Some(Kind::Paged(Format::Tiff)),
+            // `.fits.fz` is refused with the word what to do.
+            "fits" | "fit" | "fts" | "fz" => Some(Kind::Paged(Format::Fits)),
+            "y4m" => Some(Kind::Paged(Format::Y4m)),
+            "mcap" => Some(Kind::Paged(Format::Mcap)),
             "csv" => Some(Kind::Csv),
             _ => None,
         }
@@ -37,45 +43,47 @@ impl Kind {
 /// Pictures, and how they lie on each other.
 #[derive(Clone, Debug)]
 pub(crate) enum Node {
-    /// A PNG, JPEG or CSV file, or a TIFF of one page.
+    /// A PNG, JPEG or CSV file.
     File(PathBuf),
-    /// One page of a TIFF of several, from 0.
-    Page(PathBuf, usize),
-    /// All pages of a TIFF, of which there are several.
-    Pages(PathBuf, usize),
-    /// What a folder holds, all of one kind.
+    /// One page of a file of pages, from 0.
+    Page(Arc<Paged>, usize),
+    /// Some pages of a file behind each other: all of them, or those of one volume.
+    Pages(Arc<Paged>, Range<usize>),
+    /// What a folder holds, all of one kind; or the volumes of a file.
     Folder(PathBuf, Vec<Node>),
 }
 
 impl Node {
-    /// A file; a TIFF by its number of pages.
-    pub fn of_file(path: PathBuf) -> Result<Node, SourceError> {
-        if Kind::of(&path) != Some(Kind::Tiff) {
-            return Ok(Node::File(path));
-        }
-        match Pages::open(&path).and_then(|pages| pages.count(LIMITS.files)) {
-            Ok(pages) if pages > LIMITS.files => Err(too_many(&path)),
-            Ok(pages) if pages > 1 => Ok(Node::Pages(path, pages)),
-            Ok(_) => Ok(Node::File(path)),
-            // Where the chain of pages breaks, nobody knows how many there were.
-            Err(PageFault::Wrong(error)) => Err(about(&path, error)),
-            Err(PageFault::Unreadable(reason)) => Err(SourceError::Unreadable { path, reason }),
-        }
+    /// A file; one of pages by their number.
+    pub fn of_file(place: Place) -> Result<Node, SourceError> {
+        let Some(Kind::Paged(format)) = Kind::of(&place.path) else { return Ok(Node::File(place.path)) };
+        let file = Arc::new(Paged::of(place, format)?);
+        let all = 0..file.pages;
+        Ok(match file.volume {
+            _ if file.pages == 1 => Node::Page(file, 0),
+            None => Node::Pages(file, all),
+            Some(volume) => {
+                let begins = all.step_by(volume);
+                let volumes = begins.map(|begin| Node::Pages(file.clone(), begin..begin + volume)).collect();
+                Node::Folder(file.path.clone(), volumes)
+            }
+        })
     }
 
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
-    pub fn of_path(path: &Path, levels: usize) -> Result<Node, SourceError> {
-        if !path.is_dir() {
-            return Node::of_file(path.into());
+    pub fn of_path(place: Place, levels: usize) -> Result<Node, SourceError> {
+        if !place.path.is_dir() {
+            return Node::of_file(place);
         }
+        let path = &place.path;
         let entries = entries(path)?;
         let files: Vec<&PathBuf> =
             entries.iter().filter(|path| path.is_file() && Kind::of(path).is_some_and(|k| k != Kind::Csv)).collect();
         let nodes = match files.is_empty() {
-            false => files.into_iter().map(|path| Node::of_file(path.clone())).collect::<Result<Vec<_>, _>>()?,
+            false => files.into_iter().map(|path| Node::of_file(path.clone().into())).collect::<Result<Vec<_>, _>>()?,
             true => {
                 let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
-                let nodes = folders.map(|path| Node::of_path(path, levels - 1));
+                let nodes = folders.map(|path| Node::of_path(path.clone().into(), levels - 1));
                 nodes.filter(|node| !matches!(node, Err(SourceError::Empty { .. }))).collect::<Result<_, _>>()?
             }
         };
@@ -102,8 +110,9 @@ impl Node {
         match self {
             Node::File(path) if Kind::of(path) == Some(Kind::Csv) => "a table".into(),
             Node::File(_) | Node::Page(..) => "one picture".into(),
-            Node::Pages(_, pages) => format!("a TIFF of {pages} pages"),
-            Node::Folder(_, nodes) => match (nodes.len(), nodes.first()) {
+            Node::Pages(file, _) => file.what(),
+            Node::Folder(path, nodes) => match (nodes.len(), nodes.first()) {
+                (_, Some(Node::Pages(file, _))) if file.path == *path => file.what(),
                 (1, Some(first)) => format!("a folder of {}", first.what()),
                 (n, Some(Node::Pages(..))) => format!("a folder of {n} stacks"),
                 (n, Some(Node::Folder(..))) => format!("a folder of {n} folders"),
@@ -114,16 +123,17 @@ impl Node {
 
     pub fn path(&self) -> &Path {
         match self {
-            Node::File(path) | Node::Page(path, _) | Node::Pages(path, _) | Node::Folder(path, _) => path,
+            Node::File(path) | Node::Folder(path, _) => path,
+            Node::Page(file, _) | Node::Pages(file, _) => &file.path,
         }
     }
 
     /// The name of file or folder; of a page with its number behind it.
     pub fn name(&self) -> String {
-        let name = self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         match self {
-            Node::Page(_, page) => format!("{name}#{page}"),
-            _ => name,
+            Node::Page(file, page) => file.name_of(*page),
+            Node::Pages(file, range) if range.len() < file.pages => file.name_of(range.start / range.len().max(1)),
+            _ => self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
         }
     }
 
@@ -139,7 +149,7 @@ impl Node {
     pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
         match self {
             Node::File(_) | Node::Page(..) => Ok(Vec::new()),
-            Node::Pages(_, pages) => Ok(vec![*pages]),
+            Node::Pages(_, range) => Ok(vec![range.len()]),
             Node::Folder(_, nodes) => {
                 let mut size = nodes.first().map_or(Ok(Vec::new()), Node::outer)?;
                 for node in nodes {
@@ -156,10 +166,10 @@ impl Node {
     }
 
     /// The pixels of all its pictures as one frame.
-    pub fn load(&self, open: &mut Option<(PathBuf, Pages)>) -> Result<Frame, SourceError> {
+    pub fn load(&self, reader: &mut Reader) -> Result<Frame, SourceError> {
         let outer = self.outer()?;
         let mut stack = Stack { slices: outer.iter().product(), outer, picture: None, name: String::new() };
-        stack.add(self, open)?;
+        stack.add(self, reader)?;
         let Some(Picture { size, format, stored, used, bytes }) = stack.picture else {
             return Err(SourceError::Empty { path: self.path().into() });
         };
@@ -181,18 +191,17 @@ struct Stack {
 }
 
 impl Stack {
-    fn add(&mut self, node: &Node, open: &mut Option<(PathBuf, Pages)>) -> Result<(), SourceError> {
+    fn add(&mut self, node: &Node, reader: &mut Reader) -> Result<(), SourceError> {
         match node {
-            Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, open)),
-            Node::Pages(path, pages) => {
-                (0..*pages).try_for_each(|page| self.add(&Node::Page(path.clone(), page), open))
+            Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, reader)),
+            Node::Pages(file, range) => {
+                range.clone().try_for_each(|page| self.add(&Node::Page(file.clone(), page), reader))
             }
-            Node::File(path) if Kind::of(path) == Some(Kind::Image) => {
-                let picture = decode::picture(&read(path)?).map_err(|error| about(path, error))?;
+            Node::File(path) => {
+                let picture = decode::picture(&read(path)?).map_err(|error| error.about(path))?;
                 self.push(node, picture)
             }
-            Node::File(path) => self.push(node, page(path, 0, open)?),
-            Node::Page(path, number) => self.push(node, page(path, *number, open)?),
+            Node::Page(file, number) => self.push(node, reader.picture(file, *number)?),
         }
     }
 
@@ -223,32 +232,13 @@ impl Stack {
     }
 }
 
-/// A page of a TIFF; the file stays open for the page after it.
-fn page(path: &Path, number: usize, open: &mut Option<(PathBuf, Pages)>) -> Result<Picture, SourceError> {
-    let wrong = |fault: PageFault| match fault {
-        PageFault::Unreadable(reason) => SourceError::Unreadable { path: path.into(), reason },
-        PageFault::Wrong(error) => about(path, error),
-    };
-    let known = open.take().filter(|(name, _)| name == path).map(|(_, pages)| pages);
-    let forward = known.map(|pages| pages.forward(number)).transpose().map_err(wrong)?.flatten();
-    let pages = match forward {
-        Some(pages) => Some(pages),
-        None => Pages::open(path).and_then(|pages| pages.forward(number)).map_err(wrong)?,
-    };
-    let Some(mut pages) = pages else { return Err(SourceError::Empty { path: path.into() }) };
-    let picture = pages.picture().map_err(|error| about(path, error));
-    *open = Some((path.into(), pages));
-    picture
-}
-
 /// The size of a file's first picture.
 pub(crate) fn picture_size(node: &Node) -> Option<[usize; 2]> {
-    let path = node.path();
-    match (node, Kind::of(path)?) {
-        (_, Kind::Image) => decode::size(&read(path).ok()?).ok(),
-        (Node::Page(_, number), Kind::Tiff) => Pages::open(path).ok()?.forward(*number).ok()??.size().ok(),
-        (_, Kind::Tiff) => Pages::open(path).ok()?.size().ok(),
-        (_, Kind::Csv) => None,
+    match node {
+        Node::File(path) => decode::size(&read(path).ok()?).ok(),
+        Node::Page(file, page) => file.size(*page),
+        Node::Pages(file, range) => file.size(range.start),
+        Node::Folder(..) => None,
     }
 }
 
@@ -263,19 +253,12 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
             continue;
         }
         if found.len() == LIMITS.files {
-            return Err(too_many(folder));
+            return Err(SourceError::too_many(folder));
         }
         found.push((name, path));
     }
     found.sort_by(|a, b| natural(&a.0, &b.0));
     Ok(found.into_iter().map(|(_, path)| path).collect())
-}
-
-pub(crate) fn too_many(path: &Path) -> SourceError {
-    SourceError::TooLarge {
-        path: path.into(),
-        reason: format!("more than {} pictures; split the recording", LIMITS.files),
-    }
 }
 
 fn odd_one(path: &Path, reason: &str) -> SourceError {
@@ -291,15 +274,4 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SourceError> {
         return Err(SourceError::TooLarge { path: path.into(), reason });
     }
     std::fs::read(path).map_err(unreadable)
-}
-
-fn about(path: &Path, error: decode::DecodeError) -> SourceError {
-    use decode::DecodeError;
-    let path = path.to_path_buf();
-    match error {
-        DecodeError::UnknownKind => SourceError::UnknownKind { path },
-        DecodeError::TooLarge(reason) => SourceError::TooLarge { path, reason },
-        DecodeError::Damaged(reason) => SourceError::Damaged { path, reason },
-        DecodeError::Unsupported(reason) => SourceError::Unsupported { path, reason },
-    }
 }

@@ -1,11 +1,10 @@
 //! TIFF: pages in, pictures out, and the other way round.
 //!
-//! 8 and 16 bit unsigned and 32 bit float, gray or r, g, b (alpha is left out), uncompressed, LZW or Deflate. Pages are read
-//! one at a time from the open file, so that a recording of many pages costs no more memory than one.
+//! 8 and 16 bit unsigned and 32 bit float, gray or r, g, b (alpha is left out), uncompressed, LZW or Deflate.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use isophote_jit::PixelFormat;
 use tiff::ColorType;
@@ -16,26 +15,13 @@ use tiff::tags::Tag;
 use crate::decode::{DecodeError, Picture, check_size};
 use crate::encode::EncodeError;
 use crate::limits::LIMITS;
+use crate::pages::{PageFault, Pages};
 
 /// An open TIFF file.
-pub(crate) struct Pages {
-    decoder: Decoder<BufReader<File>>,
-    /// The page that the decoder stands at.
-    page: usize,
-}
-
-impl std::fmt::Debug for Pages {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Pages").field("page", &self.page).finish_non_exhaustive()
-    }
-}
-
-/// Why a file gives no page.
-pub(crate) enum PageFault {
-    /// The operating system refused.
-    Unreadable(std::io::Error),
-    /// It is not what it should be.
-    Wrong(DecodeError),
+pub(crate) struct Tiff {
+    path: PathBuf,
+    /// `None` after a page that could not be found: the decoder is at no known place then.
+    decoder: Option<Decoder<BufReader<File>>>,
 }
 
 impl From<tiff::TiffError> for PageFault {
@@ -44,74 +30,79 @@ impl From<tiff::TiffError> for PageFault {
     }
 }
 
-impl Pages {
+impl Tiff {
     /// Opens a file at its first page.
-    pub fn open(path: &Path) -> Result<Pages, PageFault> {
-        let file = File::open(path).map_err(PageFault::Unreadable)?;
-        let mut limits = Limits::default();
-        // Of one page: three channels of four bytes.
-        limits.decoding_buffer_size = (LIMITS.frame_pixels * 12) as usize;
-        limits.intermediate_buffer_size = limits.decoding_buffer_size;
-        Ok(Pages { decoder: Decoder::new(BufReader::new(file))?.with_limits(limits), page: 0 })
+    pub fn open(path: &Path) -> Result<Tiff, PageFault> {
+        Ok(Tiff { path: path.into(), decoder: Some(decoder(path)?) })
     }
 
-    /// How many pages there are, counted no further than one beyond `most`. The decoder then stands at the last.
-    pub fn count(mut self, most: usize) -> Result<usize, PageFault> {
-        while self.decoder.more_images() && self.page < most {
-            self.step()?;
+    /// The decoder at a page.
+    fn at(&mut self, page: usize) -> Result<&mut Decoder<BufReader<File>>, PageFault> {
+        let mut decoder = self.decoder.take().map_or_else(|| decoder(&self.path), Ok)?;
+        decoder.seek_to_image(page)?;
+        Ok(self.decoder.insert(decoder))
+    }
+}
+
+fn decoder(path: &Path) -> Result<Decoder<BufReader<File>>, PageFault> {
+    let file = File::open(path)?;
+    let mut limits = Limits::default();
+    // Of one page: three channels of four bytes.
+    limits.decoding_buffer_size = (LIMITS.frame_pixels * 12) as usize;
+    limits.intermediate_buffer_size = limits.decoding_buffer_size;
+    Ok(Decoder::new(BufReader::new(file))?.with_limits(limits))
+}
+
+impl Pages for Tiff {
+    fn count(&mut self, most: usize) -> Result<usize, PageFault> {
+        let decoder = self.at(0)?;
+        let mut last = 0;
+        while decoder.more_images() && last < most {
+            decoder.next_image()?;
+            last += 1;
         }
-        Ok(self.page + 1)
+        Ok(last + 1)
     }
 
-    fn step(&mut self) -> Result<(), PageFault> {
-        self.decoder.next_image()?;
-        self.page += 1;
-        Ok(())
-    }
-
-    /// Goes on to page `page`; `None` when the decoder is beyond it.
-    pub fn forward(mut self, page: usize) -> Result<Option<Pages>, PageFault> {
-        while self.page < page {
-            self.step()?;
-        }
-        Ok((self.page == page).then_some(self))
-    }
-
-    /// Width and height of the page.
-    pub fn size(&mut self) -> Result<[usize; 2], DecodeError> {
-        let (width, height) = self.decoder.dimensions().map_err(fault)?;
+    fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault> {
+        let (width, height) = self.at(page)?.dimensions()?;
         Ok([width as usize, height as usize])
     }
 
-    /// The pixels of the page. Its size is checked before memory is taken.
-    pub fn picture(&mut self) -> Result<Picture, DecodeError> {
-        let [width, height] = self.size()?;
-        check_size(width as u32, height as u32)?;
-        let colour = self.decoder.colortype().map_err(fault)?;
-        let (stored, used) = match colour {
-            ColorType::Gray(_) => (1, 1),
-            ColorType::GrayA(_) => (2, 1),
-            ColorType::RGB(_) => (3, 3),
-            ColorType::RGBA(_) => (4, 3),
-            other => return Err(unsupported(&format!("its colours are {other:?}"))),
-        };
-        let planar: Option<u16> = self.decoder.find_tag_unsigned(Tag::PlanarConfiguration).map_err(fault)?;
-        if stored > 1 && planar == Some(2) {
-            return Err(unsupported("its colours are stored plane by plane"));
-        }
-        let mut pixels = DecodingResult::U8(Vec::new());
-        self.decoder.read_image_to_buffer(&mut pixels).map_err(fault)?;
-        let (format, bytes): (PixelFormat, Vec<u8>) = match pixels {
-            DecodingResult::U8(values) if colour.bit_depth() == 8 => (PixelFormat::U8, values),
-            DecodingResult::U16(values) => (PixelFormat::U16, values.iter().flat_map(|v| v.to_ne_bytes()).collect()),
-            DecodingResult::F32(values) => (PixelFormat::F32, values.iter().flat_map(|v| v.to_ne_bytes()).collect()),
-            _ => return Err(unsupported(&format!("its pixels have {} bits", colour.bit_depth()))),
-        };
-        if bytes.len() != width * height * stored * format.bytes_per_pixel() {
-            return Err(unsupported("its rows are not stored pixel by pixel"));
-        }
-        Ok(Picture { size: [width, height], format, stored, used, bytes })
+    fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
+        Ok(picture(self.at(page)?)?)
     }
+}
+
+/// The pixels of the page that the decoder stands at.
+fn picture(decoder: &mut Decoder<BufReader<File>>) -> Result<Picture, DecodeError> {
+    let (width, height) = decoder.dimensions().map_err(fault)?;
+    check_size(width, height)?;
+    let (width, height) = (width as usize, height as usize);
+    let colour = decoder.colortype().map_err(fault)?;
+    let (stored, used) = match colour {
+        ColorType::Gray(_) => (1, 1),
+        ColorType::GrayA(_) => (2, 1),
+        ColorType::RGB(_) => (3, 3),
+        ColorType::RGBA(_) => (4, 3),
+        other => return Err(unsupported(&format!("its colours are {other:?}"))),
+    };
+    let planar: Option<u16> = decoder.find_tag_unsigned(Tag::PlanarConfiguration).map_err(fault)?;
+    if stored > 1 && planar == Some(2) {
+        return Err(unsupported("its colours are stored plane by plane"));
+    }
+    let mut pixels = DecodingResult::U8(Vec::new());
+    decoder.read_image_to_buffer(&mut pixels).map_err(fault)?;
+    let (format, bytes): (PixelFormat, Vec<u8>) = match pixels {
+        DecodingResult::U8(values) if colour.bit_depth() == 8 => (PixelFormat::U8, values),
+        DecodingResult::U16(values) => (PixelFormat::U16, values.iter().flat_map(|v| v.to_ne_bytes()).collect()),
+        DecodingResult::F32(values) => (PixelFormat::F32, values.iter().flat_map(|v| v.to_ne_bytes()).collect()),
+        _ => return Err(unsupported(&format!("its pixels have {} bits", colour.bit_depth()))),
+    };
+    if bytes.len() != width * height * stored * format.bytes_per_pixel() {
+        return Err(unsupported("its rows are not stored pixel by pixel"));
+    }
+    Ok(Picture { size: [width, height], format, stored, used, bytes })
 }
 
 fn unsupported(what: &str) -> DecodeError {

@@ -158,7 +158,9 @@ fn what_is_no_recording_is_refused_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let message = |path: &Path| Recording::open(path).unwrap_err().to_string();
     assert!(message(&folder.path().join("none")).ends_with("none: no such file or folder"));
-    assert!(message(folder.path()).contains("holds no frames; a recording is a folder of PNG, JPEG or TIFF files"));
+    assert!(
+        message(folder.path()).contains("holds no frames; a recording is a folder of PNG, JPEG, TIFF or FITS files")
+    );
     let bitmap = folder.path().join("a.bmp");
     std::fs::write(&bitmap, b"BM").unwrap();
     assert!(message(&bitmap).contains("convert it to PNG"));

@@ -25,9 +25,10 @@ pub struct FitArgs {
     /// The model document (TOML; JSON if it is named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// A folder of PNG, JPEG or TIFF files (in natural name order, counted from 0), one such file, or one CSV file, which is
-    /// one 1-D frame whose header names the channels. For a model of three coordinates a folder of pictures or a TIFF of
-    /// several pages is one frame; for one of four, a folder of either
+    /// A folder of PNG, JPEG, TIFF or FITS files (in natural name order, counted from 0), one such file, a Y4M video, an MCAP
+    /// file (FILE.mcap#/topic where it holds images on several topics), or one CSV file, which is one 1-D frame whose header
+    /// names the channels. For a model of three coordinates a folder of pictures or a file of several pages is one frame;
+    /// for one of four, a folder of either
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
     /// Starting values of the first frame, instead of the document's
@@ -67,7 +68,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let is_csv = recording.csv_channels().map_err(other)?.is_some();
     let precision = args.precision.map_or(if is_csv { Precision::F64 } else { Precision::F32 }, Precision::from);
     let mut tracker = tracker(args, &model, precision)?;
-    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, &args.frames)).transpose()?;
+    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, recording.path())).transpose()?;
     let model_id = wire::model_id(model.name(), model.digest());
     let window = args.window.map(|window| window.0);
     while let Some(captured) = recording.next().map_err(other)? {

@@ -287,7 +287,7 @@ impl SyntheticDocument {
     }
 }
 
-/// A folder or file of PNG, JPEG, TIFF or CSV.
+/// A folder or file of PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingDocument {

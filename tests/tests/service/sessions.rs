@@ -216,3 +216,21 @@ fn a_recording_is_fitted_to_its_end() {
     let view = service.wait_for("one", |view| view["state"] == "lost_source");
     assert!(view["reason"].as_str().unwrap().contains("2.png"), "{view}");
 }
+
+/// The same frames in one file, as a session's recording.
+#[test]
+fn a_video_is_fitted_as_a_folder_of_pictures_is() {
+    let folder = Folder::new("video");
+    let mut video = b"YUV4MPEG2 W64 H48 F30:1 Cmono\n".to_vec();
+    for frame in 0..5 {
+        video.extend_from_slice(b"FRAME\n");
+        video.extend_from_slice(&picture(64, 48, (30.0 + f64::from(frame), 22.0)));
+    }
+    std::fs::write(folder.0.join("run.y4m"), &video).unwrap();
+    let service = Running::start();
+    let source = json!({"kind": "recording", "path": folder.0.join("run.y4m"), "rate_hz": 0, "pace": "fit"});
+    service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
+    let view = service.wait_for("one", |view| view["state"] == "stopped");
+    assert_eq!((&view["frames"], &view["last"]["file"]), (&json!(5), &json!("run.y4m#4")));
+    assert!((view["last"]["parameters"]["bx"].as_f64().unwrap() - 34.0).abs() < 0.1, "{view}");
+}

@@ -1,0 +1,214 @@
+//! An MCAP file in, where its pictures are out, in the order of their log times.
+//!
+//! The file is walked from record to record. Chunks are passed over: the message indexes behind them say what is in them,
+//! and the summary at the end of the file which channels there are. Only where one of these is missing (a recorder that
+//! crashed, or that writes none) a chunk is unpacked for it. Where the file breaks off the walk ends.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+
+use crate::decode::DecodeError;
+use crate::limits::LIMITS;
+use crate::pages::PageFault;
+
+use super::chunk;
+use super::message::{Encoding, Layout};
+use super::records::{CHUNK_HEAD_BYTES, Channel, Chunk, HEAD_BYTES, MAGIC, MESSAGE_BYTES, Message, Rest, Schema, op};
+
+/// Bytes of a schema, a channel or a message index; message indexes, and pictures of all topics.
+const RECORD_BYTES_MAX: u64 = 64 << 20;
+const INDEXES_MAX: usize = 4_000_000;
+const PLACES_MAX: usize = 4_000_000;
+
+/// A channel whose messages are pictures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Stream {
+    pub topic: String,
+    pub layout: Layout,
+    pub encoding: Encoding,
+}
+
+/// Where a picture is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub log_time: u64,
+    pub channel: u16,
+    /// Of [`Index::chunks`]; `None` where the message stands in the file itself.
+    pub chunk: Option<u32>,
+    /// The byte of its record in the unpacked chunk, or in the file.
+    pub offset: u64,
+}
+
+/// What is known of a file.
+#[derive(Default)]
+pub(super) struct Index {
+    schemas: BTreeMap<u16, Option<Layout>>,
+    /// By number; `None` for channels of other things.
+    pub streams: BTreeMap<u16, Option<Stream>>,
+    pub chunks: Vec<Chunk>,
+    /// The message indexes of each chunk: channel, first byte of the content, bytes.
+    indexes: Vec<Vec<(u16, u64, u64)>>,
+    /// In the order of their log times; with the same time, of the file.
+    pub places: Vec<Place>,
+}
+
+impl Index {
+    /// Walks through the file.
+    pub fn of(file: &mut BufReader<File>, file_bytes: u64) -> Result<Index, PageFault> {
+        let mut index = Index::default();
+        let is_whole = index.walk(file, file_bytes)?;
+        if let (false, Some(last)) = (is_whole, index.indexes.last_mut()) {
+            // Some of its indexes may not have been written any more.
+            last.clear();
+        }
+        for number in 0..index.chunks.len() {
+            let indexes = std::mem::take(&mut index.indexes[number]);
+            let is_known = |(channel, ..): &(u16, u64, u64)| index.streams.contains_key(channel);
+            if indexes.is_empty() || !indexes.iter().all(is_known) {
+                let records = chunk::unpack(file, &index.chunks[number])?;
+                index.scan(&records, number as u32)?;
+                continue;
+            }
+            for (channel, begin, bytes) in indexes {
+                if index.streams.get(&channel).is_some_and(Option::is_some) {
+                    let content = content(file, begin, bytes)?;
+                    index.message_index(&content, channel, number as u32)?;
+                }
+            }
+        }
+        index.places.sort_by_key(|place| place.log_time);
+        Ok(index)
+    }
+
+    /// Takes note of the file's records; whether it ends as it should.
+    fn walk(&mut self, file: &mut BufReader<File>, file_bytes: u64) -> Result<bool, PageFault> {
+        let mut magic = Vec::new();
+        file.take(MAGIC.len() as u64).read_to_end(&mut magic)?;
+        if magic != MAGIC {
+            return Err(DecodeError::UnknownKind.into());
+        }
+        let (mut at, mut count) = (MAGIC.len() as u64, 0);
+        while at + (HEAD_BYTES as u64) <= file_bytes {
+            let head = content(file, at, HEAD_BYTES as u64)?;
+            let (mut head, begin) = (Rest(&head), at + HEAD_BYTES as u64);
+            let (Some(opcode), Some(bytes)) = (head.u8(), head.u64()) else { break };
+            let Some(end) = begin.checked_add(bytes).filter(|end| *end <= file_bytes) else { break };
+            match opcode {
+                op::FOOTER => return Ok(true),
+                op::SCHEMA => self.schema(&content(file, begin, bytes)?),
+                op::CHANNEL => self.channel(&content(file, begin, bytes)?),
+                op::MESSAGE => {
+                    let head = content(file, begin, bytes.min(MESSAGE_BYTES as u64))?;
+                    if let Some(message) = Message::parse(&head) {
+                        self.place(message.log_time, message.channel, None, at)?;
+                    }
+                }
+                op::CHUNK => {
+                    let head = content(file, begin, bytes.min(CHUNK_HEAD_BYTES as u64))?;
+                    let chunk =
+                        Chunk::parse(&head, begin).filter(|chunk| chunk.bytes <= end.saturating_sub(chunk.begin));
+                    let Some(chunk) = chunk else { return Err(damaged("the first fields of a chunk")) };
+                    if self.chunks.len() == LIMITS.files {
+                        return Err(too_many("chunks"));
+                    }
+                    self.chunks.push(chunk);
+                    self.indexes.push(Vec::new());
+                }
+                op::MESSAGE_INDEX => {
+                    let head = content(file, begin, bytes.min(2))?;
+                    if let (Some(channel), Some(indexes)) = (Rest(&head).u16(), self.indexes.last_mut()) {
+                        indexes.push((channel, begin, bytes));
+                        count += 1;
+                    }
+                    if count > INDEXES_MAX {
+                        return Err(too_many("message indexes"));
+                    }
+                }
+                _ => {}
+            }
+            at = end;
+        }
+        Ok(false)
+    }
+
+    /// Takes note of what is in a chunk.
+    fn scan(&mut self, records: &[u8], chunk: u32) -> Result<(), PageFault> {
+        let mut rest = Rest(records);
+        while !rest.0.is_empty() {
+            let offset = (records.len() - rest.0.len()) as u64;
+            let Some((opcode, content)) = rest.record() else { return Err(damaged("a record of a chunk")) };
+            match opcode {
+                op::SCHEMA => self.schema(content),
+                op::CHANNEL => self.channel(content),
+                op::MESSAGE => {
+                    if let Some(message) = Message::parse(content) {
+                        self.place(message.log_time, message.channel, Some(chunk), offset)?;
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn message_index(&mut self, content: &[u8], channel: u16, chunk: u32) -> Result<(), PageFault> {
+        let mut rest = Rest(content.get(2..).unwrap_or_default());
+        let Some(mut entries) = rest.counted().map(Rest) else { return Err(damaged("a message index")) };
+        while let (Some(log_time), Some(offset)) = (entries.u64(), entries.u64()) {
+            self.place(log_time, channel, Some(chunk), offset)?;
+        }
+        Ok(())
+    }
+
+    fn schema(&mut self, content: &[u8]) {
+        if let Some(schema) = Schema::parse(content) {
+            self.schemas.insert(schema.id, Layout::of(schema.name));
+        }
+    }
+
+    fn channel(&mut self, content: &[u8]) {
+        if let Some(Channel { id, schema, topic, encoding }) = Channel::parse(content) {
+            let layout = self.schemas.get(&schema).copied().flatten();
+            let stream = |layout| Stream { topic: topic.into(), layout, encoding: Encoding::of(encoding) };
+            self.streams.insert(id, layout.map(stream));
+        }
+    }
+
+    fn place(&mut self, log_time: u64, channel: u16, chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
+        if self.streams.get(&channel).is_none_or(Option::is_none) {
+            return Ok(());
+        }
+        if self.places.len() == PLACES_MAX {
+            return Err(too_many("pictures"));
+        }
+        self.places.push(Place { log_time, channel, chunk, offset });
+        Ok(())
+    }
+}
+
+/// Bytes of the file, which are there.
+pub(super) fn content(file: &mut BufReader<File>, begin: u64, bytes: u64) -> Result<Vec<u8>, PageFault> {
+    if bytes > RECORD_BYTES_MAX {
+        return Err(
+            DecodeError::TooLarge(format!("a record of {bytes} bytes; at most {RECORD_BYTES_MAX} are read")).into()
+        );
+    }
+    // Records lie behind each other: what was read ahead is kept.
+    let here = file.stream_position()?;
+    match begin.checked_signed_diff(here) {
+        Some(steps) => file.seek_relative(steps)?,
+        None => drop(file.seek(SeekFrom::Start(begin))?),
+    }
+    let mut content = vec![0; bytes as usize];
+    file.read_exact(&mut content)?;
+    Ok(content)
+}
+
+fn damaged(what: &str) -> PageFault {
+    DecodeError::Damaged(format!("{what} cannot be read")).into()
+}
+
+fn too_many(what: &str) -> PageFault {
+    DecodeError::TooLarge(format!("too many {what}; split the recording")).into()
+}

@@ -1,0 +1,350 @@
+//! MCAP: every kind of image message, files whole and broken, topics.
+//!
+//! `reference-lz4.mcap` and `reference-zstd.mcap` were written by another library, the crate `mcap` 0.26: chunks of 300 bytes,
+//! messages of `/imu` among those of `/camera/image`, sensor_msgs/msg/Image of 4 × 3 pixels, mono8. Pixel i of image n is
+//! 10 n + i, its log time 1000 n + 5; image 3 was written before image 2.
+
+use isophote_capture::{FrameSource, Recording, encode_png};
+use isophote_jit::PixelFormat;
+
+use crate::{frames, mutated, refusal};
+
+const REFERENCES: [(&str, &[u8]); 2] =
+    [("lz4.mcap", include_bytes!("reference-lz4.mcap")), ("zstd.mcap", include_bytes!("reference-zstd.mcap"))];
+
+/// Pixels of 3 × 2, and the same as a message has them: two bytes between rows.
+const PIXELS: [u8; 6] = [7, 8, 9, 20, 21, 255];
+const ROWS: [u8; 10] = [7, 8, 9, 0, 0, 20, 21, 255, 0, 0];
+
+fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
+    [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
+}
+
+fn counted(bytes: &[u8]) -> Vec<u8> {
+    [&(bytes.len() as u32).to_le_bytes()[..], bytes].concat()
+}
+
+/// Schema and channel of one number.
+fn channel(number: u16, topic: &str, schema: &str, encoding: &str) -> Vec<u8> {
+    let number = number.to_le_bytes();
+    let described = [&number[..], &counted(schema.as_bytes()), &counted(b"any"), &counted(b"")].concat();
+    let channel =
+        [&number[..], &number, &counted(topic.as_bytes()), &counted(encoding.as_bytes()), &counted(b"")].concat();
+    [record(3, &described), record(4, &channel)].concat()
+}
+
+fn message(channel: u16, log_time: u64, payload: &[u8]) -> Vec<u8> {
+    record(5, &[&channel.to_le_bytes()[..], &[0; 4], &log_time.to_le_bytes(), &[0; 8], payload].concat())
+}
+
+fn chunk(packing: &str, unpacked_bytes: u64, checksum: u32, packed: &[u8]) -> Vec<u8> {
+    let head =
+        [&[0; 16][..], &unpacked_bytes.to_le_bytes(), &checksum.to_le_bytes(), &counted(packing.as_bytes())].concat();
+    record(6, &[&head[..], &(packed.len() as u64).to_le_bytes(), packed].concat())
+}
+
+fn message_index(channel: u16, entries: &[(u64, u64)]) -> Vec<u8> {
+    let entries: Vec<u8> = entries.iter().flat_map(|(t, at)| [t.to_le_bytes(), at.to_le_bytes()].concat()).collect();
+    record(7, &[&channel.to_le_bytes()[..], &counted(&entries)].concat())
+}
+
+fn file(records: &[Vec<u8>]) -> Vec<u8> {
+    let magic = b"\x89MCAP0\r\n";
+    [&magic[..], &record(1, &[0; 8]), &records.concat(), &record(2, &[0; 20]), magic].concat()
+}
+
+/// Fields as CDR (4-byte aligned) in an order of bytes, or without gaps as ROS 1 has them.
+struct Fields {
+    bytes: Vec<u8>,
+    kind: &'static str,
+}
+
+impl Fields {
+    fn new(kind: &'static str) -> Fields {
+        let bytes = [("ros1", &[][..]), ("cdr", &[0, 1, 0, 0]), ("big-endian cdr", &[0, 0, 0, 0])];
+        Fields { bytes: bytes.iter().find(|(name, _)| *name == kind).unwrap().1.to_vec(), kind }
+    }
+
+    fn u32(mut self, value: u32) -> Fields {
+        if self.kind != "ros1" {
+            self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        }
+        self.bytes.extend(if self.kind == "big-endian cdr" { value.to_be_bytes() } else { value.to_le_bytes() });
+        self
+    }
+
+    fn u8(mut self, value: u8) -> Fields {
+        self.bytes.push(value);
+        self
+    }
+
+    fn data(self, data: &[u8]) -> Fields {
+        let mut fields = self.u32(data.len() as u32);
+        fields.bytes.extend_from_slice(data);
+        fields
+    }
+
+    fn text(self, text: &str) -> Fields {
+        let end = if self.kind == "ros1" { "" } else { "\0" };
+        self.data(format!("{text}{end}").as_bytes())
+    }
+
+    fn time(self) -> Fields {
+        self.u32(17).u32(99)
+    }
+
+    fn header(self) -> Fields {
+        let fields = if self.kind == "ros1" { self.u32(3) } else { self };
+        fields.time().text("cam0")
+    }
+}
+
+fn protobuf(fields: &[(u8, &[u8])]) -> Vec<u8> {
+    // Numbers are fixed32 (wire type 5), all else is counted (2).
+    let one = |(key, bytes): &(u8, &[u8])| {
+        let count = if key & 7 == 2 { vec![(bytes.len() | 128) as u8, (bytes.len() >> 7) as u8] } else { Vec::new() };
+        [&[*key][..], &count, bytes].concat()
+    };
+    fields.iter().flat_map(one).collect()
+}
+
+/// In groups of three bytes, four letters.
+fn base64(bytes: &[u8]) -> String {
+    let letters: Vec<char> = ('A'..='Z').chain('a'..='z').chain('0'..='9').chain(['+', '/']).collect();
+    let group = |three: &[u8]| {
+        let bits = three.iter().chain(&[0; 2]).take(3).fold(0u32, |bits, byte| bits << 8 | u32::from(*byte));
+        (0..4)
+            .map(|i| if i > three.len() { '=' } else { letters[(bits >> (18 - 6 * i) & 63) as usize] })
+            .collect::<String>()
+    };
+    bytes.chunks(3).map(group).collect()
+}
+
+/// A message of every schema and encoding that is read, all with the same pixels.
+fn kinds() -> Vec<(&'static str, &'static str, Vec<u8>)> {
+    let png = encode_png(3, 2, PixelFormat::U8, &PIXELS).unwrap();
+    let number = |value: u32| value.to_le_bytes();
+    let mut kinds = vec![
+        (
+            "foxglove.RawImage",
+            "protobuf",
+            protobuf(&[
+                (10, b"\x08\x05"),
+                (0x15, &number(3)),
+                (0x1d, &number(2)),
+                (0x22, b"mono8"),
+                (0x2d, &number(5)),
+                (0x32, &ROWS),
+                (0x3a, b"cam0"),
+            ]),
+        ),
+        ("foxglove.CompressedImage", "protobuf", protobuf(&[(0x12, &png), (0x1a, b"png"), (0x22, b"cam0")])),
+        (
+            "foxglove.RawImage",
+            "json",
+            format!(
+                r#"{{"timestamp":{{"sec":1,"nsec":2}},"frame_id":"","width":3,"height":2,"encoding":"8UC1","step":5,"data":"{}"}}"#,
+                base64(&ROWS)
+            )
+            .into_bytes(),
+        ),
+        (
+            "foxglove.CompressedImage",
+            "json",
+            format!(r#"{{"data":"{}","format":"png","frame_id":"a\"b"}}"#, base64(&png)).into_bytes(),
+        ),
+    ];
+    for (kind, encoding, package) in [
+        ("cdr", "cdr", "sensor_msgs/msg"),
+        ("big-endian cdr", "cdr", "sensor_msgs/msg"),
+        ("ros1", "ros1", "sensor_msgs"),
+    ] {
+        let raw = Fields::new(kind).header().u32(2).u32(3).text("mono8").u8(0).u32(5).data(&ROWS);
+        let compressed = Fields::new(kind).header().text("mono8; png compressed ").data(&png);
+        let [image, small] = if package == "sensor_msgs" {
+            ["sensor_msgs/Image", "sensor_msgs/CompressedImage"]
+        } else {
+            ["sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"]
+        };
+        kinds.extend([(image, encoding, raw.bytes), (small, encoding, compressed.bytes)]);
+        let raw = Fields::new(kind).time().text("cam0").u32(3).u32(2).text("mono8").u32(5).data(&ROWS);
+        let compressed = Fields::new(kind).time().text("cam0").data(&png).text("png");
+        let [image, small] = if package == "sensor_msgs" {
+            ["foxglove_msgs/RawImage", "foxglove_msgs/CompressedImage"]
+        } else {
+            ["foxglove_msgs/msg/RawImage", "foxglove_msgs/msg/CompressedImage"]
+        };
+        kinds.extend([(image, encoding, raw.bytes), (small, encoding, compressed.bytes)]);
+    }
+    kinds
+}
+
+#[test]
+fn every_kind_of_message_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kinds.mcap");
+    for (schema, encoding, payload) in kinds() {
+        // In the file itself, and in a chunk without an index.
+        let records = [channel(1, "/image", schema, encoding), message(1, 5, &payload)].concat();
+        for bytes in [file(std::slice::from_ref(&records)), file(&[chunk("", records.len() as u64, 0, &records)])] {
+            std::fs::write(&path, bytes).unwrap();
+            let mut recording = Recording::open(&path).unwrap();
+            assert_eq!((recording.len(), recording.size()), (1, Some(vec![3, 2])), "{schema} {encoding}");
+            let found = frames(&mut recording);
+            assert_eq!(
+                found,
+                [("kinds.mcap".into(), vec![3, 2], PIXELS.map(f64::from).to_vec())],
+                "{schema} {encoding}"
+            );
+        }
+        // A message that ends early is an error, unless only what is not needed is missing.
+        let mut refused = 0;
+        for end in (0..payload.len()).step_by(3) {
+            let records = [channel(1, "/image", schema, encoding), message(1, 5, &payload[..end])];
+            std::fs::write(&path, file(&records)).unwrap();
+            match Recording::open(&path).unwrap().next() {
+                Err(_) => refused += 1,
+                Ok(captured) => assert_eq!(captured.unwrap().frame.plane_view(0).pixel(2, 1), 255.0, "{schema} {end}"),
+            }
+        }
+        assert!(refused > payload.len() / 4, "{schema} {encoding}: {refused}");
+    }
+}
+
+/// Files that another library wrote: packed chunks, a summary, another topic among the images, a log time out of order.
+#[test]
+fn files_of_another_library_are_read_in_the_order_of_time() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in REFERENCES {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        let mut recording = Recording::open(&path).unwrap();
+        assert_eq!((recording.len(), recording.size()), (7, Some(vec![4, 3])));
+        assert!(recording.description().ends_with("(7 frames)"), "{}", recording.description());
+        let found = frames(&mut recording);
+        for (n, (file, size, pixels)) in found.iter().enumerate() {
+            let expected: Vec<f64> = (0..12).map(|i| (10 * n + i) as f64).collect();
+            assert_eq!((file, &size[..], pixels), (&format!("{name}#{n}"), &[4, 3][..], &expected));
+        }
+        recording.rewind();
+        assert_eq!(frames(&mut recording), found);
+        let mut stack = Recording::of_dimensions(&path, 3).unwrap();
+        assert_eq!(stack.next().unwrap().unwrap().frame.plane_view(0).pixel_at([1, 2, 6, 0]), 69.0);
+
+        // A recorder that crashed: whatever is cut off, the images before it are read.
+        let mut lengths = Vec::new();
+        for end in (8..bytes.len()).step_by(7) {
+            std::fs::write(&path, &bytes[..end]).unwrap();
+            let pixels = Recording::open(&path).map(|mut recording| frames(&mut recording)).unwrap_or_default();
+            assert!(pixels.iter().all(|one| found.iter().any(|known| known.2 == one.2)), "{name} cut at {end}");
+            lengths.push(pixels.len());
+        }
+        assert!(lengths.is_sorted() && lengths[0] == 0 && lengths.ends_with(&[7]), "{lengths:?}");
+        assert!((1..7).any(|length| lengths.contains(&length)), "{lengths:?}");
+    }
+}
+
+#[test]
+fn one_of_several_topics_is_named_behind_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("two.mcap");
+    let image =
+        |value: u8| Fields::new("cdr").header().u32(1).u32(2).text("mono8").u8(0).u32(2).data(&[value; 2]).bytes;
+    let records = [
+        channel(1, "/left/image", "sensor_msgs/msg/Image", "cdr"),
+        channel(2, "/right/image", "sensor_msgs/msg/Image", "cdr"),
+        channel(3, "/imu", "sensor_msgs/msg/Imu", "cdr"),
+        channel(4, "/empty", "sensor_msgs/msg/Image", "cdr"),
+        message(1, 10, &image(1)),
+        message(2, 11, &image(2)),
+        message(3, 12, b"turned"),
+        message(1, 20, &image(3)),
+    ];
+    std::fs::write(&path, file(&records)).unwrap();
+    let message = refusal(&path);
+    let words = "several topics, /left/image, /right/image; name one behind the file: FILE.mcap#/left/image";
+    assert!(message.contains("two.mcap") && message.contains(words), "{message}");
+    let of = |topic: &str| folder.path().join(format!("two.mcap#{topic}"));
+    let mut left = Recording::open(of("/left/image")).unwrap();
+    assert_eq!((left.len(), left.size()), (2, Some(vec![2, 1])));
+    let found = frames(&mut left);
+    assert_eq!((found[0].0.as_str(), found[1].2[0]), ("two.mcap#0", 3.0));
+    assert_eq!(frames(&mut Recording::open(of("/right/image")).unwrap())[0].2, [2.0, 2.0]);
+    assert_eq!(Recording::of_dimensions(of("/left/image"), 3).unwrap().size(), Some(vec![2, 1, 2]));
+    let message = refusal(&of("/imu"));
+    assert!(message.contains("no images stand on the topic /imu; they do on /left/image, /right/image"), "{message}");
+    let missing = refusal(&folder.path().join("none.mcap#/left/image"));
+    assert!(missing.ends_with("none.mcap: no such file or folder"), "{missing}");
+}
+
+#[test]
+fn faults_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bad.mcap");
+    let ros = |encoding: &str, bytes: &[u8]| {
+        Fields::new("cdr").header().u32(2).u32(2).text(encoding).u8(0).u32(2).data(bytes).bytes
+    };
+    let of = |payload: &[u8]| file(&[channel(1, "/i", "sensor_msgs/msg/Image", "cdr"), message(1, 5, payload)]);
+    let good = [channel(1, "/i", "sensor_msgs/msg/Image", "cdr"), message(1, 5, &ros("mono8", &[1; 4]))].concat();
+    let size = good.len() as u64;
+    let head = good.len() - message(1, 5, &ros("mono8", &[1; 4])).len();
+    let webp = Fields::new("cdr").header().text("webp").data(b"RIFF....WEBP").bytes;
+    let lying = |at: u64| {
+        file(&[
+            channel(1, "/i", "sensor_msgs/msg/Image", "cdr"),
+            chunk("", size, 0, &good),
+            message_index(1, &[(5, at)]),
+        ])
+    };
+    for (bytes, words) in [
+        (of(&ros("bayer_rggb8", &[1; 4])), "bad.mcap: its pixels are bayer_rggb8, a mosaic"),
+        (of(&ros("mono8", &[1; 3])), "has 3 bytes in steps of 2; a row needs 2"),
+        (of(b"\0\x01\0\0four"), "a message cannot be read: fields end early"),
+        (of(b"\0\x03\0\0four"), "a message cannot be read"),
+        (
+            file(&[channel(1, "/i", "sensor_msgs/msg/CompressedImage", "cdr"), message(1, 5, &webp)]),
+            "compressed as `webp`; png and jpeg",
+        ),
+        (
+            file(&[channel(1, "/i", "foxglove.RawImage", "flatbuffer"), message(1, 5, b"..")]),
+            "encoded as `flatbuffer`; protobuf, json",
+        ),
+        (file(&[channel(1, "/i", "foxglove.RawImage", "json"), message(1, 5, b"{\"width\":1}")]), "missing field"),
+        (file(&[channel(1, "/i", "sensor_msgs/msg/Imu", "cdr"), message(1, 5, b"..")]), "there are no images in it"),
+        (file(&[chunk("lzma", size, 0, &good)]), "compressed by neither lz4 nor zstd"),
+        (file(&[chunk("", 1 << 40, 0, &good)]), "a chunk of 1099511627776 bytes; at most"),
+        (file(&[chunk("", size + 1, 0, &good)]), "or more, not to"),
+        (file(&[chunk("", size - 1, 0, &good)]), "or more, not to"),
+        (file(&[chunk("", size, 77, &good)]), "the checksum of a chunk is wrong"),
+        (file(&[chunk("zstd", size, 0, &good)]), "a chunk cannot be unpacked"),
+        (file(&[chunk("lz4", size, 0, &good)]), "a chunk cannot be unpacked"),
+        (lying(3), "message 0 is not where the file says"),
+        (lying(u64::MAX), "message 0 is not where the file says"),
+        (b"\x89MCAP1\r\n".to_vec(), "not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        let message = refusal(&path);
+        assert!(message.contains("bad.mcap") && message.contains(words), "{message}");
+    }
+    std::fs::write(&path, lying(head as u64)).unwrap();
+    assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [1.0; 4]);
+}
+
+#[test]
+fn hostile_files_are_refused_without_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("hostile.mcap");
+    for (_, bytes) in REFERENCES {
+        let [read, refused] = mutated(&path, bytes, 400);
+        assert!(read > 50 && refused > 50, "{read} {refused}");
+    }
+    // Without checksums, so that what is broken reaches the messages.
+    for (schema, encoding, payload) in kinds() {
+        let records = [channel(1, "/i", schema, encoding), message(1, 9, &payload), message(1, 5, &payload)];
+        let second = (records[0].len() + records[1].len()) as u64;
+        let index = message_index(1, &[(9, records[0].len() as u64), (5, second)]);
+        let whole = records.concat();
+        let [read, refused] = mutated(&path, &file(&[chunk("", whole.len() as u64, 0, &whole), index]), 80);
+        assert!(read + refused == 80 && refused > 10, "{schema} {encoding}: {read} {refused}");
+    }
+}
