@@ -144,7 +144,10 @@ impl Camera {
         Builder::new().name("uvccam requests".into()).spawn(serve)?;
         let to = shared.clone();
         let shoot = move || {
-            if let Err(error) = shooting::shoot(&out, &to) {
+            // Unplugged, the way ends in the middle of a picture.
+            if let Err(error) = shooting::shoot(&out, &to)
+                && !to.state().is_gone
+            {
                 eprintln!("uvccam: {error}");
             }
         };
