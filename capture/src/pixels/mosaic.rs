@@ -17,13 +17,17 @@ pub(super) fn planes(
     red: [usize; 2],
 ) -> Vec<Plane> {
     let [width, height] = size;
+    let row_bytes = width * format.bytes_per_pixel();
     let mut rows: Rows = std::array::from_fn(|_| vec![0; width + 2]);
     let fill = |row: &mut [u16], y: usize| {
-        read(row, &whole[y * stride..], format);
+        read(&mut row[1..=width], &whole[y * stride..], format);
         (row[0], row[width + 1]) = (row[2], row[width - 1]);
     };
-    let mut filled: [Vec<u8>; 3] =
-        std::array::from_fn(|_| Vec::with_capacity(width * height * format.bytes_per_pixel()));
+    let mut filled: [Vec<u16>; 3] = std::array::from_fn(|_| vec![0; width]);
+    // One plane behind the other, in memory that is shared as it is.
+    let plane_bytes = row_bytes * height;
+    let mut shared: Arc<[u8]> = std::iter::repeat_n(0, 3 * plane_bytes).collect();
+    let bytes = Arc::get_mut(&mut shared).expect("nobody else has it yet");
     fill(&mut rows[1], 0);
     fill(&mut rows[2], 1);
     rows[0] = rows[2].clone(); // row −1 is the reflection of row 1
@@ -33,53 +37,59 @@ pub(super) fn planes(
             // Row `height` is the reflection of row `height − 2`.
             fill(&mut rows[2], if y + 1 < height { y + 1 } else { height - 2 });
         }
-        for x in 0..width {
-            let colours = colours(&rows, x, [x % 2 == red[0], y % 2 == red[1]]);
-            for (plane, value) in filled.iter_mut().zip(colours) {
-                match format {
-                    PixelFormat::U8 => plane.push(value as u8),
-                    _ => plane.extend((value as u16).to_le_bytes()),
-                }
-            }
+        let has_red = y % 2 == red[1];
+        let [r, g, b] = &mut filled;
+        // Blue has the columns of its rows that red has not.
+        let (first, others) = if has_red { (red[0], [r, g, b]) } else { (1 - red[0], [b, g, r]) };
+        fill_row(&rows, first, others);
+        for (plane, row) in bytes.chunks_exact_mut(plane_bytes).zip(&filled) {
+            write(&mut plane[y * row_bytes..][..row_bytes], row, format);
         }
     }
-    let plane = |bytes: Vec<u8>| Plane {
+    let buffer = Buffer::Owned(shared);
+    let plane = |channel: usize| Plane {
         format,
-        row_stride: width * format.bytes_per_pixel(),
+        row_stride: row_bytes,
         pixel_stride: format.bytes_per_pixel(),
-        offset: 0,
-        buffer: Buffer::Owned(Arc::from(bytes)),
+        offset: channel * plane_bytes,
+        buffer: buffer.clone(),
     };
-    filled.into_iter().map(plane).collect()
+    (0..3).map(plane).collect()
 }
 
-/// The pixels of one row into all but the ends of `row`.
-fn read(row: &mut [u16], bytes: &[u8], format: PixelFormat) {
-    let inner = row.len() - 1;
-    let pixels = &mut row[1..inner];
-    match format {
-        PixelFormat::U8 => pixels.iter_mut().zip(bytes).for_each(|(pixel, byte)| *pixel = u16::from(*byte)),
-        _ => {
-            let pairs = bytes.chunks_exact(2);
-            pixels.iter_mut().zip(pairs).for_each(|(pixel, pair)| *pixel = u16::from_le_bytes([pair[0], pair[1]]));
-        }
+/// Fills in the middle row: of the colour that has columns `first`, `first + 2`, … of it, of green, which has the others,
+/// and of the colour that has none.
+fn fill_row(rows: &Rows, first: usize, [own, green, absent]: [&mut Vec<u16>; 3]) {
+    let width = own.len();
+    // Rows begin with a reflected pixel: column x is there at x + 1. Slices of one length, no branches: vector code.
+    let shifted = |row: usize, by: usize| &rows[row][by..by + width];
+    let (left, here, right) = (shifted(1, 0), shifted(1, 1), shifted(1, 2));
+    let (up_left, up, up_right) = (shifted(0, 0), shifted(0, 1), shifted(0, 2));
+    let (down_left, down, down_right) = (shifted(2, 0), shifted(2, 1), shifted(2, 2));
+    let (own, green, absent) = (&mut own[..width], &mut green[..width], &mut absent[..width]);
+    let sum = |a: u16, b: u16| u32::from(a) + u32::from(b);
+    for x in 0..width {
+        let has_own = x % 2 == first;
+        let (beside, above_below) = (sum(left[x], right[x]), sum(up[x], down[x]));
+        let corners = sum(up_left[x], up_right[x]) + sum(down_left[x], down_right[x]);
+        own[x] = if has_own { here[x] } else { beside.div_ceil(2) as u16 };
+        green[x] = if has_own { ((beside + above_below + 2) / 4) as u16 } else { here[x] };
+        absent[x] = (if has_own { (corners + 2) / 4 } else { above_below.div_ceil(2) }) as u16;
     }
 }
 
-/// Red, green and blue at column `x` of the middle row; whether red has this column, and this row.
-fn colours(rows: &Rows, x: usize, has_red: [bool; 2]) -> [u32; 3] {
-    let [up, middle, down] = rows;
-    let (left, here, right) = (x, x + 1, x + 2); // rows begin with a reflected pixel
-    let at = |row: &[u16], x: usize| u32::from(row[x]);
-    let own = at(middle, here);
-    let beside = || (at(middle, left) + at(middle, right)).div_ceil(2);
-    let above_below = || (at(up, here) + at(down, here)).div_ceil(2);
-    let cross = || (at(middle, left) + at(middle, right) + at(up, here) + at(down, here) + 2) / 4;
-    let corners = || (at(up, left) + at(up, right) + at(down, left) + at(down, right) + 2) / 4;
-    match has_red {
-        [true, true] => [own, cross(), corners()],
-        [false, false] => [corners(), cross(), own],
-        [false, true] => [beside(), own, above_below()],
-        [true, false] => [above_below(), own, beside()],
+/// The pixels of one row, from bytes …
+fn read(row: &mut [u16], bytes: &[u8], format: PixelFormat) {
+    match format {
+        PixelFormat::U8 => row.iter_mut().zip(bytes).for_each(|(pixel, byte)| *pixel = u16::from(*byte)),
+        _ => row.iter_mut().zip(bytes.as_chunks().0).for_each(|(pixel, bytes)| *pixel = u16::from_le_bytes(*bytes)),
+    }
+}
+
+/// … and to bytes.
+fn write(bytes: &mut [u8], row: &[u16], format: PixelFormat) {
+    match format {
+        PixelFormat::U8 => bytes.iter_mut().zip(row).for_each(|(byte, pixel)| *byte = *pixel as u8),
+        _ => bytes.as_chunks_mut().0.iter_mut().zip(row).for_each(|(bytes, pixel)| *bytes = pixel.to_le_bytes()),
     }
 }

@@ -80,8 +80,12 @@ pub(super) fn answer(state: &mut State, setup: [u8; 8], sent: &[u8], serial: &st
     let [kind, request, value, value_high, interface, part, ..] = setup;
     match (kind, request) {
         (0x80, 6) => descriptor(value_high, value, serial),
-        (0x80..=0x82, 0) => Some(vec![0, 0]),                       // status
-        (0x00, 5 | 9) | (0x01, 11) | (0x02, 1) => Some(Vec::new()), // address, configuration, interface, unhalt
+        (0x80..=0x82, 0) => Some(vec![0, 0]),           // status
+        (0x00, 5 | 9) | (0x01, 11) => Some(Vec::new()), // address, configuration, interface
+        (0x02, 1) => {
+            state.stops += 1; // the driver clears the way of pictures when it stops
+            Some(Vec::new())
+        }
         (0x21 | 0xa1, _) if interface == 1 => agreement(state, request, value_high, sent),
         (0x21 | 0xa1, _) => class(&mut state.controls, request, part, value_high, sent),
         _ => None,

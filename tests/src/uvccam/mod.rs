@@ -76,6 +76,8 @@ struct State {
     pictures: u32,
     silence: Option<Duration>,
     fault: Option<Fault>,
+    /// Signs that the driver wants no more pictures, or none of the last agreement.
+    stops: u32,
     is_gone: bool,
 }
 
@@ -129,6 +131,7 @@ impl Camera {
             pictures: 0,
             silence: None,
             fault: None,
+            stops: 0,
             is_gone: false,
         };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
@@ -144,7 +147,10 @@ impl Camera {
         Builder::new().name("uvccam requests".into()).spawn(serve)?;
         let to = shared.clone();
         let shoot = move || {
-            if let Err(error) = shooting::shoot(&out, &to) {
+            // Unplugged, the way ends in the middle of a picture.
+            if let Err(error) = shooting::shoot(&out, &to)
+                && !to.state().is_gone
+            {
                 eprintln!("uvccam: {error}");
             }
         };

@@ -46,7 +46,7 @@ impl Scene {
     pub fn film(bytes: &[u8], size: [usize; 2]) -> Result<Scene, String> {
         let pixels: Vec<f32> = bytes.as_chunks().0.iter().map(|pixel| f32::from_le_bytes(*pixel)).collect();
         let one = size[0] * size[1];
-        if one == 0 || pixels.is_empty() || bytes.len() % (4 * one) != 0 {
+        if one == 0 || pixels.is_empty() || !bytes.len().is_multiple_of(4 * one) {
             let [width, height] = size;
             return Err(format!("{} bytes are no pictures of {width}x{height} px in f32", bytes.len()));
         }

@@ -14,8 +14,6 @@ const HEADER: usize = 2;
 const END_OF_HEADER: u8 = 0x80;
 const IS_FAULTY: u8 = 0x40;
 const LAST_PIECE: u8 = 0x02;
-/// The driver takes the rest of a picture within this time, or has stopped.
-const REST_MS_MAX: u64 = 200;
 
 impl Shared {
     /// Waits as long as `hold` says so, at most until `end`.
@@ -40,17 +38,21 @@ pub(super) fn shoot(answers: &Answers, shared: &Shared) -> io::Result<()> {
     let (mut due, mut toggle) = (Instant::now(), 0);
     loop {
         let is_idle = shared.state().requests.is_empty();
-        drop(shared.wait_while(None, |state| state.requests.is_empty()));
+        let mut state = shared.wait_while(None, |state| state.requests.is_empty());
         if is_idle {
             due = due.max(Instant::now());
         }
-        let silence = shared.state().silence.take();
-        if let Some(silence) = silence {
+        if let Some(silence) = state.silence.take() {
             due = Instant::now() + silence;
         }
-        let mut state = shared.wait_while(Some(due), |_| true);
+        let stops = state.stops;
+        drop(state);
+        let mut state = shared.wait_while(Some(due), |state| state.stops == stops);
         if state.is_gone {
             return Ok(());
+        }
+        if state.stops != stops {
+            continue; // nobody wants this picture any more, and the next one may be wanted much later
         }
         let step = Duration::from_nanos(u64::from(state.interval) * 100);
         due = (due + step).max(Instant::now());
@@ -68,19 +70,21 @@ pub(super) fn shoot(answers: &Answers, shared: &Shared) -> io::Result<()> {
             picture.truncate(picture.len() / 2);
         }
         let flags = END_OF_HEADER | toggle | if fault == Some(Fault::Error) { IS_FAULTY } else { 0 };
-        send(answers, shared, &picture, flags)?;
+        send(answers, shared, &picture, flags, stops)?;
         toggle ^= 1;
     }
 }
 
-/// Piece by piece, as the driver asks for them.
-fn send(answers: &Answers, shared: &Shared, picture: &[u8], flags: u8) -> io::Result<()> {
+/// Piece by piece, as the driver asks for them; the rest of a picture is not sent when it has stopped meanwhile.
+fn send(answers: &Answers, shared: &Shared, picture: &[u8], flags: u8, stops: u32) -> io::Result<()> {
     let pieces = picture.chunks(PAYLOAD - HEADER);
     let last = pieces.len().saturating_sub(1);
     for (number, piece) in pieces.enumerate() {
-        let end = Instant::now() + Duration::from_millis(REST_MS_MAX);
-        let mut state = shared.wait_while(Some(end), |state| state.requests.is_empty());
-        let Some((request, _)) = state.requests.pop_front().filter(|_| !state.is_gone) else { return Ok(()) };
+        let mut state = shared.wait_while(None, |state| state.requests.is_empty() && state.stops == stops);
+        if state.stops != stops || state.is_gone {
+            return Ok(());
+        }
+        let Some((request, _)) = state.requests.pop_front() else { return Ok(()) };
         drop(state);
         let flags = flags | if number == last { LAST_PIECE } else { 0 };
         answers.give(request, &[&[HEADER as u8, flags], piece].concat())?;

@@ -65,6 +65,7 @@ pub(super) fn serve(mut input: UnixStream, answers: &Answers, shared: &Shared, s
             (SUBMIT, 0) => {
                 let setup = head[HEAD - 8..].first_chunk().copied().unwrap_or_default();
                 let answered = answer(&mut shared.state(), setup, &sent, serial);
+                shared.changed.notify_all();
                 match answered {
                     Some(mut given) if is_inward => {
                         given.truncate(length);
@@ -77,9 +78,11 @@ pub(super) fn serve(mut input: UnixStream, answers: &Answers, shared: &Shared, s
             (SUBMIT, _) => shared.change(|state| state.requests.push_back((number, length))),
             (UNLINK, _) => {
                 let mut state = shared.state();
+                state.stops += 1;
                 let waiting = state.requests.iter().position(|(waiting, _)| *waiting == word(5));
                 let was_waiting = waiting.and_then(|place| state.requests.remove(place)).is_some();
                 drop(state);
+                shared.changed.notify_all();
                 answers.send(UNLINKED, number, if was_waiting { TAKEN_BACK } else { 0 }, &[], 0)?;
             }
             other => return Err(io::Error::other(format!("an unknown message {other:?}"))),
