@@ -115,7 +115,12 @@ fn outside(rig: Rig, test: &str) -> Result<Outcome, String> {
     command.env("V4L_RIG_VIVID", rig.vivid.unwrap_or("no")).env("V4L_RIG_LOOPBACK", rig.loopback.unwrap_or_default());
     command.env("V4L_RIG_MODULES", rig.modules.join(";")).env("V4L_RIG_PRE", rig.pre);
     command.env("V4L_RIG_TIMEOUT", rig.timeout_s.to_string());
-    let finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
+    let mut finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
+    // An emulator that crashes says nothing about the test, which then has not ended.
+    if finished.status == Some(RIG_FAILED) {
+        eprintln!("the machine died under {test}, once more: {}{}", finished.stdout, finished.stderr);
+        finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
+    }
     eprintln!("{}{}", finished.stdout, finished.stderr);
     // Status 0 alone could mean that no test has this name.
     match finished.status {

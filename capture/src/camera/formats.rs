@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::CameraError;
 use super::ioctl::{Choice, Node};
-use crate::pixels::Encoding;
+use crate::pixels::{Colour, Encoding};
 
 /// Where a document leaves the size open.
 const SIZE: [u32; 2] = [640, 480];
@@ -96,13 +96,14 @@ pub(super) struct Plan {
 }
 
 /// The best that a device offers.
-pub(super) fn choose(node: &Node, device: &str, wanted: &FormatWanted) -> Result<Plan, CameraError> {
+pub(super) fn choose(node: &Node, device: &str, wanted: &FormatWanted, colour: Colour) -> Result<Plan, CameraError> {
     let mut codes = node.formats();
     let now = node.format().ok();
     // A device that lists nothing has the format that is set.
     codes.extend(now.filter(|_| codes.is_empty()).map(|format| format.fourcc));
     let candidates: Vec<Offer> = Encoding::all()
         .filter(|encoding| codes.contains(&encoding.fourcc()))
+        .filter(|encoding| wanted.format.is_some() || encoding.has(colour))
         .map(|encoding| Offer { encoding, sizes: node.sizes(encoding.fourcc()) })
         .collect();
     let rates = |encoding: Encoding, size| rates(node, encoding.fourcc(), size);

@@ -71,7 +71,10 @@ impl Camera {
     pub fn open(spec: CameraSpec) -> Result<Camera, CameraError> {
         let Found { node, path, identity } = device::named(&spec.device)?;
         let device = path.display().to_string();
-        let plan = formats::choose(&node, &device, &spec.format)?;
+        let plan = formats::choose(&node, &device, &spec.format, spec.colour)?;
+        if !plan.encoding.has(spec.colour) {
+            return Err(CameraError::Colour { device, format: plan.encoding.name() });
+        }
         let unwaitable = |reason| CameraError::Io { device: device.clone(), doing: "waited for", reason };
         let wake = Wake::new().map_err(unwaitable)?;
         let status = CameraStatus {

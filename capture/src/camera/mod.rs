@@ -140,6 +140,16 @@ pub enum CameraError {
         /// For people.
         offered: Vec<String>,
     },
+    /// One colour of a format that has none.
+    #[error(
+        "{device} sends {format}, which has no red, green or blue; leave `colour` out, or set `format` to one that has"
+    )]
+    Colour {
+        /// Its path.
+        device: String,
+        /// Code.
+        format: String,
+    },
     /// The driver answers a format with another one.
     #[error("{device} gives {given}, not {wanted}")]
     Changed {
@@ -169,6 +179,7 @@ impl CameraError {
     pub fn key(&self) -> String {
         match self {
             CameraError::Format { .. } => "format".into(),
+            CameraError::Colour { .. } => "colour".into(),
             CameraError::Size { .. } | CameraError::Changed { .. } => "width".into(),
             CameraError::Control { name, .. } => format!("controls.{name}"),
             _ => "device".into(),

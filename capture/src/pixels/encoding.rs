@@ -57,6 +57,12 @@ const TABLE: [Encoding; 28] = [
     row(b"Y12 ", 12, Layout::Grey),
     row(b"Y10 ", 10, Layout::Grey),
     row(b"GREY", 8, Layout::Grey),
+    row(b"YUYV", 8, Layout::Packed { luma: 0 }),
+    row(b"UYVY", 8, Layout::Packed { luma: 1 }),
+    row(b"NV12", 8, Layout::Planar { chroma: 1 }),
+    row(b"YU12", 8, Layout::Planar { chroma: 2 }),
+    row(b"RGB3", 8, Layout::Rgb { red: 0 }),
+    row(b"BGR3", 8, Layout::Rgb { red: 2 }),
     row(b"RG16", 16, RGGB),
     row(b"GR16", 16, GRBG),
     row(b"GB16", 16, GBRG),
@@ -73,12 +79,6 @@ const TABLE: [Encoding; 28] = [
     row(b"GRBG", 8, GRBG),
     row(b"GBRG", 8, GBRG),
     row(b"BA81", 8, BGGR),
-    row(b"YUYV", 8, Layout::Packed { luma: 0 }),
-    row(b"UYVY", 8, Layout::Packed { luma: 1 }),
-    row(b"NV12", 8, Layout::Planar { chroma: 1 }),
-    row(b"YU12", 8, Layout::Planar { chroma: 2 }),
-    row(b"RGB3", 8, Layout::Rgb { red: 0 }),
-    row(b"BGR3", 8, Layout::Rgb { red: 2 }),
     row(b"MJPG", 8, Layout::Jpeg),
     row(b"JPEG", 8, Layout::Jpeg),
 ];
@@ -86,10 +86,11 @@ const TABLE: [Encoding; 28] = [
 impl Encoding {
     /// Every format, the best for measuring light first.
     ///
-    /// Grey sensors lead: each pixel is one count, at its place. Mosaics follow: counts as well, but each colour sees a
-    /// quarter or half of the pixels. Deeper comes before shallower, so that rounding stays below the noise. Then luma
-    /// without compression, which the camera has mixed from colours and bent to the eye's liking, then the same as r, g, b
-    /// with more bytes. JPEG is last: it throws away what the eye does not miss, and a fit does.
+    /// Grey sensors lead: each pixel is one count, at its place; deeper before shallower, so that rounding stays below the
+    /// noise. Then luma without compression, which the camera has mixed from colours and bent to the eye's liking, but which
+    /// is there without conversion, then the same as r, g, b with more bytes. Mosaics are counts as well, but each colour sees
+    /// a quarter or half of the pixels, and to fill the rest costs time. JPEG is last: it throws away what the eye does not
+    /// miss, and a fit does.
     pub fn all() -> impl Iterator<Item = Encoding> {
         TABLE.into_iter()
     }

@@ -112,11 +112,16 @@ fn the_table_of_formats_agrees_with_their_definitions() {
     }
     assert_eq!(Encoding::of(*b"H264"), None);
     assert_eq!(Encoding::of(*b"Y10 ").unwrap().name(), "Y10");
-    // Counts of grey sensors first, and the deeper ones; JPEG last.
+    // Counts of grey sensors first, and the deeper ones; what needs work to be luma later; JPEG last.
     let place = |code: &[u8; 4]| all.iter().position(|one| one.fourcc() == *code).unwrap();
-    for [better, worse] in
-        [[b"Y16 ", b"GREY"], [b"GREY", b"RGGB"], [b"RG10", b"RGGB"], [b"BA81", b"YUYV"], [b"BGR3", b"MJPG"]]
-    {
+    for [better, worse] in [
+        [b"Y16 ", b"GREY"],
+        [b"GREY", b"YUYV"],
+        [b"YU12", b"RGB3"],
+        [b"BGR3", b"RG16"],
+        [b"RG10", b"RGGB"],
+        [b"BA81", b"MJPG"],
+    ] {
         assert!(place(better) < place(worse), "{better:?} {worse:?}");
     }
 }

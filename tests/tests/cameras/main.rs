@@ -25,8 +25,9 @@ use client::Running;
 
 /// Pictures of a film: a spot on a closed path, each place of its own.
 const PICTURES: usize = 16;
-/// Of the pictures, px: the rig's processors are slow.
-const SIZE: [usize; 2] = [320, 240];
+/// Of the pictures, px: the rig's processors are slow. vivid's HDMI input knows the larger size only.
+const SMALL: [usize; 2] = [320, 240];
+const LARGE: [usize; 2] = [640, 480];
 /// Time for one command.
 const COMMAND: Duration = Duration::from_secs(20);
 
@@ -74,15 +75,15 @@ impl Whole {
 }
 
 /// A spot of 24 × 18 px with the noise of a camera, on a circle, 23 px from a picture to the next.
-fn circling() -> SyntheticSpec {
+fn circling([width, height]: [usize; 2]) -> SyntheticSpec {
     let mut spec = SyntheticSpec::new(Arc::new(Model::from_toml(&plain_spot()).unwrap()));
-    [spec.width, spec.height] = SIZE;
+    [spec.width, spec.height] = [width, height];
     (spec.samples, spec.rate_hz, spec.full_well_e, spec.read_noise_e) = (1, PICTURES as f64, 5000.0, 15.0);
     for (name, value) in [("a1", 1.0 / 576.0), ("a2", 0.0), ("a3", 1.0 / 324.0), ("v0", 20.0), ("v1", 180.0)] {
         spec.set.insert(name.into(), value);
     }
-    spec.motion.insert("bx".into(), "160 + 60*cos(2*pi*t)".into());
-    spec.motion.insert("by".into(), "120 + 60*sin(2*pi*t)".into());
+    spec.motion.insert("bx".into(), format!("{} + 60*cos(2*pi*t)", width / 2));
+    spec.motion.insert("by".into(), format!("{} + 60*sin(2*pi*t)", height / 2));
     spec
 }
 
