@@ -42,7 +42,7 @@ fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
             seen.push((frame - start, estimate["state"].as_str().unwrap().to_string(), share));
         }
         let (controls, _) = camera.controls().unwrap();
-        println!("saturated share by frame: {seen:?}; light at the end {}", controls.light());
+        eprintln!("saturated share by frame: {seen:?}; light at the end {}", controls.light());
         let begin = seen.iter().find(|(_, state, _)| state == "tracking").unwrap();
         assert!((begin.2 - 0.6).abs() < 0.1, "it begins at 60 %: {begin:?}");
         for (frame, state, share) in seen.iter().filter(|(frame, ..)| *frame >= FRAMES) {

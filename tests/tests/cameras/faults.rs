@@ -34,6 +34,11 @@ pub fn loop_back(film: &Film) -> Child {
     Command::new("bash").args(["-c", &again]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
+pub fn stop(mut writer: Child) {
+    writer.kill().unwrap();
+    writer.wait().unwrap();
+}
+
 /// What a source says of its camera.
 fn camera(whole: &Whole) -> Value {
     whole.client.get("/v1/sources/eye").expect(200)["camera"].clone()
@@ -48,7 +53,7 @@ fn whatever_vivid_does_wrong_a_session_goes_on_tracking() {
     program().unwrap();
     in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 240, ..Rig::default() }, || {
         let film = Film::render(circling(LARGE), PICTURES, *b"GREY").unwrap();
-        let mut writer = loop_back(&film);
+        let writer = loop_back(&film);
         let whole = Whole::start();
         let eye = json!({"kind": "camera", "device": "/dev/video0", "format": "GREY"});
         whole.client.put("/v1/sources/eye", &eye).expect(201);
@@ -85,7 +90,7 @@ fn whatever_vivid_does_wrong_a_session_goes_on_tracking() {
         drop(socket);
         inject("percentage_of_dropped_buffers=0");
         let gaps = count(&camera(&whole), "gaps") - count(&after, "gaps");
-        println!("30 % dropped buffers: {seen} frames, {dropped} dropped, {gaps} gaps of the driver's numbers");
+        eprintln!("30 % dropped buffers: {seen} frames, {dropped} dropped, {gaps} gaps of the driver's numbers");
         assert!(gaps >= 20, "{gaps}");
 
         // What ends a stream: it is opened anew.
@@ -108,7 +113,7 @@ fn whatever_vivid_does_wrong_a_session_goes_on_tracking() {
             }
             assert!(is_back().is_some(), "{fault:?} did nothing");
             let view = whole.until_tracking("one", 3);
-            println!("{fault:?}: tracks again after {:.1} s", start.elapsed().as_secs_f64());
+            eprintln!("{fault:?}: tracks again after {:.1} s", start.elapsed().as_secs_f64());
             assert_eq!(view["reason"], Value::Null, "{view}");
         }
 
@@ -117,7 +122,7 @@ fn whatever_vivid_does_wrong_a_session_goes_on_tracking() {
         inject("inject_fatal_streaming_error=1");
         whole.until_tracking("one", 150);
 
-        writer.kill().unwrap();
+        stop(writer);
         assert_eq!(whole.client.delete("/v1/sessions/one").status, 204);
         assert_eq!(whole.client.delete("/v1/sources/eye").status, 204);
         // Nobody has it any more.

@@ -9,6 +9,7 @@ use isophote_tests::program;
 use isophote_tests::rig::{LOOPBACK, Rig, WEBCAM, in_rig};
 use serde_json::{Value, json};
 
+use crate::faults::{loop_back, stop};
 use crate::{LARGE, PICTURES, SMALL, Whole, circling, nearest, rms, session};
 
 /// Errors of the centre by picture, px, and the ages of the frames when their fits began, µs.
@@ -56,7 +57,7 @@ fn say_ages(what: &str, ages: &[i64]) {
     let mut sorted = ages.to_vec();
     sorted.sort_unstable();
     let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize] as f64 / 1000.0;
-    println!(
+    eprintln!(
         "{what}: age at the start of the fit: median {:.1} ms, 95 % {:.1} ms, {:.1} ms at most",
         at(0.5),
         at(0.95),
@@ -69,7 +70,7 @@ fn compare(what: &str, camera: &[(usize, f64)], files: &[(usize, f64)]) {
     // The same pictures: a camera repeats some and leaves some out.
     let of = |picture: usize| files.iter().find(|(other, _)| *other == picture).map(|(_, error)| *error);
     let files_px = rms(&camera.iter().map(|(picture, _)| of(*picture).unwrap()).collect::<Vec<_>>());
-    println!("{what}: error of the centre {camera_px:.4} px, from files {files_px:.4} px");
+    eprintln!("{what}: error of the centre {camera_px:.4} px, from files {files_px:.4} px");
     assert!(files_px < 0.05, "the film is easy: {files_px}");
     assert!(camera_px < 1.1 * files_px, "{what}: {camera_px} px, from files {files_px} px");
 }
@@ -104,7 +105,7 @@ fn frames_of_vivids_own_loop_are_tracked_as_well_as_from_files() {
         let truths = truths(&film);
         let whole = Whole::start();
         let files = from_files(&whole, &film, &truths);
-        let mut writer = crate::faults::loop_back(&film);
+        let writer = loop_back(&film);
         whole
             .client
             .put("/v1/sessions/one", &session(json!({"kind": "camera", "device": "/dev/video0", "format": "GREY"})))
@@ -112,7 +113,7 @@ fn frames_of_vivids_own_loop_are_tracked_as_well_as_from_files() {
         let (camera, ages) = follow(&whole, "one", &truths, 2 * PICTURES);
         say_ages("vivid's loop", &ages);
         compare("vivid's loop", &camera, &files);
-        writer.kill().unwrap();
+        stop(writer);
     });
 }
 
@@ -140,7 +141,7 @@ fn a_slow_fit_finds_the_newest_frame() {
         fits.sort_unstable();
         ages.sort_unstable();
         let (fit, age) = (fits[fits.len() / 2], ages[ages.len() / 2]);
-        println!("25 Hz: a fit takes {:.0} ms, its frame is {:.0} ms old", fit as f64 / 1000.0, age as f64 / 1000.0);
+        eprintln!("25 Hz: a fit takes {:.0} ms, its frame is {:.0} ms old", fit as f64 / 1000.0, age as f64 / 1000.0);
         say_ages("slow fits", &ages);
         assert!(fit > 200_000 && dropped > 6, "the fit is slow: {fit} µs, {dropped} dropped");
         assert!(age < fit / 2, "{age} {fit}");
@@ -154,7 +155,7 @@ fn cameras_are_listed_and_set_by_the_command_line() {
     in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 150, ..Rig::default() }, || {
         let whole = Whole::start();
         let table = whole.isophote(&["cameras"]);
-        println!("{}", table.stdout);
+        eprintln!("{}", table.stdout);
         assert_eq!(table.status, Some(0), "{}", table.stderr);
         for word in ["/dev/video0", "vivid-platform-vivid-000", "640x480", "GREY", "gain_automatic", "0 to 255"] {
             assert!(table.stdout.contains(word), "no {word} in\n{}", table.stdout);

@@ -23,7 +23,7 @@ fn stopping(whole: &Whole, what: &str) -> f64 {
     let start = Instant::now();
     assert_eq!(whole.client.delete("/v1/sessions/one").status, 204);
     let time = start.elapsed().as_secs_f64();
-    println!("stopped while {what} in {time:.2} s");
+    eprintln!("stopped while {what} in {time:.2} s");
     time
 }
 
@@ -52,7 +52,7 @@ fn a_camera_that_is_unplugged_20_times_is_found_again_20_times() {
             assert!(frame >= last, "frames go on being counted");
             last = frame;
         }
-        println!("seconds from the node's return to frames: {times:.2?}");
+        eprintln!("seconds from the node's return to frames: {times:.2?}");
         let view = whole.until_tracking("one", 2);
         assert_eq!(view["reason"], serde_json::Value::Null);
 
@@ -106,7 +106,7 @@ fn spoiled_pictures_are_gaps_and_are_counted_exactly() {
         assert_eq!(last - first, estimates + dropped);
         let camera = whole.client.get("/v1/sources/eye").expect(200)["camera"].clone();
         let lost = ["gaps", "damaged", "overtaken"].map(|what| camera[what].as_u64().unwrap());
-        println!("4 spoiled pictures: {estimates} frames, {dropped} dropped; gaps, damaged, overtaken {lost:?}");
+        eprintln!("4 spoiled pictures: {estimates} frames, {dropped} dropped; gaps, damaged, overtaken {lost:?}");
         assert!(dropped >= 4, "each spoiled picture is missing: {dropped}");
         assert_eq!(camera["reconnects"], 0);
     });
