@@ -11,17 +11,12 @@ pub struct Exposure {
     wake: Option<Wake>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct State {
-    wanted: f64,
+    /// `None` until somebody turns it.
+    wanted: Option<f64>,
     taken: Option<f64>,
     range: Option<[f64; 2]>,
-}
-
-impl Default for State {
-    fn default() -> State {
-        State { wanted: 1.0, taken: None, range: None }
-    }
 }
 
 impl Exposure {
@@ -38,20 +33,25 @@ impl Exposure {
     /// So many times as much light as in the beginning; what is not a positive number is left alone.
     pub fn set(&self, factor: f64) {
         if factor > 0.0 && factor.is_finite() {
-            self.lock().wanted = factor;
+            self.lock().wanted = Some(factor);
             self.wake.iter().for_each(Wake::ring);
         }
     }
 
-    /// What was set last.
+    /// What was set last; 1 in the beginning.
     pub fn get(&self) -> f64 {
+        self.wanted().unwrap_or(1.0)
+    }
+
+    /// What was set last, if anything was.
+    pub(crate) fn wanted(&self) -> Option<f64> {
         self.lock().wanted
     }
 
     /// What the source made of it: a camera has steps and ends. Until it has done anything, what was set.
     pub fn taken(&self) -> f64 {
         let state = self.lock();
-        state.taken.unwrap_or(state.wanted)
+        state.taken.or(state.wanted).unwrap_or(1.0)
     }
 
     /// The least and the most that can be set, where the source has ends.

@@ -40,7 +40,8 @@ pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
         return output::json(out, &cameras);
     }
     if cameras.items.is_empty() {
-        return writeln!(out, "no camera is plugged in").map_err(Failure::output);
+        return writeln!(out, "no camera is plugged in, or none may be opened (is the user in the group `video`?)")
+            .map_err(Failure::output);
     }
     for (number, camera) in cameras.items.iter().enumerate() {
         if number > 0 {

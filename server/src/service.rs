@@ -154,6 +154,8 @@ impl Service {
             }
             _ => {}
         }
+        // A camera that its last session has left may not be closed yet.
+        let held = before.as_ref().map(|before| before.pause());
         let opened = source::open(&document, "", |model| Ok(self.registry.get(model)?.model.clone()), None)?;
         let source = Source::start(name.as_str(), document, opened)?;
         insert(&self.sources, name, source);
@@ -161,6 +163,7 @@ impl Service {
             Some(before) => before.stop(),
             None => return Ok(Put::Created),
         }
+        drop(held);
         Ok(Put::Replaced)
     }
 
@@ -184,16 +187,15 @@ impl Service {
         }
         let entry = self.registry.get(&document.model)?;
         // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
-        let own = before.as_ref().map(|before| before.source()).filter(|source| source.is_own);
-        own.iter().for_each(|old| old.source.pause());
-        let session = self.session_of(name, document, &entry);
-        own.iter().filter(|_| session.is_err()).for_each(|old| old.source.resume());
-        let session = session?;
+        let is_camera = matches!(document.source, SourceReference::Own(SourceDocument::Camera(_)));
+        let held = before.as_ref().filter(|_| is_camera).map(|before| before.source().source.pause());
+        let session = self.session_of(name, document, &entry)?;
         insert(&self.sessions, name, session);
         match before {
             Some(before) => before.stop(End::SessionStopped),
             None => return Ok(Put::Created),
         }
+        drop(held);
         Ok(Put::Replaced)
     }
 

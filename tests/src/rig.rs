@@ -6,7 +6,7 @@
 
 use std::any::type_name;
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::Command;
 use std::sync::{Condvar, Mutex, OnceLock, PoisonError};
@@ -102,7 +102,8 @@ fn outside(rig: Rig, test: &str) -> Result<Outcome, String> {
     let script = match prepared(rig.loopback.is_some()) {
         Ok(script) => script,
         Err(reason) => {
-            eprintln!("skipped: {test}: {reason}");
+            // Not by `eprintln!`, which is only shown for tests that fail.
+            writeln!(io::stderr(), "skipped: {test}: {reason}").map_err(|error| error.to_string())?;
             return Ok(Outcome::Skipped);
         }
     };

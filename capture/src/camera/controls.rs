@@ -133,6 +133,11 @@ fn info(node: &Node, entry: &ControlEntry) -> Option<ControlInfo> {
     })
 }
 
+/// Words of menus are alike but for case and blanks: `-6` is not `6`.
+fn word(text: &str) -> String {
+    text.to_lowercase().split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 /// `Exposure Time, Absolute` is `exposure_time_absolute`.
 fn plain(name: &str) -> String {
     let parts = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
@@ -158,7 +163,7 @@ pub(super) fn apply(node: &Node, values: &ControlValues) -> Result<ControlValues
         let number = number(entry, value).map_err(wrong)?;
         prepare(node, &entries, entry.id);
         node.set_control(entry.id, number).map_err(|error| wrong(refusal(entry, number, &error)))?;
-        if kind(entry) == Some(ControlKind::Button) {
+        if kind(entry) == Some(ControlKind::Button) || entry.flags & V4L2_CTRL_FLAG_WRITE_ONLY != 0 {
             continue;
         }
         let now = node.control(entry.id).map_err(|error| wrong(format!("cannot be read back: {error}")))?;
@@ -197,9 +202,13 @@ fn number(entry: &ControlEntry, value: &ControlValue) -> Result<i32, String> {
         ControlValue::Switch(on) => i64::from(*on),
         ControlValue::Number(number) => *number,
         ControlValue::Word(word) => {
-            let found = entry.menu.iter().find(|(_, item)| plain(item) == plain(word));
+            let found = entry.menu.iter().find(|(_, item)| self::word(item) == self::word(word));
             let items: Vec<String> = entry.menu.iter().map(|(_, item)| format!("\"{item}\"")).collect();
-            let remedy = if items.is_empty() { "set a number".into() } else { format!("set {}", items.join(" or ")) };
+            let remedy = match kind(entry) {
+                Some(ControlKind::Boolean) => "set true or false".into(),
+                _ if items.is_empty() => "set a number".into(),
+                _ => format!("set {}", items.join(" or ")),
+            };
             found.map(|(index, _)| *index).ok_or_else(|| format!("is \"{word}\"; {remedy}"))?
         }
     };

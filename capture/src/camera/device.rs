@@ -44,22 +44,19 @@ impl Identity {
         Ok(about.is_camera.then_some(identity))
     }
 
-    /// The same camera in the same or another place: by its serial number, or where it has none by its place.
-    fn is(&self, other: &Identity) -> bool {
-        let is_alike = self.is_like(other);
-        match (&self.serial, &other.serial) {
-            (Some(one), Some(two)) => is_alike && one == two,
-            _ => is_alike && self.bus == other.bus,
-        }
-    }
-
+    /// Another one of the same make, or the same one in another place.
     fn is_like(&self, other: &Identity) -> bool {
-        self.driver == other.driver && self.name == other.name && self.index == other.index
+        (&self.driver, &self.name, &self.serial, self.index) == (&other.driver, &other.name, &other.serial, other.index)
     }
 
-    /// What documents call it: its name with serial number or place, in small letters, digits and dashes.
-    pub fn key(&self) -> String {
-        let which = self.serial.as_ref().unwrap_or(&self.bus);
+    /// What documents call it: its name with serial number or place, in small letters, digits and dashes. Where several have
+    /// one serial number, the place says which.
+    fn key(&self, others: &[Identity]) -> String {
+        let which = match &self.serial {
+            Some(serial) if others.is_empty() => serial.clone(),
+            Some(serial) => format!("{serial} {}", self.bus),
+            None => self.bus.clone(),
+        };
         let mut key = format!("{} {which}", self.name);
         if self.index > 0 {
             key += &format!(" {}", self.index);
@@ -75,6 +72,10 @@ pub(super) struct Found {
     pub node: Node,
     pub path: PathBuf,
     pub identity: Identity,
+    /// Those that are like it.
+    pub others: Vec<Identity>,
+    /// What documents call it.
+    pub key: String,
 }
 
 /// A camera of this machine, with what it offers.
@@ -116,7 +117,7 @@ fn describe(found: &Found) -> CameraInfo {
     let Identity { driver, name, bus, serial, .. } = found.identity.clone();
     CameraInfo {
         device: found.path.display().to_string(),
-        identity: found.identity.key(),
+        identity: found.key.clone(),
         name,
         driver,
         bus,
@@ -128,41 +129,50 @@ fn describe(found: &Found) -> CameraInfo {
 
 /// The camera that a document names: a path, or an identity.
 pub(super) fn named(device: &str) -> Result<Found, CameraError> {
-    if device.starts_with('/') {
-        let fault = |reason: io::Error| match reason.kind() {
-            io::ErrorKind::NotFound => missing(device),
-            _ => CameraError::Io { device: device.into(), doing: "opened", reason },
-        };
-        // What stands in /dev/v4l/by-id points to a device node.
-        let path = fs::canonicalize(device).map_err(fault)?;
-        let node = Node::open(&path).map_err(fault)?;
-        let not = |_| CameraError::NotACamera { device: device.into() };
-        let identity = Identity::of(&node, &path).map_err(not)?;
-        let identity = identity.ok_or_else(|| CameraError::NotACamera { device: device.into() })?;
-        return Ok(Found { node, path, identity });
-    }
-    all().into_iter().find(|found| found.identity.key() == device).ok_or_else(|| missing(device))
-}
-
-/// A camera that was there before; `None` while it is not there. One without a serial number is found in another place
-/// when there is no other like it.
-pub(super) fn again(identity: &Identity) -> Option<Found> {
     let mut all = all();
-    let at = all.iter().position(|found| found.identity.is(identity)).or_else(|| {
-        let mut alike = (0..all.len()).filter(|at| all[*at].identity.is_like(identity));
-        let first = alike.next()?;
-        (identity.serial.is_none() && alike.next().is_none()).then_some(first)
-    })?;
-    Some(all.swap_remove(at))
+    if !device.starts_with('/') {
+        let at = all.iter().position(|found| found.key == device).ok_or_else(|| missing(device, &all))?;
+        return Ok(all.swap_remove(at));
+    }
+    let fault = |reason: io::Error| match reason.kind() {
+        io::ErrorKind::NotFound => missing(device, &all),
+        io::ErrorKind::InvalidInput => CameraError::NotACamera { device: device.into() },
+        io::ErrorKind::PermissionDenied => CameraError::Forbidden { device: device.into() },
+        io::ErrorKind::ResourceBusy => CameraError::Busy { device: device.into() },
+        _ => CameraError::Io { device: device.into(), doing: "opened", reason },
+    };
+    // What stands in /dev/v4l/by-id points to a device node.
+    let path = fs::canonicalize(device).map_err(fault)?;
+    match all.iter().position(|found| found.path == path) {
+        Some(at) => Ok(all.swap_remove(at)),
+        // Not among the cameras: the device itself says why.
+        None => Err(Node::open(&path).map_or_else(fault, |_| CameraError::NotACamera { device: device.into() })),
+    }
 }
 
-fn missing(device: &str) -> CameraError {
-    CameraError::Missing { device: device.into(), present: present() }
+/// A camera that was there before: the same in the same place, else the only one like it that is not one of `others`, which
+/// were there together with it.
+///
+/// # Errors
+/// While it is not there.
+pub(super) fn again(identity: &Identity, others: &[Identity], key: &str) -> Result<Found, CameraError> {
+    let mut all = all();
+    let identities: Vec<Identity> = all.iter().map(|found| found.identity.clone()).collect();
+    let at = place(&identities, identity, others).ok_or_else(|| missing(key, &all))?;
+    Ok(all.swap_remove(at))
 }
 
-/// For people: what is plugged in.
-pub(super) fn present() -> Vec<String> {
-    all().iter().map(|found| format!("{} ({})", found.path.display(), found.identity.key())).collect()
+fn place(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<usize> {
+    all.iter().position(|one| one == identity).or_else(|| {
+        let mut moved = (0..all.len()).filter(|at| all[*at].is_like(identity) && !others.contains(&all[*at]));
+        let first = moved.next()?;
+        moved.next().is_none().then_some(first)
+    })
+}
+
+fn missing(device: &str, all: &[Found]) -> CameraError {
+    let present = all.iter().map(|found| format!("{} ({})", found.path.display(), found.key)).collect();
+    CameraError::Missing { device: device.into(), present }
 }
 
 fn all() -> Vec<Found> {
@@ -174,9 +184,16 @@ fn all() -> Vec<Found> {
     let open = |path: PathBuf| {
         let node = Node::open(&path).ok()?;
         let identity = Identity::of(&node, &path).ok()??;
-        Some(Found { node, path, identity })
+        Some((node, path, identity))
     };
-    paths.into_iter().filter_map(|(_, path)| open(path)).collect()
+    let opened: Vec<(Node, PathBuf, Identity)> = paths.into_iter().filter_map(|(_, path)| open(path)).collect();
+    let identities: Vec<Identity> = opened.iter().map(|(_, _, identity)| identity.clone()).collect();
+    let found = opened.into_iter().map(|(node, path, identity)| {
+        let others = identities.iter().filter(|other| **other != identity && other.is_like(&identity));
+        let others: Vec<Identity> = others.cloned().collect();
+        Found { key: identity.key(&others), node, path, identity, others }
+    });
+    found.collect()
 }
 
 #[cfg(test)]
@@ -194,16 +211,30 @@ mod tests {
     }
 
     #[test]
-    fn a_serial_number_goes_with_the_camera_a_place_does_not() {
-        let (one, two) = (identity(Some("0001"), "usb-1"), identity(Some("0002"), "usb-1"));
-        assert!(one.is(&identity(Some("0001"), "usb-2")) && !one.is(&two));
-        assert!(identity(None, "usb-1").is(&identity(None, "usb-1")));
-        assert!(!identity(None, "usb-1").is(&identity(None, "usb-2")));
-        assert!(!one.is(&Identity { index: 1, ..one.clone() }));
-        assert_eq!(one.key(), "rig-camera-rig-0001");
-        assert_eq!(
-            Identity { index: 1, ..identity(None, "usb-0000:00.1-3") }.key(),
-            "rig-camera-rig-usb-0000-00-1-3-1"
-        );
+    fn a_camera_is_found_where_it_was_and_where_it_went() {
+        for serial in [Some("0001"), None] {
+            let (here, there) = (identity(serial, "usb-1"), identity(serial, "usb-2"));
+            assert_eq!(place(&[there.clone(), here.clone()], &here, &[]), Some(1), "in its place");
+            assert_eq!(place(std::slice::from_ref(&there), &here, &[]), Some(0), "moved");
+            assert_eq!(
+                place(std::slice::from_ref(&there), &here, std::slice::from_ref(&there)),
+                None,
+                "that is the other one"
+            );
+            let third = identity(serial, "usb-3");
+            assert_eq!(place(&[there.clone(), third.clone()], &here, &[]), None, "nobody knows which");
+            assert_eq!(place(&[there.clone(), third], &here, &[there]), Some(1), "not the one that was there before");
+        }
+        let other = identity(Some("0002"), "usb-1");
+        assert_eq!(place(&[other], &identity(Some("0001"), "usb-1"), &[]), None, "another serial number in its place");
+    }
+
+    #[test]
+    fn keys_are_unique() {
+        let one = identity(Some("0001"), "usb-1");
+        assert_eq!(one.key(&[]), "rig-camera-rig-0001");
+        assert_eq!(one.key(&[identity(Some("0001"), "usb-2")]), "rig-camera-rig-0001-usb-1");
+        let node = Identity { index: 1, ..identity(None, "usb-0000:00.1-3") };
+        assert_eq!(node.key(&[]), "rig-camera-rig-usb-0000-00-1-3-1");
     }
 }

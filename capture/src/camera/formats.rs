@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::CameraError;
-use super::ioctl::{Choice, Node};
+use super::ioctl::{Choice, Interval, Node};
 use crate::pixels::{Colour, Encoding};
 
 /// Where a document leaves the size open.
@@ -59,13 +59,14 @@ fn size_info(node: &Node, fourcc: [u8; 4], size: Choice<[u32; 2]>) -> SizeInfo {
     SizeInfo { width, height, from, step, rates_hz: rates(node, fourcc, [width, height]) }
 }
 
+/// Frames a second, of a range the highest and the lowest.
 fn rates(node: &Node, fourcc: [u8; 4], size: [u32; 2]) -> Vec<f64> {
-    let of = |interval: Choice<f64>| match interval {
-        Choice::One(interval) => vec![1.0 / interval],
-        Choice::Range { least, most, .. } => vec![1.0 / least, 1.0 / most],
+    let of = |interval: Choice<Interval>| match interval {
+        Choice::One(interval) => vec![interval],
+        Choice::Range { least, most, .. } => vec![least, most],
     };
-    let rates = node.intervals(fourcc, size).into_iter().flat_map(of);
-    rates.filter(|rate| rate.is_finite()).map(|rate| (rate * 1000.0).round() / 1000.0).collect()
+    let intervals = node.intervals(fourcc, size).into_iter().flat_map(of);
+    intervals.filter_map(Interval::seconds).map(|seconds| (1000.0 / seconds).round() / 1000.0).collect()
 }
 
 /// The code as people write it; a set highest bit says that the format's bytes are the other way round.
@@ -91,8 +92,8 @@ pub struct FormatWanted {
 pub(super) struct Plan {
     pub encoding: Encoding,
     pub size: [u32; 2],
-    /// s; `None`: as the driver likes.
-    pub interval: Option<f64>,
+    /// `None`: as the driver likes.
+    pub interval: Option<Interval>,
 }
 
 /// The best that a device offers.
@@ -106,8 +107,8 @@ pub(super) fn choose(node: &Node, device: &str, wanted: &FormatWanted, colour: C
         .filter(|encoding| wanted.format.is_some() || encoding.has(colour))
         .map(|encoding| Offer { encoding, sizes: node.sizes(encoding.fourcc()) })
         .collect();
-    let rates = |encoding: Encoding, size| rates(node, encoding.fourcc(), size);
-    best(&candidates, wanted, now.map(|format| format.size), rates).map_err(|fault| match fault {
+    let intervals = |encoding: Encoding, size| node.intervals(encoding.fourcc(), size);
+    best(&candidates, wanted, now.map(|format| format.size), intervals).map_err(|fault| match fault {
         Fault::Format => CameraError::Format {
             device: device.into(),
             wanted: wanted.format.clone().unwrap_or_else(|| "a format that is read".into()),
@@ -149,7 +150,7 @@ fn best(
     candidates: &[Offer],
     wanted: &FormatWanted,
     now: Option<[u32; 2]>,
-    rates: impl Fn(Encoding, [u32; 2]) -> Vec<f64>,
+    intervals: impl Fn(Encoding, [u32; 2]) -> Vec<Choice<Interval>>,
 ) -> Result<Plan, Fault> {
     let is_meant =
         |offer: &&Offer| wanted.format.as_ref().is_none_or(|format| offer.encoding.name() == format.trim_end());
@@ -157,20 +158,18 @@ fn best(
     if meant.is_empty() {
         return Err(Fault::Format);
     }
-    let has = |size: [u32; 2]| meant.iter().any(|offer| offer.has(size));
-    let size = wanted.size.unwrap_or_else(|| if has(SIZE) { SIZE } else { now.unwrap_or(SIZE) });
-    let least_hz = wanted.rate_hz.unwrap_or(RATE_HZ) * (1.0 - ALIKE);
+    let size = wanted.size.unwrap_or_else(|| usual_size(&meant, now));
+    let wanted_hz = wanted.rate_hz.unwrap_or(RATE_HZ);
     let mut best: Option<(f64, Plan)> = None;
     for offer in meant.iter().filter(|offer| offer.has(size)) {
-        let offered = rates(offer.encoding, size);
-        let enough = offered.iter().copied().filter(|rate| *rate >= least_hz).min_by(f64::total_cmp);
-        let rate = enough.or_else(|| offered.iter().copied().max_by(f64::total_cmp));
-        let plan = Plan { encoding: offer.encoding, size, interval: rate.map(|rate| 1.0 / rate) };
-        if enough.is_some() || rate.is_none() {
+        let interval = nearest(&intervals(offer.encoding, size), wanted_hz);
+        let plan = Plan { encoding: offer.encoding, size, interval };
+        let Some(seconds) = interval.and_then(Interval::seconds) else { return Ok(plan) };
+        if 1.0 / seconds >= wanted_hz * (1.0 - ALIKE) {
             return Ok(plan);
         }
-        if best.as_ref().is_none_or(|(fastest, _)| rate > Some(*fastest)) {
-            best = rate.map(|rate| (rate, plan));
+        if best.as_ref().is_none_or(|(fastest, _)| 1.0 / seconds > *fastest) {
+            best = Some((1.0 / seconds, plan));
         }
     }
     let sizes = meant.iter().flat_map(|offer| &offer.sizes).map(|size| match size {
@@ -180,6 +179,42 @@ fn best(
     let mut offered: Vec<String> = sizes.collect();
     offered.dedup();
     best.map(|(_, plan)| plan).ok_or(Fault::Size { wanted: size, offered })
+}
+
+/// Where a document leaves the size open: 640 × 480 if that is offered, else what is set, else the first there is.
+fn usual_size(offers: &[&Offer], now: Option<[u32; 2]>) -> [u32; 2] {
+    let is_listed = |size: [u32; 2]| offers.iter().any(|offer| !offer.sizes.is_empty() && offer.has(size));
+    let first = || {
+        offers.iter().flat_map(|offer| &offer.sizes).next().map(|size| match size {
+            Choice::One(size) => *size,
+            Choice::Range { most, .. } => *most,
+        })
+    };
+    if is_listed(SIZE) {
+        return SIZE;
+    }
+    let is_any = offers.iter().all(|offer| offer.sizes.is_empty());
+    now.filter(|now| is_any || is_listed(*now)).or_else(first).unwrap_or(SIZE)
+}
+
+/// The slowest of what is offered that reaches a rate, else the fastest.
+fn nearest(offered: &[Choice<Interval>], wanted_hz: f64) -> Option<Interval> {
+    let longest = 1.0 / (wanted_hz * (1.0 - ALIKE));
+    let reaches = |interval: &Interval| interval.seconds().is_some_and(|seconds| seconds <= longest);
+    let by_time = |a: &Interval, b: &Interval| a.seconds().unwrap_or(0.0).total_cmp(&b.seconds().unwrap_or(0.0));
+    let candidates = offered.iter().flat_map(|offer| match offer {
+        Choice::One(interval) => vec![*interval],
+        Choice::Range { least, most, .. } => {
+            // Any time in between is possible.
+            let wanted = Interval { numerator: 1000, denominator: (1000.0 * wanted_hz).round().max(1.0) as u32 };
+            let is_inside = by_time(least, &wanted).is_le() && by_time(&wanted, most).is_le();
+            let inside = is_inside.then_some(wanted);
+            [Some(*least), inside, Some(*most)].into_iter().flatten().collect()
+        }
+    });
+    let candidates: Vec<Interval> = candidates.filter(|interval| interval.seconds().is_some()).collect();
+    let slowest = candidates.iter().copied().filter(reaches).max_by(by_time);
+    slowest.or_else(|| candidates.iter().copied().min_by(by_time))
 }
 
 #[cfg(test)]
@@ -197,18 +232,52 @@ mod tests {
         offers
     }
 
+    fn rate(numerator: u32, denominator: u32) -> Choice<Interval> {
+        Choice::One(Interval { numerator, denominator })
+    }
+
     /// YUYV is slow, MJPG is not.
-    fn rates(encoding: Encoding, size: [u32; 2]) -> Vec<f64> {
+    fn intervals(encoding: Encoding, size: [u32; 2]) -> Vec<Choice<Interval>> {
         match (encoding.is_compressed(), size) {
-            (true, _) => vec![60.0, 30.0],
-            (false, [640, 480]) => vec![29.97, 15.0],
-            _ => vec![5.0],
+            (true, _) => vec![rate(1, 60), rate(1, 30)],
+            (false, [640, 480]) => vec![rate(1001, 30000), rate(1, 15)],
+            _ => vec![rate(1, 5)],
         }
     }
 
     fn chosen(wanted: FormatWanted) -> Result<(String, [u32; 2], f64), Fault> {
-        let plan = best(&offers(&[b"YUYV", b"MJPG"]), &wanted, Some([1280, 720]), rates)?;
-        Ok((plan.encoding.name(), plan.size, (1.0 / plan.interval.unwrap() * 100.0).round() / 100.0))
+        let plan = best(&offers(&[b"YUYV", b"MJPG"]), &wanted, Some([1280, 720]), intervals)?;
+        let rate = 1.0 / plan.interval.and_then(Interval::seconds).unwrap();
+        Ok((plan.encoding.name(), plan.size, (rate * 100.0).round() / 100.0))
+    }
+
+    #[test]
+    fn rates_are_met_from_below_and_taken_from_within_ranges() {
+        let hz = |offered: &[Choice<Interval>], wanted| {
+            nearest(offered, wanted).and_then(Interval::seconds).map(|s| (100.0 / s).round() / 100.0)
+        };
+        let interval = |numerator, denominator| Interval { numerator, denominator };
+        let range = Choice::Range { least: interval(1, 60), most: interval(1, 1), step: interval(1, 1000) };
+        assert_eq!(hz(&[range], 30.0), Some(30.0));
+        assert_eq!(hz(&[range], 0.2), Some(1.0));
+        assert_eq!(hz(&[range], 500.0), Some(60.0));
+        let odd = Choice::Range { least: interval(0, 1), most: interval(1, 0), step: interval(0, 1) };
+        assert_eq!(hz(&[odd], 30.0), None);
+        assert_eq!(hz(&[odd, rate(1, 25), rate(0, 0)], 30.0), Some(25.0));
+        assert_eq!(nearest(&[rate(1, 30), rate(1, 60)], 30.0), Some(interval(1, 30)), "as the driver has it");
+        assert_eq!(nearest(&[], 30.0), None);
+    }
+
+    #[test]
+    fn a_size_that_nobody_asked_for_is_one_that_there_is() {
+        let encoding = Encoding::of(*b"GREY").unwrap();
+        let offer = |sizes: Vec<Choice<[u32; 2]>>| Offer { encoding, sizes };
+        let of = |sizes: Vec<Choice<[u32; 2]>>, now| usual_size(&[&offer(sizes)], now);
+        let one = |width, height| Choice::One([width, height]);
+        assert_eq!(of(vec![one(1280, 720), one(640, 480)], Some([1280, 720])), [640, 480]);
+        assert_eq!(of(vec![one(1280, 720), one(320, 240)], Some([320, 240])), [320, 240]);
+        assert_eq!(of(vec![one(1280, 720)], Some([320, 240])), [1280, 720], "what is set belongs to another format");
+        assert_eq!(of(vec![], Some([1600, 1200])), [1600, 1200]);
     }
 
     #[test]

@@ -8,7 +8,7 @@
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::Path;
 use std::ptr;
 use std::time::Duration;
@@ -20,27 +20,33 @@ use v4l::v4l2::vidioc;
 /// `V4L2_BUF_TYPE_VIDEO_CAPTURE` and `V4L2_MEMORY_MMAP`.
 const CAPTURE: u32 = 1;
 const MMAP: u32 = 1;
+/// The kernel's number of video devices.
+const VIDEO: u32 = 81;
+/// `V4L2_FIELD_NONE`: whole pictures, not every other row.
+const WHOLE: u32 = 1;
 /// Entries of any list that a driver may give.
 const ENTRIES_MAX: u32 = 4096;
 
+/// # Safety
 /// Structures of `videodev2.h` that are nothing but numbers, pointers that may be null, and unions of them: all zeros is a
 /// value of each.
-trait Plain {}
-impl Plain for v4l2_capability {}
-impl Plain for v4l2_fmtdesc {}
-impl Plain for v4l2_frmsizeenum {}
-impl Plain for v4l2_frmivalenum {}
-impl Plain for v4l2_format {}
-impl Plain for v4l2_streamparm {}
-impl Plain for v4l2_query_ext_ctrl {}
-impl Plain for v4l2_querymenu {}
-impl Plain for v4l2_ext_control {}
-impl Plain for v4l2_ext_controls {}
-impl Plain for v4l2_requestbuffers {}
-impl Plain for v4l2_buffer {}
-impl Plain for v4l2_event {}
-impl Plain for v4l2_event_subscription {}
-impl Plain for i32 {}
+unsafe trait Plain {}
+// SAFETY: they are, all of them.
+unsafe impl Plain for v4l2_capability {}
+unsafe impl Plain for v4l2_fmtdesc {}
+unsafe impl Plain for v4l2_frmsizeenum {}
+unsafe impl Plain for v4l2_frmivalenum {}
+unsafe impl Plain for v4l2_format {}
+unsafe impl Plain for v4l2_streamparm {}
+unsafe impl Plain for v4l2_query_ext_ctrl {}
+unsafe impl Plain for v4l2_querymenu {}
+unsafe impl Plain for v4l2_ext_control {}
+unsafe impl Plain for v4l2_ext_controls {}
+unsafe impl Plain for v4l2_requestbuffers {}
+unsafe impl Plain for v4l2_buffer {}
+unsafe impl Plain for v4l2_event {}
+unsafe impl Plain for v4l2_event_subscription {}
+unsafe impl Plain for i32 {}
 
 fn zeroed<T: Plain>() -> T {
     // SAFETY: `Plain` says that all zeros is a value of T.
@@ -62,6 +68,27 @@ pub(super) struct Format {
     pub size: [u32; 2],
     /// Bytes from a row of the first plane to the next.
     pub stride: u32,
+}
+
+/// Time from a frame to the next, s, as drivers have it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Interval {
+    pub numerator: u32,
+    pub denominator: u32,
+}
+
+impl Interval {
+    /// s; `None` for what is no time.
+    pub fn seconds(self) -> Option<f64> {
+        let seconds = f64::from(self.numerator) / f64::from(self.denominator);
+        (seconds > 0.0 && seconds.is_finite()).then_some(seconds)
+    }
+}
+
+impl From<v4l2_fract> for Interval {
+    fn from(fraction: v4l2_fract) -> Interval {
+        Interval { numerator: fraction.numerator, denominator: fraction.denominator }
+    }
 }
 
 /// Sizes or intervals: one, or a range of them.
@@ -105,9 +132,14 @@ impl AsFd for Node {
 }
 
 impl Node {
+    /// Opens a video device and nothing else: opening alone starts a watchdog, and rewinds a tape.
     pub fn open(path: &Path) -> io::Result<Node> {
-        let nonblocking = rustix::fs::OFlags::NONBLOCK.bits() as i32;
-        OpenOptions::new().read(true).write(true).custom_flags(nonblocking).open(path).map(Node)
+        let about = std::fs::metadata(path)?;
+        if !about.file_type().is_char_device() || rustix::fs::major(about.rdev()) != VIDEO {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a video device"));
+        }
+        let flags = rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::NOCTTY;
+        OpenOptions::new().read(true).write(true).custom_flags(flags.bits() as i32).open(path).map(Node)
     }
 
     /// One call, again when a signal came in between.
@@ -174,20 +206,18 @@ impl Node {
         })
     }
 
-    /// Frame intervals, s.
-    pub fn intervals(&self, fourcc: [u8; 4], [width, height]: [u32; 2]) -> Vec<Choice<f64>> {
+    /// Frame intervals.
+    pub fn intervals(&self, fourcc: [u8; 4], [width, height]: [u32; 2]) -> Vec<Choice<Interval>> {
         let pixel_format = u32::from_le_bytes(fourcc);
         let ask = |index| v4l2_frmivalenum { index, pixel_format, width, height, ..zeroed() };
         self.list(vidioc::VIDIOC_ENUM_FRAMEINTERVALS, ask, |entry| {
             // SAFETY: as for sizes.
             let (one, range) = unsafe { (entry.__bindgen_anon_1.discrete, entry.__bindgen_anon_1.stepwise) };
             match entry.type_ {
-                1 => Some(Choice::One(seconds(one))),
-                2 | 3 => Some(Choice::Range {
-                    least: seconds(range.min),
-                    most: seconds(range.max),
-                    step: seconds(range.step),
-                }),
+                1 => Some(Choice::One(one.into())),
+                2 | 3 => {
+                    Some(Choice::Range { least: range.min.into(), most: range.max.into(), step: range.step.into() })
+                }
                 _ => None,
             }
         })
@@ -204,7 +234,7 @@ impl Node {
         let mut format: v4l2_format = v4l2_format { type_: CAPTURE, ..zeroed() };
         // SAFETY: all zeros is a value of this variant.
         let pix = unsafe { &mut format.fmt.pix };
-        (pix.width, pix.height, pix.pixelformat) = (width, height, u32::from_le_bytes(fourcc));
+        (pix.width, pix.height, pix.pixelformat, pix.field) = (width, height, u32::from_le_bytes(fourcc), WHOLE);
         self.call(vidioc::VIDIOC_S_FMT, &mut format)?;
         Ok(pixels(&format))
     }
@@ -214,15 +244,13 @@ impl Node {
         let mut parm = v4l2_streamparm { type_: CAPTURE, ..zeroed() };
         self.call(vidioc::VIDIOC_G_PARM, &mut parm).ok()?;
         // SAFETY: numbers, written by the driver for this type of stream.
-        let interval = seconds(unsafe { parm.parm.capture.timeperframe });
-        (interval > 0.0 && interval.is_finite()).then_some(interval)
+        Interval::from(unsafe { parm.parm.capture.timeperframe }).seconds()
     }
 
-    /// Asks for frames in this interval, s; drivers take the nearest that they have.
-    pub fn set_interval(&self, interval: f64) -> io::Result<()> {
+    /// Asks for frames in this interval; drivers take one that they have.
+    pub fn set_interval(&self, interval: Interval) -> io::Result<()> {
         let mut parm = v4l2_streamparm { type_: CAPTURE, ..zeroed() };
-        let denominator = 1_000_000;
-        let numerator = (interval * f64::from(denominator)).round() as u32;
+        let Interval { numerator, denominator } = interval;
         parm.parm.capture.timeperframe = v4l2_fract { numerator, denominator };
         self.call(vidioc::VIDIOC_S_PARM, &mut parm)
     }
@@ -368,10 +396,6 @@ fn pixels(format: &v4l2_format) -> Format {
     Format { fourcc: pix.pixelformat.to_le_bytes(), size: [pix.width, pix.height], stride: pix.bytesperline }
 }
 
-fn seconds(fraction: v4l2_fract) -> f64 {
-    f64::from(fraction.numerator) / f64::from(fraction.denominator)
-}
-
 fn text(bytes: &[u8]) -> String {
     let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
     String::from_utf8_lossy(&bytes[..end]).trim().to_string()
@@ -387,8 +411,8 @@ pub(super) struct Mapping {
 unsafe impl Send for Mapping {}
 
 impl Mapping {
-    /// The first bytes of a buffer that the driver has handed over; it does not write into it until it is queued again,
-    /// which needs the borrow to end.
+    /// The first bytes of a buffer that the driver has handed over. It does not write into it until it is queued again, which
+    /// [`super::stream::Stream::newest`] does after whoever reads them has returned.
     pub fn bytes(&self, filled: &Filled) -> &[u8] {
         // SAFETY: the mapping is so long and lives until `drop`.
         unsafe { std::slice::from_raw_parts(self.at, filled.bytes.min(self.length)) }

@@ -23,7 +23,11 @@ struct Screw {
 
 impl Screw {
     fn of(node: &Node, entries: &[ControlEntry], ids: &[u32]) -> Option<Screw> {
-        let entry = ids.iter().find_map(|id| entries.iter().find(|entry| entry.id == *id))?;
+        let is_number = |entry: &&ControlEntry| {
+            entry.kind == v4l2_ctrl_type_V4L2_CTRL_TYPE_INTEGER
+                && entry.flags & (V4L2_CTRL_FLAG_DISABLED | V4L2_CTRL_FLAG_READ_ONLY) == 0
+        };
+        let entry = ids.iter().find_map(|id| entries.iter().filter(is_number).find(|entry| entry.id == *id))?;
         let [least, most] = entry.range.map(|end| end as f64);
         // 0 of a time or gain is no light, or a unit that does not begin with 0: from there nothing is in proportion.
         let range = [least.max(1.0), most];
@@ -31,11 +35,15 @@ impl Screw {
         (range[1] > range[0]).then_some(Screw { id: entry.id, range, start })
     }
 
-    /// Sets so many times the start; what is left to do, given what the driver took.
-    fn turn(&self, node: &Node, factor: f64) -> std::io::Result<f64> {
+    /// Sets so many times the start; how many times it is then, whatever the driver made of it.
+    fn turn(&self, node: &Node, entries: &[ControlEntry], factor: f64) -> f64 {
         let value = (self.start * factor).round().clamp(self.range[0], self.range[1]);
-        node.set_control(self.id, value as i32)?;
-        Ok((node.control(self.id)? as f64 / self.start).max(f64::MIN_POSITIVE))
+        if node.control(self.id).is_ok_and(|now| now as f64 != value) {
+            prepare(node, entries, self.id);
+            drop(node.set_control(self.id, value as i32)); // what it is now is read
+        }
+        let now = node.control(self.id).map_or(self.start, |now| now as f64);
+        (now / self.start).max(f64::MIN_POSITIVE)
     }
 
     fn reach(&self) -> [f64; 2] {
@@ -71,15 +79,17 @@ impl Knob {
         [time[0] * gain[0], time[1] * gain[1]]
     }
 
-    /// So many times as much light as at the start; as much as there really is then. Automatic control ends.
-    pub fn set(&self, node: &Node, factor: f64) -> std::io::Result<f64> {
+    /// So many times as much light as at the start; as much as there really is then. Automatic control of what is turned
+    /// ends.
+    pub fn set(&self, node: &Node, factor: f64) -> f64 {
         let entries = node.controls();
-        [self.time, self.gain].iter().flatten().for_each(|screw| prepare(node, &entries, screw.id));
         // Gain stays at its start as long as time suffices.
         let [time, gain] = share(factor, self.time.map(|screw| screw.reach()));
-        let time = self.time.map_or(Ok(1.0), |screw| screw.turn(node, time))?;
-        let gain = self.gain.map_or(Ok(1.0), |screw| screw.turn(node, gain))?;
-        Ok(time * gain)
+        let time = self.time.map_or(1.0, |screw| {
+            prepare(node, &entries, screw.id);
+            screw.turn(node, &entries, time)
+        });
+        time * self.gain.map_or(1.0, |screw| screw.turn(node, &entries, gain))
     }
 }
 

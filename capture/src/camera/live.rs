@@ -4,7 +4,6 @@
 //! looked for by identity and set up anew, as if for the first time. So there is one way up and one way down.
 
 use std::io;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use isophote_tracker::Frame;
@@ -19,6 +18,7 @@ use super::stream::{Lost, Stream, Taken, wait};
 use super::watch::Watch;
 use super::{CameraError, CameraSpec, CameraState, CameraStatus, controls};
 use crate::exposure::Exposure;
+use crate::pixels::PixelsError;
 use crate::source::Captured;
 use crate::wake::Wake;
 
@@ -36,10 +36,11 @@ const LOOPBACK: &str = "v4l2 loopback";
 pub struct Camera {
     spec: CameraSpec,
     identity: Identity,
+    /// Like it, but others: they were there together.
+    others: Vec<Identity>,
     plan: Plan,
     format: Format,
     interval: Option<Duration>,
-    path: PathBuf,
     link: Link,
     state: CameraState,
     status: CameraStatus,
@@ -48,19 +49,29 @@ pub struct Camera {
     watch: Option<Watch>,
     knob: Option<Knob>,
     exposure: Option<Exposure>,
-    /// Of the exposure knob, as the device has it; `None` after it was opened.
+    /// What the exposure knob was turned to on the device; `None` after it was opened.
     applied: Option<f64>,
-    /// Lost since the last frame.
-    lost: Lost,
+    /// Frames lost since the last one.
+    lost: u64,
     next_number: u64,
-    /// When the last picture came, or the stream began.
+    /// What was wrong with the last picture, if anything.
+    damage: Option<String>,
+    last_picture: Instant,
+    /// When the stream began.
     since: Instant,
 }
 
 enum Link {
     Resting,
-    Streaming(Stream),
-    Down { next: Instant, pause: Duration },
+    /// `pause` comes before the next try, should it break off before the first picture.
+    Streaming {
+        stream: Stream,
+        pause: Duration,
+    },
+    Down {
+        next: Instant,
+        pause: Duration,
+    },
 }
 
 impl Camera {
@@ -69,7 +80,7 @@ impl Camera {
     /// # Errors
     /// A camera that is not there, is in use, or does not have what the document wants.
     pub fn open(spec: CameraSpec) -> Result<Camera, CameraError> {
-        let Found { node, path, identity } = device::named(&spec.device)?;
+        let Found { node, path, identity, others, key } = device::named(&spec.device)?;
         let device = path.display().to_string();
         let plan = formats::choose(&node, &device, &spec.format, spec.colour)?;
         if !plan.encoding.has(spec.colour) {
@@ -79,7 +90,7 @@ impl Camera {
         let wake = Wake::new().map_err(unwaitable)?;
         let status = CameraStatus {
             device,
-            identity: identity.key(),
+            identity: key,
             format: plan.encoding.name(),
             width: plan.size[0],
             height: plan.size[1],
@@ -94,10 +105,10 @@ impl Camera {
         let mut camera = Camera {
             spec,
             identity,
+            others,
             plan,
             format,
             interval: None,
-            path,
             link: Link::Resting,
             state: CameraState::Resting,
             status,
@@ -106,8 +117,10 @@ impl Camera {
             knob: None,
             exposure: None,
             applied: None,
-            lost: Lost::default(),
+            lost: 0,
             next_number: 0,
+            damage: None,
+            last_picture: Instant::now(),
             since: Instant::now(),
         };
         camera.set_up(&node)?;
@@ -160,29 +173,34 @@ impl Camera {
     pub fn rest(&mut self) {
         self.link = Link::Resting;
         self.state = CameraState::Resting;
-        self.lost = Lost::default();
+        self.lost = 0;
     }
 
-    /// The newest frame, waiting for it `limit` at most. `None` says nothing about the camera; its state does.
+    /// The newest frame, waiting for it `limit` at most, less when it is woken. `None` says nothing about the camera; its
+    /// state does.
     pub fn next(&mut self, limit: Duration) -> Option<Captured> {
-        self.wake.hear();
         let now = Instant::now();
-        match &self.link {
+        let frame = match &self.link {
             Link::Resting => {
                 self.state = CameraState::Running;
-                self.connect();
+                self.last_picture = now;
+                self.connect(RETRY_MIN);
                 None
             }
             Link::Down { next, .. } if now < *next => {
                 self.wait_for_devices(limit.min(*next - now));
                 None
             }
-            Link::Down { .. } => {
-                self.connect();
+            Link::Down { pause, .. } => {
+                let pause = *pause;
+                self.connect(pause);
                 None
             }
-            Link::Streaming(_) => self.take(limit),
-        }
+            Link::Streaming { .. } => self.take(limit),
+        };
+        // Heard only now: who rang before this look ended its wait, and is listened to after it.
+        self.wake.hear();
+        frame
     }
 
     fn wait_for_devices(&mut self, limit: Duration) {
@@ -196,37 +214,29 @@ impl Camera {
         }
     }
 
-    /// Opens, sets up, streams; or is down for longer than before.
-    fn connect(&mut self) {
-        let was_down = match self.link {
-            Link::Down { pause, .. } => Some(pause),
-            _ => None,
-        };
+    /// Opens, sets up, streams; or is down for `pause`, and longer the next time.
+    fn connect(&mut self, pause: Duration) {
         if let Some(watch) = &self.watch {
             watch.has_changed(); // what comes after this look counts
         }
+        let longer = (2 * pause).min(RETRY_MAX);
         match self.stream() {
             Ok(stream) => {
-                self.link = Link::Streaming(stream);
+                self.link = Link::Streaming { stream, pause: longer };
                 self.since = Instant::now();
-                self.status.reconnects += u64::from(was_down.is_some());
             }
             Err(error) => {
-                let pause = was_down.map_or(RETRY_MIN, |pause| (2 * pause).min(RETRY_MAX));
-                self.link = Link::Down { next: Instant::now() + pause, pause };
+                self.link = Link::Down { next: Instant::now() + pause, pause: longer };
                 self.state = CameraState::Lost(error.to_string());
             }
         }
     }
 
     fn stream(&mut self) -> Result<Stream, CameraError> {
-        let Some(found) = device::again(&self.identity) else {
-            let device = self.identity.key();
-            return Err(CameraError::Missing { device, present: device::present() });
-        };
-        self.path = found.path;
-        self.status.device = self.path.display().to_string();
+        let found = device::again(&self.identity, &self.others, &self.status.identity)?;
+        self.status.device = found.path.display().to_string();
         self.set_up(&found.node)?;
+        (self.identity, self.others) = (found.identity, found.others);
         self.applied = None;
         let sequence = if self.identity.driver == LOOPBACK { Sequence::joining() } else { Sequence::default() };
         let size = self.plan.size.map(|side| side as usize);
@@ -247,6 +257,9 @@ impl Camera {
             drop(node.set_interval(interval)); // not every driver can; what holds is read back
         }
         self.format = format;
+        if self.format.stride == 0 {
+            self.format.stride = self.plan.encoding.row_bytes(self.plan.size[0] as usize) as u32; // some drivers leave it out
+        }
         let interval = node.interval();
         self.interval = interval.map(Duration::from_secs_f64);
         self.status.rate_hz = interval.map(|interval| (1000.0 / interval).round() / 1000.0);
@@ -265,82 +278,90 @@ impl Camera {
 
     fn take(&mut self, limit: Duration) -> Option<Captured> {
         self.apply_exposure();
-        let Link::Streaming(stream) = &mut self.link else { return None };
-        let (plan, format, colour) = (&self.plan, &self.format, self.spec.colour);
+        let Link::Streaming { stream, .. } = &mut self.link else { return None };
+        let (plan, stride, colour) = (&self.plan, self.format.stride as usize, self.spec.colour);
         let size = plan.size.map(|side| side as usize);
-        let mut lost = self.lost;
+        let mut lost = Lost::default();
         let taken = stream.newest(self.wake.as_fd(), limit, &mut lost, |taken| match taken {
             Taken::Picture(picture) => {
-                let frame = plan.encoding.frame(picture.bytes, size, format.stride as usize, colour);
+                let frame = plan.encoding.frame(picture.bytes, size, stride, colour);
                 let capture_ns = picture.monotonic.map(|time| time.as_nanos() as u64);
-                Event::Picture { frame: frame.map(|frame| frame.with_capture_ns(capture_ns)).ok(), lost: picture.lost }
+                Event::Picture(frame.map(|frame| frame.with_capture_ns(capture_ns)))
             }
             Taken::Nothing => Event::Nothing,
             Taken::SourceChanged => Event::SourceChanged,
         });
-        self.lost = lost;
+        if let Ok(Event::Picture(Err(error))) = &taken {
+            lost.damaged += 1;
+            self.damage = Some(error.to_string());
+        } else if lost.damaged > 0 {
+            self.damage = Some("flagged as wrong by the driver, or too short".into());
+        }
+        self.status.gaps += lost.gaps;
+        self.status.damaged += lost.damaged;
+        self.status.overtaken += lost.overtaken;
+        self.lost += lost.all();
         match taken {
-            Ok(Event::Picture { frame: Some(frame), lost }) => Some(self.hand_on(frame, lost)),
-            Ok(Event::Picture { frame: None, lost }) => {
-                self.lost = Lost { damaged: lost.damaged + 1, ..lost };
-                None
-            }
-            Ok(Event::Nothing) => self.look_at_the_time(),
+            Ok(Event::Picture(Ok(frame))) => Some(self.hand_on(frame)),
+            Ok(Event::Picture(Err(_)) | Event::Nothing) => self.look_at_the_time(),
             Ok(Event::SourceChanged) => self.down("the signal has another format now".into()),
             Err(error) => self.down(reason_of(&error)),
         }
     }
 
-    fn hand_on(&mut self, frame: Frame, lost: Lost) -> Captured {
+    fn hand_on(&mut self, frame: Frame) -> Captured {
+        self.status.reconnects += u64::from(matches!(self.state, CameraState::Lost(_)));
         self.state = CameraState::Running;
-        self.since = Instant::now();
-        self.status.gaps += lost.gaps;
-        self.status.damaged += lost.damaged;
-        self.status.overtaken += lost.overtaken;
-        let number = self.next_number + lost.all();
+        self.last_picture = Instant::now();
+        self.damage = None;
+        if let Link::Streaming { pause, .. } = &mut self.link {
+            *pause = RETRY_MIN;
+        }
+        let number = self.next_number + std::mem::take(&mut self.lost);
         self.next_number = number + 1;
         Captured { frame: frame.with_sequence(number), file: None, truth: None }
     }
 
     fn look_at_the_time(&mut self) -> Option<Captured> {
         let limit = STALL.max(self.interval.unwrap_or_default() * STALL_INTERVALS);
-        let silence = self.since.elapsed();
-        if silence > 2 * limit {
+        let silence_s = self.last_picture.elapsed().as_secs_f64();
+        if self.since.max(self.last_picture).elapsed() > 2 * limit {
             // Some drivers only wake up when they are opened again.
             self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
         }
-        if silence > limit {
-            self.state = CameraState::Stalled(format!("no picture for {:.0} s", silence.as_secs_f64()));
+        if self.last_picture.elapsed() > limit {
+            let damage = self.damage.as_ref().map(|damage| format!("; the last one was {damage}")).unwrap_or_default();
+            self.state = CameraState::Stalled(format!("no picture for {silence_s:.0} s{damage}"));
         }
         None
     }
 
     fn down(&mut self, reason: String) -> Option<Captured> {
-        self.link = Link::Down { next: Instant::now() + RETRY_MIN, pause: RETRY_MIN };
+        let pause = match self.link {
+            Link::Streaming { pause, .. } | Link::Down { pause, .. } => pause,
+            Link::Resting => RETRY_MIN,
+        };
+        self.link = Link::Down { next: Instant::now() + pause, pause };
         self.state = CameraState::Lost(reason);
         None
     }
 
     /// Turns the knob on the device, when it was turned.
     fn apply_exposure(&mut self) {
-        let (Some(knob), Some(exposure), Link::Streaming(stream)) = (self.knob, &self.exposure, &self.link) else {
+        let (Some(knob), Some(exposure), Link::Streaming { stream, .. }) = (self.knob, &self.exposure, &self.link)
+        else {
             return;
         };
-        let wanted = exposure.get();
         // Who never touched the knob keeps the camera's own exposure.
-        if self.applied == Some(wanted) || (self.applied.is_none() && wanted == 1.0) {
-            return;
-        }
+        let Some(wanted) = exposure.wanted().filter(|wanted| self.applied != Some(*wanted)) else { return };
         self.applied = Some(wanted);
-        if let Ok(taken) = knob.set(stream.node(), wanted) {
-            exposure.took(taken);
-        } // else it stays as it is; a device that is gone says so with the next picture
+        exposure.took(knob.set(stream.node(), wanted));
     }
 }
 
 /// What one look at the stream gave.
 enum Event {
-    Picture { frame: Option<Frame>, lost: Lost },
+    Picture(Result<Frame, PixelsError>),
     Nothing,
     SourceChanged,
 }

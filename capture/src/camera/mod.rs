@@ -96,8 +96,14 @@ pub enum CameraError {
         /// Those that there are.
         present: Vec<String>,
     },
+    /// It belongs to others.
+    #[error("{device} may not be opened by this user; who may is in the group `video` on most systems")]
+    Forbidden {
+        /// What was asked for.
+        device: String,
+    },
     /// Something is there that delivers no pictures.
-    #[error("{device} is no camera: it cannot stream pictures; `isophote cameras` lists those that can")]
+    #[error("{device} is no camera that streams single-planar pictures; `isophote cameras` lists those that do")]
     NotACamera {
         /// What was asked for.
         device: String,

@@ -1,7 +1,7 @@
 //! A device that streams: buffers go round between driver and us, and the newest picture comes out.
 //!
-//! What comes in: a device whose format is set. What goes out: [`Taken`], the newest picture that the driver has, with the
-//! number of those before it that were lost. Every buffer is dequeued at once, also when nobody wants its picture: a driver
+//! What comes in: a device whose format is set. What goes out: [`Taken`], the newest picture that the driver has, and how
+//! many others are lost. Every buffer is dequeued at once, also when nobody wants its picture: a driver
 //! without free buffers loses the newest pictures, not the oldest. It knows no format, no identity, and nothing of time but
 //! how long it may wait.
 
@@ -37,17 +37,16 @@ pub(super) enum Taken<'a> {
     SourceChanged,
 }
 
-/// The newest picture, and what was lost before it.
+/// The newest picture.
 pub(super) struct Picture<'a> {
     pub bytes: &'a [u8],
     /// When it was taken, CLOCK_MONOTONIC, where the driver says so.
     pub monotonic: Option<Duration>,
-    pub lost: Lost,
 }
 
-/// Pictures since the last one that was handed on.
+/// Pictures that are not handed on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Lost {
+pub(super) struct Lost {
     /// Numbers that the driver left out.
     pub gaps: u64,
     /// Flagged as wrong by the driver, or too short.
@@ -82,7 +81,7 @@ impl Stream {
     }
 
     /// Waits `limit` at most, less when `wake` can be read, for a picture; gives `with` the newest one. The buffer is the
-    /// driver's again afterwards. `lost` is what was lost since the last picture.
+    /// driver's again afterwards. What is lost meanwhile is added to `lost`.
     pub fn newest<T>(
         &mut self,
         wake: BorrowedFd,
@@ -104,8 +103,7 @@ impl Stream {
         let Some(mapping) = self.mappings.get(filled.index as usize) else {
             return Err(io::Error::other(format!("the driver filled a buffer {} that it does not have", filled.index)));
         };
-        let picture =
-            Picture { bytes: mapping.bytes(&filled), monotonic: filled.monotonic, lost: std::mem::take(lost) };
+        let picture = Picture { bytes: mapping.bytes(&filled), monotonic: filled.monotonic };
         let result = with(Taken::Picture(picture));
         self.fault = self.node.queue(filled.index).err();
         Ok(result)
@@ -141,10 +139,12 @@ impl Stream {
         if seen.contains(PollFlags::PRI) && self.node.has_source_changed() {
             return Ok(true);
         }
-        if seen.intersects(PollFlags::ERR | PollFlags::HUP | PollFlags::NVAL) && !seen.contains(PollFlags::IN) {
+        if seen.intersects(PollFlags::ERR | PollFlags::HUP | PollFlags::NVAL) {
             // `dequeue` says which error it is; where it has none to tell, polling again would only spin.
-            self.node.dequeue()?;
-            return Err(io::Error::other("the driver has stopped streaming"));
+            return match self.node.dequeue()? {
+                Some(filled) => self.node.queue(filled.index).map(|()| false),
+                None => Err(io::Error::other("the driver has stopped streaming")),
+            };
         }
         Ok(false)
     }

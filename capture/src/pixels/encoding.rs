@@ -167,7 +167,7 @@ impl Encoding {
     }
 
     /// Bytes of a row of the (first) plane.
-    pub(super) fn row_bytes(self, width: usize) -> usize {
+    pub(crate) fn row_bytes(self, width: usize) -> usize {
         let each = match self.layout {
             Layout::Grey | Layout::Mosaic { .. } => self.format().bytes_per_pixel(),
             Layout::Packed { .. } => 2,

@@ -46,8 +46,10 @@ impl Light {
         let absent = || Problem::wrong_key("not-applicable", "options.exposure.control", message);
         let exposure = source.exposure().ok_or_else(absent)?.clone();
         let mut options = ControllerOptions::default();
-        if let SourceDocument::Synthetic(synthetic) = source.document() {
-            options.latency = u64::from(synthetic.exposure_latency);
+        match source.document() {
+            SourceDocument::Synthetic(synthetic) => options.latency = u64::from(synthetic.exposure_latency),
+            SourceDocument::Camera(camera) => options.latency = u64::from(camera.exposure_latency),
+            SourceDocument::Recording(_) | SourceDocument::Pushed(_) => {}
         }
         options.range = exposure.range().unwrap_or(options.range);
         Ok(Some(Light { controller: ExposureController::new(options), exposure }))
@@ -57,6 +59,15 @@ impl Light {
         self.controller.took(self.exposure.taken());
         if let Some(factor) = self.controller.step(estimate) {
             self.exposure.set(factor);
+        }
+    }
+}
+
+impl Drop for Light {
+    /// Whoever comes after finds the light as it was.
+    fn drop(&mut self) {
+        if self.controller.factor() != 1.0 {
+            self.exposure.set(1.0);
         }
     }
 }

@@ -132,6 +132,7 @@ impl Session {
             frames: status.frames,
             dropped: status.dropped,
             rate_hz: status.rate_hz(monotonic_ns()),
+            source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),
         }
     }

@@ -1,6 +1,6 @@
 //! A source that is a camera: its thread takes what the driver has, all the time, and hands the newest frame on.
 
-use std::sync::PoisonError;
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use isophote_capture::{Camera, CameraState};
@@ -13,22 +13,27 @@ const LOOK: Duration = Duration::from_millis(200);
 /// For a camera to be closed.
 const REST: Duration = Duration::from_secs(2);
 
+/// A camera that is closed until this is dropped: somebody else is to have it.
+pub struct Paused(Arc<Source>);
+
+impl Drop for Paused {
+    fn drop(&mut self) {
+        self.0.shared.lock().is_paused = false;
+        self.0.shared.changed.notify_all();
+    }
+}
+
 impl Source {
-    /// Closes the camera, if it is one, until [`Source::resume`]: somebody else is to have it.
-    pub fn pause(&self) {
-        let Some(wake) = &self.wake else { return };
+    /// Closes the camera; `None` where it is none.
+    pub fn pause(self: &Arc<Source>) -> Option<Paused> {
+        let wake = self.wake.as_ref()?;
         let mut state = self.shared.lock();
         state.is_paused = true;
         wake.ring();
         let is_open = |state: &mut State| !state.is_resting;
         // A driver that does not let go keeps the device; whoever opens it is told that it is in use.
         drop(self.shared.changed.wait_timeout_while(state, REST, is_open).unwrap_or_else(PoisonError::into_inner));
-    }
-
-    /// Goes on.
-    pub fn resume(&self) {
-        self.shared.lock().is_paused = false;
-        self.shared.changed.notify_all();
+        Some(Paused(self.clone()))
     }
 }
 
@@ -36,18 +41,29 @@ impl Worker {
     /// Until the source stops.
     pub(super) fn run_camera(&mut self, mut camera: Camera) {
         loop {
-            if !self.shared.lock().is_wanted() {
+            if !self.is_open() {
                 camera.rest();
                 self.report(&camera);
                 if !self.wait_for_sessions() {
                     return;
                 }
+                continue;
             }
             if let Some(captured) = camera.next(LOOK) {
                 self.deliver(captured, None);
             }
             self.report(&camera);
         }
+    }
+
+    /// Whether the camera may be open; whoever pauses it from now on waits until it is closed.
+    fn is_open(&self) -> bool {
+        let mut state = self.shared.lock();
+        let is_wanted = state.is_wanted();
+        if is_wanted {
+            state.is_resting = false;
+        }
+        is_wanted
     }
 
     fn report(&self, camera: &Camera) {
@@ -58,7 +74,7 @@ impl Worker {
             CameraState::Lost(reason) => (SourceState::Lost, Some(reason.clone())),
         };
         let mut state = self.shared.lock();
-        state.is_resting = source_state == SourceState::Idle;
+        state.is_resting = *camera.state() == CameraState::Resting;
         (state.state, state.reason) = (source_state, reason);
         state.camera = Some(camera.status().clone());
         drop(state);

@@ -157,6 +157,11 @@ impl Source {
         }
     }
 
+    /// Of a camera: how it is set, and what was lost.
+    pub fn camera(&self) -> Option<CameraStatus> {
+        self.shared.lock().camera.clone()
+    }
+
     /// What its sessions suffer from, and why: a camera that stalls or is gone.
     pub fn trouble(&self) -> Option<(SessionState, Option<String>)> {
         let state = self.shared.lock();

@@ -140,6 +140,11 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
     if let Some(rate_hz) = document.rate_hz {
         check_rate(rate_hz, Pace::Realtime, prefix)?;
     }
+    let limit = isophote_capture::LIMITS.exposure_latency;
+    if document.exposure_latency > limit {
+        let message = format!("exposure_latency is {}; it may be {limit} frames", document.exposure_latency);
+        return Err(Problem::wrong_key("out-of-range", &format!("{prefix}exposure_latency"), message));
+    }
     let spec = CameraSpec {
         device: document.device.clone(),
         format: FormatWanted { format: document.format.clone(), size, rate_hz: document.rate_hz },

@@ -188,6 +188,9 @@ pub struct SessionView {
     pub dropped: u64,
     /// Estimates a second, measured over the last ones.
     pub rate_hz: f64,
+    /// Of a session on a camera: how that is set, and what was lost.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub source_camera: Option<CameraStatus>,
     /// The last estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub last: Option<Estimate>,

@@ -351,6 +351,9 @@ pub struct CameraDocument {
     /// Which planes the frames of a colour camera have.
     #[serde(default, skip_serializing_if = "is_all")]
     pub colour: Colour,
+    /// Frames from setting an exposure to the first frame that has it.
+    #[serde(default = "default_exposure_latency", skip_serializing_if = "is_default_exposure_latency")]
+    pub exposure_latency: u32,
     /// Exposure, gain and so on, by name; what is automatic and in their way is switched off.
     #[serde(default)]
     pub controls: ControlValues,

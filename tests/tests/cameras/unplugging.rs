@@ -107,7 +107,8 @@ fn spoiled_pictures_are_gaps_and_are_counted_exactly() {
         let camera = whole.client.get("/v1/sources/eye").expect(200)["camera"].clone();
         let lost = ["gaps", "damaged", "overtaken"].map(|what| camera[what].as_u64().unwrap());
         eprintln!("4 spoiled pictures: {estimates} frames, {dropped} dropped; gaps, damaged, overtaken {lost:?}");
-        assert!(dropped >= 4, "each spoiled picture is missing: {dropped}");
+        assert_eq!(lost[0] + lost[1], 4, "each spoiled picture is missing, and no other");
+        assert!(dropped >= 4, "{dropped}");
         assert_eq!(camera["reconnects"], 0);
     });
 }

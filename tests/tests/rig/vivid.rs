@@ -1,18 +1,16 @@
 //! Pixel formats as a driver of the kernel packs them: its colour bars, read in each, are the same bars.
 
 use std::path::Path;
+use std::time::Duration;
 
-use isophote_capture::{Colour, Encoding};
-use isophote_tests::rig::{Rig, WEBCAM, in_rig};
+use isophote_capture::camera::FormatWanted;
+use isophote_capture::{Camera, CameraSpec, Colour, Encoding};
+use isophote_tests::rig::{Rig, WEBCAM, in_rig, until};
 use isophote_tracker::Frame;
-use v4l::buffer::Type;
-use v4l::io::mmap::Stream;
-use v4l::io::traits::CaptureStream;
-use v4l::video::Capture;
-use v4l::{Device, Format, FourCC};
 
 use crate::ctl;
 
+const DEVICE: &str = "/dev/video0";
 const SIZE: [usize; 2] = [640, 360];
 /// White, yellow, cyan, green, magenta, red, blue, black: which of red, green and blue each bar has.
 const BARS: [[bool; 3]; 8] = [
@@ -35,30 +33,69 @@ fn bars(frame: &Frame, plane: usize, saturation: f64) -> [f64; 8] {
     std::array::from_fn(|bar| (view.pixel((2 * bar + 1) * width / 16, frame.rows() / 2) / shift).floor())
 }
 
-/// One picture in a format, as the driver gives it, and as it is read.
-fn picture(device: &Device, encoding: Encoding, colour: Colour) -> Frame {
-    let wanted = Format::new(SIZE[0] as u32, SIZE[1] as u32, FourCC::new(&encoding.fourcc()));
-    let format = device.set_format(&wanted).unwrap();
-    assert_eq!((format.fourcc, format.width, format.height), (wanted.fourcc, wanted.width, wanted.height));
-    let mut stream = Stream::with_buffers(device, Type::VideoCapture, 2).unwrap();
-    let (bytes, about) = stream.next().unwrap();
-    let bytes = &bytes[..about.bytesused as usize];
-    assert_eq!(bytes.len(), encoding.bytes_min(SIZE, format.stride as usize), "{}", encoding.name());
-    encoding.frame(bytes, SIZE, format.stride as usize, colour).unwrap()
+fn camera(format: String, colour: Colour, size: [u32; 2], rate_hz: Option<f64>) -> Camera {
+    let format = FormatWanted { format: Some(format), size: Some(size), rate_hz };
+    Camera::open(CameraSpec { device: DEVICE.into(), format, colour, ..CameraSpec::default() }).unwrap()
+}
+
+fn next(camera: &mut Camera) -> Frame {
+    let frame = until("frame", Duration::from_secs(10), || camera.next(Duration::from_millis(200)));
+    frame.unwrap_or_else(|error| panic!("{error}: {:?}", camera.state())).frame
+}
+
+/// One picture in a format, as a session would get it.
+fn picture(encoding: Encoding, colour: Colour) -> Frame {
+    let mut camera = camera(encoding.name(), colour, SIZE.map(|side| side as u32), None);
+    assert_eq!(camera.size(), encoding.size(SIZE, colour));
+    next(&mut camera)
+}
+
+/// 25 pictures a second: their numbers leave out what is lost, and nothing else.
+#[test]
+fn frames_are_numbered_by_what_the_driver_lost() {
+    in_rig(Rig { vivid: Some(WEBCAM), ..Rig::default() }, || {
+        let path = Path::new(DEVICE);
+        let run = |frames: u64, what: &str| {
+            let mut camera = camera("GREY".into(), Colour::All, [640, 480], Some(25.0));
+            let first = next(&mut camera).sequence;
+            let last = (1..frames).map(|_| next(&mut camera).sequence).last().unwrap();
+            let status = camera.status().clone();
+            assert_eq!(status.rate_hz, Some(25.0));
+            assert_eq!(
+                last - first,
+                frames - 1 + status.gaps + status.damaged + status.overtaken,
+                "{what}: {status:?}"
+            );
+            assert_eq!((status.damaged, status.reconnects), (0, 0), "{what}");
+            eprintln!(
+                "{what}: {frames} frames, {} left out by the driver, {} overtaken",
+                status.gaps, status.overtaken
+            );
+            status.gaps
+        };
+        // The machine may lose some: it is a slow one. 30 % are more.
+        let lost = run(100, "25 Hz");
+        assert!(lost < 10, "{lost}");
+        assert_eq!(ctl(path, &["--set-ctrl=percentage_of_dropped_buffers=30"]).status, Some(0));
+        let dropped = run(100, "30 % dropped");
+        assert!((20..80).contains(&dropped), "{dropped}");
+        assert_eq!(ctl(path, &["--set-ctrl=percentage_of_dropped_buffers=0,wrap_sequence_number=1"]).status, Some(0));
+        let wrapped = run(150, "wrapping numbers");
+        assert!(wrapped < 15, "{wrapped}");
+    });
 }
 
 #[test]
 fn colour_bars_are_the_same_in_every_format() {
     in_rig(Rig { vivid: Some(WEBCAM), ..Rig::default() }, || {
-        let path = Path::new("/dev/video0");
+        let path = Path::new(DEVICE);
         assert_eq!(ctl(path, &["--set-ctrl=test_pattern=0,osd_text_mode=2"]).status, Some(0));
-        let device = Device::with_path(path).unwrap();
         let grey = [190.0, 176.0, 149.0, 136.0, 54.0, 40.0, 13.0, 0.0];
         // Luma of limited range: 16 is black.
         let luma = [179.0, 160.0, 130.0, 111.0, 83.0, 64.0, 34.0, 16.0];
         for encoding in Encoding::all().filter(|encoding| !encoding.is_compressed()) {
             let (name, saturation) = (encoding.name(), encoding.saturation());
-            let frame = picture(&device, encoding, Colour::All);
+            let frame = picture(encoding, Colour::All);
             if frame.planes().len() == 1 {
                 let expected = if name.starts_with(['G', 'Y']) && !name.starts_with("YU") { grey } else { luma };
                 assert_eq!(bars(&frame, 0, saturation), expected, "{name}");
@@ -68,7 +105,7 @@ fn colour_bars_are_the_same_in_every_format() {
                 let expected = BARS.map(|bar| if bar[channel] { LIT } else { 0.0 });
                 assert_eq!(bars(&frame, channel, saturation), expected, "{name} channel {channel}");
             }
-            let green = picture(&device, encoding, Colour::Green);
+            let green = picture(encoding, Colour::Green);
             assert_eq!(green.size(), encoding.size(SIZE, Colour::Green), "{name}");
             assert_eq!(bars(&green, 0, saturation), BARS.map(|bar| if bar[1] { LIT } else { 0.0 }), "{name}");
         }
