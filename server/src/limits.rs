@@ -53,6 +53,8 @@ pub struct Limits {
     pub drain_time: Duration,
     /// For a pushed frame's estimate.
     pub push_time: Duration,
+    /// For a session's last fit, when it is stopped.
+    pub fit_time: Duration,
 }
 
 /// The bounds in force.
@@ -81,4 +83,5 @@ pub const LIMITS: Limits = Limits {
     silence_time: Duration::from_secs(60),
     drain_time: Duration::from_secs(5),
     push_time: Duration::from_secs(10),
+    fit_time: Duration::from_millis(500),
 };

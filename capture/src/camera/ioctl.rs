@@ -68,6 +68,8 @@ pub(super) struct Format {
     pub size: [u32; 2],
     /// Bytes from a row of the first plane to the next.
     pub stride: u32,
+    /// Bytes of a picture, at most.
+    pub bytes: u32,
 }
 
 /// Time from a frame to the next, s, as drivers have it.
@@ -393,7 +395,12 @@ fn buffer(index: u32) -> v4l2_buffer {
 fn pixels(format: &v4l2_format) -> Format {
     // SAFETY: numbers, written by the driver for this type of stream.
     let pix = unsafe { format.fmt.pix };
-    Format { fourcc: pix.pixelformat.to_le_bytes(), size: [pix.width, pix.height], stride: pix.bytesperline }
+    Format {
+        fourcc: pix.pixelformat.to_le_bytes(),
+        size: [pix.width, pix.height],
+        stride: pix.bytesperline,
+        bytes: pix.sizeimage,
+    }
 }
 
 fn text(bytes: &[u8]) -> String {

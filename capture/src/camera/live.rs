@@ -101,7 +101,7 @@ impl Camera {
             overtaken: 0,
             reconnects: 0,
         };
-        let format = Format { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0 };
+        let format = Format { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0, bytes: 0 };
         let mut camera = Camera {
             spec,
             identity,
@@ -241,7 +241,8 @@ impl Camera {
         let sequence = if self.identity.driver == LOOPBACK { Sequence::joining() } else { Sequence::default() };
         let size = self.plan.size.map(|side| side as usize);
         let bytes_min = self.plan.encoding.bytes_min(size, self.format.stride as usize);
-        Stream::start(found.node, bytes_min, sequence).map_err(|reason| self.fault("started", reason))
+        let bytes = bytes_min..=self.format.bytes.max(bytes_min as u32) as usize;
+        Stream::start(found.node, bytes, sequence).map_err(|reason| self.fault("started", reason))
     }
 
     /// Format, rate and controls.
@@ -326,8 +327,8 @@ impl Camera {
         let limit = STALL.max(self.interval.unwrap_or_default() * STALL_INTERVALS);
         let silence_s = self.last_picture.elapsed().as_secs_f64();
         if self.since.max(self.last_picture).elapsed() > 2 * limit {
-            // Some drivers only wake up when they are opened again.
-            self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
+            // Some drivers only wake up when they are opened again, or take another format when they are closed.
+            self.link = Link::Down { next: Instant::now() + RETRY_MIN, pause: RETRY_MIN };
         }
         if self.last_picture.elapsed() > limit {
             let damage = self.damage.as_ref().map(|damage| format!("; the last one was {damage}")).unwrap_or_default();

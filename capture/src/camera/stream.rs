@@ -6,6 +6,7 @@
 //! how long it may wait.
 
 use std::io;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -22,7 +23,8 @@ pub(super) struct Stream {
     mappings: Vec<Mapping>,
     node: Node,
     sequence: Sequence,
-    bytes_min: usize,
+    /// Of a picture.
+    bytes: RangeInclusive<usize>,
     /// What went wrong after the last picture was handed on.
     fault: Option<io::Error>,
 }
@@ -63,10 +65,10 @@ impl Lost {
 }
 
 impl Stream {
-    /// Starts streaming. Pictures of fewer bytes than `bytes_min` are damaged.
-    pub fn start(node: Node, bytes_min: usize, sequence: Sequence) -> io::Result<Stream> {
+    /// Starts streaming. Pictures of fewer bytes are damaged; where they have more, the device has another format now.
+    pub fn start(node: Node, bytes: RangeInclusive<usize>, sequence: Sequence) -> io::Result<Stream> {
         let count = node.request_buffers(BUFFERS)?;
-        let mut stream = Stream { mappings: Vec::new(), node, sequence, bytes_min, fault: None };
+        let mut stream = Stream { mappings: Vec::new(), node, sequence, bytes, fault: None };
         for index in 0..count {
             stream.mappings.push(stream.node.map(index)?);
             stream.node.queue(index)?;
@@ -116,7 +118,10 @@ impl Stream {
         for _ in 0..4 * BUFFERS {
             let Some(filled) = self.node.dequeue()? else { break };
             lost.gaps += self.sequence.step(filled.sequence);
-            if filled.is_error || filled.bytes < self.bytes_min {
+            if filled.bytes > *self.bytes.end() {
+                return Err(io::Error::other("pictures are larger now"));
+            }
+            if filled.is_error || filled.bytes < *self.bytes.start() {
                 lost.damaged += 1;
                 self.node.queue(filled.index)?;
             } else if let Some(older) = newest.replace(filled) {

@@ -5,6 +5,7 @@ pub mod inbox;
 mod status;
 mod swap;
 
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
@@ -58,6 +59,8 @@ pub struct Session {
     source: SourceOf,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
+    /// Hangs up when the thread is over.
+    running: Mutex<Receiver<()>>,
 }
 
 impl Session {
@@ -80,13 +83,18 @@ impl Session {
         let light = Light::of(&document.options, &source.source)?;
         let fitter =
             Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
+        let (runs, running) = std::sync::mpsc::sync_channel::<()>(0);
+        let run = move || {
+            let _runs = runs;
+            fitter.run();
+        };
         let thread = std::thread::Builder::new()
             .name(format!("fit {name}"))
-            .spawn(move || fitter.run())
+            .spawn(run)
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
         source.source.subscribe(&shared.inbox);
-        let thread = Mutex::new(Some(thread));
-        Ok(Session { name: name.to_string(), document, camera, source, shared, thread })
+        let (thread, running) = (Mutex::new(Some(thread)), Mutex::new(running));
+        Ok(Session { name: name.to_string(), document, camera, source, shared, thread, running })
     }
 
     /// Its estimates.
@@ -173,6 +181,9 @@ impl Session {
         self.source.source.unsubscribe(&self.shared.inbox);
         self.shared.inbox.close();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let ended = self.running.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LIMITS.fit_time);
+        // One that is still at its last frame ends after it: nobody waits for a fit whose result nobody wants.
+        let thread = thread.filter(|_| ended != Err(RecvTimeoutError::Timeout));
         if thread.is_some_and(|thread| thread.join().is_err()) {
             eprintln!("isophote: the fit thread of session {} panicked", self.name);
         }

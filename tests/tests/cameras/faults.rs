@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use isophote_tests::loopback::Film;
 use isophote_tests::program;
-use isophote_tests::rig::{Rig, WEBCAM, in_rig, until};
+use isophote_tests::rig::{LOOPBACK, Rig, WEBCAM, in_rig, until};
 use serde_json::{Value, json};
 
-use crate::{COMMAND, LARGE, PICTURES, Whole, circling, session};
+use crate::{COMMAND, LARGE, PICTURES, SMALL, Whole, circling, session};
 
 fn ctl(device: &str, arguments: &[&str]) {
     let mut command = Command::new("v4l2-ctl");
@@ -127,5 +127,35 @@ fn whatever_vivid_does_wrong_a_session_goes_on_tracking() {
         assert_eq!(whole.client.delete("/v1/sources/eye").status, 204);
         // Nobody has it any more.
         ctl("/dev/video0", &["--set-fmt-video=width=640,height=480,pixelformat=YUYV"]);
+    });
+}
+
+/// v4l2loopback does not tell its reader that a writer has gone, nor that another one shows pictures of another size.
+#[test]
+fn a_device_that_changes_its_size_is_waited_for() {
+    program().unwrap();
+    in_rig(Rig { loopback: Some(LOOPBACK), timeout_s: 150, ..Rig::default() }, || {
+        let device = Path::new("/dev/video0");
+        let films = [SMALL, LARGE].map(|size| Film::render(circling(size), PICTURES, *b"GREY").unwrap());
+        let whole = Whole::start();
+        let playing = films[0].play(device, 10.0).unwrap();
+        let eye = json!({"kind": "camera", "device": device});
+        whole.client.put("/v1/sessions/one", &session(eye)).expect(201);
+        let view = whole.until_tracking("one", 5);
+        assert_eq!(view["source_camera"]["width"], 320);
+        drop(playing);
+        whole.until("one", "silent", |view| view["state"] == "stalled" || view["state"] == "lost_source");
+        // A writer gets its format in while the reader has closed the device, which it does now and then.
+        let playing = until("another writer", Duration::from_secs(30), || films[1].play(device, 10.0).ok()).unwrap();
+        let other = whole.until("one", "told of the size", |view| {
+            view["state"] == "lost_source" && view["reason"].as_str().is_some_and(|reason| reason.contains("640×480"))
+        });
+        eprintln!("{}", other["reason"]);
+        let fitted = other["frames"].as_u64();
+        drop(playing);
+        let playing = until("the first writer", Duration::from_secs(30), || films[0].play(device, 10.0).ok()).unwrap();
+        let view = whole.until_tracking("one", 5);
+        assert!(view["frames"].as_u64() > fitted);
+        drop(playing);
     });
 }

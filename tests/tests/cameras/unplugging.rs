@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use isophote_tests::program;
-use isophote_tests::rig::{Rig, USB, in_rig};
+use isophote_tests::rig::{Rig, USB, in_rig, until};
 use isophote_tests::uvccam::{Camera, Fault, Scene, node};
 use serde_json::json;
 
@@ -69,6 +69,9 @@ fn a_camera_that_is_unplugged_20_times_is_found_again_20_times() {
         camera.stall(Duration::from_secs(5));
         whole.until("one", "stalled", |view| view["state"] == "stalled");
         stopping(&whole, "stalled");
+        let before = node(SERIAL).unwrap();
+        camera.unplug();
+        until("end of the node", Duration::from_secs(10), || (!before.exists()).then_some(())).unwrap();
         camera.plug(SERIAL).unwrap();
         whole.client.put("/v1/sessions/one", &small(&node(SERIAL).unwrap())).expect(201);
         whole.until_tracking("one", 1);
