@@ -10,7 +10,7 @@ use crate::alternatives::Substitute;
 use crate::clipping::clipping;
 use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
-use crate::grey::{Grey, Mixture};
+use crate::grey::{Grey, Mixture, may_be_nan};
 use crate::loops::{Loops, Totals};
 use crate::pose::Geometry;
 use crate::stage::{self, Pass, Problem, Rules};
@@ -123,7 +123,8 @@ pub(crate) struct Worth {
     pub variance_alone: DVector<f64>,
 }
 
-/// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them.
+/// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them; one
+/// that has met pixels that are no numbers, as files of floating point may hold, from its start without those.
 pub(crate) fn fit(
     compiled: &Compiled,
     view: &View,
@@ -132,6 +133,9 @@ pub(crate) fn fit(
     control: Control,
 ) -> Result<Fit, CompileFailure> {
     let fit = fit_controlled(compiled, view, constants, start, control)?;
+    if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
+        return fit_controlled(compiled, view, constants, start, Control::Blind);
+    }
     let clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
     if control != Control::Plain || !clipped {
         return Ok(fit);

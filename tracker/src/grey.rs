@@ -73,6 +73,7 @@ impl Grey {
         for row in 0..size[1..].iter().product() {
             read_row(planes, window, row, saturation, mixture, &mut values);
         }
+        fill(planes, &mut values);
         Grey { values, size, saturation: limit, step: step(planes, mixture) }
     }
 
@@ -92,6 +93,7 @@ impl Grey {
                 values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
             }
         }
+        fill(planes, &mut values);
         Grey { values, size, saturation: mixture.limit(saturation), step: 0.5 * step(planes, mixture) }
     }
 
@@ -154,6 +156,22 @@ fn step(planes: &[PlaneView], mixture: &Mixture) -> f64 {
 }
 
 /// Appends one row of the window.
+/// Whether pixels may be no numbers, which stands for unknown ones.
+pub(crate) fn may_be_nan(planes: &[PlaneView]) -> bool {
+    planes.iter().any(|plane| matches!(plane.format(), PixelFormat::F32 | PixelFormat::F64))
+}
+
+/// Unknown pixels are taken for ground: for the median of the known ones.
+fn fill(planes: &[PlaneView], values: &mut [f64]) {
+    if !may_be_nan(planes) || !values.iter().any(|value| value.is_nan()) {
+        return;
+    }
+    let mut known: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
+    let middle = known.len() / 2;
+    let median = if known.is_empty() { 0.0 } else { *known.select_nth_unstable_by(middle, f64::total_cmp).1 };
+    values.iter_mut().filter(|value| value.is_nan()).for_each(|value| *value = median);
+}
+
 fn read_row(
     planes: &[PlaneView],
     window: Window,

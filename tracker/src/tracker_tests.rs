@@ -464,3 +464,25 @@ fn a_blob_in_a_stack() {
     let picture = Frame::new(&[32, 28], vec![Plane::owned(PixelFormat::U8, vec![20; 32 * 28], 32)]).unwrap();
     assert_eq!(whole.track(&picture).ending, Ending::WrongFrame);
 }
+
+/// Files of floating point have pixels that nobody knows (BLANK of FITS): they are left out, wherever they lie.
+#[test]
+fn pixels_that_are_no_numbers_are_left_out() {
+    let truth = spot(81.3, 58.7, [18.0, 13.0], 0.5, 150.0);
+    let picture = Picture { samples: 4, ..Picture::new(160, 120, vec![truth]) };
+    let is_unknown = |x: usize, y: usize| x < 9 || (88..93).contains(&x) && (50..70).contains(&y) || y == 61;
+    let pixels = picture.pixels().into_iter().enumerate();
+    let bytes: Vec<u8> = pixels
+        .flat_map(|(i, value)| if is_unknown(i % 160, i / 160) { f32::NAN } else { value as f32 }.to_le_bytes())
+        .collect();
+    let frame = Frame::new(&[160, 120], vec![Plane::owned(PixelFormat::F32, bytes, 160)]).unwrap();
+    let whole = tracker(SPOT, &[]).track(&picture.frame());
+    let mut tracker = tracker(SPOT, &[]);
+    for number in 0..3 {
+        let estimate = tracker.track(&frame.clone().with_sequence(number));
+        assert_eq!((estimate.state, estimate.ending), (TrackState::Tracking, Ending::SmallStep), "{estimate:?}");
+        let error = centre_error(&tracker, &estimate, &truth);
+        assert!(error < 0.01, "{error} {estimate:?}");
+        assert!(estimate.pixels < whole.pixels, "{} {}", estimate.pixels, whole.pixels);
+    }
+}
