@@ -188,7 +188,8 @@ impl Service {
         let entry = self.registry.get(&document.model)?;
         // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
         let is_camera = matches!(document.source, SourceReference::Own(SourceDocument::Camera(_)));
-        let held = before.as_ref().filter(|_| is_camera).map(|before| before.source().source.pause());
+        let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
+        let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
         let session = self.session_of(name, document, &entry)?;
         insert(&self.sessions, name, session);
         match before {
