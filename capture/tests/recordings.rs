@@ -129,6 +129,32 @@ fn jpeg_is_read_in_gray_and_colour() {
     assert!((first.plane_view(0).pixel(8, 4) - 90.0).abs() <= 2.0);
 }
 
+/// Damage in the middle of a picture, or its half with an end behind: an error, where most decoders make grey of it.
+#[test]
+fn jpegs_that_are_damaged_are_no_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let shade = |x: u32, y: u32| ((x * 37 + y * 91) % 251) as u8;
+    let grey = DynamicImage::from(GrayImage::from_fn(96, 64, |x, y| image::Luma([shade(x, y)])));
+    let colour = DynamicImage::from(RgbImage::from_fn(96, 64, |x, y| image::Rgb([shade(x, y), shade(y, x), 90])));
+    for (name, image) in [("grey.jpg", grey), ("colour.jpg", colour)] {
+        let path = folder.path().join(name);
+        image.save(&path).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        assert!(isophote_capture::decode(&whole).is_ok());
+        let middle = whole.len() / 2;
+        let mut zeroed = whole.clone();
+        zeroed[middle..middle + 200].fill(0);
+        // What other programs leave behind the end is none of ours.
+        assert!(isophote_capture::decode(&[&whole[..], &whole[..], &[0; 9]].concat()).is_ok());
+        let half = [&whole[..middle], &[0xff, 0xd9]].concat();
+        for damaged in [zeroed, half, whole[..middle].to_vec()] {
+            std::fs::write(&path, damaged).unwrap();
+            let message = Recording::open(&path).unwrap().next().unwrap_err().to_string();
+            assert!(message.contains(name) && message.contains("damaged: the JPEG cannot be decoded"), "{message}");
+        }
+    }
+}
+
 /// Each fault names the file and a remedy; the frame after a damaged one can still be had.
 #[test]
 fn damaged_files_are_named() {
