@@ -10,13 +10,13 @@ use isophote_tracker::Frame;
 use crate::limits::LIMITS;
 use crate::pages::{Paged, Place, Reader};
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::stack::{Kind, Node, entries, picture_size, read};
+use crate::stack::{Kind, Node, entries, picture_size, pictures_of, read};
 use crate::table::Table;
 use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG, TIFF, FITS, Y4M and MCAP files count; if there are none, its CSV files. Everything else in it
+/// Of a folder, the PNG, JPEG, TIFF and FITS files count; if there are none, Y4M and MCAP files; then its CSV files. Everything else in it
 /// (licences, notes) is left alone. Each page of a TIFF or FITS file, each frame of a video and each image of an MCAP file is
 /// a frame. Where an MCAP file holds several topics of images, the path names one behind a `#`: `run.mcap#/camera/image`.
 /// [`Recording::of_dimensions`] makes stacks of pictures, where subfolders count as well; [`Recording::for_channels`] fits
@@ -207,9 +207,9 @@ fn stacks(place: Place, dimensions: usize) -> Result<(Vec<Node>, bool), SourceEr
 fn files_of(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     let mut files = entries(folder)?;
     files.retain(|path| path.is_file());
-    let is_image = |path: &PathBuf| Kind::of(path).is_some_and(|kind| kind != Kind::Csv);
-    if files.iter().any(is_image) {
-        files.retain(is_image);
+    let pictures = pictures_of(files.clone());
+    if !pictures.is_empty() {
+        files = pictures;
     }
     if files.is_empty() {
         return Err(SourceError::Empty { path: folder.into() });

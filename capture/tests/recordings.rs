@@ -34,6 +34,21 @@ fn folders_are_read_in_natural_order_and_only_their_images() {
     assert_eq!((again.frame.sequence, again.frame.plane_view(0).pixel(2, 1)), (4, 3.0));
 }
 
+/// Recordings of other formats beside pictures are something else; alone they are the frames.
+#[test]
+fn beside_pictures_other_recordings_are_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.mcap", "b.y4m", "c.fits.fz"] {
+        std::fs::write(folder.path().join(name), "not even one").unwrap();
+    }
+    assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("a.mcap"));
+    assert!(Recording::of_dimensions(folder.path(), 3).unwrap_err().to_string().contains("a.mcap"));
+    gray(&folder.path().join("1.png"), 1);
+    gray(&folder.path().join("2.png"), 2);
+    assert_eq!(names(&mut Recording::open(folder.path()).unwrap()), ["1.png", "2.png"]);
+    assert_eq!(Recording::of_dimensions(folder.path(), 3).unwrap().size(), Some(vec![3, 2, 2]));
+}
+
 /// Every pixel of every kind of PNG comes back as it was written.
 #[test]
 fn pixels_survive_at_8_and_16_bit() {
