@@ -125,6 +125,12 @@ impl Paged {
         let Place { path, topic } = place;
         let mut file = Paged { path, format, topic, pages: 0, volume: None };
         match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume()))) {
+            // What is another format altogether should not be called by the wrong name alone.
+            Err(PageFault::Wrong(DecodeError::UnknownKind)) => {
+                let extension = file.path.extension().unwrap_or_default().display().to_string();
+                let reason = format!("it is named .{extension} but does not begin like one");
+                return Err(DecodeError::Unsupported(reason).about(&file.path));
+            }
             // Where the chain of pages breaks, nobody knows how many there were.
             Err(fault) => return Err(fault.about(&file.path)),
             Ok((0, _)) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
