@@ -368,7 +368,7 @@ fn faults_are_named() {
         ])
     };
     for (bytes, words) in [
-        (of(&ros("bayer_rggb8", &[1; 4])), "bad.mcap: its pixels are bayer_rggb8, a mosaic"),
+        (of(&ros("bayer_rgbw8", &[1; 4])), "bad.mcap: its pixels are bayer_rgbw8; mono8"),
         (of(&ros("mono8", &[1; 3])), "has 3 bytes in steps of 2; a row needs 2"),
         (of(b"\0\x01\0\0four"), "a message cannot be read: fields end early"),
         (of(b"\0\x03\0\0four"), "a message cannot be read"),
