@@ -386,7 +386,9 @@ fn odd_pictures_and_wrong_dimensions_are_named() {
     std::fs::write(path("text.tiff"), b"not a picture").unwrap();
     let whole = std::fs::read(path("deep/t0.tiff")).unwrap();
     std::fs::write(path("cut.tiff"), &whole[..whole.len() - 9]).unwrap();
-    for (name, words) in [("broken.tiff", "damaged"), ("cut.tiff", "damaged"), ("text.tiff", "not a PNG, JPEG, TIFF")] {
+    for (name, words) in
+        [("broken.tiff", "damaged"), ("cut.tiff", "damaged"), ("text.tiff", "named .tiff but does not begin")]
+    {
         for dimensions in [2, 3] {
             let error = Recording::of_dimensions(path(name), dimensions).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(words), "{error}");
