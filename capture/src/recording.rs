@@ -52,8 +52,8 @@ impl Recording {
             Kind::of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Place::from))?, true),
-            0..=2 => (pictures([place])?, false),
+            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Node::of_entry))?, true),
+            0..=2 => (pictures([Node::of_file(place)])?, false),
             _ => stacks(place, dimensions)?,
         };
         // The truth stands beside the frames.
@@ -154,10 +154,10 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
 }
 
 /// Every picture, every page and every table is a frame.
-fn pictures(files: impl IntoIterator<Item = Place>) -> Result<Vec<Node>, SourceError> {
+fn pictures(files: impl IntoIterator<Item = Result<Node, SourceError>>) -> Result<Vec<Node>, SourceError> {
     let mut frames = Vec::new();
-    for place in files {
-        match Node::of_file(place)? {
+    for file in files {
+        match file? {
             Node::Pages(file, range) => add(&mut frames, &file, range)?,
             Node::Folder(_, volumes) => {
                 for volume in volumes {

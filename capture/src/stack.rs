@@ -70,6 +70,15 @@ impl Node {
         })
     }
 
+    /// One of the files of a folder.
+    pub fn of_entry(path: PathBuf) -> Result<Node, SourceError> {
+        let node = Node::of_file(path.into())?;
+        if let Node::Page(file, _) | Node::Pages(file, _) = node.first() {
+            file.close();
+        }
+        Ok(node)
+    }
+
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
     pub fn of_path(place: Place, levels: usize) -> Result<Node, SourceError> {
         if !place.path.is_dir() {
@@ -79,7 +88,7 @@ impl Node {
         let entries = entries(path)?;
         let files = pictures_of(entries.iter().filter(|path| path.is_file()).cloned().collect());
         let nodes = match files.is_empty() {
-            false => files.into_iter().map(|path| Node::of_file(path.into())).collect::<Result<Vec<_>, _>>()?,
+            false => files.into_iter().map(Node::of_entry).collect::<Result<Vec<_>, _>>()?,
             true => {
                 let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
                 let nodes = folders.map(|path| Node::of_path(path.clone().into(), levels - 1));

@@ -269,6 +269,20 @@ fn files_of_another_library_are_read_in_the_order_of_time() {
     }
 }
 
+/// Who opens a file has it: what is in it is found out once, whatever becomes of its name meanwhile.
+#[test]
+fn a_file_is_opened_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("once.mcap");
+    std::fs::write(&path, REFERENCES[0].1).unwrap();
+    let mut recording = Recording::open(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(recording.size(), Some(vec![4, 3]));
+    assert_eq!(frames(&mut recording).len(), 7);
+    recording.rewind();
+    assert_eq!(frames(&mut recording).len(), 7);
+}
+
 #[test]
 fn one_of_several_topics_is_named_behind_the_file() {
     let folder = tempfile::tempdir().unwrap();
