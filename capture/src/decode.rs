@@ -12,6 +12,7 @@ use isophote_jit::PixelFormat;
 use isophote_tracker::{Buffer, Frame, Plane};
 
 use crate::limits::LIMITS;
+use crate::pixels::jpeg;
 use crate::source::SourceError;
 
 /// Why bytes are not a frame.
@@ -95,13 +96,13 @@ pub(crate) fn picture(bytes: &[u8]) -> Result<Picture, DecodeError> {
     let (width, height) = decoder.dimensions();
     check_size(width, height)?;
     if format == Some(ImageFormat::Jpeg) {
-        check_jpeg_end(bytes)?;
+        return jpeg_picture(bytes);
     }
     from_image(DynamicImage::from_decoder(decoder).map_err(fault)?)
 }
 
-/// Width and height that the header names.
-pub(crate) fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
+/// Width and height that the header of a PNG or JPEG image names; no pixel is decoded.
+pub fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
     let (width, height) = reader(bytes)?.into_decoder().map_err(fault)?.dimensions();
     Ok([width as usize, height as usize])
 }
@@ -136,10 +137,11 @@ pub(crate) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
     Ok(())
 }
 
-/// A JPEG that was cut short decodes to grey without a word; its missing end marker gives it away.
-fn check_jpeg_end(bytes: &[u8]) -> Result<(), DecodeError> {
-    let has_end = bytes.windows(2).rev().any(|pair| pair == [0xff, 0xd9]);
-    if has_end { Ok(()) } else { Err(DecodeError::Damaged("the JPEG ends before its end marker".into())) }
+/// Decoded strictly, as those of cameras are: most decoders make grey of what is damaged, without a word.
+fn jpeg_picture(bytes: &[u8]) -> Result<Picture, DecodeError> {
+    let (size, channels, bytes) =
+        jpeg::pixels(bytes).map_err(|reason| DecodeError::Damaged(format!("the JPEG cannot be decoded: {reason}")))?;
+    Ok(Picture { size, format: PixelFormat::U8, stored: channels, used: channels, bytes })
 }
 
 fn fault(error: ImageError) -> DecodeError {

@@ -25,6 +25,8 @@ pub struct Limits {
     pub light_dn: f64,
     /// Standard deviation of defocus, px.
     pub defocus_px: f64,
+    /// Standard deviation of glare and of veils, px: beyond it light is even, and its square is a number still.
+    pub glare_px: f64,
 }
 
 /// The bounds in force.
@@ -40,4 +42,5 @@ pub const LIMITS: Limits = Limits {
     light_items: 64,
     light_dn: 1e6,
     defocus_px: 64.0,
+    glare_px: 1e9,
 };

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use isophote_symbolic::{Diagnostics, Formula, Model};
 
+use crate::moving::formula_of_t;
+
 /// Which parameter follows which formula of `t`, seconds since the first frame.
 pub(crate) struct Motion {
     moved: Vec<(usize, String, Formula)>,
@@ -15,8 +17,8 @@ impl Motion {
         let mut moved = Vec::new();
         for (name, text) in formulas {
             let Some(id) = model.parameter(name) else { return Err(MotionFault::UnknownName(name.clone())) };
-            let formula = Formula::parse(text, &["t"])
-                .map_err(|diagnostics| MotionFault::Formula { name: name.clone(), diagnostics })?;
+            let formula =
+                formula_of_t(text).map_err(|diagnostics| MotionFault::Formula { name: name.clone(), diagnostics })?;
             moved.push((id.index(), name.clone(), formula));
         }
         Ok(Motion { moved })

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
-use isophote_symbolic::{Diagnostics, Formula};
+use isophote_symbolic::{Diagnostic, Diagnostics, Formula};
 use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +68,8 @@ pub(crate) enum Range {
     NotNegative,
     /// Both ends included.
     Between(f64, f64),
+    /// Above 0, and so much at most.
+    PositiveTo(f64),
 }
 
 impl Range {
@@ -76,6 +78,7 @@ impl Range {
             Range::Finite => true,
             Range::Positive => value > 0.0,
             Range::NotNegative => value >= 0.0,
+            Range::PositiveTo(to) => value > 0.0 && value <= to,
             Range::Between(from, to) => (from..=to).contains(&value),
         };
         is_inside && value.is_finite()
@@ -89,8 +92,21 @@ impl fmt::Display for Range {
             Range::Positive => formatter.write_str("positive"),
             Range::NotNegative => formatter.write_str("0 or positive"),
             Range::Between(from, to) => write!(formatter, "{from} to {to}"),
+            Range::PositiveTo(to) => write!(formatter, "positive, and {to} at most"),
         }
     }
+}
+
+/// A formula of `t`. Where it names something else, the help says that there is nothing else.
+pub(crate) fn formula_of_t(text: &str) -> Result<Formula, Diagnostics> {
+    let helped = |mut diagnostic: Diagnostic| {
+        if diagnostic.code == "unknown-name" {
+            diagnostic.help =
+                Some("only t is known, the seconds since the first frame, beside functions and pi".into());
+        }
+        diagnostic
+    };
+    Formula::parse(text, &["t"]).map_err(|diagnostics| diagnostics.into_iter().map(helped).collect())
 }
 
 /// A [`Moving`] that has been read.
@@ -116,7 +132,7 @@ impl Law {
         match moving {
             Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
             Moving::Number(number) => Err(MovingFault::Range(format!("is {number}; it must be {range}"))),
-            Moving::Formula(text) => Formula::parse(text, &["t"]).map(Law::Moves).map_err(MovingFault::Formula),
+            Moving::Formula(text) => formula_of_t(text).map(Law::Moves).map_err(MovingFault::Formula),
         }
     }
 

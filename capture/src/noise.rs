@@ -2,7 +2,7 @@
 //!
 //! A pixel that should read m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts
 //! Poisson(e) of them, adds N(0, read noise²) electrons, is converted back to DN, times the gain, rounded, and clipped to
-//! 0…saturation. Without electrons (a full well of 0) it is only rounded and clipped.
+//! 0…saturation, below a gain of 1 to 0…gain · saturation, where the full well ends. Without electrons (a full well of 0) it is only rounded and clipped.
 //!
 //! Poisson numbers are exact: inversion for small means, Hörmann's transformed rejection PTRS otherwise (W. Hörmann, The
 //! transformed rejection method for generating Poisson random variables, Insurance: Mathematics and Economics 12, 1993).
@@ -37,9 +37,10 @@ const GROUNDS_MAX: u32 = 2;
 
 /// Reads frames out, row by row.
 pub(crate) struct ReadOut {
+    /// At the gain of this frame…
     sensor: Sensor,
-    /// Of the sensor at a gain of 1.
-    electrons_per_dn: f64,
+    /// …and at a gain of 1.
+    ungained: Sensor,
     random: Random,
     /// The last mean, how many pixels it has stood for, and its distribution.
     mean_dn: f32,
@@ -56,18 +57,18 @@ impl ReadOut {
     /// For frames from number 0 on.
     pub fn new(sensor: Sensor) -> ReadOut {
         let (random, poisson) = (Random::of_frame(0, 0), Poisson::new(0.0));
-        let (electrons_per_dn, mean_dn) = (sensor.electrons_per_dn, f32::NAN);
-        ReadOut { sensor, electrons_per_dn, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
+        let (ungained, mean_dn) = (sensor, f32::NAN);
+        ReadOut { sensor, ungained, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
     }
 
     /// Starts a frame: its random numbers are its own. With a gain of g, m electrons read g times as many DN: the means
     /// that follow are g times the light.
     pub fn begin(&mut self, seed: u64, frame: u64, gain: f64) {
         self.random = Random::of_frame(seed, frame);
-        let electrons_per_dn = self.electrons_per_dn / gain;
-        if electrons_per_dn != self.sensor.electrons_per_dn {
+        let sensor = self.ungained.at(gain);
+        if sensor != self.sensor {
             // Tables are of the gain that they were made at.
-            self.sensor.electrons_per_dn = electrons_per_dn;
+            self.sensor = sensor;
             (self.ground, self.memory) = (None, None);
         }
         (self.mean_dn, self.run, self.grounds) = (f32::NAN, 0, 0);
@@ -117,6 +118,12 @@ impl ReadOut {
 }
 
 impl Sensor {
+    /// With a gain: a full well reads no more than it holds, whatever could still be said in DN.
+    fn at(self, gain: f64) -> Sensor {
+        let saturation = self.saturation.min(gain * self.saturation);
+        Sensor { saturation, electrons_per_dn: self.electrons_per_dn / gain, ..self }
+    }
+
     /// Rounded (half up) and clipped; a NaN reads 0.
     fn digitised(&self, dn: f64) -> u16 {
         // `as` saturates, truncates and sends NaN to 0; the value is not negative by then.
@@ -273,6 +280,25 @@ mod tests {
         let mut pixels = [7; 10];
         ReadOut::new(sensor).row(&means, &mut pixels);
         assert_eq!(pixels, [0, 0, 0, 1, 2, 252, 253, 253, 0, 253]);
+    }
+
+    /// Light beyond the full well reads what the well holds, times a gain below 1; above it saturation is the end. Ground
+    /// (a table) and single pixels alike.
+    #[test]
+    fn below_a_gain_of_one_the_full_well_is_the_end() {
+        for electrons_per_dn in [0.0, 19.6] {
+            let sensor = Sensor { saturation: 200.0, electrons_per_dn, read_noise_e: 5.0 };
+            let mut read_out = ReadOut::new(sensor);
+            for (gain, end) in [(1.0, 200), (0.5, 100), (0.333, 66), (2.0, 200)] {
+                read_out.begin(3, 0, gain);
+                let mut pixels = vec![0; 1000];
+                // Twice as many electrons as there is room for.
+                read_out.row(&vec![400.0 * gain as f32; 1000], &mut pixels);
+                assert_eq!(pixels, vec![end; 1000], "gain {gain}");
+                read_out.row(&[60.0 * gain as f32], &mut pixels[..1]);
+                assert!(f64::from(pixels[0]).max(1.0) < 80.0 * gain, "gain {gain}: {}", pixels[0]);
+            }
+        }
     }
 
     /// Mean and variance of 1,000,000 pixels: σ²(DN) = m/g + (r/g)² + 1/12 for g electrons a DN and r electrons of read

@@ -4,7 +4,7 @@
 //! A further format is a file with an `impl Pages` and a row in [`Format`].
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::decode::{DecodeError, Picture};
 use crate::fits::Fits;
@@ -106,8 +106,7 @@ impl From<PathBuf> for Place {
     }
 }
 
-/// A file of several pictures, not open.
-#[derive(Debug, PartialEq, Eq)]
+/// A file of several pictures.
 pub(crate) struct Paged {
     pub path: PathBuf,
     format: Format,
@@ -117,20 +116,44 @@ pub(crate) struct Paged {
     pub pages: usize,
     /// How many of them are a volume, where the file is a series of volumes.
     pub volume: Option<usize>,
+    /// As it was opened to count them, for whoever reads first: finding out what is in a file may mean unpacking it.
+    kept: Mutex<Option<Box<dyn Pages>>>,
+}
+
+impl std::fmt::Debug for Paged {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Paged { path, format, topic, pages, volume, .. } = self;
+        f.debug_tuple("Paged").field(path).field(format).field(topic).field(pages).field(volume).finish()
+    }
 }
 
 impl Paged {
     /// Counts the pictures of a file.
     pub fn of(place: Place, format: Format) -> Result<Paged, SourceError> {
         let Place { path, topic } = place;
-        let mut file = Paged { path, format, topic, pages: 0, volume: None };
-        match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume()))) {
+        let mut file = Paged { path, format, topic, pages: 0, volume: None, kept: Mutex::default() };
+        match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume(), open))) {
+            // What is another format altogether should not be called by the wrong name alone.
+            Err(PageFault::Wrong(DecodeError::UnknownKind)) => {
+                let extension = file.path.extension().unwrap_or_default().display().to_string();
+                let reason = format!("it is named .{extension} but does not begin like one");
+                return Err(DecodeError::Unsupported(reason).about(&file.path));
+            }
             // Where the chain of pages breaks, nobody knows how many there were.
             Err(fault) => return Err(fault.about(&file.path)),
-            Ok((0, _)) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
-            Ok((pages, volume)) => (file.pages, file.volume) = (pages, volume),
+            Ok((0, ..)) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
+            Ok((pages, volume, open)) => (file.pages, file.volume, file.kept) = (pages, volume, Mutex::new(Some(open))),
         }
         if file.pages > LIMITS.files { Err(SourceError::too_many(&file.path)) } else { Ok(file) }
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Option<Box<dyn Pages>>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Of many files each would take one of the few that a process may have open.
+    pub fn close(&self) {
+        *self.kept() = None;
     }
 
     fn open(&self) -> Result<Box<dyn Pages>, PageFault> {
@@ -160,7 +183,10 @@ impl Paged {
 
     /// Width and height of a page.
     pub fn size(&self, page: usize) -> Option<[usize; 2]> {
-        self.open().ok()?.size(page).ok()
+        match &mut *self.kept() {
+            Some(open) => open.size(page).ok(),
+            None => self.open().ok()?.size(page).ok(),
+        }
     }
 }
 
@@ -180,6 +206,7 @@ impl Reader {
     /// The pixels of a page, from 0.
     pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<Picture, SourceError> {
         let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, pages)| pages);
+        let known = known.or_else(|| file.kept().take());
         let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.about(&file.path))?;
         let (_, pages) = self.open.insert((file.clone(), pages));
         pages.picture(page).map_err(|fault| fault.about(&file.path))

@@ -10,13 +10,13 @@ use isophote_tracker::Frame;
 use crate::limits::LIMITS;
 use crate::pages::{Paged, Place, Reader};
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::stack::{Kind, Node, entries, picture_size, read};
+use crate::stack::{Kind, Node, entries, picture_size, pictures_of, read};
 use crate::table::Table;
 use crate::truth;
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG, TIFF, FITS, Y4M and MCAP files count; if there are none, its CSV files. Everything else in it
+/// Of a folder, the PNG, JPEG, TIFF and FITS files count; if there are none, Y4M and MCAP files; then its CSV files. Everything else in it
 /// (licences, notes) is left alone. Each page of a TIFF or FITS file, each frame of a video and each image of an MCAP file is
 /// a frame. Where an MCAP file holds several topics of images, the path names one behind a `#`: `run.mcap#/camera/image`.
 /// [`Recording::of_dimensions`] makes stacks of pictures, where subfolders count as well; [`Recording::for_channels`] fits
@@ -52,8 +52,8 @@ impl Recording {
             Kind::of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Place::from))?, true),
-            0..=2 => (pictures([place])?, false),
+            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Node::of_entry))?, true),
+            0..=2 => (pictures([Node::of_file(place)])?, false),
             _ => stacks(place, dimensions)?,
         };
         // The truth stands beside the frames.
@@ -154,10 +154,10 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
 }
 
 /// Every picture, every page and every table is a frame.
-fn pictures(files: impl IntoIterator<Item = Place>) -> Result<Vec<Node>, SourceError> {
+fn pictures(files: impl IntoIterator<Item = Result<Node, SourceError>>) -> Result<Vec<Node>, SourceError> {
     let mut frames = Vec::new();
-    for place in files {
-        match Node::of_file(place)? {
+    for file in files {
+        match file? {
             Node::Pages(file, range) => add(&mut frames, &file, range)?,
             Node::Folder(_, volumes) => {
                 for volume in volumes {
@@ -207,9 +207,9 @@ fn stacks(place: Place, dimensions: usize) -> Result<(Vec<Node>, bool), SourceEr
 fn files_of(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     let mut files = entries(folder)?;
     files.retain(|path| path.is_file());
-    let is_image = |path: &PathBuf| Kind::of(path).is_some_and(|kind| kind != Kind::Csv);
-    if files.iter().any(is_image) {
-        files.retain(is_image);
+    let pictures = pictures_of(files.clone());
+    if !pictures.is_empty() {
+        files = pictures;
     }
     if files.is_empty() {
         return Err(SourceError::Empty { path: folder.into() });

@@ -50,6 +50,8 @@ pub struct SyntheticSpec {
     pub full_well_e: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f64,
+    /// So many times the light: times what the knob of [`Exposure`](crate::Exposure) says.
+    pub exposure: Moving,
     /// DN for each DN, after the electrons are counted: it amplifies light and noise, but not rounding.
     pub gain: Moving,
     /// Pixel values are clipped here, DN.
@@ -85,6 +87,7 @@ impl SyntheticSpec {
             samples: 8,
             full_well_e: 0.0,
             read_noise_e: 0.0,
+            exposure: Moving::Number(1.0),
             gain: Moving::Number(1.0),
             saturation: 255.0,
             light: Light::default(),
@@ -127,10 +130,10 @@ pub enum SyntheticError {
         /// The faults, with places in the formula.
         diagnostics: Diagnostics,
     },
-    /// The light or the gain is wrong.
+    /// The light, the exposure or the gain is wrong.
     #[error("`{key}` {reason}")]
     Light {
-        /// As in the document, `light.glare[0].x` or `gain`.
+        /// As in the document, `light.glare[0].x`, `exposure` or `gain`.
         key: String,
         /// What is wrong with it.
         reason: String,

@@ -70,6 +70,15 @@ impl Node {
         })
     }
 
+    /// One of the files of a folder.
+    pub fn of_entry(path: PathBuf) -> Result<Node, SourceError> {
+        let node = Node::of_file(path.into())?;
+        if let Node::Page(file, _) | Node::Pages(file, _) = node.first() {
+            file.close();
+        }
+        Ok(node)
+    }
+
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
     pub fn of_path(place: Place, levels: usize) -> Result<Node, SourceError> {
         if !place.path.is_dir() {
@@ -77,10 +86,9 @@ impl Node {
         }
         let path = &place.path;
         let entries = entries(path)?;
-        let files: Vec<&PathBuf> =
-            entries.iter().filter(|path| path.is_file() && Kind::of(path).is_some_and(|k| k != Kind::Csv)).collect();
+        let files = pictures_of(entries.iter().filter(|path| path.is_file()).cloned().collect());
         let nodes = match files.is_empty() {
-            false => files.into_iter().map(|path| Node::of_file(path.clone().into())).collect::<Result<Vec<_>, _>>()?,
+            false => files.into_iter().map(Node::of_entry).collect::<Result<Vec<_>, _>>()?,
             true => {
                 let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
                 let nodes = folders.map(|path| Node::of_path(path.clone().into(), levels - 1));
@@ -259,6 +267,20 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     }
     found.sort_by(|a, b| natural(&a.0, &b.0));
     Ok(found.into_iter().map(|(_, path)| path).collect())
+}
+
+/// The files of a folder that are its pictures. Those of formats that hold a whole recording, or that have to be unpacked
+/// first, count where there are no others: beside pictures they are something else.
+pub(crate) fn pictures_of(mut files: Vec<PathBuf>) -> Vec<PathBuf> {
+    let is_whole = |path: &PathBuf| {
+        let packed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("fz"));
+        packed || matches!(Kind::of(path), Some(Kind::Paged(Format::Y4m | Format::Mcap)))
+    };
+    files.retain(|path| Kind::of(path).is_some_and(|kind| kind != Kind::Csv));
+    if !files.iter().all(is_whole) {
+        files.retain(|path| !is_whole(path));
+    }
+    files
 }
 
 fn odd_one(path: &Path, reason: &str) -> SourceError {

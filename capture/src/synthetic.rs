@@ -34,6 +34,7 @@ pub struct Synthetic {
     read_outs: Vec<ReadOut>,
     motion: Motion,
     light: Light<Law>,
+    own_exposure: Law,
     gain: Law,
     parameters: Vec<f64>,
     constants: Vec<f64>,
@@ -66,7 +67,8 @@ impl Synthetic {
         })?;
         let (parameters, constants) = numbers(&spec)?;
         let light = light::read(&spec.light).map_err(wrong_light)?;
-        let gain = light::read_gain(&spec.gain).map_err(wrong_light)?;
+        let own_exposure = light::read_factor("exposure", &spec.exposure).map_err(wrong_light)?;
+        let gain = light::read_factor("gain", &spec.gain).map_err(wrong_light)?;
         let electrons_per_dn = spec.full_well_e / spec.saturation;
         let sensor = Sensor { saturation: spec.saturation, electrons_per_dn, read_noise_e: spec.read_noise_e };
         let read_outs = scenes.iter().map(|_| ReadOut::new(sensor)).collect();
@@ -80,6 +82,7 @@ impl Synthetic {
             read_outs,
             motion,
             light,
+            own_exposure,
             gain,
             parameters,
             constants,
@@ -114,7 +117,7 @@ impl Synthetic {
         Ok(parameters)
     }
 
-    /// The exposure of the next frame: what was set so many frames ago.
+    /// What the knob says of the next frame: what was set so many frames ago.
     fn take_exposure(&mut self) -> f64 {
         self.exposures.push_back(self.exposure.get());
         self.exposures.pop_front().unwrap_or(1.0)
@@ -124,7 +127,8 @@ impl Synthetic {
     fn seen(&mut self, frame: u64) -> Result<Seen, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let t_s = self.t_s(frame);
-        let gain = light::gain_at(&self.gain, t_s).map_err(fault)?;
+        let own_exposure = light::factor_at("exposure", &self.own_exposure, t_s).map_err(fault)?;
+        let gain = light::factor_at("gain", &self.gain, t_s).map_err(fault)?;
         let shine = match self.light.is_clean() {
             true => None,
             false => {
@@ -132,7 +136,7 @@ impl Synthetic {
                 Some(Shine::at(&self.light, t_s, [width, height], self.spec.saturation).map_err(fault)?)
             }
         };
-        Ok(Seen { exposure: self.take_exposure(), gain, shine })
+        Ok(Seen { exposure: own_exposure * self.take_exposure(), gain, shine })
     }
 
     /// Pixels along each axis.
@@ -155,8 +159,8 @@ impl Synthetic {
         let mut bytes = Vec::with_capacity(width * height * depth * length * format.bytes_per_pixel());
         let blur = seen.defocus_px().map(|sigma_px| Blur::new(sigma_px, self.size.len()));
         let factor = (seen.exposure * seen.gain) as f32;
-        // The saturation limit is at most that of the bits, so nothing is cut here and below.
-        let saturation = self.spec.saturation as u16;
+        // The saturation limit is at most that of the bits, so nothing is cut here and below. Blind pixels are full wells.
+        let saturation = (self.spec.saturation * seen.gain.min(1.0)) as u16;
         for slices in (0..length).flat_map(|w| (0..depth).map(move |z| Slices { first: [z, w], ..Slices::ONE })) {
             let slice = Window { x: 0, y: 0, width, height, slices };
             let blurred =

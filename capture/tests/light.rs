@@ -262,6 +262,32 @@ fn gain_amplifies_light_and_noise_but_not_rounding() {
     }
 }
 
+/// The camera's own exposure and that of the knob are one factor: light and its truth, but not the noise of reading.
+#[test]
+fn an_exposure_of_its_own_is_a_factor_beside_that_of_the_knob() {
+    let exposure = "if(t < 1, 2, 3)".parse().unwrap();
+    let spec = SyntheticSpec { exposure, rate_hz: 1.0, exposure_latency: 1, ..even(Light::default()) };
+    let mut camera = Synthetic::new(spec).unwrap();
+    camera.exposure().unwrap().set(0.5);
+    for expected in [2.0, 1.5, 1.5] {
+        let captured = camera.next().unwrap().unwrap();
+        assert_eq!(captured.frame.plane_view(0).pixel(3, 2), 5000.0 * expected);
+        assert_eq!(captured.truth.unwrap()["v"], expected);
+    }
+    let wrong = SyntheticSpec { exposure: 0.0.into(), ..even(Light::default()) };
+    assert_eq!(Synthetic::new(wrong).err().unwrap().to_string(), "`exposure` is 0; it must be positive");
+}
+
+/// Blind pixels are full wells: a gain below 1 reads these as what they hold.
+#[test]
+fn blind_pixels_end_where_the_full_well_does() {
+    let light = Light { blind: vec![blind(0.0, 0.0, 4.0, 4.0)], ..Light::default() };
+    for (gain, end) in [(0.5, 32_767.0), (2.0, 65_535.0)] {
+        let frame = Synthetic::new(SyntheticSpec { gain: gain.into(), ..even(light.clone()) }).unwrap().next();
+        assert_eq!(frame.unwrap().unwrap().frame.plane_view(0).pixel(1, 1), end);
+    }
+}
+
 /// A frame is the same whatever was read before it, also when the gain changes.
 #[test]
 fn a_gain_that_moves_leaves_nothing_behind() {
@@ -317,7 +343,11 @@ fn wrong_light_is_told_by_its_key() {
         ),
         (
             "{\"glare\": [{\"sigma_px\": 2, \"height\": 5, \"y\": \"u\"}]}".into(),
-            "`light.glare[0].y` is no formula of t: ",
+            "`light.glare[0].y` is no formula of t: `u` is not defined (only t is known, the seconds since the first frame",
+        ),
+        (
+            "{\"glare\": [{\"sigma_px\": 1e200, \"height\": 5, \"y\": 3}]}".into(),
+            "`light.glare[0].sigma_px` is 1000000000000000000",
         ),
         ("{\"glare\": [{\"sigma_px\": 2}]}".into(), "missing field `height`"),
         (format!("{{\"glare\": [{{{lobe}, \"width\": 3}}]}}"), "unknown field `width`"),
@@ -337,7 +367,7 @@ fn wrong_light_is_told_by_its_key() {
             "{\"occluders\": [{\"value\": 2e6}]}".into(),
             "`light.occluders[0].value` is 2000000; it must be 0 to 1000000",
         ),
-        ("{\"blind\": [{\"soft_px\": -0.5}]}".into(), "`light.blind[0].soft_px` is -0.5; it must be 0 or positive"),
+        ("{\"blind\": [{\"soft_px\": -0.5}]}".into(), "`light.blind[0].soft_px` is -0.5; it must be 0 to 1000000000"),
         ("{\"slope\": [1]}".into(), "invalid length 1"),
         ("{\"slope\": [1, true]}".into(), "invalid type: boolean `true`, expected a number or a formula of t"),
         ("{\"defocus_px\": 64.1}".into(), "`light.defocus_px` is 64.1; it must be 0 to 64"),

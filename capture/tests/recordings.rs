@@ -34,6 +34,21 @@ fn folders_are_read_in_natural_order_and_only_their_images() {
     assert_eq!((again.frame.sequence, again.frame.plane_view(0).pixel(2, 1)), (4, 3.0));
 }
 
+/// Recordings of other formats beside pictures are something else; alone they are the frames.
+#[test]
+fn beside_pictures_other_recordings_are_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.mcap", "b.y4m", "c.fits.fz"] {
+        std::fs::write(folder.path().join(name), "not even one").unwrap();
+    }
+    assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("a.mcap"));
+    assert!(Recording::of_dimensions(folder.path(), 3).unwrap_err().to_string().contains("a.mcap"));
+    gray(&folder.path().join("1.png"), 1);
+    gray(&folder.path().join("2.png"), 2);
+    assert_eq!(names(&mut Recording::open(folder.path()).unwrap()), ["1.png", "2.png"]);
+    assert_eq!(Recording::of_dimensions(folder.path(), 3).unwrap().size(), Some(vec![3, 2, 2]));
+}
+
 /// Every pixel of every kind of PNG comes back as it was written.
 #[test]
 fn pixels_survive_at_8_and_16_bit() {
@@ -127,6 +142,32 @@ fn jpeg_is_read_in_gray_and_colour() {
     let second = recording.next().unwrap().unwrap().frame;
     assert_eq!((first.planes().len(), second.planes().len()), (1, 3));
     assert!((first.plane_view(0).pixel(8, 4) - 90.0).abs() <= 2.0);
+}
+
+/// Damage in the middle of a picture, or its half with an end behind: an error, where most decoders make grey of it.
+#[test]
+fn jpegs_that_are_damaged_are_no_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let shade = |x: u32, y: u32| ((x * 37 + y * 91) % 251) as u8;
+    let grey = DynamicImage::from(GrayImage::from_fn(96, 64, |x, y| image::Luma([shade(x, y)])));
+    let colour = DynamicImage::from(RgbImage::from_fn(96, 64, |x, y| image::Rgb([shade(x, y), shade(y, x), 90])));
+    for (name, image) in [("grey.jpg", grey), ("colour.jpg", colour)] {
+        let path = folder.path().join(name);
+        image.save(&path).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        assert!(isophote_capture::decode(&whole).is_ok());
+        let middle = whole.len() / 2;
+        let mut zeroed = whole.clone();
+        zeroed[middle..middle + 200].fill(0);
+        // What other programs leave behind the end is none of ours.
+        assert!(isophote_capture::decode(&[&whole[..], &whole[..], &[0; 9]].concat()).is_ok());
+        let half = [&whole[..middle], &[0xff, 0xd9]].concat();
+        for damaged in [zeroed, half, whole[..middle].to_vec()] {
+            std::fs::write(&path, damaged).unwrap();
+            let message = Recording::open(&path).unwrap().next().unwrap_err().to_string();
+            assert!(message.contains(name) && message.contains("damaged: the JPEG cannot be decoded"), "{message}");
+        }
+    }
 }
 
 /// Each fault names the file and a remedy; the frame after a damaged one can still be had.
@@ -345,7 +386,9 @@ fn odd_pictures_and_wrong_dimensions_are_named() {
     std::fs::write(path("text.tiff"), b"not a picture").unwrap();
     let whole = std::fs::read(path("deep/t0.tiff")).unwrap();
     std::fs::write(path("cut.tiff"), &whole[..whole.len() - 9]).unwrap();
-    for (name, words) in [("broken.tiff", "damaged"), ("cut.tiff", "damaged"), ("text.tiff", "not a PNG, JPEG, TIFF")] {
+    for (name, words) in
+        [("broken.tiff", "damaged"), ("cut.tiff", "damaged"), ("text.tiff", "named .tiff but does not begin")]
+    {
         for dimensions in [2, 3] {
             let error = Recording::of_dimensions(path(name), dimensions).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(words), "{error}");

@@ -51,7 +51,10 @@ pub struct RenderArgs {
     /// Standard deviation of the read noise
     #[arg(long, value_name = "E", default_value_t = 0.0)]
     pub read_noise_e: f64,
-    /// DN for each DN after the electrons are counted, a number or a formula of t
+    /// So many times the light, a number or a formula of t
+    #[arg(long, value_name = "FACTOR", default_value = "1")]
+    pub exposure: Moving,
+    /// Amplifies what was read, light and noise alike, but not the rounding; a number or a formula of t
     #[arg(long, value_name = "GAIN", default_value = "1")]
     pub gain: Moving,
     /// Glare, occluders, blindness and defocus: JSON, as `light` of a synthetic source
@@ -93,6 +96,7 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         samples: args.samples,
         full_well_e: args.full_well_e,
         read_noise_e: args.read_noise_e,
+        exposure: args.exposure.clone(),
         gain: args.gain.clone(),
         light: args.light.as_deref().map(read_light).transpose()?.unwrap_or_default(),
         saturation: args.saturation.unwrap_or_else(|| f64::from((1u32 << args.bits.clamp(1, 16)) - 1)),

@@ -109,6 +109,12 @@ fn bad_light_is_rendered_from_a_file() {
     assert!(status == 2 && message.contains("light.json: unknown field `blindness`"), "{message}");
     let (status, message) = failure(&["render", text(&spot), "--out", text(&out), "--gain", "2*u"]);
     assert!(status == 2 && message.contains("`gain` is no formula of t"), "{message}");
+    assert!(message.contains("only t is known"), "{message}");
+    let (status, message) = failure(&["render", text(&spot), "--out", text(&out), "--exposure", "0"]);
+    assert!(status == 2 && message.contains("`exposure` is 0; it must be positive"), "{message}");
+    output(&["render", text(&spot), "--out", text(&out), "--size", "64x48", "--set", "v0=20", "--exposure", "1.5 + t"]);
+    let truth = lines(&std::fs::read_to_string(out.join("truth.jsonl")).unwrap());
+    assert_eq!(truth[0]["parameters"]["v0"], 30.0);
 }
 
 #[test]

@@ -78,6 +78,10 @@ impl Problem {
     pub fn stopping() -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the service is stopping")
     }
+    /// 503: it took longer than is waited for.
+    pub fn late(detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
+    }
     /// 500: our fault.
     pub fn bug(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "bug", detail)

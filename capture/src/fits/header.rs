@@ -29,6 +29,8 @@ pub(crate) struct Header {
     pub scale: f64,
     /// The stored integer that stands for no value.
     pub blank: Option<i64>,
+    /// The words behind `BZERO`, `BSCALE` and `BLANK`: in headers of other things they may say anything.
+    scaling: [Option<Vec<u8>>; 3],
     kind: Kind,
     /// Further bytes behind the array, and how often all that is repeated.
     heap: u64,
@@ -50,8 +52,9 @@ pub(crate) fn first_image(file: &mut File, file_bytes: u64) -> Result<(Header, u
         if at >= file_bytes {
             break;
         }
-        let Some((header, start)) = header(file, at, number)? else { break };
+        let Some((mut header, start)) = header(file, at, number)? else { break };
         if header.kind == Kind::Image && !header.axes.is_empty() && !header.axes.contains(&0) {
+            header.read_scaling()?;
             return Ok((header, start));
         }
         has_tiles |= header.kind == Kind::Tiles;
@@ -75,6 +78,7 @@ fn header(file: &mut File, at: u64, number: usize) -> Result<Option<(Header, u64
         zero: 0.0,
         scale: 1.0,
         blank: None,
+        scaling: [const { None }; 3],
         kind: Kind::Other,
         heap: 0,
         groups: 1,
@@ -127,15 +131,31 @@ impl Header {
             }
             "PCOUNT" => self.heap = natural(name, value)?,
             "GCOUNT" => self.groups = natural(name, value)?,
-            "BZERO" => self.zero = real(name, value)?,
-            "BSCALE" => self.scale = real(name, value)?,
-            "BLANK" => self.blank = Some(integer(name, value)?),
+            "BZERO" => self.scaling[0] = Some(value.into()),
+            "BSCALE" => self.scaling[1] = Some(value.into()),
+            "BLANK" => self.scaling[2] = Some(value.into()),
             _ => {
                 let axis = name.strip_prefix("NAXIS").and_then(|number| number.parse::<usize>().ok());
                 if let Some(axis) = axis.and_then(|axis| self.axes.get_mut(axis.checked_sub(1)?)) {
                     *axis = natural(name, value)?;
                 }
             }
+        }
+        Ok(())
+    }
+
+    /// What stored numbers mean. A keyword without a value is absent, and floating point has no blank but NaN.
+    fn read_scaling(&mut self) -> Result<(), DecodeError> {
+        let [zero, scale, blank] =
+            std::mem::take(&mut self.scaling).map(|value| value.filter(|value| !plain(value).is_empty()));
+        if let Some(zero) = zero {
+            self.zero = real("BZERO", &zero)?;
+        }
+        if let Some(scale) = scale {
+            self.scale = real("BSCALE", &scale)?;
+        }
+        if let Some(blank) = blank.filter(|_| self.bitpix > 0) {
+            self.blank = Some(integer("BLANK", &blank)?);
         }
         Ok(())
     }

@@ -11,7 +11,7 @@ pub(crate) mod defocus;
 mod read;
 pub(crate) mod shine;
 
-pub(crate) use read::{gain_at, read, read_gain};
+pub(crate) use read::{factor_at, read, read_factor};
 
 use serde::{Deserialize, Serialize};
 

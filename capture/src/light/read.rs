@@ -14,6 +14,10 @@ const SIDE: Range = Range::NotNegative;
 const DN: Range = Range::Between(0.0, LIMITS.light_dn);
 /// Light a pixel.
 const SLOPE: Range = Range::Between(-LIMITS.light_dn, LIMITS.light_dn);
+/// Softness.
+const SOFT: Range = Range::Between(0.0, LIMITS.glare_px);
+/// Width of a lobe.
+const LOBE: Range = Range::PositiveTo(LIMITS.glare_px);
 /// Blur.
 const BLUR: Range = Range::Between(0.0, LIMITS.defocus_px);
 
@@ -72,14 +76,14 @@ pub(crate) fn at(light: &Light<Law>, t_s: f64) -> Result<Light<f64>, String> {
     Ok(values)
 }
 
-/// Reads a gain.
-pub(crate) fn read_gain(gain: &Moving) -> Result<Law, Fault> {
-    Law::read(gain, Range::Positive).map_err(|fault| ("gain".to_string(), fault))
+/// Reads a factor of light, which is called `key`: an exposure or a gain.
+pub(crate) fn read_factor(key: &str, factor: &Moving) -> Result<Law, Fault> {
+    Law::read(factor, Range::Positive).map_err(|fault| (key.to_string(), fault))
 }
 
-/// The gain at time `t_s`.
-pub(crate) fn gain_at(gain: &Law, t_s: f64) -> Result<f64, String> {
-    gain.at(t_s, Range::Positive).map_err(|reason| format!("`gain` {reason}"))
+/// The factor at time `t_s`.
+pub(crate) fn factor_at(key: &str, factor: &Law, t_s: f64) -> Result<f64, String> {
+    factor.at(t_s, Range::Positive).map_err(|reason| format!("`{key}` {reason}"))
 }
 
 impl<T> Light<T> {
@@ -114,7 +118,7 @@ impl<T> Glare<T> {
         Ok(Glare {
             x: self.x.as_ref().map(|x| of("x", ANYWHERE, x)).transpose()?,
             y: self.y.as_ref().map(|y| of("y", ANYWHERE, y)).transpose()?,
-            sigma_px: of("sigma_px", Range::Positive, &self.sigma_px)?,
+            sigma_px: of("sigma_px", LOBE, &self.sigma_px)?,
             height: of("height", DN, &self.height)?,
             from_s: self.from_s,
             to_s: self.to_s,
@@ -145,7 +149,7 @@ impl<T> Blind<T> {
             y: self.y.as_ref().map(|y| of("y", ANYWHERE, y)).transpose()?,
             width: self.width.as_ref().map(|width| of("width", SIDE, width)).transpose()?,
             height: self.height.as_ref().map(|height| of("height", SIDE, height)).transpose()?,
-            soft_px: self.soft_px.as_ref().map(|px| of("soft_px", SIDE, px)).transpose()?,
+            soft_px: self.soft_px.as_ref().map(|px| of("soft_px", SOFT, px)).transpose()?,
             from_s: self.from_s,
             to_s: self.to_s,
         })

@@ -16,8 +16,12 @@ use super::chunk;
 use super::message::{Encoding, Layout};
 use super::records::{CHUNK_HEAD_BYTES, Channel, Chunk, HEAD_BYTES, MAGIC, MESSAGE_BYTES, Message, Rest, Schema, op};
 
-/// Bytes of a schema, a channel or a message index; message indexes, and pictures of all topics.
+/// Bytes of a schema, a channel or a message index; message indexes, and pictures of all topics; bytes of a topic's name.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
+const TOPIC_BYTES_MAX: usize = 1024;
+/// Bytes that are unpacked to find the pictures: so many, or so many times the file's bytes where that is more.
+const UNPACKED_BYTES_MAX: u64 = 16 << 30;
+const UNPACKED_TIMES_MAX: u64 = 4;
 const INDEXES_MAX: usize = 4_000_000;
 const PLACES_MAX: usize = 4_000_000;
 
@@ -51,14 +55,22 @@ pub(super) struct Index {
     indexes: Vec<Vec<(u16, u64, u64)>>,
     /// In the order of their log times; with the same time, of the file.
     pub places: Vec<Place>,
+    /// The file has what was recorded to the end; without, nobody knows how much is missing.
+    pub is_whole: bool,
 }
 
 impl Index {
     /// Walks through the file.
     pub fn of(file: &mut BufReader<File>, file_bytes: u64) -> Result<Index, PageFault> {
+        let unpacked_max = UNPACKED_BYTES_MAX.max(file_bytes.saturating_mul(UNPACKED_TIMES_MAX));
+        Index::within(file, file_bytes, unpacked_max)
+    }
+
+    fn within(file: &mut BufReader<File>, file_bytes: u64, unpacked_max: u64) -> Result<Index, PageFault> {
         let mut index = Index::default();
-        let is_whole = index.walk(file, file_bytes)?;
-        if let (false, Some(last)) = (is_whole, index.indexes.last_mut()) {
+        let mut unpacked = 0u64;
+        index.is_whole = index.walk(file, file_bytes)?;
+        if let (false, Some(last)) = (index.is_whole, index.indexes.last_mut()) {
             // Some of its indexes may not have been written any more.
             last.clear();
         }
@@ -67,6 +79,10 @@ impl Index {
             let is_known = |(channel, ..): &(u16, u64, u64)| index.streams.contains_key(channel);
             if indexes.is_empty() || !indexes.iter().all(is_known) {
                 let records = chunk::unpack(file, &index.chunks[number])?;
+                unpacked += records.len() as u64;
+                if unpacked > unpacked_max {
+                    return Err(too_many("bytes in chunks without an index"));
+                }
                 index.scan(&records, number as u32)?;
                 continue;
             }
@@ -81,23 +97,26 @@ impl Index {
         Ok(index)
     }
 
-    /// Takes note of the file's records; whether it ends as it should.
+    /// Takes note of the file's records; whether those with pictures end as they should.
     fn walk(&mut self, file: &mut BufReader<File>, file_bytes: u64) -> Result<bool, PageFault> {
         let mut magic = Vec::new();
         file.take(MAGIC.len() as u64).read_to_end(&mut magic)?;
         if magic != MAGIC {
             return Err(DecodeError::UnknownKind.into());
         }
-        let (mut at, mut count) = (MAGIC.len() as u64, 0);
+        let (mut at, mut count, mut is_whole) = (MAGIC.len() as u64, 0, false);
         while at + (HEAD_BYTES as u64) <= file_bytes {
             let head = content(file, at, HEAD_BYTES as u64)?;
             let (mut head, begin) = (Rest(&head), at + HEAD_BYTES as u64);
             let (Some(opcode), Some(bytes)) = (head.u8(), head.u64()) else { break };
             let Some(end) = begin.checked_add(bytes).filter(|end| *end <= file_bytes) else { break };
             match opcode {
+                // What a recorder made room for and never filled.
+                op::NONE => break,
                 op::FOOTER => return Ok(true),
+                op::DATA_END => is_whole = true,
                 op::SCHEMA => self.schema(&content(file, begin, bytes)?),
-                op::CHANNEL => self.channel(&content(file, begin, bytes)?),
+                op::CHANNEL => self.channel(&content(file, begin, bytes)?)?,
                 op::MESSAGE => {
                     let head = content(file, begin, bytes.min(MESSAGE_BYTES as u64))?;
                     if let Some(message) = Message::parse(&head) {
@@ -129,7 +148,7 @@ impl Index {
             }
             at = end;
         }
-        Ok(false)
+        Ok(is_whole)
     }
 
     /// Takes note of what is in a chunk.
@@ -140,7 +159,7 @@ impl Index {
             let Some((opcode, content)) = rest.record() else { return Err(damaged("a record of a chunk")) };
             match opcode {
                 op::SCHEMA => self.schema(content),
-                op::CHANNEL => self.channel(content),
+                op::CHANNEL => self.channel(content)?,
                 op::MESSAGE => {
                     if let Some(message) = Message::parse(content) {
                         self.place(message.log_time, message.channel, Some(chunk), offset)?;
@@ -167,12 +186,17 @@ impl Index {
         }
     }
 
-    fn channel(&mut self, content: &[u8]) {
+    fn channel(&mut self, content: &[u8]) -> Result<(), PageFault> {
         if let Some(Channel { id, schema, topic, encoding }) = Channel::parse(content) {
             let layout = self.schemas.get(&schema).copied().flatten();
+            if layout.is_some() && topic.len() > TOPIC_BYTES_MAX {
+                let reason = format!("a topic's name of {} bytes; at most {TOPIC_BYTES_MAX} are read", topic.len());
+                return Err(DecodeError::TooLarge(reason).into());
+            }
             let stream = |layout| Stream { topic: topic.into(), layout, encoding: Encoding::of(encoding) };
             self.streams.insert(id, layout.map(stream));
         }
+        Ok(())
     }
 
     fn place(&mut self, log_time: u64, channel: u16, chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
@@ -187,12 +211,15 @@ impl Index {
     }
 }
 
-/// Bytes of the file, which are there.
-pub(super) fn content(file: &mut BufReader<File>, begin: u64, bytes: u64) -> Result<Vec<u8>, PageFault> {
-    if bytes > RECORD_BYTES_MAX {
-        return Err(
-            DecodeError::TooLarge(format!("a record of {bytes} bytes; at most {RECORD_BYTES_MAX} are read")).into()
-        );
+/// Bytes of a small record, which are there.
+fn content(file: &mut BufReader<File>, begin: u64, bytes: u64) -> Result<Vec<u8>, PageFault> {
+    content_of(file, begin, bytes, RECORD_BYTES_MAX)
+}
+
+/// Bytes of the file, which are there, but not more than `most`.
+pub(super) fn content_of(file: &mut BufReader<File>, begin: u64, bytes: u64, most: u64) -> Result<Vec<u8>, PageFault> {
+    if bytes > most {
+        return Err(DecodeError::TooLarge(format!("a record of {bytes} bytes; at most {most} are read")).into());
     }
     // Records lie behind each other: what was read ahead is kept.
     let here = file.stream_position()?;
@@ -211,4 +238,28 @@ fn damaged(what: &str) -> PageFault {
 
 fn too_many(what: &str) -> PageFault {
     DecodeError::TooLarge(format!("too many {what}; split the recording")).into()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// Chunks of other things, each packed with 100 bytes, and no index behind any.
+    #[test]
+    fn all_chunks_together_have_one_budget() {
+        let record =
+            |opcode: u8, content: &[u8]| [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat();
+        let inner = record(1, &[0; 91]);
+        let head = [&[0; 16][..], &100u64.to_le_bytes(), &[0; 8], &100u64.to_le_bytes()].concat();
+        let chunk = record(op::CHUNK, &[head, inner].concat());
+        let bytes = [MAGIC, &chunk.repeat(3), &record(op::FOOTER, &[0; 20]), MAGIC].concat();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("chunks.mcap");
+        std::fs::write(&path, &bytes).unwrap();
+        let read = |most| Index::within(&mut BufReader::new(File::open(&path).unwrap()), bytes.len() as u64, most);
+        assert_eq!(read(300).ok().unwrap().chunks.len(), 3);
+        let Err(PageFault::Wrong(error)) = read(299) else { panic!("it is within its budget") };
+        assert!(error.to_string().contains("too many bytes in chunks without an index"), "{error}");
+    }
 }

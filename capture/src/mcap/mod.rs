@@ -32,6 +32,9 @@ use records::{HEAD_BYTES, Message, Rest, op};
 /// Unpacked chunks that are kept: two may overlap in time.
 const CHUNKS_KEPT: usize = 2;
 
+/// Topics that are listed in a message.
+const TOPICS_SHOWN: usize = 20;
+
 /// An open file.
 pub(crate) struct Mcap {
     file: BufReader<File>,
@@ -61,6 +64,9 @@ impl Mcap {
         read: impl FnOnce(Image) -> Result<T, DecodeError>,
     ) -> Result<T, PageFault> {
         let wrong = || DecodeError::Damaged(format!("message {page} is not where the file says"));
+        if page == self.index.places.len() && !self.index.is_whole {
+            return Err(DecodeError::Damaged(format!("it breaks off behind picture {page}")).into());
+        }
         let place = *self.index.places.get(page).ok_or_else(wrong)?;
         let Some(Some(stream)) = self.index.streams.get(&place.channel) else { return Err(wrong().into()) };
         let standing;
@@ -90,11 +96,11 @@ impl Mcap {
 
 /// The bytes of a record that stands in the file itself.
 fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Place) -> Result<Vec<u8>, PageFault> {
-    let head = index::content(file, place.offset, HEAD_BYTES as u64)?;
+    let head = index::content_of(file, place.offset, HEAD_BYTES as u64, HEAD_BYTES as u64)?;
     let bytes = Rest(head.get(1..).unwrap_or_default()).u64().and_then(|bytes| bytes.checked_add(HEAD_BYTES as u64));
     let end = bytes.and_then(|bytes| place.offset.checked_add(bytes));
     match bytes.filter(|_| end.is_some_and(|end| end <= file_bytes)) {
-        Some(bytes) => index::content(file, place.offset, bytes),
+        Some(bytes) => index::content_of(file, place.offset, bytes, LIMITS.file_bytes),
         None => Err(DecodeError::Damaged("a message is cut off".into()).into()),
     }
 }
@@ -103,7 +109,12 @@ fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Place) -> Resul
 fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
     let of = |place: &Place| index.streams.get(&place.channel)?.as_ref().map(|stream| stream.topic.as_str());
     let topics: BTreeSet<&str> = index.places.iter().filter_map(of).collect();
-    let shown = topics.iter().map(|topic| topic.escape_debug().to_string()).collect::<Vec<_>>().join(", ");
+    let mut shown: Vec<String> =
+        topics.iter().take(TOPICS_SHOWN).map(|topic| topic.escape_debug().to_string()).collect();
+    if let Some(more) = topics.len().checked_sub(TOPICS_SHOWN).filter(|more| *more > 0) {
+        shown.push(format!("and {more} more"));
+    }
+    let shown = shown.join(", ");
     let first = topics.first().copied().unwrap_or_default().escape_debug();
     let unsupported = |reason| Err(DecodeError::Unsupported(reason));
     match (wanted, topics.len()) {
@@ -123,7 +134,9 @@ fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
 
 impl Pages for Mcap {
     fn count(&mut self, most: usize) -> Result<usize, PageFault> {
-        Ok(self.index.places.len().min(most.saturating_add(1)))
+        // One that breaks off has a picture more than can be read: reading it says so.
+        let pictures = self.index.places.len() + usize::from(!self.index.is_whole);
+        Ok(pictures.min(most.saturating_add(1)))
     }
 
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault> {

@@ -11,12 +11,14 @@ pub(super) const HEAD_BYTES: usize = 9;
 
 /// The opcodes that are looked at.
 pub(super) mod op {
+    pub const NONE: u8 = 0x00;
     pub const FOOTER: u8 = 0x02;
     pub const SCHEMA: u8 = 0x03;
     pub const CHANNEL: u8 = 0x04;
     pub const MESSAGE: u8 = 0x05;
     pub const CHUNK: u8 = 0x06;
     pub const MESSAGE_INDEX: u8 = 0x07;
+    pub const DATA_END: u8 = 0x0f;
 }
 
 /// Bytes of a message before its payload.

@@ -1,8 +1,7 @@
-//! JPEG pictures of cameras: their luma as it is stored, or one colour of them.
+//! JPEG pictures, decoded strictly: of cameras their luma as it is stored, or one colour; of files grey, or r, g, b.
 
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Buffer, Frame, Plane};
-use zune_jpeg::errors::DecodeErrors;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
@@ -13,13 +12,7 @@ use crate::limits::LIMITS;
 
 /// A picture of `size` px; its luma, or one colour.
 pub(super) fn frame(bytes: &[u8], size: [usize; 2], colour: Colour) -> Result<Frame, PixelsError> {
-    let bytes = segments::prepared(bytes).map_err(PixelsError::Damaged)?;
-    // Strict: what cannot be decoded would become grey without a word.
-    let side_max = LIMITS.side_px as usize;
-    let options = DecoderOptions::default().set_strict_mode(true).set_max_width(side_max).set_max_height(side_max);
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&bytes), options);
-    decoder.decode_headers().map_err(damaged)?;
-    let got = decoder.dimensions().map_or([0, 0], |(width, height)| [width, height]);
+    let Headed { mut decoder, size: got } = headed(bytes).map_err(PixelsError::Damaged)?;
     if got != size {
         return Err(PixelsError::OtherSize { expected: size, got });
     }
@@ -33,8 +26,8 @@ pub(super) fn frame(bytes: &[u8], size: [usize; 2], colour: Colour) -> Result<Fr
         },
         (_, colour) => (ColorSpace::RGB, colour),
     };
-    decoder.set_options(options.jpeg_set_out_colorspace(stored));
-    let pixels = decoder.decode().map_err(damaged)?;
+    decoder.set_options(options().jpeg_set_out_colorspace(stored));
+    let pixels = decoder.decode().map_err(|fault| PixelsError::Damaged(fault.to_string()))?;
     if stored == ColorSpace::Luma {
         return Ok(Frame::new(&size, vec![Plane::owned(PixelFormat::U8, pixels, size[0])])?);
     }
@@ -43,6 +36,43 @@ pub(super) fn frame(bytes: &[u8], size: [usize; 2], colour: Colour) -> Result<Fr
     Ok(frame.luma())
 }
 
-fn damaged(error: DecodeErrors) -> PixelsError {
-    PixelsError::Damaged(error.to_string())
+/// Every pixel of a file's picture: its size, its channels (1 grey, 3 r, g, b) and its bytes; or what is damaged.
+pub(crate) fn pixels(bytes: &[u8]) -> Result<([usize; 2], usize, Vec<u8>), String> {
+    let pixels = decoded(bytes)?;
+    // A file may take the time of a second look: what is damaged in the middle may still give a picture, a shifted one.
+    match segments::shortened(bytes).is_some_and(|shorter| decoded(&shorter).is_ok()) {
+        true => Err("its last pixels come before its end".into()),
+        false => Ok(pixels),
+    }
+}
+
+fn decoded(bytes: &[u8]) -> Result<([usize; 2], usize, Vec<u8>), String> {
+    let Headed { mut decoder, size } = headed(bytes)?;
+    let (stored, channels) = match decoder.input_colorspace() {
+        Some(ColorSpace::Luma) => (ColorSpace::Luma, 1),
+        _ => (ColorSpace::RGB, 3),
+    };
+    decoder.set_options(options().jpeg_set_out_colorspace(stored));
+    let pixels = decoder.decode().map_err(|fault| fault.to_string())?;
+    Ok((size, channels, pixels))
+}
+
+/// A picture whose headers have been read.
+struct Headed {
+    decoder: JpegDecoder<ZCursor<Vec<u8>>>,
+    size: [usize; 2],
+}
+
+fn headed(bytes: &[u8]) -> Result<Headed, String> {
+    let bytes = segments::prepared(bytes)?;
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options());
+    decoder.decode_headers().map_err(|fault| fault.to_string())?;
+    let size = decoder.dimensions().map_or([0, 0], |(width, height)| [width, height]);
+    Ok(Headed { decoder, size })
+}
+
+/// Strict: what cannot be decoded would become grey without a word.
+fn options() -> DecoderOptions {
+    let side_max = LIMITS.side_px as usize;
+    DecoderOptions::default().set_strict_mode(true).set_max_width(side_max).set_max_height(side_max)
 }

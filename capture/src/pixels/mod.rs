@@ -7,7 +7,7 @@
 
 mod convert;
 mod encoding;
-mod jpeg;
+pub(crate) mod jpeg;
 mod mosaic;
 mod segments;
 

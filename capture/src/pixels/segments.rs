@@ -18,6 +18,9 @@ const FILM: [u8; 18] = *b"\xff\xe0\x00\x10AVI1\0\0\0\0\0\0\0\0\0\0";
 const BARRIER: [u8; 32] =
     *b"\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0";
 
+/// Bytes of pixels that may be left over: encoders fill up.
+const TAIL_BYTES: usize = 8;
+
 /// What stands before the scan.
 #[derive(Debug, Default)]
 struct Head {
@@ -52,6 +55,18 @@ pub(super) fn prepared(bytes: &[u8]) -> Result<Vec<u8>, String> {
     let promise: &[u8] = if head.has_tables { &[] } else { &FILM };
     let barrier: &[u8] = if head.is_baseline { &BARRIER } else { &[] };
     Ok([&bytes[..2], promise, &bytes[2..end], barrier, &[0xff, END_OF_IMAGE]].concat())
+}
+
+/// The picture without the last bytes of its pixels, where these stand in one piece: if it can be decoded as well, then
+/// the decoder had all blocks before the pixels ended, so it lost its place on the way.
+pub(super) fn shortened(bytes: &[u8]) -> Option<Vec<u8>> {
+    let head = head(bytes).filter(|head| head.is_baseline)?;
+    let mut pairs = bytes[head.scan + 2..].windows(2);
+    let is_marker = |pair: &[u8]| pair[0] == 0xff && ![0, 0xff].contains(&pair[1]) && !RESTARTS.contains(&pair[1]);
+    let end = head.scan + 2 + pairs.position(is_marker)?;
+    // Behind a few bytes of filling; a picture of so few bytes has no room to get lost in.
+    let kept = end.checked_sub(TAIL_BYTES).filter(|kept| *kept > head.scan + 2 * TAIL_BYTES)?;
+    (bytes[end + 1] == END_OF_IMAGE).then(|| [&bytes[..kept], &[0xff, END_OF_IMAGE]].concat())
 }
 
 /// Goes from segment to segment up to the scan.

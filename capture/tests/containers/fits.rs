@@ -89,6 +89,21 @@ fn numbers_are_those_that_the_header_means() {
             PixelFormat::F32,
             [3.0, 0.0, 0.0, 0.0, 0.0, 0.5],
         ),
+        // Keywords without a value are absent; floating point has no blank.
+        (
+            16,
+            &["BZERO   = / unknown", "BSCALE  =", "BLANK   =   / none"],
+            i16s([-32768, -1, 0, 1, 32767, 5]),
+            PixelFormat::F32,
+            [-32768.0, -1.0, 0.0, 1.0, 32767.0, 5.0],
+        ),
+        (
+            -32,
+            &["BLANK   = 'NaN'"],
+            f32s([1.5, 0.0, 0.0, 0.0, 0.0, 0.25]),
+            PixelFormat::F32,
+            [1.5, 0.0, 0.0, 0.0, 0.0, 0.25],
+        ),
         (-64, &[], f64s([0.1, 1e300, -1e-300, nan, 0.0, 1.0]), PixelFormat::F64, [0.1, 1e300, -1e-300, nan, 0.0, 1.0]),
     ];
     for (bitpix, more, stored, format, expected) in cases {
@@ -163,6 +178,8 @@ fn the_first_image_with_pixels_is_taken() {
         "PCOUNT  = 100",
         "GCOUNT  = 1",
     ];
+    // Scaling of what is no image may be anything.
+    let table = [&table[..], &["BZERO   = 'none'", "BLANK   = 'n/a'"]].concat();
     let extension = ["XTENSION= 'IMAGE   '", "BITPIX  = 8", "NAXIS   = 2"];
     let none = header(&[&extension[..], &["NAXIS1  = 0", "NAXIS2  = 5"]].concat());
     let some = header(&[&extension[..], &["NAXIS1  = 2", "NAXIS2  = 1", "PCOUNT  = 0", "GCOUNT  = 1"]].concat());
@@ -178,7 +195,7 @@ fn the_first_image_with_pixels_is_taken() {
         ([empty.clone(), header(&table), filled(vec![0; 3100])].concat(), no_image),
         ([empty.clone(), none].concat(), no_image),
         ([empty, b"something else".to_vec()].concat(), no_image),
-        (b"SIMPLY".to_vec(), "not a PNG, JPEG, TIFF, FITS"),
+        (b"SIMPLY".to_vec(), "but does not begin like one"),
     ] {
         std::fs::write(&path, &bytes).unwrap();
         let message = refusal(&path);
@@ -202,6 +219,7 @@ fn faults_are_named() {
         (image(64, &[2, 2], &[], vec![0; 32]), "BITPIX is 64; FITS is read with 8, 16, 32, −32 or −64"),
         (image(8, &[2, 2], &["BSCALE  = 0.0"], vec![0; 4]), "BSCALE = 0"),
         (image(8, &[2, 2], &["BZERO   = many / of them"], vec![0; 4]), "its header says BZERO = many"),
+        (image(16, &[2, 2], &["BLANK   = 'none'"], vec![0; 8]), "its header says BLANK = 'none'"),
         (image(8, &[40_000, 2], &[], vec![0; 4]), "40000×2 px; a side may have 32768 px"),
         (image(8, &[30_000, 30_000], &[], vec![0; 4]), "is more than the 67108864 px"),
         (image(-64, &[8000, 8000], &[], vec![0; 4]), "page 0 is cut off: 2880 of its 512000000 bytes"),

@@ -232,16 +232,55 @@ fn files_of_another_library_are_read_in_the_order_of_time() {
         assert_eq!(stack.next().unwrap().unwrap().frame.plane_view(0).pixel_at([1, 2, 6, 0]), 69.0);
 
         // A recorder that crashed: whatever is cut off, the images before it are read.
-        let mut lengths = Vec::new();
+        let (mut lengths, mut broken) = (Vec::new(), 0);
         for end in (8..bytes.len()).step_by(7) {
             std::fs::write(&path, &bytes[..end]).unwrap();
-            let pixels = Recording::open(&path).map(|mut recording| frames(&mut recording)).unwrap_or_default();
-            assert!(pixels.iter().all(|one| found.iter().any(|known| known.2 == one.2)), "{name} cut at {end}");
+            let Ok(mut recording) = Recording::open(&path) else {
+                lengths.push(0);
+                continue;
+            };
+            // Behind the last stands what is wrong, unless all was written and only the summary is missing.
+            let mut pixels = Vec::new();
+            let error = loop {
+                match recording.next() {
+                    Ok(Some(captured)) => pixels.push(captured.frame.planes()[0].buffer.bytes().to_vec()),
+                    Ok(None) => break None,
+                    Err(error) => break Some(error.to_string()),
+                }
+            };
+            assert!(recording.next().unwrap().is_none());
+            let known = |one: &Vec<u8>| {
+                found.iter().any(|known| known.2 == one.iter().copied().map(f64::from).collect::<Vec<_>>())
+            };
+            assert!(pixels.iter().all(known), "{name} cut at {end}");
             lengths.push(pixels.len());
+            match error {
+                Some(error) => {
+                    let words = format!("{name}: damaged: it breaks off behind picture {}", pixels.len());
+                    assert!(error.contains(&words), "{error}");
+                    broken += 1;
+                }
+                None => assert_eq!(pixels.len(), 7, "{name} cut at {end}"),
+            }
         }
         assert!(lengths.is_sorted() && lengths[0] == 0 && lengths.ends_with(&[7]), "{lengths:?}");
+        assert!(broken > 10 && broken < lengths.len(), "{broken} of {}", lengths.len());
         assert!((1..7).any(|length| lengths.contains(&length)), "{lengths:?}");
     }
+}
+
+/// Who opens a file has it: what is in it is found out once, whatever becomes of its name meanwhile.
+#[test]
+fn a_file_is_opened_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("once.mcap");
+    std::fs::write(&path, REFERENCES[0].1).unwrap();
+    let mut recording = Recording::open(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(recording.size(), Some(vec![4, 3]));
+    assert_eq!(frames(&mut recording).len(), 7);
+    recording.rewind();
+    assert_eq!(frames(&mut recording).len(), 7);
 }
 
 #[test]
@@ -277,6 +316,52 @@ fn one_of_several_topics_is_named_behind_the_file() {
     assert!(missing.ends_with("none.mcap: no such file or folder"), "{missing}");
 }
 
+/// Pictures that stand in the file itself may be as large as any file; names are not, and messages list some of them.
+#[test]
+fn bounds_of_records_topics_and_what_was_never_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("large.mcap");
+    let image = |width: u32, pixels: &[u8]| {
+        Fields::new("cdr")
+            .header()
+            .u32(pixels.len() as u32 / width)
+            .u32(width)
+            .text("mono8")
+            .u8(0)
+            .u32(width)
+            .data(pixels)
+            .bytes
+    };
+    let head = channel(1, "/i", "sensor_msgs/msg/Image", "cdr");
+    // The rest of a step of 70 MB is padding.
+    let mut long = Fields::new("cdr").header().u32(1).u32(2).text("mono8").u8(0).u32(70 << 20);
+    let mut data = vec![0; 70 << 20];
+    data[..2].fill(9);
+    long = long.data(&data);
+    std::fs::write(&path, file(&[head.clone(), message(1, 5, &long.bytes)])).unwrap();
+    assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [9.0, 9.0]);
+
+    let small = message(1, 5, &image(2, &[4, 5]));
+    // Room that was made for records ends them: what stands behind it is none.
+    let whole = file(&[head.clone(), small.clone()]);
+    let unfilled = [&whole[..whole.len() - 37], &[0; 900], &small].concat();
+    std::fs::write(&path, unfilled).unwrap();
+    let mut recording = Recording::open(&path).unwrap();
+    assert_eq!((recording.len(), recording.next().unwrap().is_some()), (2, true));
+    assert!(recording.next().unwrap_err().to_string().contains("it breaks off behind picture 1"));
+
+    let topics: Vec<Vec<u8>> = (0..23u16)
+        .flat_map(|n| {
+            [channel(n, &format!("/t{n:02}"), "sensor_msgs/msg/Image", "cdr"), message(n, 5, &image(2, &[4, 5]))]
+        })
+        .collect();
+    std::fs::write(&path, file(&topics)).unwrap();
+    let message = refusal(&path);
+    assert!(message.contains("/t18, /t19, and 3 more; name one") && !message.contains("/t20"), "{message}");
+    std::fs::write(&path, file(&[channel(1, &"x".repeat(1025), "sensor_msgs/msg/Image", "cdr"), small])).unwrap();
+    assert!(refusal(&path).contains("a topic's name of 1025 bytes; at most 1024"), "{}", refusal(&path));
+}
+
 #[test]
 fn faults_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -297,7 +382,7 @@ fn faults_are_named() {
         ])
     };
     for (bytes, words) in [
-        (of(&ros("bayer_rggb8", &[1; 4])), "bad.mcap: its pixels are bayer_rggb8, a mosaic"),
+        (of(&ros("bayer_rgbw8", &[1; 4])), "bad.mcap: its pixels are bayer_rgbw8; mono8"),
         (of(&ros("mono8", &[1; 3])), "has 3 bytes in steps of 2; a row needs 2"),
         (of(b"\0\x01\0\0four"), "a message cannot be read: fields end early"),
         (of(b"\0\x03\0\0four"), "a message cannot be read"),
@@ -320,7 +405,7 @@ fn faults_are_named() {
         (file(&[chunk("lz4", size, 0, &good)]), "a chunk cannot be unpacked"),
         (lying(3), "message 0 is not where the file says"),
         (lying(u64::MAX), "message 0 is not where the file says"),
-        (b"\x89MCAP1\r\n".to_vec(), "not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file"),
+        (b"\x89MCAP1\r\n".to_vec(), "it is named .mcap but does not begin like one"),
     ] {
         std::fs::write(&path, bytes).unwrap();
         let message = refusal(&path);

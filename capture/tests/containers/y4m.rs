@@ -81,7 +81,7 @@ fn faults_name_file_and_frame() {
         (&whole[..two - 3], "frame 2 does not begin with the line FRAME"),
         (&whole[..10], "its first line does not end"),
         (&whole[..22], "there is no picture in it"),
-        (b"RIFF", "bad.y4m: not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file"),
+        (b"RIFF", "it is named .y4m but does not begin like one"),
         (b"YUV4MPEG2 W30000 H30000 Cmono\nFRAME\n", "is more than the 67108864 px"),
         (b"YUV4MPEG2 W8000 H8000 C444p16\nFRAME\n", "frame 0 is cut off: 0 of its 384000000 bytes"),
         (b"YUV4MPEG2 W4 H2 C410\nFRAME\n", "its colour space is C410"),

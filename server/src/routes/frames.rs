@@ -40,7 +40,7 @@ pub async fn get(
     if !headers.contains_key(header::UPGRADE) {
         return Err(Problem::bad_request("frames come with POST, or over a WebSocket"));
     }
-    let upgrade = upgraded(&headers, upgrade, LIMITS.frame_bytes)?;
+    let upgrade = upgraded(&headers, upgrade, pushed.frame_bytes())?;
     let subscription = session.hub().subscribe(Mode::End)?;
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {

@@ -38,7 +38,8 @@ pub struct Pushed {
 /// A frame that waits for its fit.
 pub struct Waiting {
     answer: oneshot::Receiver<Arc<Estimate>>,
-    deadline: Instant,
+    /// From when it is the next to be answered: until then it waits for the frames before it.
+    deadline: Option<Instant>,
 }
 
 impl Pushed {
@@ -52,6 +53,12 @@ impl Pushed {
             return Err(Problem::conflict("not-applicable", message));
         };
         Ok(Pushed { document, source, inbox: session.inbox().clone() })
+    }
+
+    /// Bytes that a frame of the source may have: as they are, or as an image that packing has not made smaller, of four
+    /// channels of 16 bits, with a quarter and 64 KiB for what else is in the file.
+    pub fn frame_bytes(&self) -> usize {
+        frame_bytes(&self.document)
     }
 
     /// What bytes are that come without a type.
@@ -71,15 +78,16 @@ impl Pushed {
         let (sender, answer) = oneshot::channel();
         let reply = Reply { session: self.inbox.clone(), sender };
         self.source.push(Captured { frame, file: None, truth: None }, reply)?;
-        Ok(Waiting { answer, deadline: Instant::now() + LIMITS.push_time })
+        Ok(Waiting { answer, deadline: None })
     }
 }
 
 impl Waiting {
-    /// The estimate, when it is there. Nothing is lost when the future is dropped.
+    /// The estimate, when it is there; its time begins with the first call. Nothing is lost when the future is dropped.
     pub async fn estimate(&mut self) -> Result<Arc<Estimate>, Problem> {
-        let late = |_| Problem::conflict("not-applicable", "the frame was not fitted in time");
-        tokio::time::timeout_at(self.deadline, &mut self.answer).await.map_err(late)?.map_err(|_| gone())
+        let late = |_| Problem::late("the frame was not fitted in time");
+        let deadline = *self.deadline.get_or_insert_with(|| Instant::now() + LIMITS.push_time);
+        tokio::time::timeout_at(deadline, &mut self.answer).await.map_err(late)?.map_err(|_| gone())
     }
 
     /// The estimate if it is there by now, for a session that has ended.
@@ -103,14 +111,21 @@ fn raw_bytes(document: &PushedDocument) -> usize {
     document.width * document.height * pixel_format(document.format).bytes_per_pixel()
 }
 
+fn frame_bytes(document: &PushedDocument) -> usize {
+    let image = document.width.saturating_mul(document.height).saturating_mul(10).saturating_add(64 * 1024);
+    image.max(raw_bytes(document)).min(LIMITS.frame_bytes)
+}
+
 fn decode(document: &PushedDocument, media: Media, bytes: Vec<u8>) -> Result<Frame, Problem> {
     let size = [document.width, document.height];
     let wrong = |message: String| Problem::wrong_key("wrong-frame", "", message);
     if media == Media::Image {
-        let frame = isophote_capture::decode(&bytes).map_err(|error| wrong(error.to_string()))?;
-        if frame.size() != size {
-            return Err(wrong(format!("the frame has {:?} px, the source {size:?}", frame.size())));
+        // Before decoding: a small file may hold a picture of any size.
+        let got = isophote_capture::decode::size(&bytes).map_err(|error| wrong(error.to_string()))?;
+        if got != size {
+            return Err(wrong(format!("the frame has {got:?} px, the source {size:?}")));
         }
+        let frame = isophote_capture::decode(&bytes).map_err(|error| wrong(error.to_string()))?;
         return Ok(frame);
     }
     let expected = raw_bytes(document);
@@ -123,6 +138,7 @@ fn decode(document: &PushedDocument, media: Media, bytes: Vec<u8>) -> Result<Fra
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::wire::PushedFormat;
 
@@ -142,5 +158,50 @@ mod tests {
         for (bytes, expected) in cases {
             assert_eq!(media(&document, bytes), expected, "{bytes:?}");
         }
+    }
+
+    /// The header of a PNG of 8192 × 8192 px, and nothing behind it: its pixels are never asked for.
+    #[test]
+    fn an_image_of_another_size_is_refused_before_it_is_decoded() {
+        let document = PushedDocument { width: 4, height: 3, format: PushedFormat::U8 };
+        let mut png = isophote_capture::encode_png(4, 3, isophote_jit::PixelFormat::U8, &[7; 12]).unwrap();
+        assert_eq!(decode(&document, Media::Image, png.clone()).unwrap().size(), [4, 3]);
+        png[16..24].copy_from_slice(&[0, 0, 32, 0, 0, 0, 32, 0]);
+        let (mut crc, head) = (u32::MAX, 12..29);
+        for byte in &png[head] {
+            crc ^= u32::from(*byte);
+            (0..8).for_each(|_| crc = crc >> 1 ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 });
+        }
+        png[29..33].copy_from_slice(&(!crc).to_be_bytes());
+        let problem = decode(&document, Media::Image, png).unwrap_err();
+        assert_eq!(problem.detail, "the frame has [8192, 8192] px, the source [4, 3]");
+    }
+
+    #[test]
+    fn messages_are_as_long_as_a_frame_can_be() {
+        let of = |width, height| frame_bytes(&PushedDocument { width, height, format: PushedFormat::U16le });
+        // An image with noise in every bit.
+        let noise: Vec<u8> = (0..64 * 48 * 2u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+        let image = isophote_capture::encode_png(64, 48, isophote_jit::PixelFormat::U16, &noise).unwrap();
+        assert!(image.len() < of(64, 48) && of(64, 48) < 100_000);
+        assert_eq!(of(32_768, 32_768), LIMITS.frame_bytes);
+    }
+
+    /// A frame behind others has its own time from when it is the first.
+    #[tokio::test]
+    async fn time_begins_when_a_frame_is_the_next() {
+        let (sender, answer) = oneshot::channel();
+        let mut waiting = Waiting { answer, deadline: None };
+        let (begun, long) = (Instant::now(), LIMITS.push_time);
+        assert!(tokio::time::timeout(std::time::Duration::from_millis(1), waiting.estimate()).await.is_err());
+        let deadline = waiting.deadline.unwrap();
+        assert!(deadline >= begun + long && deadline <= Instant::now() + long);
+        // Dropping and asking again does not start anew.
+        assert!(tokio::time::timeout(std::time::Duration::from_millis(1), waiting.estimate()).await.is_err());
+        assert_eq!(waiting.deadline, Some(deadline));
+        waiting.deadline = Some(begun);
+        let problem = waiting.estimate().await.unwrap_err();
+        assert_eq!((problem.status.as_u16(), problem.code), (503, "late"));
+        drop(sender);
     }
 }
