@@ -187,7 +187,8 @@ impl Service {
         }
         let entry = self.registry.get(&document.model)?;
         // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
-        let is_camera = matches!(document.source, SourceReference::Own(SourceDocument::Camera(_)));
+        let is_camera =
+            matches!(&document.source, SourceReference::Own(source) if matches!(**source, SourceDocument::Camera(_)));
         let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
         let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
         let session = self.session_of(name, document, &entry)?;
@@ -215,7 +216,7 @@ impl Service {
             SourceReference::Own(document) => {
                 let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
                 let opened = source::open(document, "source.", find, Some(&entry.model))?;
-                let source = Source::start(name.as_str(), document.clone(), opened)?;
+                let source = Source::start(name.as_str(), (**document).clone(), opened)?;
                 Ok(SourceOf { source: Arc::new(source), is_own: true })
             }
         }

@@ -160,7 +160,7 @@ pub enum SourceReference {
     /// A source that several sessions may share.
     Named(String),
     /// A source that lives and ends with the session.
-    Own(SourceDocument),
+    Own(Box<SourceDocument>),
 }
 
 impl<'de> serde::Deserialize<'de> for SourceReference {
@@ -176,7 +176,7 @@ impl<'de> serde::Deserialize<'de> for SourceReference {
             }
             fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<SourceReference, A::Error> {
                 let document = SourceDocument::deserialize(de::value::MapAccessDeserializer::new(map))?;
-                Ok(SourceReference::Own(document))
+                Ok(SourceReference::Own(Box::new(document)))
             }
         }
         deserializer.deserialize_any(Either)
@@ -263,8 +263,11 @@ pub struct SyntheticDocument {
     /// Electrons, 1 σ.
     #[serde(default)]
     pub read_noise_e: f64,
+    /// So many times the light, times what a session sets.
+    #[serde(default = "default_factor", skip_serializing_if = "is_default_factor")]
+    pub exposure: Moving,
     /// DN for each DN, after the electrons are counted.
-    #[serde(default = "default_gain", skip_serializing_if = "is_default_gain")]
+    #[serde(default = "default_factor", skip_serializing_if = "is_default_factor")]
     pub gain: Moving,
     /// Largest pixel value; 2^bits − 1 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -425,11 +428,11 @@ fn default_exposure_latency() -> u32 {
 fn is_default_exposure_latency(frames: &u32) -> bool {
     *frames == default_exposure_latency()
 }
-fn default_gain() -> Moving {
+fn default_factor() -> Moving {
     Moving::Number(1.0)
 }
-fn is_default_gain(gain: &Moving) -> bool {
-    *gain == default_gain()
+fn is_default_factor(factor: &Moving) -> bool {
+    *factor == default_factor()
 }
 fn default_seed() -> u64 {
     1

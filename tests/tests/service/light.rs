@@ -137,6 +137,7 @@ fn wrong_light_is_refused_at_its_key() {
         (json!({"light": {"blind": [{"radius": 1}]}}), "source.radius", "unknown field `radius`"),
         (json!({"light": {"defocus_px": 65}}), "source.light.defocus_px", "0 to 64"),
         (json!({"light": {"slope": [1, 2, 3]}}), "source", "3"),
+        (json!({"exposure": 0}), "source.exposure", "it must be positive"),
         (json!({"gain": 0}), "source.gain", "it must be positive"),
         (json!({"gain": [1]}), "source", "a number or a formula of t"),
     ];
