@@ -159,3 +159,32 @@ fn a_device_that_changes_its_size_is_waited_for() {
         drop(playing);
     });
 }
+
+/// A device that another program streams from is tried again until it is free.
+#[test]
+fn a_device_that_somebody_else_has_is_waited_for() {
+    program().unwrap();
+    in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 120, ..Rig::default() }, || {
+        let whole = Whole::start();
+        let eye = json!({"kind": "camera", "device": "/dev/video0", "format": "GREY"});
+        whole.client.put("/v1/sources/eye", &eye).expect(201);
+        let mut other = Command::new("v4l2-ctl");
+        other.args(["--device=/dev/video0", "--stream-mmap=4", "--stream-count=1000000"]);
+        let other = other.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let is_taken = || {
+            let mut set = Command::new("v4l2-ctl");
+            set.args(["--device=/dev/video0", "--set-fmt-video=width=320,height=180,pixelformat=YUYV"]);
+            (isophote_tests::finish(&mut set, COMMAND).unwrap().status != Some(0)).then_some(())
+        };
+        until("stream of somebody else's", COMMAND, is_taken).unwrap();
+        let mut document = session(json!("eye"));
+        document["window"] = json!({"x": 300, "y": 200, "width": 32, "height": 24});
+        whole.client.put("/v1/sessions/one", &document).expect(201);
+        let waits = |view: &Value| {
+            view["state"] == "lost_source" && view["reason"].as_str().is_some_and(|reason| reason.contains("in use"))
+        };
+        whole.until("one", "told that it is in use", waits);
+        stop(other);
+        whole.until("one", "running", |view| view["state"] == "running" && view["frames"].as_u64() > Some(3));
+    });
+}
