@@ -5,11 +5,11 @@
 
 use std::collections::BTreeSet;
 
-use crate::diagnostic::Span;
 use crate::export::header::comment;
 use crate::export::names::Words;
 use crate::export::spelling::Spelling;
 use crate::export::{Language, Source};
+use crate::language::diagnostic::Span;
 use crate::program::{CoordinateId, Level, Op, Precision, Program, Sink, Value};
 
 /// Statements of each level, a line each.

@@ -22,7 +22,7 @@ pub(super) fn is_function_name(name: &str) -> bool {
 
 fn is_taken(name: &str) -> bool {
     TAKEN.split_whitespace().any(|word| word == name)
-        || crate::function::Function1::named(name).is_some()
+        || crate::program::function::Function1::named(name).is_some()
         || ["sqrt", "abs", "fabs", "pow", "atan2", "fma", "rint", "signal", "raise"].contains(&name)
 }
 

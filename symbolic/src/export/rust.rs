@@ -3,7 +3,7 @@
 use crate::export::body::{Body, Statements};
 use crate::export::lines::File;
 use crate::export::{Source, header};
-use crate::function::Function1;
+use crate::program::function::Function1;
 use crate::program::{Level, Op, Precision, Sink};
 
 /// The whole file.

@@ -1,7 +1,7 @@
 //! How each language spells an operation on single numbers: one table.
 
 use crate::export::{Language, PixelType};
-use crate::function::{Function1, Function2};
+use crate::program::function::{Function1, Function2};
 use crate::program::{Comparison, Op, Precision, Value};
 
 /// A spelling: a language, and the arithmetic of the place.

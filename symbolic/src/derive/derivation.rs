@@ -1,0 +1,256 @@
+//! One way to write the sums of an objective down: forms over cuts, and what each output takes from them.
+//!
+//! What comes in: the residual, the free parameters, and a choice of cuts (shared nodes such as s, treated as variables).
+//! What goes out: forms (the costly pixel values L_l and Q_lm), for every output the factors l_u, l_u m_v, l_uv that they are
+//! multiplied with, and, for a choice of how the forms are taken apart, the [`Sums`] and what their pixel loop costs.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use crate::derive::absorb::{absorb, absorb_numbers};
+use crate::derive::bodies::Part;
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::jet::{Jet, compose, jet, pair, totals};
+use crate::derive::likelihood::Shape;
+use crate::derive::monomial::{Polynomial, Splitter, whole_output};
+use crate::derive::rank::{Combination, dependent};
+use crate::language::model::Lowering;
+use crate::program::Cost;
+use crate::program::schedule::{self, Output, Sums, Term};
+
+/// What is differentiated: the same for every choice.
+#[derive(Clone, Copy)]
+pub(crate) struct Target<'a> {
+    /// The nodes of the free parameters, and their names.
+    pub parameters: &'a [NodeId],
+    pub names: &'a [String],
+    pub residual: NodeId,
+    pub variance: Option<NodeId>,
+    /// What F is of them.
+    pub shape: Shape,
+    /// The full Hessian, not JᵀWJ.
+    pub newton: bool,
+    /// What is summed of it.
+    pub part: Part,
+}
+
+/// A choice of variables for the chain rule.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
+pub(crate) struct Cuts {
+    pub nodes: BTreeSet<NodeId>,
+    /// A sum that occurs with and without an invariant factor known to be positive is computed with it only.
+    pub unify: bool,
+    /// Polynomials in this value are collected before.
+    pub collect: Option<NodeId>,
+}
+
+/// A choice of how forms become accumulators.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(crate) struct Layout {
+    /// Factors are multiplied out into monomials of pixel and row values.
+    pub expand: bool,
+    /// Forms that are taken apart term by term.
+    pub split: BTreeSet<usize>,
+}
+
+/// An output: Σ form · factor.
+#[derive(Clone, Debug)]
+struct Entry {
+    name: String,
+    uses: Vec<(usize, NodeId)>,
+}
+
+/// The derivatives over cuts; see the module's text.
+#[derive(Clone, Debug)]
+pub(crate) struct Derivation {
+    pub graph: Graph,
+    pub forms: Vec<(String, NodeId)>,
+    value: NodeId,
+    entries: Vec<Entry>,
+    /// Factors as polynomials, multiplied out (`true`) or whole.
+    factors: FxHashMap<(NodeId, bool), Polynomial>,
+}
+
+impl Derivation {
+    /// Nothing when the graph overflows.
+    pub fn new(mut graph: Graph, target: &Target<'_>, cuts: &Cuts) -> Option<Derivation> {
+        let variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(target.parameters).copied().collect();
+        // The top variables: r, and σ² where it is differentiated.
+        let mut tops = vec![target.residual];
+        tops.extend(target.variance.filter(|_| target.newton));
+        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.newton)).collect();
+        let (tops, jets, variance) = absorb(&mut graph, &tops, &jets, target.variance, cuts.unify);
+        let (value, mut form) = top_form(&mut graph, target, &tops, &jets, variance)?;
+        if !target.part.has_hessian() {
+            form.second.clear();
+        }
+        let ascending: Vec<NodeId> = cuts.nodes.iter().copied().collect();
+        let totals = totals(&mut graph, &ascending, target.parameters, target.newton);
+        if graph.overflowed() {
+            return None;
+        }
+        let mut roots: Vec<NodeId> = form.first.values().chain(form.second.values()).copied().collect();
+        absorb_numbers(&mut graph, &mut roots);
+        form.first.values_mut().chain(form.second.values_mut()).zip(&roots).for_each(|(old, new)| *old = *new);
+        let mut forms: Vec<(String, NodeId)> = Vec::new();
+        let mut place = |node: NodeId, name: &str| {
+            forms.push((name.into(), node));
+            forms.len() - 1
+        };
+        let first: Vec<_> = form.first.iter().map(|(l, n)| (*l, place(*n, "L"))).collect();
+        let quadratic: FxHashMap<_, _> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q"))).collect();
+        let mut entries = Vec::new();
+        for (u, name) in target.parameters.iter().zip(target.names).filter(|_| target.part.has_gradient()) {
+            let uses = first.iter().filter_map(|(l, form)| Some((*form, *totals[l].first.get(u)?))).collect();
+            entries.push(Entry { name: format!("dF/d{name}"), uses });
+        }
+        // For every parameter the variables that depend on it, with l_u.
+        let mut variables: Vec<(NodeId, &Jet)> = totals.iter().map(|(l, jet)| (*l, jet)).collect();
+        variables.sort_unstable_by_key(|(l, _)| *l);
+        let slopes = |u: &NodeId| -> Vec<(NodeId, NodeId)> {
+            variables.iter().filter_map(|(l, jet)| Some((*l, *jet.first.get(u)?))).collect()
+        };
+        let slopes: Vec<_> = target.parameters.iter().map(slopes).collect();
+        for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
+            for (j, v) in target.parameters.iter().enumerate().skip(i) {
+                let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
+                for (l, l_u) in &slopes[i] {
+                    for (m, m_v) in &slopes[j] {
+                        if let Some(form) = quadratic.get(&pair(*l, *m)) {
+                            products.entry(*form).or_default().push((graph.mul(*l_u, *m_v), 1.0));
+                        }
+                    }
+                }
+                let mut uses = Vec::new();
+                for (form, products) in products {
+                    let factor = graph.sum(0.0, products);
+                    if graph.value_of(factor) != Some(0.0) {
+                        uses.push((form, factor));
+                    }
+                }
+                for (l, form) in first.iter().filter(|_| target.newton) {
+                    uses.extend(totals[l].second.get(&pair(*u, *v)).map(|l_uv| (*form, *l_uv)));
+                }
+                entries.push(Entry { name: format!("d2F/d{}d{}", target.names[i], target.names[j]), uses });
+                if graph.overflowed() {
+                    return None;
+                }
+            }
+        }
+        Some(Derivation { graph, forms, value, entries, factors: FxHashMap::default() })
+    }
+
+    /// True when a form is a sum, so that it can be taken apart.
+    pub fn has_terms(&self, form: usize) -> bool {
+        matches!(self.graph.node(self.forms[form].1), Node::Sum(_, terms) if terms.len() > 1)
+    }
+
+    /// The forms as polynomials in atoms, which are pixel values computed as they stand; each distinct factor becomes one
+    /// as well.
+    fn parts(&mut self, layout: &Layout) -> Vec<Polynomial> {
+        let mut atoms = BTreeSet::new();
+        let mut parts = Vec::with_capacity(self.forms.len());
+        for (i, (_, node)) in self.forms.iter().enumerate() {
+            parts.push(Splitter::form(&mut self.graph, *node, layout.split.contains(&i), &mut atoms));
+        }
+        let splitter = Splitter::new(&atoms);
+        for (_, factor) in self.entries.iter().flat_map(|e| &e.uses) {
+            let key = (*factor, layout.expand);
+            if !self.factors.contains_key(&key) {
+                let polynomial = match layout.expand {
+                    true => splitter.expand(&mut self.graph, *factor),
+                    false => splitter.whole(&mut self.graph, *factor),
+                };
+                self.factors.insert(key, polynomial);
+            }
+        }
+        parts
+    }
+
+    /// What the pixel loop of a layout costs, F left out; terms that cancel between forms are counted.
+    pub fn pixel_cost(&mut self, layout: &Layout, lowering: Lowering) -> Option<Cost> {
+        let parts = self.parts(layout);
+        let mut seen = FxHashSet::default();
+        let mut pixels = Vec::new();
+        for (form, factor) in self.entries.iter().flat_map(|e| &e.uses) {
+            if seen.insert((*form, *factor)) {
+                parts[*form].pixels_with(&self.factors[&(*factor, layout.expand)], &mut pixels)?;
+            }
+        }
+        let mut distinct = FxHashSet::default();
+        let graph = &mut self.graph;
+        let nodes: Vec<NodeId> = pixels
+            .into_iter()
+            .filter(|monomial| !monomial.is_empty())
+            .map(|monomial| graph.product(1.0, monomial))
+            .filter(|node| distinct.insert(*node))
+            .collect();
+        let cost = schedule::pixel_cost(graph, &nodes, lowering);
+        (!graph.overflowed()).then_some(cost)
+    }
+
+    /// One sum for every output, nothing taken apart; the first is F.
+    pub fn unfactored(&mut self) -> Option<Sums> {
+        let graph = &mut self.graph;
+        let mut outputs = vec![whole_output(graph, "F", self.value)];
+        for Entry { name, uses } in &self.entries {
+            let terms: Vec<_> =
+                uses.iter().map(|(form, factor)| (graph.mul(self.forms[*form].1, *factor), 1.0)).collect();
+            let node = graph.sum(0.0, terms);
+            outputs.push(whole_output(graph, name, node));
+        }
+        (!graph.overflowed()).then_some(Sums { outputs, shift: None })
+    }
+
+    /// The sums of a layout; the first output is F.
+    pub fn sums(&mut self, layout: &Layout) -> Option<Sums> {
+        let parts = self.parts(layout);
+        let mut outputs = vec![whole_output(&mut self.graph, "F", self.value)];
+        for Entry { name, uses } in &self.entries {
+            let mut total = Polynomial::default();
+            for (form, factor) in uses {
+                let part = parts[*form].times(&mut self.graph, &self.factors[&(*factor, layout.expand)])?;
+                total.add(&mut self.graph, &part);
+            }
+            outputs.push(Output { name: name.clone(), terms: total.into_terms(&mut self.graph) });
+        }
+        (!self.graph.overflowed()).then_some(Sums { outputs, shift: None })
+    }
+}
+
+/// The sums without those that are combinations of others, F's own left alone.
+pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
+    let own =
+        sums.outputs.first().map(|f| f.terms.iter().filter_map(|t| t.pixel).collect::<Vec<_>>()).unwrap_or_default();
+    let mut pixels: Vec<NodeId> = sums.pixels().into_iter().filter(|pixel| !own.contains(pixel)).collect();
+    pixels.sort_by_key(|pixel| (schedule::degree(graph, *pixel), *pixel));
+    let combinations: FxHashMap<NodeId, Combination> = dependent(graph, &pixels).into_iter().collect();
+    if combinations.is_empty() {
+        return sums;
+    }
+    let mut replaced = |term: Term| match term.pixel.and_then(|pixel| combinations.get(&pixel)) {
+        None => vec![term],
+        Some(combination) => combination
+            .iter()
+            .map(|(pixel, c)| Term { coefficient: graph.scale(*c, term.coefficient), pixel: *pixel, ..term.clone() })
+            .collect(),
+    };
+    let outputs = sums.outputs.into_iter();
+    let outputs = outputs.map(|o| Output { terms: o.terms.into_iter().flat_map(&mut replaced).collect(), ..o });
+    Sums { outputs: outputs.collect(), shift: None }
+}
+
+/// F and its form over cuts and parameters: the top variables eliminated.
+fn top_form(
+    graph: &mut Graph,
+    target: &Target<'_>,
+    tops: &[NodeId],
+    jets: &[Jet],
+    variance: Option<NodeId>,
+) -> Option<(NodeId, Jet)> {
+    let (value, top) = target.shape.jet(graph, target.newton, tops, variance);
+    let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
+    let form = compose(graph, &top, &|t| of[&t]);
+    (!graph.overflowed()).then_some((value, form))
+}

@@ -1,0 +1,130 @@
+//! The domain as row bounds where it is a quadratic inequality in the inner coordinate with a leading coefficient known to
+//! be positive, and as a mask otherwise.
+
+use std::collections::BTreeSet;
+
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::jet::jet;
+use crate::program::{Comparison, CoordinateId, Level};
+
+/// Where a model holds: both must, when both are there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Region {
+    /// Row values: lo ≤ x ≤ hi.
+    pub bounds: Option<(NodeId, NodeId)>,
+    /// A pixel truth value.
+    pub mask: Option<NodeId>,
+}
+
+/// Takes a condition apart.
+pub(crate) fn region(graph: &mut Graph, condition: NodeId) -> Region {
+    let mut parts = Vec::new();
+    let mut stack = vec![condition];
+    while let Some(id) = stack.pop() {
+        match *graph.node(id) {
+            Node::And(a, b) => stack.extend([b, a]),
+            _ => parts.push(id),
+        }
+    }
+    let mut region = Region::default();
+    for part in parts {
+        match bounds(graph, part) {
+            Some((lo, hi)) => {
+                region.bounds = Some(match region.bounds {
+                    None => (lo, hi),
+                    Some((old_lo, old_hi)) => {
+                        let tighter = graph.compare(Comparison::Lt, lo, old_lo);
+                        let below = graph.compare(Comparison::Lt, old_hi, hi);
+                        let lo = graph.select(tighter, old_lo, lo);
+                        // A NaN on either side empties the row: `lo < old_lo` keeps that of `lo`, this that of `old_lo`.
+                        let known = graph.compare(Comparison::Eq, old_lo, old_lo);
+                        (graph.select(known, lo, old_lo), graph.select(below, old_hi, hi))
+                    }
+                });
+            }
+            None => region.mask = Some(region.mask.map_or(part, |mask| graph.and(mask, part))),
+        }
+    }
+    region
+}
+
+fn bounds(graph: &mut Graph, part: NodeId) -> Option<(NodeId, NodeId)> {
+    if graph.level(part) < Level::Pixel {
+        // The whole row or nothing.
+        let (all, nothing) = (graph.number(f64::NEG_INFINITY), graph.number(f64::NAN));
+        let (lo, hi) = (graph.select(part, all, nothing), graph.number(f64::INFINITY));
+        return Some((lo, hi));
+    }
+    let Node::Compare(Comparison::Le, left, right) = *graph.node(part) else { return None };
+    let difference = graph.sub(left, right);
+    let Parabola { curvature, slope_at_zero: b } = parabola(graph, difference)?;
+    let c = graph.substitute(difference, &mut |graph, leaf| {
+        matches!(leaf, Node::Coordinate(CoordinateId(0))).then(|| graph.number(0.0))
+    });
+    // e(x) = A x² + B x + C ≤ 0 with 2A = curvature: x = (−B ± √(B² − 2 (2A) C)) / (2A).
+    let square = graph.product(1.0, [(b, 2)]);
+    let product = graph.product(2.0, [(curvature, 1), (c, 1)]);
+    let discriminant = graph.sub(square, product);
+    let root = graph.sqrt(discriminant);
+    let (low, high) = (graph.sum(0.0, [(b, -1.0), (root, -1.0)]), graph.sum(0.0, [(b, -1.0), (root, 1.0)]));
+    Some((graph.div(low, curvature), graph.div(high, curvature)))
+}
+
+/// A value that is A x² + B x + C over a row, A known to be positive.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parabola {
+    /// 2 A.
+    pub curvature: NodeId,
+    /// B.
+    pub slope_at_zero: NodeId,
+}
+
+/// The parabola that a value is, found by its derivatives; nothing where it has several pieces.
+pub(crate) fn parabola(graph: &mut Graph, value: NodeId) -> Option<Parabola> {
+    let piecewise = |n: &NodeId| match graph.node(*n) {
+        Node::Select(condition, ..) => graph.level(*condition) == Level::Pixel,
+        Node::Abs(a) => graph.level(*a) == Level::Pixel,
+        _ => false,
+    };
+    if graph.reachable(&[value]).iter().any(piecewise) {
+        return None;
+    }
+    let x = graph.coordinate(CoordinateId(0));
+    let slopes = jet(graph, value, &BTreeSet::from([x]), true);
+    let curvature = *slopes.second.get(&(x, x))?;
+    if graph.level(curvature) == Level::Pixel || !is_positive(graph, curvature) {
+        return None;
+    }
+    let slope = *slopes.first.get(&x)?;
+    let slope_at_zero = graph.substitute(slope, &mut |graph, leaf| {
+        matches!(leaf, Node::Coordinate(CoordinateId(0))).then(|| graph.number(0.0))
+    });
+    Some(Parabola { curvature, slope_at_zero })
+}
+
+/// True when the value is positive whatever the inputs, as far as declared bounds tell.
+fn is_positive(graph: &Graph, node: NodeId) -> bool {
+    match graph.node(node) {
+        Node::Number(bits) => bits.get() > 0.0,
+        Node::Input(_) => graph.is_declared_positive(node),
+        Node::Product(factors) => factors.iter().all(|(n, _)| is_positive_shallow(graph, *n)),
+        Node::Sum(constant, terms) => {
+            constant.get() >= 0.0 && terms.iter().all(|(n, c)| c.get() > 0.0 && is_positive_shallow(graph, *n))
+        }
+        Node::Call1(crate::program::function::Function1::Exp, _) => true,
+        _ => false,
+    }
+}
+
+/// The same without looking into sums and products again (the graph may be deep).
+fn is_positive_shallow(graph: &Graph, node: NodeId) -> bool {
+    match graph.node(node) {
+        Node::Number(bits) => bits.get() > 0.0,
+        Node::Input(_) => graph.is_declared_positive(node),
+        Node::Product(factors) => {
+            factors.iter().all(|(n, _)| matches!(graph.node(*n), Node::Input(_)) && graph.is_declared_positive(*n))
+        }
+        Node::Call1(crate::program::function::Function1::Exp, _) => true,
+        _ => false,
+    }
+}

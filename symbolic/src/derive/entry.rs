@@ -1,0 +1,34 @@
+//! What a model says of one value of a pixel, in numbers: for whoever renders or looks at colours before a fit.
+//!
+//! What comes in: a model, the first entry of whose `observed` is meant ([`Model::summands`] has one model for each).
+//! What goes out: the channel that it is, and its prediction at a place. It never knows a picture.
+
+use crate::derive::graph::{Node, NodeId};
+use crate::language::model::Model;
+use crate::program::{ChannelId, Input};
+
+impl Model {
+    /// The channel that the model's first observation is; `None` where it is a formula over channels.
+    pub fn observed_channel(&self) -> Option<ChannelId> {
+        match self.formulas.graph.node(self.formulas.observed) {
+            Node::Channel(channel) => Some(*channel),
+            _ => None,
+        }
+    }
+
+    /// The intensity of the model's first observation at a place, in pixel values; one number a coordinate.
+    pub fn predicted(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> f64 {
+        self.at_place(self.formulas.shown, place, parameters, constants)
+    }
+
+    /// A formula at a place; NaN where it reads a channel.
+    pub(crate) fn at_place(&self, formula: NodeId, place: &[f64], parameters: &[f64], constants: &[f64]) -> f64 {
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Parameter(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            Node::Coordinate(c) => place[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.graph.evaluate(formula, &leaf)
+    }
+}

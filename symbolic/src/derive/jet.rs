@@ -1,0 +1,345 @@
+//! Derivatives: an expression in, its first and second partial derivatives with respect to chosen nodes out.
+//!
+//! A jet is the truncated Taylor form n ≈ Σ first[l] dl + ½ Σ second[l, m] dl dm over *variables*: parameters, and shared
+//! nodes ("cuts") that are treated as independent. The chain rule over cuts is applied by [`totals`]; nothing is ever
+//! expanded through a shared nonlinear node. A branch not taken contributes an exact zero, never 0 · NaN.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rustc_hash::FxHashMap;
+
+use crate::derive::graph::{Graph, Node, NodeId, operands};
+use crate::program::Comparison;
+use crate::program::function::{Function1, Function2};
+
+/// First and second partial derivatives; absent entries are zero. Keys of `second` are ordered pairs.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Jet {
+    pub first: BTreeMap<NodeId, NodeId>,
+    pub second: BTreeMap<(NodeId, NodeId), NodeId>,
+}
+
+pub(crate) fn pair(a: NodeId, b: NodeId) -> (NodeId, NodeId) {
+    if a <= b { (a, b) } else { (b, a) }
+}
+
+/// Sums of weighted entries, collected before they become nodes.
+#[derive(Default)]
+struct Form {
+    first: BTreeMap<NodeId, Vec<(NodeId, f64)>>,
+    second: BTreeMap<(NodeId, NodeId), Vec<(NodeId, f64)>>,
+}
+
+impl Form {
+    /// Adds derivative · jet.
+    fn add(&mut self, graph: &mut Graph, derivative: NodeId, jet: &Jet) {
+        for (variable, entry) in &jet.first {
+            let node = graph.mul(derivative, *entry);
+            self.first.entry(*variable).or_default().push((node, 1.0));
+        }
+        for (key, entry) in &jet.second {
+            let node = graph.mul(derivative, *entry);
+            self.second.entry(*key).or_default().push((node, 1.0));
+        }
+    }
+
+    /// Adds ∂²n/∂a∂b · da db for the two jets' first derivatives; a and b the same operand when `square`.
+    fn add_product(&mut self, graph: &mut Graph, derivative: NodeId, a: &Jet, b: &Jet, square: bool) {
+        for (l, la) in &a.first {
+            if graph.overflowed() {
+                return;
+            }
+            for (m, mb) in &b.first {
+                // second[l, m] of a product of first orders: a_l b_m + a_m b_l; for a square each ordered pair once.
+                if square && l > m {
+                    continue;
+                }
+                let node = graph.product(1.0, [(derivative, 1), (*la, 1), (*mb, 1)]);
+                let weight = if !square && l == m { 2.0 } else { 1.0 };
+                self.second.entry(pair(*l, *m)).or_default().push((node, weight));
+            }
+        }
+    }
+
+    fn finish(self, graph: &mut Graph) -> Jet {
+        let mut jet = Jet::default();
+        for (variable, terms) in self.first {
+            let node = graph.sum(0.0, terms);
+            if graph.value_of(node) != Some(0.0) {
+                jet.first.insert(variable, node);
+            }
+        }
+        for (key, terms) in self.second {
+            let node = graph.sum(0.0, terms);
+            if graph.value_of(node) != Some(0.0) {
+                jet.second.insert(key, node);
+            }
+        }
+        jet
+    }
+}
+
+/// The jet of `root` over `variables`; a variable below another is not seen through it. `root` itself may be a variable.
+/// Second derivatives are left out unless `second` is asked for.
+pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>, second: bool) -> Jet {
+    let mut jets: FxHashMap<NodeId, Jet> = FxHashMap::default();
+    for id in segment(graph, root, variables) {
+        let jet = if id != root && variables.contains(&id) {
+            let one = graph.number(1.0);
+            Jet { first: BTreeMap::from([(id, one)]), second: BTreeMap::new() }
+        } else {
+            let span = graph.span(id);
+            graph.set_span(span);
+            let mut jet = step(graph, id, &jets);
+            if !second {
+                jet.second.clear();
+            }
+            jet
+        };
+        if graph.overflowed() {
+            return Jet::default();
+        }
+        jets.insert(id, jet);
+    }
+    jets.remove(&root).unwrap_or_default()
+}
+
+/// Nodes from `root` down to the variables, operands first.
+fn segment(graph: &Graph, root: NodeId, variables: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
+    let mut seen = BTreeSet::from([root]);
+    let mut stack = vec![root];
+    while let Some(id) = stack.pop() {
+        if id != root && variables.contains(&id) {
+            continue;
+        }
+        stack.extend(operands(graph.node(id)).filter(|n| seen.insert(*n)));
+    }
+    seen
+}
+
+fn step(graph: &mut Graph, id: NodeId, jets: &FxHashMap<NodeId, Jet>) -> Jet {
+    let node = graph.node(id).clone();
+    if operands(&node).all(|n| jets[&n].first.is_empty()) {
+        return Jet::default();
+    }
+    let mut form = Form::default();
+    match &node {
+        Node::Sum(_, terms) => {
+            for (n, coefficient) in terms.iter() {
+                let coefficient = graph.number(coefficient.get());
+                form.add(graph, coefficient, &jets[n]);
+            }
+        }
+        Node::Product(factors) => product(graph, factors, jets, &mut form),
+        Node::Select(condition, a, b) => return select(graph, *condition, &jets[a], &jets[b]),
+        Node::Abs(a) => {
+            let zero = graph.number(0.0);
+            let negative = graph.compare(Comparison::Lt, *a, zero);
+            let (minus, plus) = (graph.number(-1.0), graph.number(1.0));
+            let sign = graph.select(negative, minus, plus);
+            form.add(graph, sign, &jets[a]);
+        }
+        Node::Sqrt(a) => {
+            let d1 = graph.product(0.5, [(id, -1)]);
+            let d2 = graph.product(-0.25, [(*a, -1), (id, -1)]);
+            unary(graph, &jets[a], d1, d2, &mut form);
+        }
+        Node::Call1(function, a) => {
+            let (d1, d2) = derivatives(graph, *function, *a, id);
+            unary(graph, &jets[a], d1, d2, &mut form);
+        }
+        Node::Call2(function, a, b) => binary(graph, *function, *a, *b, id, jets, &mut form),
+        _ => {}
+    }
+    form.finish(graph)
+}
+
+fn unary(graph: &mut Graph, jet: &Jet, d1: NodeId, d2: NodeId, form: &mut Form) {
+    form.add(graph, d1, jet);
+    form.add_product(graph, d2, jet, jet, true);
+}
+
+fn product(graph: &mut Graph, factors: &[(NodeId, i32)], jets: &FxHashMap<NodeId, Jet>, form: &mut Form) {
+    // ∂P/∂f = e f^(e−1) · rest, and the same once more for the second order.
+    let lowered = |graph: &mut Graph, i: usize, j: usize| {
+        let mut list = factors.to_vec();
+        let mut coefficient = f64::from(list[i].1);
+        list[i].1 -= 1;
+        if j < list.len() {
+            coefficient *= f64::from(list[j].1);
+            list[j].1 -= 1;
+        }
+        graph.product(coefficient, list)
+    };
+    for (i, (a, _)) in factors.iter().enumerate() {
+        if jets[a].first.is_empty() {
+            continue;
+        }
+        let d1 = lowered(graph, i, usize::MAX);
+        form.add(graph, d1, &jets[a]);
+        for (j, (b, _)) in factors.iter().enumerate().skip(i) {
+            if !jets[b].first.is_empty() {
+                let d2 = lowered(graph, i, j);
+                form.add_product(graph, d2, &jets[a], &jets[b], i == j);
+            }
+        }
+    }
+}
+
+fn select(graph: &mut Graph, condition: NodeId, a: &Jet, b: &Jet) -> Jet {
+    let zero = graph.number(0.0);
+    let mut jet = Jet::default();
+    for variable in a.first.keys().chain(b.first.keys()) {
+        let at = |j: &Jet| j.first.get(variable).copied().unwrap_or(zero);
+        jet.first.insert(*variable, graph.select(condition, at(a), at(b)));
+    }
+    for key in a.second.keys().chain(b.second.keys()) {
+        let at = |j: &Jet| j.second.get(key).copied().unwrap_or(zero);
+        jet.second.insert(*key, graph.select(condition, at(a), at(b)));
+    }
+    jet
+}
+
+/// φ'(a) and φ''(a); `value` is φ(a).
+fn derivatives(graph: &mut Graph, function: Function1, a: NodeId, value: NodeId) -> (NodeId, NodeId) {
+    let one_minus_square = |graph: &mut Graph, x: NodeId| {
+        let square = graph.product(1.0, [(x, 2)]);
+        graph.sum(1.0, [(square, -1.0)])
+    };
+    match function {
+        Function1::Exp => (value, value),
+        Function1::Log => (graph.product(1.0, [(a, -1)]), graph.product(-1.0, [(a, -2)])),
+        Function1::Sin => (graph.call1(Function1::Cos, a), graph.scale(-1.0, value)),
+        Function1::Cos => {
+            let sin = graph.call1(Function1::Sin, a);
+            (graph.scale(-1.0, sin), graph.scale(-1.0, value))
+        }
+        Function1::Sinh => (graph.call1(Function1::Cosh, a), value),
+        Function1::Cosh => (graph.call1(Function1::Sinh, a), value),
+        Function1::Tan => {
+            let square = graph.product(1.0, [(value, 2)]);
+            let d1 = graph.sum(1.0, [(square, 1.0)]);
+            (d1, graph.product(2.0, [(value, 1), (d1, 1)]))
+        }
+        Function1::Tanh => {
+            let d1 = one_minus_square(graph, value);
+            (d1, graph.product(-2.0, [(value, 1), (d1, 1)]))
+        }
+        Function1::Asin | Function1::Acos => {
+            let sign = if function == Function1::Asin { 1.0 } else { -1.0 };
+            let rest = one_minus_square(graph, a);
+            let root = graph.sqrt(rest);
+            (graph.product(sign, [(root, -1)]), graph.product(sign, [(a, 1), (rest, -1), (root, -1)]))
+        }
+        Function1::Atan => {
+            let square = graph.product(1.0, [(a, 2)]);
+            let rest = graph.sum(1.0, [(square, 1.0)]);
+            (graph.product(1.0, [(rest, -1)]), graph.product(-2.0, [(a, 1), (rest, -2)]))
+        }
+        Function1::Erf => {
+            let square = graph.product(-1.0, [(a, 2)]);
+            let bell = graph.call1(Function1::Exp, square);
+            let d1 = graph.product(std::f64::consts::FRAC_2_SQRT_PI, [(bell, 1)]);
+            (d1, graph.product(-2.0, [(a, 1), (d1, 1)]))
+        }
+        Function1::LogTail => {
+            let hazard = graph.call1(Function1::Hazard, a);
+            let excess = graph.sub(hazard, a);
+            (graph.scale(-1.0, hazard), graph.product(-1.0, [(hazard, 1), (excess, 1)]))
+        }
+        Function1::Hazard => {
+            let excess = graph.sub(value, a);
+            let d1 = graph.product(1.0, [(value, 1), (excess, 1)]);
+            let twice = graph.add2(value, excess);
+            let product = graph.mul(d1, twice);
+            (d1, graph.sub(product, value))
+        }
+    }
+}
+
+fn binary(
+    graph: &mut Graph,
+    function: Function2,
+    a: NodeId,
+    b: NodeId,
+    value: NodeId,
+    jets: &FxHashMap<NodeId, Jet>,
+    form: &mut Form,
+) {
+    let (ja, jb) = (&jets[&a], &jets[&b]);
+    match function {
+        Function2::Atan2 => {
+            // a is y, b is x; D = x² + y².
+            let (yy, xx) = (graph.product(1.0, [(a, 2)]), graph.product(1.0, [(b, 2)]));
+            let d = graph.add2(xx, yy);
+            let d1 = graph.product(1.0, [(b, 1), (d, -1)]);
+            form.add(graph, d1, ja);
+            let d1 = graph.product(-1.0, [(a, 1), (d, -1)]);
+            form.add(graph, d1, jb);
+            let mixed = graph.product(-2.0, [(a, 1), (b, 1), (d, -2)]);
+            form.add_product(graph, mixed, ja, ja, true);
+            let difference = graph.sub(yy, xx);
+            let cross = graph.product(1.0, [(difference, 1), (d, -2)]);
+            form.add_product(graph, cross, ja, jb, false);
+            let mixed = graph.product(2.0, [(a, 1), (b, 1), (d, -2)]);
+            form.add_product(graph, mixed, jb, jb, true);
+        }
+        Function2::Pow => {
+            // With the base: b a^b / a and b (b−1) a^b / a². At a = 0 both count as 0, which is right where they exist.
+            let less1 = graph.sum(-1.0, [(b, 1.0)]);
+            let zero = graph.number(0.0);
+            let at_zero = graph.compare(Comparison::Eq, a, zero);
+            let reciprocal = graph.product(1.0, [(a, -1)]);
+            let reciprocal = graph.select(at_zero, zero, reciprocal);
+            let p1 = graph.mul(value, reciprocal);
+            let d1 = graph.product(1.0, [(b, 1), (p1, 1)]);
+            form.add(graph, d1, ja);
+            let d2 = graph.product(1.0, [(b, 1), (less1, 1), (p1, 1), (reciprocal, 1)]);
+            form.add_product(graph, d2, ja, ja, true);
+            if !jb.first.is_empty() {
+                let log = graph.call1(Function1::Log, a);
+                let d1 = graph.product(1.0, [(value, 1), (log, 1)]);
+                form.add(graph, d1, jb);
+                let d2 = graph.product(1.0, [(value, 1), (log, 2)]);
+                form.add_product(graph, d2, jb, jb, true);
+                let scaled = graph.product(1.0, [(b, 1), (log, 1)]);
+                let inner = graph.sum(1.0, [(scaled, 1.0)]);
+                let cross = graph.product(1.0, [(p1, 1), (inner, 1)]);
+                form.add_product(graph, cross, ja, jb, false);
+            }
+        }
+    }
+}
+
+/// The chain rule: `own` is a jet over variables, each of which has a jet of its own.
+pub(crate) fn compose<'a>(graph: &mut Graph, own: &Jet, inner: &dyn Fn(NodeId) -> &'a Jet) -> Jet {
+    let mut form = Form::default();
+    for (l, derivative) in &own.first {
+        form.add(graph, *derivative, inner(*l));
+    }
+    for ((l, m), derivative) in &own.second {
+        form.add_product(graph, *derivative, inner(*l), inner(*m), l == m);
+    }
+    form.finish(graph)
+}
+
+/// Total derivatives of cuts with respect to parameters, by the chain rule over lower cuts. `cuts` is ascending.
+pub(crate) fn totals(
+    graph: &mut Graph,
+    cuts: &[NodeId],
+    parameters: &[NodeId],
+    second: bool,
+) -> FxHashMap<NodeId, Jet> {
+    let mut done: FxHashMap<NodeId, Jet> = FxHashMap::default();
+    let one = graph.number(1.0);
+    for parameter in parameters {
+        done.insert(*parameter, Jet { first: BTreeMap::from([(*parameter, one)]), second: BTreeMap::new() });
+    }
+    let variables: BTreeSet<NodeId> = parameters.iter().chain(cuts).copied().collect();
+    for cut in cuts {
+        let own = jet(graph, *cut, &variables, second);
+        let total = compose(graph, &own, &|l| &done[&l]);
+        done.insert(*cut, total);
+    }
+    done
+}

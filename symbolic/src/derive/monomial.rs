@@ -1,0 +1,226 @@
+//! Polynomials in pixel and row monomials with coefficients known per pass: how outputs are taken apart into sums.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::program::Level;
+use crate::program::schedule::{Output, Term};
+
+/// A product of powers: of pixel values (summed over the row) and of row values (applied to the row's total).
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
+pub(crate) struct Monomial {
+    pub pixel: Vec<(NodeId, i32)>,
+    pub row: Vec<(NodeId, i32)>,
+}
+
+fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Vec<(NodeId, i32)> {
+    let mut product = [a, b].concat();
+    product.sort_unstable_by_key(|(n, _)| *n);
+    product.dedup_by(|next, kept| {
+        let same = next.0 == kept.0;
+        kept.1 += if same { next.1 } else { 0 };
+        same
+    });
+    product.retain(|(_, e)| *e != 0);
+    product
+}
+
+/// Σ coefficient · monomial.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Polynomial {
+    terms: BTreeMap<Monomial, NodeId>,
+}
+
+/// Terms that an expansion may have.
+const TERMS: usize = 256;
+
+impl Polynomial {
+    fn of(monomial: Monomial, coefficient: NodeId) -> Polynomial {
+        Polynomial { terms: BTreeMap::from([(monomial, coefficient)]) }
+    }
+
+    pub fn add(&mut self, graph: &mut Graph, other: &Polynomial) {
+        other.terms.iter().for_each(|(monomial, coefficient)| self.add_term(graph, monomial.clone(), *coefficient));
+    }
+
+    fn add_term(&mut self, graph: &mut Graph, monomial: Monomial, coefficient: NodeId) {
+        let total = match self.terms.get(&monomial) {
+            Some(old) => graph.add2(*old, coefficient),
+            None => coefficient,
+        };
+        match graph.value_of(total) {
+            Some(0.0) => self.terms.remove(&monomial),
+            _ => self.terms.insert(monomial, total),
+        };
+    }
+
+    /// The product, or nothing when it has too many terms.
+    pub fn times(&self, graph: &mut Graph, other: &Polynomial) -> Option<Polynomial> {
+        let mut product = Polynomial::default();
+        if self.terms.len() * other.terms.len() > 4 * TERMS {
+            return None;
+        }
+        for (a, ca) in &self.terms {
+            for (b, cb) in &other.terms {
+                let monomial = Monomial { pixel: multiply(&a.pixel, &b.pixel), row: multiply(&a.row, &b.row) };
+                let coefficient = graph.mul(*ca, *cb);
+                product.add_term(graph, monomial, coefficient);
+            }
+        }
+        (product.terms.len() <= TERMS).then_some(product)
+    }
+
+    /// Appends the pixel monomials of the product; nothing when [`Polynomial::times`] would give nothing.
+    pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Vec<(NodeId, i32)>>) -> Option<()> {
+        if self.terms.len() * other.terms.len() > TERMS {
+            return None;
+        }
+        for a in self.terms.keys() {
+            pixels.extend(other.terms.keys().map(|b| multiply(&a.pixel, &b.pixel)));
+        }
+        Some(())
+    }
+
+    pub fn into_terms(self, graph: &mut Graph) -> Vec<Term> {
+        let term = |(monomial, coefficient): (Monomial, NodeId)| Term {
+            coefficient,
+            row: (!monomial.row.is_empty()).then(|| graph.product(1.0, monomial.row)),
+            pixel: (!monomial.pixel.is_empty()).then(|| graph.product(1.0, monomial.pixel)),
+        };
+        self.terms.into_iter().map(term).collect()
+    }
+}
+
+/// An output that is the sum of one value, no sum in it looked into.
+pub(crate) fn whole_output(graph: &mut Graph, name: &str, node: NodeId) -> Output {
+    let terms = Splitter::new(&BTreeSet::new()).whole(graph, node).into_terms(graph);
+    Output { name: name.into(), terms }
+}
+
+/// Takes nodes apart; `atoms` are never looked into.
+pub(crate) struct Splitter<'a> {
+    atoms: &'a BTreeSet<NodeId>,
+}
+
+impl<'a> Splitter<'a> {
+    pub fn new(atoms: &'a BTreeSet<NodeId>) -> Splitter<'a> {
+        Splitter { atoms }
+    }
+
+    /// The node's invariant factors, row factors and pixel factors; no sum is looked into.
+    pub fn whole(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
+        let mut factors = Vec::new();
+        let mut coefficient = 1.0;
+        let mut pending = vec![(node, 1)];
+        while let Some((node, exponent)) = pending.pop() {
+            match graph.node(node) {
+                Node::Number(bits) => coefficient *= bits.get().powi(exponent),
+                Node::Product(list)
+                    if !self.atoms.contains(&node) && list.iter().all(|(_, e)| e.checked_mul(exponent).is_some()) =>
+                {
+                    pending.extend(list.iter().map(|(n, e)| (*n, e * exponent)))
+                }
+                Node::Sum(c, list) if list.len() == 1 && c.get() == 0.0 => {
+                    coefficient *= list[0].1.get().powi(exponent);
+                    pending.push((list[0].0, exponent));
+                }
+                _ => factors.push((node, exponent)),
+            }
+        }
+        let at = |graph: &Graph, level: Level| -> Vec<(NodeId, i32)> {
+            factors.iter().copied().filter(|(n, _)| graph.level(*n) == level).collect()
+        };
+        let pass = at(graph, Level::Pass);
+        let monomial =
+            Monomial { pixel: multiply(&at(graph, Level::Pixel), &[]), row: multiply(&at(graph, Level::Row), &[]) };
+        let coefficient = graph.product(coefficient, pass);
+        Polynomial::of(monomial, coefficient)
+    }
+
+    /// The node as a polynomial: sums and small powers of sums are multiplied out, down to atoms, offsets of coordinates
+    /// and whatever is not a polynomial.
+    pub fn expand(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
+        self.expand_at(graph, node, 12).unwrap_or_else(|| self.whole(graph, node))
+    }
+
+    fn expand_at(&self, graph: &mut Graph, node: NodeId, depth: u32) -> Option<Polynomial> {
+        let depth = depth.checked_sub(1)?;
+        if graph.level(node) != Level::Pixel || self.atoms.contains(&node) {
+            return Some(self.whole(graph, node));
+        }
+        match graph.node(node).clone() {
+            Node::Product(factors) => {
+                let one = graph.number(1.0);
+                let mut total = Polynomial::of(Monomial::default(), one);
+                for (factor, exponent) in factors.iter().copied() {
+                    let part = if (1..=4).contains(&exponent) { self.expand_at(graph, factor, depth) } else { None };
+                    match part {
+                        Some(part) if part.terms.len() > 1 => {
+                            for _ in 0..exponent {
+                                total = total.times(graph, &part)?;
+                            }
+                        }
+                        _ => {
+                            let power = graph.product(1.0, [(factor, exponent)]);
+                            let part = self.whole(graph, power);
+                            total = total.times(graph, &part)?;
+                        }
+                    }
+                }
+                Some(total)
+            }
+            Node::Sum(constant, terms) if !self.is_atom(graph, node) => {
+                let mut total = Polynomial::default();
+                for (term, coefficient) in terms.iter().copied() {
+                    let coefficient = graph.number(coefficient.get());
+                    let part = self.expand_at(graph, term, depth)?;
+                    let scale = Polynomial::of(Monomial::default(), coefficient);
+                    let part = part.times(graph, &scale)?;
+                    total.add(graph, &part);
+                }
+                if constant.get() != 0.0 {
+                    let constant = graph.number(constant.get());
+                    total.add(graph, &Polynomial::of(Monomial::default(), constant));
+                }
+                (total.terms.len() <= TERMS).then_some(total)
+            }
+            _ => Some(self.whole(graph, node)),
+        }
+    }
+
+    /// A coordinate or a channel with its offset stays whole (expanding x − bx would cancel), and so does what others share.
+    fn is_atom(&self, graph: &Graph, node: NodeId) -> bool {
+        let Node::Sum(_, terms) = graph.node(node) else { return true };
+        let scaled = terms.len() == 1;
+        !scaled
+            && (graph.is_opaque(node)
+                || terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_) | Node::Channel(_))))
+    }
+
+    /// A coefficient of the form: its invariant factors, and what is left as an atom of its own; when `split`, term by term.
+    pub fn form(graph: &mut Graph, node: NodeId, split: bool, atoms: &mut BTreeSet<NodeId>) -> Polynomial {
+        let pieces = match graph.node(node).clone() {
+            Node::Sum(constant, terms) if split => {
+                let mut pieces: Vec<NodeId> = terms.iter().map(|(n, c)| graph.scale(c.get(), *n)).collect();
+                pieces.push(graph.number(constant.get()));
+                pieces
+            }
+            _ => {
+                // Take the content and the factors that all terms share out of the sum.
+                vec![graph.product(1.0, [(node, 1)])]
+            }
+        };
+        let mut total = Polynomial::default();
+        for piece in pieces {
+            if graph.value_of(piece) == Some(0.0) {
+                continue;
+            }
+            let part = Splitter::new(&BTreeSet::new()).whole(graph, piece);
+            for monomial in part.terms.keys() {
+                atoms.extend(monomial.pixel.iter().map(|(n, _)| *n));
+            }
+            total.add(graph, &part);
+        }
+        total
+    }
+}

@@ -1,0 +1,108 @@
+//! The fewest sums: a basis of the pixel values that are summed, as functions of everything that a pixel and its parameters
+//! may be.
+//!
+//! What comes in: pixel values. What goes out: for each that is a combination of others with constant coefficients, the
+//! combination. Residues of all values at random points modulo 2⁶¹ − 1 are the rows of a matrix; its rank, exact but for a
+//! chance of degree / 2⁶¹, is the number of sums that are needed, and its reduced rows hold the coefficients. (With
+//! coefficients that depend on the row the rank is lower still, but such sums cancel: polynomials in a column's number. So
+//! do sums over the branches of a condition, where one is all of a value at some points; these are left as they are.)
+
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::modular::Modular;
+use crate::proof::points::Random;
+
+/// Values that are looked at together.
+const VALUES: usize = 128;
+
+/// The largest coefficient of a combination: large ones cancel.
+const COEFFICIENT: f64 = 16.0;
+
+/// Σ coefficient · value; `None` stands for the count of pixels.
+pub(crate) type Combination = Vec<(Option<NodeId>, f64)>;
+
+/// Which of `values` are combinations of those that stand before them, or of the constant 1.
+pub(crate) fn dependent(graph: &Graph, values: &[NodeId]) -> Vec<(NodeId, Combination)> {
+    let reachable = graph.reachable(values);
+    let is_conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..) | Node::Abs(_)));
+    if values.is_empty() || values.len() > VALUES || is_conditional {
+        return Vec::new();
+    }
+    let width = values.len() + 1;
+    let mut random = Random(1);
+    let mut reduced: Vec<(usize, Vec<Modular>)> = Vec::new();
+    let leaves: Vec<NodeId> = reachable.into_iter().filter(|n| is_leaf(graph.node(*n))).collect();
+    for _ in 0..width + 8 {
+        let residues: Vec<Modular> = leaves.iter().map(|_| Modular::of_bits(random.bits())).collect();
+        let leaf = |node: &Node| {
+            let place = leaves.iter().position(|n| graph.node(*n) == node);
+            place.map_or(Modular::of_bits(0), |i| residues[i])
+        };
+        let at = Evaluator::new(graph, values, &[], Order::First, &leaf).at(&leaf);
+        insert(&mut reduced, std::iter::once(Modular::of_bits(1)).chain(at.into_iter().map(|x| x.value)).collect());
+        if reduced.len() == width {
+            return Vec::new();
+        }
+    }
+    let is_pivot = |column: usize| reduced.iter().any(|(pivot, _)| *pivot == column);
+    let combination = |column: usize| -> Option<Combination> {
+        let part = |(pivot, row): &(usize, Vec<Modular>)| {
+            let coefficient = row[column].small_fraction().filter(|c| c.abs() <= COEFFICIENT)?;
+            Some((pivot.checked_sub(1).map(|i| values[i]), coefficient))
+        };
+        reduced.iter().filter(|(_, row)| row[column] != Modular::of_bits(0)).map(part).collect()
+    };
+    (1..width).filter(|column| !is_pivot(*column)).filter_map(|i| Some((values[i - 1], combination(i)?))).collect()
+}
+
+fn is_leaf(node: &Node) -> bool {
+    matches!(node, Node::Input(_) | Node::Coordinate(_) | Node::Channel(_))
+}
+
+/// Adds a row to a reduced echelon form; its pivot is the first column that the others leave.
+fn insert(reduced: &mut Vec<(usize, Vec<Modular>)>, mut row: Vec<Modular>) {
+    let zero = Modular::of_bits(0);
+    let subtract = |from: &mut [Modular], factor: Modular, what: &[Modular]| {
+        from.iter_mut().zip(what).for_each(|(a, b)| *a = *a - factor * *b);
+    };
+    for (pivot, other) in reduced.iter() {
+        let factor = row[*pivot];
+        if factor != zero {
+            subtract(&mut row, factor, other);
+        }
+    }
+    let Some(pivot) = row.iter().position(|x| *x != zero) else { return };
+    let scale = Modular::of_bits(1) / row[pivot];
+    row.iter_mut().for_each(|x| *x = *x * scale);
+    for (_, other) in reduced.iter_mut() {
+        let factor = other[pivot];
+        if factor != zero {
+            subtract(other, factor, &row);
+        }
+    }
+    reduced.push((pivot, row));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::program::function::Function1;
+    use crate::program::{ChannelId, CoordinateId};
+
+    #[test]
+    fn combinations_are_found_with_their_coefficients() {
+        let mut graph = Graph::default();
+        let x = graph.coordinate(CoordinateId(0));
+        let phi = graph.channel(ChannelId(0));
+        let t = graph.call1(Function1::Tanh, x);
+        let square = graph.product(1.0, [(t, 2)]);
+        let slope = graph.sum(1.0, [(square, -1.0)]);
+        let mixed = graph.product(1.0, [(t, 1), (phi, 1)]);
+        let sum = graph.sum(0.0, [(mixed, 0.3), (t, -2.5)]);
+        let found = dependent(&graph, &[t, square, mixed, slope, sum, phi]);
+        let expected =
+            vec![(slope, vec![(None, 1.0), (Some(square), -1.0)]), (sum, vec![(Some(t), -2.5), (Some(mixed), 0.3)])];
+        assert_eq!(found, expected);
+        assert!(dependent(&graph, &[t, mixed, phi, x]).is_empty());
+    }
+}

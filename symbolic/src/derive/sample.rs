@@ -1,0 +1,69 @@
+//! What a model says at single places: the prediction, its variance, and whether it is said at all.
+//!
+//! What comes in: places, parameters and constants. What goes out: a [`Sample`] each, in f64. For whoever needs a model's
+//! profile and not its sums; a picture is what [`Model::rendering`] is for.
+
+use crate::derive::graph::Node;
+use crate::language::model::Model;
+use crate::program::Input;
+use crate::proof::hyper::{Evaluator, Order};
+
+/// A model at one place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// The prediction, pixel value; NaN where it needs a channel.
+    pub intensity: f64,
+    /// The variance of a pixel; `None` without `noise`.
+    pub variance: Option<f64>,
+    /// Whether the place is in the domain.
+    pub inside: bool,
+}
+
+impl Model {
+    /// The model at each of `places` (one number a coordinate). `parameters` and `constants` in document order.
+    pub fn samples(&self, places: &[Vec<f64>], parameters: &[f64], constants: &[f64]) -> Vec<Sample> {
+        let formulas = &self.formulas;
+        let given = |node: &Node| match node {
+            Node::Input(Input::Parameter(p) | Input::Entry(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            Node::Input(Input::Shift(_)) => 0.0,
+            _ => f64::NAN,
+        };
+        let roots: Vec<_> = std::iter::once(formulas.intensity).chain(formulas.noise).collect();
+        let domain: Vec<_> = formulas.domain.into_iter().collect();
+        let mut numbers = Evaluator::<f64>::new(&formulas.graph, &roots, &[], Order::First, &given);
+        let mut bounds = Evaluator::<f64>::new(&formulas.graph, &domain, &[], Order::First, &given);
+        let sample = |place: &Vec<f64>| {
+            let leaf = |node: &Node| match node {
+                Node::Coordinate(c) => place.get(c.index()).copied().unwrap_or(f64::NAN),
+                node => given(node),
+            };
+            let values = numbers.at(&leaf);
+            Sample {
+                intensity: values[0].value,
+                variance: values.get(1).map(|variance| variance.value),
+                inside: domain.is_empty() || bounds.holds_at(&leaf),
+            }
+        };
+        places.iter().map(sample).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use crate::Model;
+
+    #[test]
+    fn samples_are_what_the_formulas_say() {
+        let text = "name = \"s\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\na = { start = 1.0 }\n\
+            [constants]\nc = 2.0\n[model]\nintensity = \"a * x^2 + c * y\"\ndomain = \"x < 3\"\nnoise = \"1 + intensity\"\n";
+        let model = Model::from_toml(text).unwrap();
+        let samples = model.samples(&[vec![2.0, 1.0], vec![3.0, 0.5]], &[5.0], &[7.0]);
+        assert_eq!((samples[0].intensity, samples[0].variance, samples[0].inside), (27.0, Some(28.0), true));
+        assert_eq!((samples[1].intensity, samples[1].variance, samples[1].inside), (48.5, Some(49.5), false));
+        let plain = Model::from_toml(&text.replace("domain = \"x < 3\"\nnoise = \"1 + intensity\"\n", "")).unwrap();
+        let sample = plain.samples(&[vec![3.0, 0.5]], &[5.0], &[7.0])[0];
+        assert!(sample.inside && sample.variance.is_none());
+    }
+}

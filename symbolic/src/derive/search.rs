@@ -1,0 +1,180 @@
+//! Which cuts, and which layout of the forms, make the cheapest pixel loop.
+//!
+//! What comes in: the graph and what is differentiated. What goes out: a derivation and its sums. The number of ways is
+//! exponential; a greedy search from several seeds is bounded by a count of derivations that shrinks as they grow.
+
+use std::collections::BTreeSet;
+
+use crate::derive::absorb::gather;
+use crate::derive::cuts::cut_candidates;
+use crate::derive::derivation::{Cuts, Derivation, Layout, Target, reduced};
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::polynomials::collected;
+use crate::derive::square::completed;
+use crate::language::limits::LIMITS;
+use crate::language::model::Lowering;
+use crate::program::Cost;
+use crate::program::schedule::{Sums, pixel_cost};
+
+/// Derivations tried at most.
+const DERIVATIONS: usize = 32;
+/// Work (see [`Graph::work`]) after which no other way is tried: that of all derivations, and that of one with its layouts.
+const WORK: usize = LIMITS.work / 2;
+
+struct Found {
+    cuts: Cuts,
+    layout: Layout,
+    derivation: Derivation,
+    weight: u64,
+}
+
+struct Search<'a> {
+    graph: &'a Graph,
+    target: &'a Target<'a>,
+    best: Option<Found>,
+    tried: BTreeSet<Cuts>,
+    derivations: usize,
+    work: usize,
+}
+
+/// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
+pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
+    let candidates = cut_candidates(graph, target.residual, target.parameters);
+    let mut search = Search { graph, target, best: None, tried: BTreeSet::new(), derivations: 0, work: 0 };
+    // Seeds: all candidates, and each of them alone.
+    search.attempt(Cuts { nodes: candidates.clone(), ..Cuts::default() });
+    for cut in candidates.iter().filter(|_| candidates.len() > 1) {
+        search.attempt(Cuts { nodes: BTreeSet::from([*cut]), ..Cuts::default() });
+    }
+    // One cut more or less, while that pays. Without any, every pair of parameters has a form of its own.
+    let pairs = target.parameters.len() * (target.parameters.len() + 3) / 2;
+    while candidates.len() > 1 || search.best.as_ref()?.derivation.forms.len() >= pairs {
+        let before = search.best.as_ref()?.cuts.nodes.clone();
+        for cut in candidates.iter().rev() {
+            let mut nodes = search.best.as_ref()?.cuts.nodes.clone();
+            if !nodes.remove(cut) {
+                nodes.insert(*cut);
+            }
+            search.attempt(Cuts { nodes, ..Cuts::default() });
+        }
+        if search.best.as_ref()?.cuts.nodes == before || candidates.len() < 2 {
+            break;
+        }
+    }
+    let collecting = |cut: NodeId| Cuts { nodes: BTreeSet::from([cut]), collect: Some(cut), ..Cuts::default() };
+    let collected: Vec<Cuts> = search.best.as_ref()?.cuts.nodes.iter().map(|cut| collecting(*cut)).collect();
+    collected.iter().for_each(|cuts| search.attempt(cuts.clone()));
+    search.layouts();
+    let plain = search.best.take()?;
+    if unify {
+        search.attempt(Cuts { unify, ..plain.cuts.clone() });
+        collected.into_iter().for_each(|cuts| search.attempt(Cuts { unify, ..cuts }));
+        search.layouts();
+    }
+    let mut best = match search.best {
+        Some(unified) if unified.weight < plain.weight => unified,
+        _ => plain,
+    };
+    let sums = best.derivation.sums(&best.layout)?;
+    let sums = reduced(&mut best.derivation.graph, sums);
+    // Tried on a copy: what does not pay leaves nothing behind, not even a full graph.
+    let mut trial = best.derivation.graph.clone();
+    let of = |sums: &Sums, graph: &mut Graph| {
+        let pixels = sums.summed(graph);
+        weight(&pixel_cost(graph, &pixels, LOWERING))
+    };
+    let squared = completed(&mut trial, &sums).filter(|squared| of(squared, &mut trial) < of(&sums, &mut trial));
+    match squared {
+        Some(squared) if !trial.overflowed() => {
+            best.derivation.graph = trial;
+            Some((best.derivation, squared))
+        }
+        _ => Some((best.derivation, sums)),
+    }
+}
+
+impl Search<'_> {
+    /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
+    fn attempt(&mut self, cuts: Cuts) {
+        if self.derivations >= DERIVATIONS || self.work >= WORK || !self.tried.insert(cuts.clone()) {
+            return;
+        }
+        let (mut graph, mut residual) = (self.graph.clone(), self.target.residual);
+        if let Some(variable) = cuts.collect {
+            residual = collected(&mut graph, residual, variable);
+            residual = gather(&mut graph, residual);
+            if residual == levelled(&mut graph, self.target.residual) {
+                return;
+            }
+            graph.set_opaque(residual);
+        }
+        let target = Target { residual, ..*self.target };
+        self.derivations += 1;
+        let layout = Layout { expand: true, split: BTreeSet::new() };
+        let Some(mut derivation) = Derivation::new(graph, &target, &cuts) else {
+            self.work = WORK;
+            return;
+        };
+        let weight = derivation.pixel_cost(&layout, LOWERING).map(|cost| weight(&cost));
+        self.work += derivation.graph.work() - self.graph.work();
+        if let Some(weight) = weight
+            && self.best.as_ref().is_none_or(|best| weight < best.weight)
+        {
+            self.best = Some(Found { cuts, layout, derivation, weight });
+        }
+    }
+
+    /// Improves the layout of the best: factors whole, forms taken apart one by one.
+    fn layouts(&mut self) {
+        let Some(mut best) = self.best.take() else { return };
+        if !best.cuts.unify {
+            let whole = Layout { expand: false, ..best.layout.clone() };
+            try_layout(&mut best, whole);
+        }
+        for form in 0..best.derivation.forms.len() {
+            if !best.derivation.has_terms(form) || best.derivation.graph.work() >= WORK {
+                continue;
+            }
+            let mut layout = best.layout.clone();
+            layout.split.insert(form);
+            try_layout(&mut best, layout);
+        }
+        self.best = Some(best);
+    }
+}
+
+/// A sum with its terms' sums written into it.
+fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
+    let Node::Sum(constant, terms) = graph.node(node).clone() else { return node };
+    let (mut constant, mut list) = (constant.get(), Vec::new());
+    for (n, c) in terms.iter() {
+        match graph.node(*n) {
+            Node::Sum(inner, inside) => {
+                constant += c.get() * inner.get();
+                list.extend(inside.iter().map(|(m, k)| (*m, c.get() * k.get())));
+            }
+            _ => list.push((*n, c.get())),
+        }
+    }
+    graph.sum(constant, list)
+}
+
+fn try_layout(best: &mut Found, layout: Layout) {
+    let mut trial = best.derivation.clone();
+    let Some(cost) = trial.pixel_cost(&layout, LOWERING) else { return };
+    let weight = weight(&cost);
+    if weight < best.weight {
+        (best.derivation, best.layout, best.weight) = (trial, layout, weight);
+    }
+}
+
+const LOWERING: Lowering = Lowering { fma: true, drop_saturated: false };
+
+/// What a pixel is taken to cost: flops, a division as four of them and an elementary function as twenty; of forms that
+/// are equal in these the one with fewer instructions and fewer spills to 15 registers.
+fn weight(cost: &Cost) -> u64 {
+    let calls = cost.calls.values().sum::<u32>();
+    let flops = cost.flops_per_pixel + 3 * cost.divisions + 20 * calls;
+    let rest = cost.instructions_per_pixel + cost.spills[0];
+    (u64::from(flops) << 32) + u64::from(rest)
+}

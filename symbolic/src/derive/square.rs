@@ -1,0 +1,106 @@
+//! Completing the square: s = A d² + B d + C over a row, with d the column's offset, becomes A (u² + c), u = x − x₀, where x₀
+//! is the vertex of the row. That is two flops a pixel less, and nothing cancels: s is least where u is 0.
+//!
+//! What comes in: sums over products dᵏ · n. What goes out: the same sums with s written over u, and the shift that makes
+//! row totals of dᵏ · n from those of uʲ · n once a row, dᵏ = (u + e)ᵏ.
+
+use std::collections::BTreeSet;
+
+use rustc_hash::FxHashMap;
+
+use crate::derive::domain::parabola;
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::monomial::Splitter;
+use crate::program::schedule::Sums;
+use crate::program::{CoordinateId, Level};
+
+/// Sums that are looked at.
+const SUMS: usize = 16;
+
+/// Row totals over d from totals over u = d − e.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub(crate) struct Shift {
+    /// d, a pixel value that is the column plus a row value.
+    offset: NodeId,
+    /// u, another.
+    centred: NodeId,
+    /// e, a row value.
+    pub distance: NodeId,
+}
+
+impl Shift {
+    /// The pixel values whose totals make that of dᵏ · n: uʲ · n for j = 0 … k; `None` stands for the value 1.
+    pub fn parts(&self, graph: &mut Graph, pixel: NodeId) -> Vec<Option<NodeId>> {
+        let factors = match graph.node(pixel) {
+            _ if pixel == self.offset => vec![(pixel, 1)],
+            Node::Product(factors) => factors.to_vec(),
+            _ => return vec![Some(pixel)],
+        };
+        let power = factors.iter().find(|(n, e)| *n == self.offset && *e > 0).map_or(0, |(_, e)| *e);
+        let rest: Vec<_> = factors.into_iter().filter(|(n, e)| *n != self.offset || *e < 0).collect();
+        (0..=power)
+            .map(|j| {
+                let value = graph.product(1.0, rest.iter().copied().chain([(self.centred, j)]));
+                graph.value_of(value).is_none().then_some(value)
+            })
+            .collect()
+    }
+}
+
+/// The sums with their first parabola over the column completed; nothing when there is none.
+pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
+    let pixels = sums.pixels();
+    let reachable = graph.reachable(&pixels);
+    let is_sum = |n: &NodeId| graph.level(*n) == Level::Pixel && matches!(graph.node(*n), Node::Sum(..));
+    let candidates: Vec<NodeId> = reachable.iter().copied().filter(is_sum).take(SUMS).collect();
+    let (s, parabola) = candidates.iter().find_map(|s| Some((*s, parabola(graph, *s)?)))?;
+    let vertex = graph.product(-1.0, [(parabola.slope_at_zero, 1), (parabola.curvature, -1)]);
+    let at_vertex = |graph: &mut Graph, node: NodeId| {
+        graph.substitute(node, &mut |_, leaf| matches!(leaf, Node::Coordinate(CoordinateId(0))).then_some(vertex))
+    };
+    // s = A (u² + c)
+    let least = at_vertex(graph, s);
+    let least = graph.product(2.0, [(least, 1), (parabola.curvature, -1)]);
+    let x = graph.coordinate(CoordinateId(0));
+    let centred = graph.sum(0.0, [(x, 1.0), (vertex, -1.0)]);
+    graph.set_opaque(centred);
+    let square = graph.product(1.0, [(centred, 2)]);
+    let square = graph.sum(0.0, [(square, 1.0), (least, 1.0)]);
+    graph.set_opaque(square);
+    let whole = graph.product(0.5, [(parabola.curvature, 1), (square, 1)]);
+    let is_offset = |n: &NodeId| match graph.node(*n) {
+        Node::Sum(_, terms) => {
+            terms.contains(&(x, crate::derive::graph::Bits::new(1.0)))
+                && terms.iter().all(|(n, _)| *n == x || graph.level(*n) < Level::Pixel)
+        }
+        _ => false,
+    };
+    let offset = pixels.iter().find_map(|pixel| match graph.node(*pixel) {
+        Node::Product(factors) => factors.iter().map(|(n, _)| *n).find(is_offset),
+        _ => Some(*pixel).filter(is_offset),
+    })?;
+    if offset == centred {
+        return None;
+    }
+    let mut map = FxHashMap::from_iter([(s, whole)]);
+    for id in reachable.into_iter().filter(|id| *id > s) {
+        let new = graph.rebuild(id, &map);
+        map.insert(id, new);
+    }
+    let nothing = BTreeSet::new();
+    let splitter = Splitter::new(&nothing);
+    let mut outputs = sums.outputs.clone();
+    for term in outputs.iter_mut().flat_map(|o| &mut o.terms) {
+        // What A brings into a product is known per pass and leaves it.
+        if let Some(new) = term.pixel.and_then(|pixel| map.get(&pixel).copied()).filter(|new| Some(*new) != term.pixel)
+        {
+            let [whole] = &splitter.whole(graph, new).into_terms(graph)[..] else { return None };
+            let row: Vec<_> = [term.row, whole.row].into_iter().flatten().map(|n| (n, 1)).collect();
+            term.row = (!row.is_empty()).then(|| graph.product(1.0, row));
+            term.coefficient = graph.mul(term.coefficient, whole.coefficient);
+            term.pixel = whole.pixel;
+        }
+    }
+    let distance = at_vertex(graph, offset);
+    Some(Sums { outputs, shift: Some(Shift { offset, centred, distance }) })
+}

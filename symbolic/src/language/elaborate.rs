@@ -1,0 +1,408 @@
+//! Syntax trees in, graph nodes out: names, shapes, sums, conditions and the user's functions are worked out here.
+//!
+//! A value is a matrix of nodes; a scalar is 1×1. Every operand is worked out before any is judged, so that all faults of a
+//! formula are told; what failed leaves a [`Poison`] behind, which is silent: each fault is told once.
+
+mod cache;
+mod conditions;
+mod matrices;
+mod unknown;
+
+use std::collections::{BTreeMap, HashMap};
+use std::rc::Rc;
+
+use crate::derive::graph::{Graph, NodeId};
+use crate::language::diagnostic::{Span, quoted};
+use crate::language::document::Text;
+use crate::language::limits::LIMITS;
+use crate::language::parser::{Expr, Fault, Kind};
+use crate::program::function::Function1;
+use cache::Cache;
+pub(crate) use cache::Task;
+
+/// A matrix of nodes, row-major.
+#[derive(Clone, PartialEq, Eq, Hash, Debug)]
+pub(crate) struct Matrix {
+    pub rows: usize,
+    pub columns: usize,
+    pub entries: Vec<NodeId>,
+}
+
+impl Matrix {
+    pub fn scalar(node: NodeId) -> Matrix {
+        Matrix { rows: 1, columns: 1, entries: vec![node] }
+    }
+    pub fn size(&self) -> Shape {
+        Shape(self.rows, self.columns)
+    }
+}
+
+/// Rows and columns.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Shape(pub usize, pub usize);
+
+impl Shape {
+    pub const SCALAR: Shape = Shape(1, 1);
+}
+
+impl std::fmt::Display for Shape {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Shape(1, 1) => f.write_str("a scalar"),
+            Shape(n, 1) => write!(f, "a vector of {n}"),
+            Shape(n, m) => write!(f, "a {n}×{m} matrix"),
+        }
+    }
+}
+
+/// What is left of a part that failed, or of one that is not known yet. Its fault is told already.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Poison {
+    Unknown,
+    /// Numbers of that shape.
+    Numbers(Shape),
+    /// A condition.
+    Truth,
+}
+
+/// A value, or what is left of it.
+pub(crate) type Worked = Result<Matrix, Poison>;
+
+/// The shape of numbers, as far as it is known.
+pub(crate) fn shape_of(worked: &Worked) -> Option<Shape> {
+    match worked {
+        Ok(matrix) => Some(matrix.size()),
+        Err(Poison::Numbers(shape)) => Some(*shape),
+        Err(_) => None,
+    }
+}
+
+fn poisoned(shape: Option<Shape>) -> Poison {
+    shape.map_or(Poison::Unknown, Poison::Numbers)
+}
+
+/// The user's function: the names of its arguments, its body, where the body stands.
+#[derive(Debug)]
+pub(crate) struct Function {
+    pub arguments: Vec<String>,
+    pub body: Expr,
+    pub text: Text,
+}
+
+/// What a name stands for.
+#[derive(Clone, Debug)]
+pub(crate) enum Binding {
+    /// A parameter, constant, coordinate, channel or definition already worked out.
+    Value(Matrix),
+    Function(Rc<Function>),
+    /// A definition that failed or stands in a cycle: its fault is already told.
+    Poisoned,
+}
+
+/// Names that the language keeps for itself, besides the functions of one argument.
+pub(crate) const RESERVED: [&str; 13] =
+    ["and", "or", "not", "if", "piecewise", "sum", "product", "min", "max", "abs", "sqrt", "pi", "atan2"];
+
+pub(crate) fn is_reserved(name: &str) -> bool {
+    RESERVED.contains(&name) || Function1::named(name).is_some()
+}
+
+/// True of the language's own functions.
+pub(crate) fn is_function(name: &str) -> bool {
+    is_reserved(name) && !matches!(name, "and" | "or" | "not" | "pi")
+}
+
+/// What all formulas of a document share.
+pub(crate) struct Workings {
+    steps_left: usize,
+    /// A limit is met and told: nothing more is worked out.
+    exhausted: bool,
+    /// Values of the user's functions.
+    pub results: HashMap<(String, Vec<Matrix>), Matrix>,
+    /// Spellings still to be compared: only what is shown needs help.
+    near_misses_left: usize,
+    /// Some names could not be read: one that nothing declares is silent.
+    pub lacks_names: bool,
+}
+
+impl Default for Workings {
+    fn default() -> Workings {
+        Workings {
+            steps_left: LIMITS.steps,
+            exhausted: false,
+            results: HashMap::new(),
+            near_misses_left: 2 * LIMITS.diagnostics,
+            lacks_names: false,
+        }
+    }
+}
+
+/// A name that is known in one place only: an argument, or the index of a sum.
+pub(crate) struct Local {
+    pub name: String,
+    pub value: Worked,
+    /// The sums whose index it depends on, one bit each.
+    pub levels: u64,
+}
+
+pub(crate) struct Elaborator<'a> {
+    pub graph: &'a mut Graph,
+    pub names: &'a BTreeMap<String, Binding>,
+    /// Where the formula stands, for the spans of nodes.
+    pub text: Text,
+    pub workings: &'a mut Workings,
+    pub locals: Vec<Local>,
+    pub faults: Vec<Fault>,
+    pub calls: usize,
+    depth: usize,
+    /// Locals have no values now: only what does not depend on them is judged.
+    blind: bool,
+    pub cache: Cache,
+}
+
+pub(crate) fn fault(code: &'static str, at: &Expr, message: impl Into<String>) -> Fault {
+    Fault::new(code, at.start, at.end, message)
+}
+
+impl<'a> Elaborator<'a> {
+    pub fn new(
+        graph: &'a mut Graph,
+        names: &'a BTreeMap<String, Binding>,
+        text: Text,
+        workings: &'a mut Workings,
+    ) -> Elaborator<'a> {
+        let (locals, faults) = (Vec::new(), Vec::new());
+        Elaborator {
+            graph,
+            names,
+            text,
+            workings,
+            locals,
+            faults,
+            calls: 0,
+            depth: 0,
+            blind: false,
+            cache: Cache::default(),
+        }
+    }
+
+    pub fn span(&self, at: &Expr) -> Option<Span> {
+        Some(self.text.span(at.start, at.end))
+    }
+
+    /// Tells a fault, once a place.
+    pub fn tell(&mut self, fault: Fault) -> Poison {
+        let told = |f: &Fault| (f.start, f.end, f.code) == (fault.start, fault.end, fault.code);
+        if !self.faults.iter().any(told) {
+            self.faults.push(fault);
+        }
+        Poison::Unknown
+    }
+
+    /// Takes `steps` from the document's budget.
+    pub fn charge(&mut self, steps: usize, at: &Expr) -> Result<(), Poison> {
+        if self.workings.exhausted {
+            return Err(Poison::Unknown);
+        }
+        let message = if self.graph.overflowed() {
+            format!("the model's formulas grow past {} distinct operations", LIMITS.nodes)
+        } else if self.workings.steps_left < steps {
+            format!("working the formulas out takes more than {} steps", LIMITS.steps)
+        } else {
+            self.workings.steps_left -= steps;
+            return Ok(());
+        };
+        self.workings.exhausted = true;
+        let fault = fault("limit", at, message).help("shorten the sums, or give repeated parts a definition");
+        Err(self.tell(fault))
+    }
+
+    pub fn expr(&mut self, at: &Expr) -> Worked {
+        self.charge(1, at)?;
+        match &at.kind {
+            Kind::Number(value) => Ok(Matrix::scalar(self.graph.number(*value))),
+            Kind::Name(name) => self.name(name, at),
+            _ => self.remembered(Task::Value, at, |e| e.deeper(at)),
+        }
+    }
+
+    /// What is worked out inside a sum and does not depend on its index is worked out once.
+    pub fn remembered(&mut self, task: Task, at: &Expr, f: impl FnOnce(&mut Self) -> Worked) -> Worked {
+        if !self.blind
+            && let Some(known) = self.cache.get(task, at)
+        {
+            return known;
+        }
+        let outer = self.cache.begin();
+        let value = f(self);
+        self.cache.end(outer, task, at, (!self.blind).then_some(&value));
+        value
+    }
+
+    fn deeper(&mut self, at: &Expr) -> Worked {
+        if self.depth == 4 * LIMITS.depth {
+            let message = format!("formulas and the functions that they call are nested at most {} deep", self.depth);
+            return Err(self.tell(fault("limit", at, message).help("give the inner part a definition of its own")));
+        }
+        self.depth += 1;
+        let value = self.compound(at);
+        self.depth -= 1;
+        let value = value?;
+        // Long sums cost by their length, wherever they end up.
+        if !matches!(at.kind, Kind::Index(..) | Kind::Transpose(_) | Kind::List(_)) {
+            let terms = value.entries.iter().map(|n| self.graph.operand_count(*n)).sum();
+            self.charge(terms, at)?;
+            let exponent = value.entries.iter().map(|n| self.graph.exponent_max(*n)).max().unwrap_or(0);
+            if exponent as usize > LIMITS.terms {
+                let message = format!("the exponents grow to {exponent}, past {}", LIMITS.terms);
+                return Err(
+                    self.tell(fault("limit", at, message).help("use exp(n*log(x)) where that is what you mean"))
+                );
+            }
+        }
+        match value.entries.iter().all(|n| self.graph.has_finite_numbers(*n)) {
+            false => {
+                let fault = fault("bad-number", at, "the value of this is not a finite number");
+                Err(self.tell(fault.help("no division by zero, no logarithm or root of what is negative")))
+            }
+            true => Ok(value),
+        }
+    }
+
+    fn compound(&mut self, at: &Expr) -> Worked {
+        match &at.kind {
+            Kind::Number(_) | Kind::Name(_) => self.expr(at),
+            Kind::List(list) => self.list(list, at),
+            Kind::Sum(terms) => self.sum(terms, at),
+            Kind::Product(factors) => self.product(factors.iter(), at),
+            Kind::Negate(inner) => {
+                let inner = self.number_matrix(inner)?;
+                self.graph.set_span(self.span(at));
+                Ok(self.map(inner, |graph, n| graph.scale(-1.0, n)))
+            }
+            Kind::Power(base, exponent) => self.power(base, exponent, at),
+            Kind::Transpose(inner) => self.transpose(inner),
+            Kind::Index(inner, indices) => self.index(inner, indices, at),
+            Kind::Call(name, arguments) => self.call(name, arguments, at),
+            Kind::Compare(relation, left, right) => self.compare(*relation, left, right, at),
+            Kind::And(parts) => self.logic(parts, at, Graph::and, true),
+            Kind::Or(parts) => self.logic(parts, at, Graph::or, false),
+            Kind::Not(inner) => self.not(inner, at),
+            Kind::Broken(parts) => {
+                for part in parts {
+                    let is_called = matches!(&part.kind, Kind::Name(name)
+                        if is_reserved(name) || matches!(self.names.get(name), Some(Binding::Function(_))));
+                    if !is_called {
+                        let _told = self.expr(part);
+                    }
+                }
+                Err(Poison::Unknown)
+            }
+        }
+    }
+
+    /// Checks a function's body as far as that goes without its arguments.
+    pub fn trial(&mut self, arguments: &[String], body: &Expr) {
+        let local = |name: &String| Local { name: name.clone(), value: Err(Poison::Unknown), levels: 0 };
+        self.locals = arguments.iter().map(local).collect();
+        self.blindly(|e| e.expr(body).is_ok());
+        self.locals.clear();
+    }
+
+    /// With locals that have no values.
+    pub fn blindly<T>(&mut self, f: impl FnOnce(&mut Self) -> T) -> T {
+        let outer = std::mem::replace(&mut self.blind, true);
+        let result = f(self);
+        self.blind = outer;
+        result
+    }
+
+    pub fn map(&mut self, mut matrix: Matrix, f: impl Fn(&mut Graph, NodeId) -> NodeId) -> Matrix {
+        matrix.entries.iter_mut().for_each(|n| *n = f(self.graph, *n));
+        matrix
+    }
+
+    /// A number: 1×1 and not a truth value.
+    pub fn scalar(&mut self, at: &Expr) -> Result<NodeId, Poison> {
+        let value = self.number_matrix(at);
+        match (shape_of(&value), value) {
+            (Some(Shape::SCALAR) | None, Ok(value)) => Ok(value.entries[0]),
+            (Some(Shape::SCALAR) | None, Err(poison)) => Err(poison),
+            (Some(shape), _) => {
+                let fault = fault("shape", at, format!("this is {shape} where a scalar is needed"));
+                let remedy =
+                    if shape.1 == 1 { "index it: `v[0]`; a dot product is `u' * v`" } else { "index it: `A[0, 0]`" };
+                Err(self.tell(fault.help(remedy)))
+            }
+        }
+    }
+
+    /// A truth value.
+    pub fn truth(&mut self, at: &Expr) -> Result<NodeId, Poison> {
+        let value = self.expr(at);
+        match &value {
+            Ok(Matrix { entries, .. }) if entries.len() == 1 && self.graph.is_truth(entries[0]) => Ok(entries[0]),
+            Err(Poison::Unknown | Poison::Truth) => Err(Poison::Unknown),
+            _ => Err(self.tell(
+                fault("truth-value", at, "a condition is needed here, not a number")
+                    .help("compare it with something: `s <= 1`"),
+            )),
+        }
+    }
+
+    /// Numbers, not a truth value.
+    pub fn number_matrix(&mut self, at: &Expr) -> Worked {
+        let value = self.expr(at);
+        let is_truth = match &value {
+            Ok(matrix) => matrix.entries.iter().any(|n| self.graph.is_truth(*n)),
+            Err(poison) => *poison == Poison::Truth,
+        };
+        if is_truth {
+            let fault = fault("truth-value", at, "this is a condition where a number is needed");
+            return Err(self.tell(fault.help("choose numbers by it: `if(condition, 1, 0)`")));
+        }
+        value
+    }
+
+    /// A whole number known now.
+    pub fn whole(&mut self, at: &Expr, what: &str) -> Result<i64, Poison> {
+        let node = self.scalar(at)?;
+        let fault = match self.graph.value_of(node) {
+            Some(value) if value.fract() == 0.0 && value.abs() < 1e9 => return Ok(value as i64),
+            Some(value) if value.fract() == 0.0 => {
+                fault("bad-range", at, format!("{what} is at most 1e9, not {value:e}")).help("count from 0")
+            }
+            Some(value) => fault("bad-range", at, format!("{what} is a whole number, not {value}"))
+                .help("the entries of a vector are counted from 0; `if` chooses between formulas"),
+            None => fault("bad-range", at, format!("{what} must be known when the model is read"))
+                .help("use whole numbers and the index of an enclosing `sum` or `product` only"),
+        };
+        Err(self.tell(fault))
+    }
+
+    fn name(&mut self, name: &str, at: &Expr) -> Worked {
+        if let Some(local) = self.locals.iter().rev().find(|l| l.name == name) {
+            self.cache.reads(local.levels);
+            return if self.blind { Err(poisoned(shape_of(&local.value))) } else { local.value.clone() };
+        }
+        let fault = match self.names.get(name) {
+            Some(Binding::Value(value)) => {
+                let value = value.clone();
+                self.charge(value.entries.len() / 16, at)?;
+                return Ok(value);
+            }
+            Some(Binding::Poisoned) => return Err(Poison::Unknown),
+            Some(Binding::Function(function)) => {
+                let count = function.arguments.len();
+                let plural = if count == 1 { "" } else { "s" };
+                fault("syntax", at, format!("{} is a function of {count} argument{plural}", quoted(name)))
+                    .help(format!("call it: `{name}({})`", function.arguments.join(", ")))
+            }
+            None if name == "pi" => return Ok(Matrix::scalar(self.graph.number(std::f64::consts::PI))),
+            None if is_reserved(name) => fault("syntax", at, format!("`{name}` needs its arguments in parentheses"))
+                .help(format!("write `{name}(…)`")),
+            None => return Err(self.unknown(name, at, "is not defined")),
+        };
+        Err(self.tell(fault))
+    }
+}

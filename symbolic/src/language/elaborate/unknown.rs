@@ -1,0 +1,82 @@
+//! Names that nothing declares, and what was probably meant.
+
+use super::{Binding, Elaborator, Poison, RESERVED, fault};
+use crate::language::diagnostic::{nearest_name, quoted};
+use crate::language::parser::Expr;
+use crate::program::function::Function1;
+
+/// What other languages call it.
+const FOREIGN: [(&str, &str); 33] = [
+    ("ln", "the natural logarithm is `log`"),
+    ("log10", "write `log(x) / log(10)`"),
+    ("log2", "write `log(x) / log(2)`"),
+    ("exp2", "write `2^x`"),
+    ("pow", "write `x^y`"),
+    ("sqr", "write `x^2`"),
+    ("square", "write `x^2`"),
+    ("cbrt", "write `x^(1/3)`"),
+    ("hypot", "write `sqrt(x^2 + y^2)`"),
+    ("norm", "write `sqrt(v' * v)`"),
+    ("dot", "a dot product is `u' * v`"),
+    ("transpose", "a transposition is written `v'`"),
+    ("det", "write it out: `A[0, 0]*A[1, 1] - A[0, 1]*A[1, 0]`"),
+    ("inv", "write it out; a 2×2 inverse is `[[d, -b], [-c, a]] / (a*d - b*c)`"),
+    ("fabs", "write `abs`"),
+    ("sign", "write `if(x < 0, -1, 1)`"),
+    ("sgn", "write `if(x < 0, -1, 1)`"),
+    ("heaviside", "write `if(x < 0, 0, 1)`"),
+    ("clamp", "write `min(max(x, low), high)`"),
+    ("where", "write `if(condition, a, b)`"),
+    ("select", "write `if(condition, a, b)`"),
+    ("prod", "write `product(e, i, lo, hi)`"),
+    ("arcsin", "write `asin`"),
+    ("arccos", "write `acos`"),
+    ("arctan", "write `atan`"),
+    ("arctan2", "write `atan2(y, x)`"),
+    ("erfc", "write `1 - erf(x)`"),
+    ("floor", "there is no rounding in formulas: they must have derivatives"),
+    ("round", "there is no rounding in formulas: they must have derivatives"),
+    ("mod", "there is no remainder in formulas: they must have derivatives"),
+    ("e", "write `exp(1)`, or `1e3` for a number with an exponent"),
+    ("π", "write `pi`"),
+    ("true", "write a condition: `s <= 1`"),
+];
+
+impl Elaborator<'_> {
+    /// Tells a name that nothing declares.
+    pub fn unknown(&mut self, name: &str, at: &Expr, what: &str) -> Poison {
+        if self.workings.lacks_names {
+            return Poison::Unknown;
+        }
+        // The name alone, not the call.
+        let mut fault = fault("unknown-name", at, format!("{} {what}", quoted(name)));
+        fault.end = at.start + name.len();
+        let help = self.meant(name);
+        self.tell(fault.help(help))
+    }
+
+    fn meant(&mut self, name: &str) -> String {
+        let declare = "declare it under [parameters], [constants] or [definitions]";
+        if self.workings.near_misses_left == 0 {
+            return declare.into();
+        }
+        self.workings.near_misses_left -= 1;
+        let is_power = |c: char| "⁰¹²³⁴⁵⁶⁷⁸⁹".contains(c);
+        if let Some(base) = name.find(is_power).map(|i| &name[..i])
+            && !base.is_empty()
+        {
+            return format!("powers are written `^`: `{base}^2`");
+        }
+        if let Some((_, help)) = FOREIGN.iter().find(|(foreign, _)| *foreign == name) {
+            return (*help).into();
+        }
+        let mut candidates: Vec<&str> = Function1::ALL.iter().map(|f| f.name()).chain(RESERVED).collect();
+        let declared = self.names.iter().filter(|(_, b)| !matches!(b, Binding::Poisoned));
+        candidates.extend(declared.map(|(name, _)| name.as_str()));
+        candidates.extend(self.locals.iter().map(|l| l.name.as_str()));
+        match nearest_name(name, candidates) {
+            Some(near) => format!("did you mean `{near}`?"),
+            None => declare.into(),
+        }
+    }
+}

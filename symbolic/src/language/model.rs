@@ -1,0 +1,434 @@
+//! `Model`: a checked document. What comes in: TOML or JSON. What goes out: parameters, roles, stages, and the graph of
+//! its formulas, ready to be differentiated. Only [`crate::language::reader`] can make one.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::derive::bodies::Part;
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::likelihood::{Loss, Saturated, Shape};
+use crate::derive::objective::{Objective, Prediction, ValueKind};
+use crate::language::diagnostic::{Diagnostics, Span};
+use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
+
+/// An unknown of the fit.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// Where a cold start takes its value from.
+    pub start: Start,
+    /// Exclusive lower bound.
+    pub min: Option<f64>,
+    /// Exclusive upper bound.
+    pub max: Option<f64>,
+    /// For display.
+    pub unit: Option<String>,
+    /// Its key in the document.
+    pub span: Span,
+}
+
+/// The start of a parameter.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub enum Start {
+    /// A number.
+    Number(f64),
+    /// Found in the image.
+    Estimator(Estimator),
+}
+
+/// Named starting values, found from the image's histogram and moments. Axes are positions of coordinates: 0 is the first.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub enum Estimator {
+    /// Centre, px.
+    Centroid(usize),
+    /// Entry of A, px⁻²; the row is not after the column.
+    Extent(usize, usize),
+    /// Half extent, px.
+    Size(usize),
+    /// Level of the surroundings, pixel value.
+    Background,
+    /// Signed height over the background, pixel value.
+    Amplitude,
+    /// The target's origin in the camera's frame, by axis, mm.
+    Position(usize),
+    /// Modified Rodrigues parameter of the rotation from target axes to camera axes, by axis.
+    Orientation(usize),
+}
+
+impl Estimator {
+    /// Every estimator.
+    pub const ALL: [Estimator; 26] = {
+        use Estimator::*;
+        [
+            Centroid(0),
+            Centroid(1),
+            Centroid(2),
+            Centroid(3),
+            Extent(0, 0),
+            Extent(0, 1),
+            Extent(0, 2),
+            Extent(0, 3),
+            Extent(1, 1),
+            Extent(1, 2),
+            Extent(1, 3),
+            Extent(2, 2),
+            Extent(2, 3),
+            Extent(3, 3),
+            Size(0),
+            Size(1),
+            Size(2),
+            Size(3),
+            Background,
+            Amplitude,
+            Position(0),
+            Position(1),
+            Position(2),
+            Orientation(0),
+            Orientation(1),
+            Orientation(2),
+        ]
+    };
+
+    /// The name in a document. The letters x, y, z, w stand for the first to the fourth coordinate, whatever its name is.
+    pub fn name(self) -> &'static str {
+        const CENTROID: [&str; 4] = ["centroid.x", "centroid.y", "centroid.z", "centroid.w"];
+        const SIZE: [&str; 4] = ["size.x", "size.y", "size.z", "size.w"];
+        const EXTENT: [[&str; 4]; 4] = [
+            ["extent.xx", "extent.xy", "extent.xz", "extent.xw"],
+            ["extent.xy", "extent.yy", "extent.yz", "extent.yw"],
+            ["extent.xz", "extent.yz", "extent.zz", "extent.zw"],
+            ["extent.xw", "extent.yw", "extent.zw", "extent.ww"],
+        ];
+        match self {
+            Estimator::Centroid(axis) => CENTROID[axis],
+            Estimator::Extent(row, column) => EXTENT[row][column],
+            Estimator::Size(axis) => SIZE[axis],
+            Estimator::Background => "background",
+            Estimator::Amplitude => "amplitude",
+            Estimator::Position(axis) => ["pose.x", "pose.y", "pose.z"][axis],
+            Estimator::Orientation(axis) => ["pose.rx", "pose.ry", "pose.rz"][axis],
+        }
+    }
+
+    /// How many coordinates a document must have for it.
+    pub fn coordinates(self) -> usize {
+        match self {
+            Estimator::Centroid(axis) | Estimator::Size(axis) => axis + 1,
+            Estimator::Extent(row, column) => row.max(column) + 1,
+            Estimator::Background | Estimator::Amplitude => 1,
+            Estimator::Position(_) | Estimator::Orientation(_) => 2,
+        }
+    }
+}
+
+/// A number given by session or camera.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Constant {
+    /// Its name.
+    pub name: String,
+    /// The document's default.
+    pub value: f64,
+    /// Its key in the document.
+    pub span: Span,
+}
+
+/// What parameters mean to the tracker, for one target.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Roles {
+    /// `None` for the plain `[roles]`.
+    pub name: Option<String>,
+    /// One a coordinate, or empty.
+    pub centre: Vec<ParameterId>,
+    /// The upper triangle of A, row by row (the outline is dᵀ A d = 1), or empty: a1, a2, a3 in two dimensions; xx, xy,
+    /// xz, yy, yz, zz in three.
+    pub shape: Vec<ParameterId>,
+    /// Background level.
+    pub background: Option<ParameterId>,
+    /// Height over the background.
+    pub brightness: Option<ParameterId>,
+    /// The target's origin in the camera's frame, mm: three, or empty.
+    pub position: Vec<ParameterId>,
+    /// Modified Rodrigues parameters of the rotation from target axes to camera axes: three, two (the third is 0: one round
+    /// spot, whose spin nothing shows), or empty.
+    pub orientation: Vec<ParameterId>,
+}
+
+/// How a stage steps.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The full Hessian.
+    Newton,
+    /// JᵀWJ for the Hessian.
+    GaussNewton,
+    /// As Gauss–Newton, damped from the start.
+    LevenbergMarquardt,
+}
+
+impl Method {
+    /// The name in a document.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Newton => "newton",
+            Method::GaussNewton => "gauss-newton",
+            Method::LevenbergMarquardt => "levenberg-marquardt",
+        }
+    }
+}
+
+/// One step of the schedule.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Stage {
+    /// The free parameters, in the order written.
+    pub parameters: Vec<ParameterId>,
+    /// How it steps.
+    pub method: Method,
+    /// At most so many steps.
+    pub iterations: u32,
+    /// It ends when every |δ|/σ is at most this.
+    pub tolerance: f64,
+}
+
+/// How a program is to be lowered.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
+pub struct Lowering {
+    /// Contract a · b + c (the processor has fused multiply-add).
+    pub fma: bool,
+    /// Leave out and count pixels at or above their channel's limit.
+    pub drop_saturated: bool,
+}
+
+/// The formulas of a model, as nodes: those of one entry of `observed`, the first as a rule.
+#[derive(Clone, Debug)]
+pub(crate) struct Formulas {
+    pub graph: Graph,
+    pub observed: NodeId,
+    /// The mean over the pixel's Gauss points.
+    pub intensity: NodeId,
+    /// The intensity at a point: what is rendered.
+    pub shown: NodeId,
+    pub domain: Option<NodeId>,
+    pub noise: Option<NodeId>,
+    pub constraints: Vec<NodeId>,
+    pub loss: Loss,
+    pub saturated: Saturated,
+    /// Only pixels at this channel's limit.
+    pub clipped: Option<ChannelId>,
+    /// All entries of `observed`; never empty.
+    pub entries: Vec<Observation>,
+}
+
+/// One entry of `observed` and its prediction.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Observation {
+    pub observed: NodeId,
+    pub intensity: NodeId,
+    pub shown: NodeId,
+    pub noise: Option<NodeId>,
+}
+
+impl Formulas {
+    /// What F is of a residual.
+    pub fn shape(&self) -> Shape {
+        if self.clipped.is_some() { Shape::Clipped(self.loss) } else { Shape::Seen(self.loss) }
+    }
+
+    /// The same for another entry of `observed`.
+    pub fn of_entry(&self, Observation { observed, intensity, shown, noise }: Observation) -> Formulas {
+        let entries = vec![Observation { observed, intensity, shown, noise }];
+        Formulas { observed, intensity, shown, noise, entries, ..self.clone() }
+    }
+}
+
+/// A part of a model's F; see [`Model::summands`].
+#[derive(Clone, Debug)]
+pub struct Summand {
+    /// The model whose F it is.
+    pub model: Model,
+    /// It sums pixels at their limit, and no others.
+    pub is_clipped: bool,
+}
+
+/// A checked document.
+#[derive(Clone, Debug)]
+pub struct Model {
+    pub(crate) name: String,
+    pub(crate) description: String,
+    pub(crate) text: Arc<str>,
+    pub(crate) places: crate::language::places::Places,
+    pub(crate) coordinates: Vec<String>,
+    pub(crate) channels: Vec<String>,
+    pub(crate) parameters: Vec<Parameter>,
+    pub(crate) constants: Vec<Constant>,
+    pub(crate) roles: Vec<Roles>,
+    pub(crate) stages: Vec<Stage>,
+    pub(crate) document: serde_json::Value,
+    pub(crate) digest: String,
+    pub(crate) formulas: Formulas,
+}
+
+impl Model {
+    /// Reads a TOML document; on failure every fault that was found.
+    pub fn from_toml(text: &str) -> Result<Model, Diagnostics> {
+        crate::language::reader::read(text, crate::language::document::read_toml(text)?)
+    }
+    /// Reads a JSON document; on failure every fault that was found.
+    pub fn from_json(text: &str) -> Result<Model, Diagnostics> {
+        crate::language::reader::read(text, crate::language::document::read_json(text)?)
+    }
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+    /// A sentence for people.
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+    /// Names, inner loop first.
+    pub fn coordinates(&self) -> &[String] {
+        &self.coordinates
+    }
+    /// Names of the raw planes.
+    pub fn channels(&self) -> &[String] {
+        &self.channels
+    }
+    /// In document order.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+    /// In document order.
+    pub fn constants(&self) -> &[Constant] {
+        &self.constants
+    }
+    /// The parameter of that name.
+    pub fn parameter(&self, name: &str) -> Option<ParameterId> {
+        self.parameters.iter().position(|p| p.name == name).map(|i| ParameterId(i as u32))
+    }
+    /// The constant of that name.
+    pub fn constant(&self, name: &str) -> Option<ConstantId> {
+        self.constants.iter().position(|c| c.name == name).map(|i| ConstantId(i as u32))
+    }
+    /// One a target; never empty.
+    pub fn roles(&self) -> &[Roles] {
+        &self.roles
+    }
+    /// The schedule; never empty.
+    pub fn stages(&self) -> &[Stage] {
+        &self.stages
+    }
+    /// The document as JSON with sorted keys.
+    pub fn document(&self) -> &serde_json::Value {
+        &self.document
+    }
+    /// `sha256:` of [`Model::document`] without blanks.
+    pub fn digest(&self) -> &str {
+        &self.digest
+    }
+    /// True when the document gives the variance of a pixel.
+    pub fn has_noise(&self) -> bool {
+        self.formulas.noise.is_some()
+    }
+    /// What becomes of pixels at their limit.
+    pub fn saturated(&self) -> Saturated {
+        self.formulas.saturated
+    }
+    /// How residuals count.
+    pub fn loss(&self) -> Loss {
+        self.formulas.loss
+    }
+    /// Entries of `observed`: values that a pixel is fitted by.
+    pub fn entries(&self) -> usize {
+        self.formulas.entries.len()
+    }
+
+    /// Models whose F add up to this one's: one for each entry of `observed`, this model itself when there is one only,
+    /// each followed by one of the pixels at their limit where those are censored. What is derived from a model is of
+    /// its first entry, and of pixels below their limit.
+    pub fn summands(&self) -> Vec<Summand> {
+        let mut summands = Vec::new();
+        for entry in &self.formulas.entries {
+            let formulas = self.formulas.of_entry(*entry);
+            let clipped = match (self.formulas.saturated, formulas.graph.node(entry.observed)) {
+                (Saturated::Censored, Node::Channel(channel)) => {
+                    Some(Formulas { clipped: Some(*channel), ..formulas.clone() })
+                }
+                _ => None,
+            };
+            let of = |formulas: Formulas, is_clipped| Summand { model: Model { formulas, ..self.clone() }, is_clipped };
+            summands.push(of(formulas, false));
+            summands.extend(clipped.map(|formulas| of(formulas, true)));
+        }
+        summands
+    }
+
+    /// The parameter nearest in spelling, for messages.
+    pub fn nearest_name(&self, name: &str) -> Option<&str> {
+        let names =
+            self.parameters.iter().map(|p| p.name.as_str()).chain(self.constants.iter().map(|c| c.name.as_str()));
+        crate::language::diagnostic::nearest_name(name, names)
+    }
+
+    /// True when every exclusive bound and every constraint holds; false for NaN.
+    pub fn constraints_hold(&self, parameters: &[f64], constants: &[f64]) -> bool {
+        let bounded = |(p, value): (&Parameter, &f64)| {
+            p.min.is_none_or(|min| *value > min) && p.max.is_none_or(|max| *value < max) && value.is_finite()
+        };
+        let leaf = |node: &Node| match node {
+            Node::Input(Input::Parameter(p)) => parameters[p.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            _ => f64::NAN,
+        };
+        self.parameters.iter().zip(parameters).all(bounded)
+            && self.formulas.constraints.iter().all(|c| self.formulas.graph.evaluate(*c, &leaf) == 1.0)
+    }
+
+    /// `observed` of one pixel, from the values of its channels; the sum of its entries.
+    pub fn observed(&self, channels: &[f64], constants: &[f64]) -> f64 {
+        let leaf = |node: &Node| match node {
+            Node::Channel(c) => channels[c.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            _ => f64::NAN,
+        };
+        self.formulas.entries.iter().map(|entry| self.formulas.graph.evaluate(entry.observed, &leaf)).sum()
+    }
+
+    /// True when the model says something about a place: no domain, or one that holds there. One value a coordinate.
+    pub fn domain_holds(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> bool {
+        self.formulas.domain.is_none_or(|domain| self.at_place(domain, place, parameters, constants) == 1.0)
+    }
+
+    /// F, its gradient and its Hessian for a subset of the parameters.
+    pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
+        Objective::derive(self, subset, method)
+    }
+    /// Gradient or Hessian in a loop of its own, to compare with the joint loop; it is not checked against the formulas.
+    pub fn part_objective(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Objective, Diagnostics> {
+        Objective::part(self, subset, method, part)
+    }
+    /// F alone.
+    pub fn value_objective(&self, kind: ValueKind) -> Result<Objective, Diagnostics> {
+        Objective::value(self, kind)
+    }
+    /// The program that adds the intensity (the entry of the model's first observation) to a plane, at coordinates plus
+    /// their shifts.
+    pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
+        crate::derive::objective::rendering(self, lowering)
+    }
+
+    /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
+    pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
+        crate::derive::objective::prediction(self, what, lowering)
+    }
+
+    pub(crate) fn names(&self, outputs: Vec<String>) -> Names {
+        Names {
+            coordinates: self.coordinates.clone(),
+            channels: self.channels.clone(),
+            parameters: self.parameters.iter().map(|p| p.name.clone()).collect(),
+            constants: self.constants.iter().map(|c| c.name.clone()).collect(),
+            outputs,
+        }
+    }
+}

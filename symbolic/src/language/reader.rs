@@ -1,0 +1,402 @@
+//! A document's tree in, a checked [`Model`] out, or every fault that was found.
+
+mod faults;
+mod formulas_of_model;
+mod likelihood_of_model;
+mod roles;
+mod stages;
+
+use std::collections::BTreeMap;
+
+use sha2::{Digest, Sha256};
+
+use crate::derive::graph::Graph;
+use crate::language::diagnostic::{Diagnostics, Span, nearest_name, quoted};
+use crate::language::document::{Entry, Item, Key, to_json};
+use crate::language::elaborate::{Binding, Matrix};
+use crate::language::formulas::{Definition, FormulaReader};
+use crate::language::limits::LIMITS;
+use crate::language::model::{Constant, Estimator, Model, Parameter, Start};
+use crate::program::{ChannelId, ConstantId, CoordinateId, Input, ParameterId};
+pub(crate) use faults::Faults;
+use faults::get;
+use formulas_of_model::read_model;
+use roles::read_roles;
+use stages::read_stages;
+
+const TOP: [&str; 9] =
+    ["name", "description", "coordinates", "channels", "parameters", "roles", "definitions", "model", "constants"];
+const MODEL: [&str; 8] = ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature"];
+
+/// Checks a document.
+pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Diagnostics> {
+    let mut faults = Faults::after(text, of_syntax);
+    let Some(top) = faults.table("", &root).map(<[_]>::to_vec) else { return Err(faults.finish()) };
+    let mut keys = TOP.to_vec();
+    keys.push("stages");
+    faults.known("", &top, &keys);
+
+    let name = required_text(&mut faults, &top, "name", root.span, "give the model a name: `name = \"spot\"`");
+    if let Some(text) = get(&top, "name").and_then(|e| if let Item::Text(t) = &e.item { Some(t) } else { None })
+        && !is_slug(&text.value)
+    {
+        let message = format!("{} is not a model's name", quoted(&text.value));
+        faults.tell("bad-name", "name", text.span(0, text.value.len()), message, "names match [a-z0-9][a-z0-9-]{0,63}");
+    }
+    let description = get(&top, "description").and_then(|e| faults.text("description", e)).map(|t| t.value.to_string());
+    let mut names = Names::default();
+    let coordinates = names.list(&mut faults, &top, "coordinates", root.span, LIMITS.coordinates);
+    let channels = names.list(&mut faults, &top, "channels", root.span, LIMITS.channels);
+    let parameters = read_parameters(&mut faults, &top, root.span, &mut names, coordinates.len());
+    let constants = read_constants(&mut faults, &top, &mut names);
+    let definitions = read_definitions(&mut faults, &top, &mut names);
+    let roles = read_roles(&mut faults, &top, &parameters, coordinates.len());
+    let stages = read_stages(&mut faults, &top, &parameters);
+
+    let mut graph = Graph::default();
+    let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
+    let mut reader = FormulaReader::new(graph, bindings, &mut faults);
+    // Without one of these every formula would be at fault once more.
+    if coordinates.is_empty()
+        || channels.is_empty()
+        || parameters.is_empty()
+        || names.lacking
+        || reader.faults.is_partial()
+    {
+        reader.lacks_names();
+    }
+    reader.definitions(definitions);
+    let formulas = match get(&top, "model") {
+        None => {
+            faults.tell(
+                "missing-key",
+                "model",
+                root.span,
+                "the table [model] is missing",
+                "add `[model]` with `intensity = \"…\"`",
+            );
+            None
+        }
+        Some(entry) => match &entry.item {
+            Item::Table(model) => {
+                reader.faults.known("model", model, &MODEL);
+                read_model(reader, model, entry.span, &channels, coordinates.len())
+            }
+            _ => {
+                faults.wrong_type("model", entry, "a table");
+                None
+            }
+        },
+    };
+    let document = to_json(&root);
+    let digest = Sha256::digest(document.to_string().as_bytes());
+    let digest = format!("sha256:{}", digest.iter().map(|b| format!("{b:02x}")).collect::<String>());
+    match (formulas, faults.is_empty()) {
+        (Some(formulas), true) => Ok(Model {
+            name: name.unwrap_or_default(),
+            description: description.unwrap_or_default(),
+            text: text.into(),
+            coordinates,
+            channels,
+            parameters,
+            constants,
+            roles,
+            stages,
+            places: crate::language::places::places(&root),
+            document,
+            digest,
+            formulas,
+        }),
+        _ => Err(faults.finish()),
+    }
+}
+
+/// `[a-z0-9][a-z0-9-]{0,63}`
+pub(crate) fn is_slug(name: &str) -> bool {
+    let allowed = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit();
+    name.len() <= 64 && name.bytes().next().is_some_and(allowed) && name.bytes().all(|b| allowed(b) || b == b'-')
+}
+
+fn required_text(faults: &mut Faults, top: &[(Key, Entry)], key: &str, whole: Span, help: &str) -> Option<String> {
+    match get(top, key) {
+        Some(entry) => faults.text(key, entry).map(|t| t.value.to_string()),
+        None => {
+            let at = Span { start: whole.start, end: whole.start };
+            faults.tell("missing-key", key, at, format!("the key `{key}` is missing"), help);
+            None
+        }
+    }
+}
+
+/// Every name of the document, to tell duplicates.
+#[derive(Default)]
+struct Names {
+    seen: BTreeMap<String, String>,
+    /// What formulas may call names that are at fault themselves.
+    faulty: Vec<String>,
+    /// A table of names could not be read.
+    lacking: bool,
+}
+
+impl Names {
+    /// True when the name is well-formed and new.
+    fn declare(&mut self, faults: &mut Faults, key: &str, name: &str, span: Span) -> bool {
+        if !faults.name(key, name, span) {
+            // A formula reads `my-name` as two.
+            self.faulty.push(name.to_string());
+            let parts = name.split(|c: char| !(c.is_alphanumeric() || c == '_'));
+            self.faulty.extend(parts.filter(|p| !p.is_empty()).map(String::from));
+            return false;
+        }
+        if let Some(first) = self.seen.get(name) {
+            let message = format!("{} is already declared as `{first}`", quoted(name));
+            faults.tell("duplicate", key, span, message, "every name has one meaning; rename one of them");
+            return false;
+        }
+        self.seen.insert(name.to_string(), key.to_string());
+        true
+    }
+
+    fn list(&mut self, faults: &mut Faults, top: &[(Key, Entry)], key: &str, whole: Span, most: usize) -> Vec<String> {
+        let Some(entry) = get(top, key) else {
+            let at = Span { start: whole.start, end: whole.start };
+            let help =
+                if key == "coordinates" { "add `coordinates = [\"x\", \"y\"]`" } else { "add `channels = [\"phi\"]`" };
+            faults.tell("missing-key", key, at, format!("the key `{key}` is missing"), help);
+            return Vec::new();
+        };
+        let Some(list) = faults.list(key, entry, "a list of names") else { return Vec::new() };
+        self.lacking |= list.iter().any(|item| !matches!(item.item, Item::Text(_)));
+        if list.is_empty() || list.len() > most {
+            let code = if list.is_empty() { "bad-range" } else { "limit" };
+            let help = if key == "coordinates" {
+                "columns, rows, slices, volumes: the first is the inner loop"
+            } else {
+                "name the raw planes that formulas use"
+            };
+            faults.tell(code, key, entry.span, format!("`{key}` has 1 to {most} names, not {}", list.len()), help);
+            return Vec::new();
+        }
+        let mut names = Vec::new();
+        for (i, item) in list.iter().enumerate() {
+            let key = format!("{key}[{i}]");
+            if let Some(text) = faults.text(&key, item)
+                && self.declare(faults, &key, &text.value, item.span)
+            {
+                names.push(text.value.to_string());
+            }
+        }
+        names
+    }
+}
+
+fn read_parameters(
+    faults: &mut Faults,
+    top: &[(Key, Entry)],
+    whole: Span,
+    names: &mut Names,
+    coordinates: usize,
+) -> Vec<Parameter> {
+    let Some(entry) = get(top, "parameters") else {
+        let at = Span { start: whole.start, end: whole.start };
+        faults.tell(
+            "missing-key",
+            "parameters",
+            at,
+            "the table [parameters] is missing",
+            "declare what the fit is to find",
+        );
+        return Vec::new();
+    };
+    let Some(table) = faults.table("parameters", entry) else { return Vec::new() };
+    if (table.is_empty() && !faults.is_partial()) || table.len() > LIMITS.parameters {
+        let message = format!("a model has 1 to {} parameters, this one {}", LIMITS.parameters, table.len());
+        faults.tell(
+            if table.is_empty() { "bad-range" } else { "limit" },
+            "parameters",
+            entry.span,
+            message,
+            "declare what the fit is to find",
+        );
+    }
+    let mut parameters = Vec::new();
+    for (key, entry) in table {
+        let path = format!("parameters.{}", key.name);
+        names.declare(faults, &path, &key.name, key.span);
+        // One that is at fault is still a parameter to those who name it.
+        let parameter =
+            |start, min, max, unit| Parameter { name: key.name.clone(), start, min, max, unit, span: key.span };
+        let unread = parameter(Start::Number(f64::NAN), None, None, None);
+        let Some(fields) = faults.table(&path, entry) else {
+            parameters.push(unread);
+            continue;
+        };
+        faults.known(&path, fields, &["start", "min", "max", "unit"]);
+        let bound = |faults: &mut Faults, name: &str| {
+            get(fields, name).and_then(|e| faults.number(&format!("{path}.{name}"), e))
+        };
+        let (min, max) = (bound(faults, "min"), bound(faults, "max"));
+        let unit =
+            get(fields, "unit").and_then(|e| faults.text(&format!("{path}.unit"), e)).map(|t| t.value.to_string());
+        let start = read_start(faults, &path, fields, key.span, coordinates);
+        if let (Some(min), Some(max)) = (min, max)
+            && min >= max
+        {
+            faults.tell(
+                "bad-range",
+                &path,
+                entry.span,
+                format!("min = {min} is not below max = {max}"),
+                "bounds are exclusive: min < max",
+            );
+        }
+        if let Some(Start::Number(value)) = start
+            && !matches!((min, max), (Some(min), Some(max)) if min >= max)
+            && (min.is_some_and(|m| value <= m) || max.is_some_and(|m| value >= m))
+        {
+            let at = get(fields, "start").map_or(entry.span, |e| e.span);
+            faults.tell(
+                "bad-range",
+                &format!("{path}.start"),
+                at,
+                format!("the start {value} is outside the bounds"),
+                "bounds are exclusive: min < start < max",
+            );
+        }
+        parameters.push(start.map_or(unread, |start| parameter(start, min, max, unit)));
+    }
+    parameters
+}
+
+fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span, coordinates: usize) -> Option<Start> {
+    let path = format!("{path}.start");
+    let Some(entry) = get(fields, "start") else {
+        faults.tell(
+            "missing-key",
+            &path,
+            at,
+            "the key `start` is missing",
+            "give a number, or an estimator such as \"centroid.x\"",
+        );
+        return None;
+    };
+    let Item::Text(text) = &entry.item else { return faults.number(&path, entry).map(Start::Number) };
+    let found = Estimator::ALL.into_iter().find(|e| e.name() == &*text.value);
+    let known = || Estimator::ALL.into_iter().filter(|e| e.coordinates() <= coordinates.max(1)).map(Estimator::name);
+    if found.is_none() {
+        let help = match nearest_name(&text.value, known()) {
+            Some(near) => format!("did you mean \"{near}\"?"),
+            None => format!("estimators: {}", known().collect::<Vec<_>>().join(", ")),
+        };
+        faults.tell("unknown-name", &path, entry.span, format!("{} is not an estimator", quoted(&text.value)), help);
+    }
+    if let Some(needed) = found.map(Estimator::coordinates).filter(|needed| coordinates > 0 && *needed > coordinates) {
+        let ordinal = ["first", "second", "third", "fourth"][needed - 1];
+        let message = format!("{} needs a {ordinal} coordinate", quoted(&text.value));
+        let count = ["one coordinate", "two coordinates", "three coordinates"][coordinates - 1];
+        let help = format!("with {count}: {}", known().collect::<Vec<_>>().join(", "));
+        faults.tell("unknown-name", &path, entry.span, message, help);
+    }
+    found.map(Start::Estimator)
+}
+
+fn read_constants(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names) -> Vec<Constant> {
+    let Some(table) = get(top, "constants").and_then(|e| faults.table("constants", e)) else { return Vec::new() };
+    let mut constants = Vec::new();
+    for (i, (key, entry)) in table.iter().enumerate() {
+        let path = format!("constants.{}", key.name);
+        if i == LIMITS.constants {
+            let message = format!("a model has at most {} constants, this one {}", LIMITS.constants, table.len());
+            faults.tell("limit", &path, key.span, message, "remove some");
+        }
+        names.declare(faults, &path, &key.name, key.span);
+        let value = faults.number(&path, entry).unwrap_or(f64::NAN);
+        constants.push(Constant { name: key.name.clone(), value, span: key.span });
+    }
+    constants
+}
+
+fn read_definitions(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names) -> Vec<Definition> {
+    let Some(entry) = get(top, "definitions") else { return Vec::new() };
+    let Some(table) = faults.table("definitions", entry) else { return Vec::new() };
+    let mut definitions = Vec::new();
+    for (i, (key, entry)) in table.iter().enumerate() {
+        let path = format!("definitions.{}", key.name);
+        if i == LIMITS.definitions {
+            let message = format!("a model has at most {} definitions, this one {}", LIMITS.definitions, table.len());
+            faults.tell("limit", &path, key.span, message, "merge some");
+            names.lacking = true;
+            break;
+        }
+        let (name, arguments): (_, Vec<String>) = match key.name.split_once('(') {
+            Some((name, rest)) if rest.trim_end().ends_with(')') => {
+                let inner = rest.trim_end().trim_end_matches(')');
+                (name.trim(), inner.split(',').map(|a| a.trim().to_string()).collect())
+            }
+            _ => (key.name.as_str(), Vec::new()),
+        };
+        let is_function = !arguments.is_empty();
+        let mut declared = names.declare(faults, &path, name, key.span);
+        if arguments.len() > LIMITS.arguments {
+            let message = format!("a function has at most {} arguments, not {}", LIMITS.arguments, arguments.len());
+            faults.tell("limit", &path, key.span, message, "gather them in vectors");
+            declared = false;
+        }
+        for (j, argument) in arguments.iter().enumerate().take(LIMITS.arguments) {
+            declared &= faults.name(&path, argument, key.span);
+            if arguments[..j].contains(argument) {
+                faults.tell(
+                    "duplicate",
+                    &path,
+                    key.span,
+                    format!("the argument {} stands twice", quoted(argument)),
+                    "rename one of them",
+                );
+            }
+        }
+        if let Some(text) = faults.text(&path, entry) {
+            let (name, text) = (name.to_string(), text.clone());
+            definitions.push(Definition { name, arguments, is_function, key: path, text, declared });
+        } else {
+            names.faulty.push(name.to_string());
+        }
+    }
+    definitions
+}
+
+fn bind(
+    graph: &mut Graph,
+    coordinates: &[String],
+    channels: &[String],
+    parameters: &[Parameter],
+    constants: &[Constant],
+    faulty: Vec<String>,
+) -> BTreeMap<String, Binding> {
+    let mut bindings = BTreeMap::new();
+    // The first of two with one name counts.
+    let mut add = |name: &String, node| {
+        bindings.entry(name.clone()).or_insert(Binding::Value(Matrix::scalar(node)));
+    };
+    for (i, name) in coordinates.iter().enumerate() {
+        add(name, graph.coordinate(CoordinateId(i as u32)));
+    }
+    for (i, name) in channels.iter().enumerate() {
+        add(name, graph.channel(ChannelId(i as u32)));
+    }
+    for (i, parameter) in parameters.iter().enumerate() {
+        graph.set_span(Some(parameter.span));
+        let id = ParameterId(i as u32);
+        if parameter.min.is_some_and(|min| min >= 0.0) {
+            graph.declare_positive(id);
+        }
+        add(&parameter.name, graph.input(Input::Parameter(id)));
+    }
+    for (i, constant) in constants.iter().enumerate() {
+        graph.set_span(Some(constant.span));
+        add(&constant.name, graph.input(Input::Constant(ConstantId(i as u32))));
+    }
+    for name in faulty {
+        bindings.entry(name).or_insert(Binding::Poisoned);
+    }
+    bindings
+}

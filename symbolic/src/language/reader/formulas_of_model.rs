@@ -1,0 +1,208 @@
+//! `[model]`: its formulas.
+
+use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::likelihood::{Loss, Saturated};
+use crate::language::diagnostic::Span;
+use crate::language::document::{Entry, Item, Key};
+use crate::language::formulas::FormulaReader;
+use crate::language::limits::LIMITS;
+use crate::language::model::{Formulas, Observation};
+use crate::language::reader::faults::get;
+use crate::language::reader::likelihood_of_model::read_likelihood;
+use crate::program::{ChannelId, CoordinateId};
+
+/// The table `[model]`.
+pub(crate) fn read_model(
+    mut reader: FormulaReader<'_, '_>,
+    model: &[(Key, Entry)],
+    at: Span,
+    channels: &[String],
+    coordinates: usize,
+) -> Option<Formulas> {
+    let likelihood = read_likelihood(reader.faults, model, coordinates);
+    let intensity = match get(model, "intensity") {
+        Some(entry) => reader.column("model.intensity", entry),
+        None => {
+            reader.faults.tell(
+                "missing-key",
+                "model.intensity",
+                at,
+                "the key `intensity` is missing",
+                "write what a pixel's value is predicted to be",
+            );
+            None
+        }
+    };
+    let count = intensity.as_ref().map_or(1, Vec::len);
+    let observed = match get(model, "observed") {
+        Some(entry) => reader.column("model.observed", entry),
+        // A vector of predictions, one for each channel, needs no formula for what it predicts.
+        None if channels.len() == count => {
+            Some((0..count).map(|c| reader.graph.channel(ChannelId(c as u32))).collect::<Vec<_>>())
+        }
+        None if channels.len() > 1 => {
+            let message =
+                format!("with {} channels the key `observed` says which formula over them is fitted", channels.len());
+            reader.faults.tell(
+                "missing-key",
+                "model.observed",
+                at,
+                message,
+                format!("add `observed = \"{}\"`", channels[0]),
+            );
+            None
+        }
+        None => Some(vec![reader.graph.channel(ChannelId(0))]),
+    };
+    let domain = get(model, "domain").map(|e| reader.truth("model.domain", e));
+    let mut noise = Some(vec![None; count]);
+    if let Some(entry) = get(model, "noise") {
+        let values = |i: usize| intensity.as_ref().and_then(|list| list.get(i)).copied();
+        let mut one = |i: usize| reader.number_of_intensity("model.noise", entry, values(i)).map(Some);
+        noise = (0..count).map_while(|i| one(i).map(Some)).collect();
+        noise = noise.filter(|list: &Vec<Option<NodeId>>| list.len() == count);
+    }
+    intensity.iter().flatten().for_each(|node| reader.graph.set_opaque(*node));
+    let mut constraints = Vec::new();
+    if let Some(entry) = get(model, "constraint") {
+        let single = std::slice::from_ref(entry);
+        let list = if let Item::List(list) = &entry.item { list.as_slice() } else { single };
+        for (i, item) in list.iter().enumerate() {
+            constraints.push(reader.truth(&format!("model.constraint[{i}]"), item));
+        }
+    }
+    let none = Vec::new();
+    reader.check_levels(
+        model,
+        intensity.as_ref().unwrap_or(&none),
+        observed.as_ref().unwrap_or(&none),
+        domain.flatten(),
+        &constraints,
+    );
+    // A fault inside any formula is already told; the model stands only when all are whole.
+    let constraints = constraints.into_iter().collect::<Option<Vec<_>>>()?;
+    let (intensity, observed, noise) = (intensity?, observed?, noise?);
+    if domain == Some(None) {
+        return None;
+    }
+    if intensity.len() != observed.len() {
+        let message = format!(
+            "the prediction has {}, and what is observed has {}",
+            entries(intensity.len()),
+            entries(observed.len())
+        );
+        let span = get(model, "intensity").map_or(at, |e| e.span);
+        let help = "`intensity` has one entry for each entry of `observed` (without it: for each channel)";
+        reader.faults.tell("shape", "model.intensity", span, message, help);
+        return None;
+    }
+    if observed.len() > LIMITS.channels {
+        let message = format!("at most {} values are fitted, not {}", LIMITS.channels, observed.len());
+        let span = get(model, "observed").map_or(at, |e| e.span);
+        reader.faults.tell("limit", "model.observed", span, message, "one for each channel is what there is");
+        return None;
+    }
+    let likelihood = likelihood?;
+    let is_channel = |node: &NodeId| matches!(reader.graph.node(*node), Node::Channel(_));
+    if likelihood.saturated != Saturated::Dropped && !observed.iter().all(is_channel) {
+        let span = get(model, "saturated").map_or(at, |e| e.span);
+        let message =
+            "a mixture of channels has no limit of its own: at its limit a channel says too little of the mixture";
+        let help = "fit the channels as they are: `observed = \"[r, g, b]\"`, with the mixing in `intensity`";
+        reader.faults.tell("bad-formula", "model.saturated", span, message, help);
+        return None;
+    }
+    let mut graph = reader.graph;
+    // What has no formula of its own, such as the residual, comes from the intensity.
+    graph.set_span(graph.span(intensity[0]));
+    let mut list = Vec::new();
+    for ((shown, observed), noise) in intensity.into_iter().zip(observed).zip(noise) {
+        let mean = averaged(&mut graph, shown, likelihood.quadrature, coordinates);
+        let noise = noise.map(|noise| if mean == shown { noise } else { graph.replaced(noise, shown, mean) });
+        list.push(Observation { observed, intensity: mean, shown, noise });
+    }
+    let Observation { observed, intensity, shown, noise } = list[0];
+    let (loss, saturated): (Loss, Saturated) = (likelihood.loss, likelihood.saturated);
+    let domain = domain.flatten();
+    let clipped = None;
+    Some(Formulas {
+        graph,
+        observed,
+        intensity,
+        shown,
+        domain,
+        noise,
+        constraints,
+        loss,
+        saturated,
+        clipped,
+        entries: list,
+    })
+}
+
+fn entries(count: usize) -> String {
+    if count == 1 { "one entry".into() } else { format!("{count} entries") }
+}
+
+/// Nodes and weights of Gauss and Legendre's rule on −½ … ½; the weights add up to 1.
+fn gauss(points: usize) -> Vec<(f64, f64)> {
+    let legendre = |x: f64| {
+        let (mut before, mut now) = (1.0, x);
+        for k in 2..=points {
+            let k = k as f64;
+            (before, now) = (now, ((2.0 * k - 1.0) * x * now - (k - 1.0) * before) / k);
+        }
+        (now, points as f64 * (x * now - before) / (x * x - 1.0))
+    };
+    let node = |i: usize| {
+        let mut x = (std::f64::consts::PI * (i as f64 + 0.75) / (points as f64 + 0.5)).cos();
+        for _ in 0..8 {
+            let (value, slope) = legendre(x);
+            x -= value / slope;
+        }
+        // The middle one of an odd number is 0 itself.
+        let x = if 2 * i + 1 == points { 0.0 } else { x };
+        let (_, slope) = legendre(x);
+        (0.5 * x, 1.0 / ((1.0 - x * x) * slope * slope))
+    };
+    (0..points).map(node).collect()
+}
+
+/// The mean of a value over a pixel, by a product of Gauss's rules.
+fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize) -> NodeId {
+    if points < 2 {
+        return value;
+    }
+    let rule = gauss(points);
+    let mut terms = Vec::new();
+    for index in 0..points.pow(coordinates as u32) {
+        let place = |axis: usize| rule[index / points.pow(axis as u32) % points];
+        let weight: f64 = (0..coordinates).map(|axis| place(axis).1).product();
+        let mut shifted = |graph: &mut Graph, node: &Node| match node {
+            Node::Coordinate(CoordinateId(c)) => {
+                let coordinate = graph.coordinate(CoordinateId(*c));
+                Some(graph.sum(place(*c as usize).0, [(coordinate, 1.0)]))
+            }
+            _ => None,
+        };
+        terms.push((graph.substitute(value, &mut shifted), weight));
+    }
+    graph.sum(0.0, terms)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::gauss;
+
+    #[test]
+    fn a_rule_of_n_points_is_exact_to_degree_2n_minus_1() {
+        for points in 1..=5_usize {
+            for power in 0..2 * points as i32 {
+                let sum: f64 = gauss(points).iter().map(|(x, w)| w * x.powi(power)).sum();
+                // ∫ x^k dx over −½ … ½
+                let exact = if power % 2 == 1 { 0.0 } else { 0.5_f64.powi(power) / (f64::from(power) + 1.0) };
+                assert!((sum - exact).abs() < 1e-15, "{points} points, x^{power}: {sum} {exact}");
+            }
+        }
+    }
+}

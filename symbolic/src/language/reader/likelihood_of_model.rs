@@ -1,0 +1,92 @@
+//! `[model]`: what becomes of saturated pixels and of outliers, and how a pixel is sampled.
+
+use crate::derive::likelihood::{Loss, Saturated};
+use crate::language::diagnostic::{nearest_name, quoted};
+use crate::language::document::{Entry, Item, Key};
+use crate::language::limits::LIMITS;
+use crate::language::reader::faults::{Faults, get};
+
+/// `saturated`, `loss` and `quadrature`.
+#[derive(Default)]
+pub(crate) struct Likelihood {
+    pub saturated: Saturated,
+    pub loss: Loss,
+    /// Gauss points per side.
+    pub quadrature: usize,
+}
+
+/// Nothing when one of the keys is at fault.
+pub(crate) fn read_likelihood(faults: &mut Faults, model: &[(Key, Entry)], coordinates: usize) -> Option<Likelihood> {
+    let saturated = get(model, "saturated").map_or(Some(Saturated::Dropped), |entry| read_saturated(faults, entry));
+    let loss = get(model, "loss").map_or(Some(Loss::Squares), |entry| read_loss(faults, entry));
+    let quadrature = get(model, "quadrature").map_or(Some(1), |entry| read_quadrature(faults, entry, coordinates));
+    Some(Likelihood { saturated: saturated?, loss: loss?, quadrature: quadrature? })
+}
+
+fn read_saturated(faults: &mut Faults, entry: &Entry) -> Option<Saturated> {
+    let text = faults.text("model.saturated", entry)?;
+    match &*text.value {
+        "dropped" => Some(Saturated::Dropped),
+        "predicted" => Some(Saturated::Predicted),
+        "censored" => Some(Saturated::Censored),
+        other => {
+            let message = format!("{} is not a way to treat saturated pixels", quoted(other));
+            let help = "write \"dropped\" (they are left out), \"predicted\" (those predicted to be at the limit are) or \"censored\" (they say \"at least that\")";
+            faults.tell("unknown-name", "model.saturated", entry.span, message, help);
+            None
+        }
+    }
+}
+
+/// Beyond these a loss is least squares, or nothing.
+const DEVIATIONS: std::ops::RangeInclusive<f64> = 0.1..=100.0;
+
+/// `least-squares`, `huber(c)`, `tukey(c)`.
+fn read_loss(faults: &mut Faults, entry: &Entry) -> Option<Loss> {
+    const NAMES: [&str; 3] = ["least-squares", "huber", "tukey"];
+    let text = faults.text("model.loss", entry)?.value.trim().to_string();
+    if text == NAMES[0] {
+        return Some(Loss::Squares);
+    }
+    let (name, rest) = text.split_once('(').map_or((text.as_str(), None), |(name, rest)| (name.trim(), Some(rest)));
+    if !NAMES[1..].contains(&name) {
+        let message = format!("{} is not a robust loss", quoted(name));
+        let help = match nearest_name(name, NAMES) {
+            Some(near) => format!("did you mean `{near}`?"),
+            None => "write \"tukey(5)\", \"huber(1.345)\", or remove the key for least squares".into(),
+        };
+        faults.tell("unknown-name", "model.loss", entry.span, message, help);
+        return None;
+    }
+    let number = rest.and_then(|rest| rest.strip_suffix(')')).and_then(|text| text.trim().parse::<f64>().ok());
+    match number {
+        Some(c) if DEVIATIONS.contains(&c) => Some(if name == "huber" { Loss::Huber(c) } else { Loss::Tukey(c) }),
+        _ => {
+            let message = format!("{} takes one number between 0.1 and 100", quoted(name));
+            let help = format!("how many standard deviations a residual may have: \"{name}(5)\"");
+            faults.tell("bad-range", "model.loss", entry.span, message, help);
+            None
+        }
+    }
+}
+
+fn read_quadrature(faults: &mut Faults, entry: &Entry, coordinates: usize) -> Option<usize> {
+    let key = "model.quadrature";
+    let Item::Integer(points) = entry.item else {
+        faults.wrong_type(key, entry, "a whole number");
+        return None;
+    };
+    let most = LIMITS.gauss_points;
+    let fits = |points: i64| {
+        let points = usize::try_from(points).ok().filter(|n| (1..=most).contains(n))?;
+        let all = points.checked_pow(coordinates as u32)?;
+        (all <= most * most).then_some(points)
+    };
+    let found = fits(points);
+    if found.is_none() {
+        let message = format!("{points} Gauss points a side");
+        let help = format!("a pixel is sampled at 1 to {most} points a side, and at {} in all at most", most * most);
+        faults.tell("bad-range", key, entry.span, message, help);
+    }
+    found
+}

@@ -1,0 +1,58 @@
+//! `Counter`: a machine that computes nothing and counts the operations.
+
+use std::cell::Cell;
+
+use super::machine::Machine;
+use crate::program::function::Function1;
+
+/// How many instructions a function is.
+#[derive(Clone, Debug, Default)]
+pub struct Counter {
+    fused: bool,
+    count: Cell<usize>,
+}
+
+impl Counter {
+    /// Nothing counted yet; `fused` as in [`Machine::is_fused`].
+    pub fn new(fused: bool) -> Counter {
+        Counter { fused, count: Cell::new(0) }
+    }
+    /// What was counted.
+    pub fn count(&self) -> usize {
+        self.count.get()
+    }
+    fn more(&self, operations: usize) {
+        self.count.set(self.count.get() + operations);
+    }
+}
+
+macro_rules! counted {
+    ($($name:ident($($kind:ty),*))*) => {
+        $(fn $name(&self, $(_: $kind),*) {
+            self.more(1);
+        })*
+    };
+}
+
+impl Machine for Counter {
+    type Number = ();
+    type Truth = ();
+    type Bits = ();
+
+    fn is_fused(&self) -> bool {
+        self.fused
+    }
+    fn mul_add(&self, _: (), _: (), _: ()) {
+        self.more(if self.fused { 1 } else { 2 });
+    }
+    /// A test and a branch, and the call.
+    fn elsewhere(&self, _: (), _: (), _: Function1, _: ()) {
+        self.more(8);
+    }
+    counted! {
+        constant(f64) add((), ()) sub((), ()) mul((), ()) div((), ()) sqrt(()) abs(()) neg(())
+        less((), ()) equal((), ()) and((), ()) or((), ()) not(()) select((), (), ())
+        bits(()) number(()) pattern(u64) bits_add((), ()) bits_and((), ()) bits_or((), ()) bits_xor((), ())
+        shift_left((), u8) shift_right((), u8) bits_equal((), ())
+    }
+}

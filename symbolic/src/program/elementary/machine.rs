@@ -1,0 +1,198 @@
+//! `Machine`: the arithmetic in which an elementary function is written down.
+//!
+//! A function is straight-line code over a machine, so that whoever evaluates it and whoever turns it into vector
+//! instructions do the same operations in the same order. Nothing branches: `select` picks per lane.
+
+use super::large;
+use crate::program::function::Function1;
+
+/// Operations on f64 numbers, truth values and bit patterns, one lane or several at once.
+pub trait Machine {
+    /// An f64, or one in each lane.
+    type Number: Copy;
+    /// A truth value, or one in each lane.
+    type Truth: Copy;
+    /// 64 bits, or as many in each lane.
+    type Bits: Copy;
+
+    /// Whether [`Machine::mul_add`] rounds once.
+    fn is_fused(&self) -> bool;
+    /// A number that is known.
+    fn constant(&self, x: f64) -> Self::Number;
+    /// a + b
+    fn add(&self, a: Self::Number, b: Self::Number) -> Self::Number;
+    /// a − b
+    fn sub(&self, a: Self::Number, b: Self::Number) -> Self::Number;
+    /// a · b
+    fn mul(&self, a: Self::Number, b: Self::Number) -> Self::Number;
+    /// a / b
+    fn div(&self, a: Self::Number, b: Self::Number) -> Self::Number;
+    /// √a
+    fn sqrt(&self, a: Self::Number) -> Self::Number;
+    /// |a|: clears the sign bit.
+    fn abs(&self, a: Self::Number) -> Self::Number;
+    /// −a: flips the sign bit.
+    fn neg(&self, a: Self::Number) -> Self::Number;
+    /// a · b + c, rounded once by a fused machine, else twice.
+    fn mul_add(&self, a: Self::Number, b: Self::Number, c: Self::Number) -> Self::Number;
+
+    /// a < b; false for NaN.
+    fn less(&self, a: Self::Number, b: Self::Number) -> Self::Truth;
+    /// a = b; false for NaN.
+    fn equal(&self, a: Self::Number, b: Self::Number) -> Self::Truth;
+    /// Both.
+    fn and(&self, a: Self::Truth, b: Self::Truth) -> Self::Truth;
+    /// Either.
+    fn or(&self, a: Self::Truth, b: Self::Truth) -> Self::Truth;
+    /// Not a.
+    fn not(&self, a: Self::Truth) -> Self::Truth;
+    /// `truth ? a : b`
+    fn select(&self, truth: Self::Truth, a: Self::Number, b: Self::Number) -> Self::Number;
+
+    /// The bits of a number.
+    fn bits(&self, a: Self::Number) -> Self::Bits;
+    /// The number of these bits.
+    fn number(&self, a: Self::Bits) -> Self::Number;
+    /// Bits that are known.
+    fn pattern(&self, bits: u64) -> Self::Bits;
+    /// a + b, modulo 2⁶⁴.
+    fn bits_add(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
+    /// Bitwise and.
+    fn bits_and(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
+    /// Bitwise or.
+    fn bits_or(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
+    /// Bitwise exclusive or.
+    fn bits_xor(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
+    /// a · 2^by, modulo 2⁶⁴.
+    fn shift_left(&self, a: Self::Bits, by: u8) -> Self::Bits;
+    /// a / 2^by, rounded down.
+    fn shift_right(&self, a: Self::Bits, by: u8) -> Self::Bits;
+    /// a = b
+    fn bits_equal(&self, a: Self::Bits, b: Self::Bits) -> Self::Truth;
+
+    /// `truth ? function.value(x) : usual`, for sin, cos and tan of arguments that hardly ever come: vector code computes
+    /// this out of line, and only when a lane asks for it.
+    fn elsewhere(&self, truth: Self::Truth, usual: Self::Number, function: Function1, x: Self::Number) -> Self::Number;
+}
+
+/// One f64 at a time: the meaning.
+#[derive(Clone, Copy, Debug)]
+pub struct Plain {
+    /// Whether a · b + c is rounded once.
+    pub fused: bool,
+}
+
+impl Machine for Plain {
+    type Number = f64;
+    type Truth = bool;
+    type Bits = u64;
+
+    #[inline(always)]
+    fn is_fused(&self) -> bool {
+        self.fused
+    }
+    #[inline(always)]
+    fn constant(&self, x: f64) -> f64 {
+        x
+    }
+    #[inline(always)]
+    fn add(&self, a: f64, b: f64) -> f64 {
+        a + b
+    }
+    #[inline(always)]
+    fn sub(&self, a: f64, b: f64) -> f64 {
+        a - b
+    }
+    #[inline(always)]
+    fn mul(&self, a: f64, b: f64) -> f64 {
+        a * b
+    }
+    #[inline(always)]
+    fn div(&self, a: f64, b: f64) -> f64 {
+        a / b
+    }
+    #[inline(always)]
+    fn sqrt(&self, a: f64) -> f64 {
+        a.sqrt()
+    }
+    #[inline(always)]
+    fn abs(&self, a: f64) -> f64 {
+        a.abs()
+    }
+    #[inline(always)]
+    fn neg(&self, a: f64) -> f64 {
+        -a
+    }
+    #[inline(always)]
+    fn mul_add(&self, a: f64, b: f64, c: f64) -> f64 {
+        if self.fused { a.mul_add(b, c) } else { a * b + c }
+    }
+    #[inline(always)]
+    fn less(&self, a: f64, b: f64) -> bool {
+        a < b
+    }
+    #[inline(always)]
+    fn equal(&self, a: f64, b: f64) -> bool {
+        a == b
+    }
+    #[inline(always)]
+    fn and(&self, a: bool, b: bool) -> bool {
+        a & b
+    }
+    #[inline(always)]
+    fn or(&self, a: bool, b: bool) -> bool {
+        a | b
+    }
+    #[inline(always)]
+    fn not(&self, a: bool) -> bool {
+        !a
+    }
+    #[inline(always)]
+    fn select(&self, truth: bool, a: f64, b: f64) -> f64 {
+        if truth { a } else { b }
+    }
+    #[inline(always)]
+    fn bits(&self, a: f64) -> u64 {
+        a.to_bits()
+    }
+    #[inline(always)]
+    fn number(&self, a: u64) -> f64 {
+        f64::from_bits(a)
+    }
+    #[inline(always)]
+    fn pattern(&self, bits: u64) -> u64 {
+        bits
+    }
+    #[inline(always)]
+    fn bits_add(&self, a: u64, b: u64) -> u64 {
+        a.wrapping_add(b)
+    }
+    #[inline(always)]
+    fn bits_and(&self, a: u64, b: u64) -> u64 {
+        a & b
+    }
+    #[inline(always)]
+    fn bits_or(&self, a: u64, b: u64) -> u64 {
+        a | b
+    }
+    #[inline(always)]
+    fn bits_xor(&self, a: u64, b: u64) -> u64 {
+        a ^ b
+    }
+    #[inline(always)]
+    fn shift_left(&self, a: u64, by: u8) -> u64 {
+        a << by
+    }
+    #[inline(always)]
+    fn shift_right(&self, a: u64, by: u8) -> u64 {
+        a >> by
+    }
+    #[inline(always)]
+    fn bits_equal(&self, a: u64, b: u64) -> bool {
+        a == b
+    }
+    #[inline(always)]
+    fn elsewhere(&self, truth: bool, usual: f64, function: Function1, x: f64) -> f64 {
+        if truth { large::value(function, x) } else { usual }
+    }
+}

@@ -1,0 +1,71 @@
+//! Elementary functions as vector code.
+//!
+//! What comes in: an f64, or a vector of them, and how exact the result must be. What goes out: the function's value,
+//! within 2 units in the last place of f64, or, where the caller rounds it to f32, of f32. Each function is written once,
+//! over a [`Machine`]: [`Plain`] evaluates it (that is its meaning), the JIT turns it into vector instructions, a
+//! [`Counter`] says how many.
+//! It must never know: programs, lanes, the compiler.
+
+mod arithmetic;
+mod coefficients;
+mod counter;
+mod error_function;
+mod exponential;
+mod hyperbolic;
+mod inverse;
+mod large;
+mod logarithm;
+mod machine;
+mod power;
+mod tail;
+#[cfg(test)]
+mod tests;
+mod trigonometric;
+#[doc(hidden)]
+pub mod ulps;
+
+pub use arithmetic::MAGIC;
+pub use counter::Counter;
+pub(crate) use large::reduced;
+pub use machine::{Machine, Plain};
+
+use crate::program::function::{Function1, Function2};
+
+/// How exact a value must be.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Accuracy {
+    /// Some 30 bits: the argument is an f32, and the result will be rounded to one.
+    Single,
+    /// An f64.
+    Double,
+}
+
+/// The value of a function of one argument.
+#[inline(always)]
+pub fn call1<M: Machine>(m: &M, function: Function1, accuracy: Accuracy, x: M::Number) -> M::Number {
+    match function {
+        Function1::Exp => exponential::exp(m, accuracy, x),
+        Function1::Log => logarithm::log(m, accuracy, x),
+        Function1::Sin => trigonometric::sin(m, accuracy, x),
+        Function1::Cos => trigonometric::cos(m, accuracy, x),
+        Function1::Tan => trigonometric::tan(m, accuracy, x),
+        Function1::Asin => inverse::asin(m, accuracy, x),
+        Function1::Acos => inverse::acos(m, accuracy, x),
+        Function1::Atan => inverse::atan(m, accuracy, x),
+        Function1::Sinh => hyperbolic::sinh(m, accuracy, x),
+        Function1::Cosh => hyperbolic::cosh(m, accuracy, x),
+        Function1::Tanh => hyperbolic::tanh(m, accuracy, x),
+        Function1::Erf => error_function::erf(m, accuracy, x),
+        Function1::LogTail => tail::log_tail(m, accuracy, x),
+        Function1::Hazard => tail::hazard(m, accuracy, x),
+    }
+}
+
+/// The value of a function of two arguments, in the order of [`Function2`].
+#[inline(always)]
+pub fn call2<M: Machine>(m: &M, function: Function2, accuracy: Accuracy, a: M::Number, b: M::Number) -> M::Number {
+    match function {
+        Function2::Atan2 => inverse::atan2(m, accuracy, a, b),
+        Function2::Pow => power::pow(m, accuracy, a, b),
+    }
+}

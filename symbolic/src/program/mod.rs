@@ -1,0 +1,436 @@
+//! `Program`: the loop nest that a kernel runs, in SSA form with dense ids.
+//!
+//! What comes in: instructions from [`crate::program::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
+//! meaning and that the JIT turns into machine code. It never knows a pixel's memory layout.
+//!
+//! ```text
+//! pass:      f64, once a call            parameters, constants and what follows from them
+//!   row:     f64, once a row             outer coordinates, bounds of the domain
+//!     pixel: lanes (4 x f32 or 2 x f64)  one value a pixel; accumulators sum some of them over the row
+//!   row end: f64, once a row with pixels row totals of accumulators, times what depends on the row
+//! pass end:  f64, once a call            outputs from pass totals
+//! ```
+//! A pixel instruction that reads a pass or row value reads it rounded to the lane type.
+
+pub(crate) mod check;
+pub mod elementary;
+pub(crate) mod function;
+pub mod interpreter;
+pub(crate) mod peephole;
+pub(crate) mod print;
+pub(crate) mod registers;
+pub(crate) mod schedule;
+pub(crate) mod steps;
+
+use crate::language::diagnostic::Span;
+use crate::program::function::{Function1, Function2};
+
+macro_rules! id {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+        pub struct $name(pub u32);
+        impl $name {
+            /// The id as an index.
+            pub fn index(self) -> usize { self.0 as usize }
+        }
+    };
+}
+pub(crate) use id;
+
+id!(/// The result of one instruction.
+    Value);
+id!(/// A sum over the pixels of a row, later of the pass.
+    AccumulatorId);
+id!(/// A sum over rows, in f64.
+    TotalId);
+id!(/// A position in [`Program::inputs`].
+    InputId);
+id!(/// A parameter of the model, in document order.
+    ParameterId);
+id!(/// A constant of the model, in document order.
+    ConstantId);
+id!(/// A coordinate; 0 is the inner loop.
+    CoordinateId);
+id!(/// A raw image plane.
+    ChannelId);
+
+/// What a program reads besides pixels. All are f64.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Input {
+    /// The parameter's value at this evaluation.
+    Parameter(ParameterId),
+    /// The parameter's value when the pass was entered: it fixes the pixel set and the noise weights.
+    Entry(ParameterId),
+    /// A constant of session or camera.
+    Constant(ConstantId),
+    /// The saturation limit of a channel, in pixel values.
+    Saturation(ChannelId),
+    /// A sub-pixel shift of a coordinate (rendering), in px.
+    Shift(CoordinateId),
+}
+
+/// Where in the loop nest an instruction stands. The order is the order of execution.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Level {
+    /// Once a call, f64.
+    Pass,
+    /// Once a row, f64.
+    Row,
+    /// Once a group of pixels, lanes.
+    Pixel,
+    /// Once a row that has pixels, f64.
+    RowEnd,
+    /// Once a call, f64.
+    PassEnd,
+}
+
+/// Ordered comparisons: false when an operand is NaN, except `Ne`, which is true then.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Comparison {
+    /// <
+    Lt,
+    /// ≤
+    Le,
+    /// =
+    Eq,
+    /// ≠
+    Ne,
+}
+
+/// One operation. Operands are earlier values; numbers unless said otherwise.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub enum Op {
+    /// A number.
+    Const(f64),
+    /// One of [`Program::inputs`]; pass.
+    Input(InputId),
+    /// A coordinate of an outer loop (never 0); row.
+    Outer(CoordinateId),
+    /// The inner coordinate plus a pass or row value `c`; pixel. With `n = nearest(-c)` in f64 (ties to even, see
+    /// [`crate::program::interpreter::nearest`]), `fraction = lane(c + n)` and `t = lane(x_first - n) + [0, 1, …]`, where `x_first` is the
+    /// first pixel of the row's range, the value is `t + fraction`; after each group `t += LANES`. So rounding of `c`
+    /// to f32 costs nothing.
+    Offset(Value),
+    /// The pixel of a raw plane, converted to the lane type; pixel.
+    Channel(ChannelId),
+    /// -a (flips the sign bit).
+    Neg(Value),
+    /// |a| (clears the sign bit).
+    Abs(Value),
+    /// √a.
+    Sqrt(Value),
+    /// a + b.
+    Add(Value, Value),
+    /// a − b.
+    Sub(Value, Value),
+    /// a · b.
+    Mul(Value, Value),
+    /// a / b.
+    Div(Value, Value),
+    /// a · b + c, rounded once.
+    Fma(Value, Value, Value),
+    /// A truth value from two numbers.
+    Compare(Comparison, Value, Value),
+    /// Truth values.
+    And(Value, Value),
+    /// Truth values.
+    Or(Value, Value),
+    /// A truth value.
+    Not(Value),
+    /// `c ? a : b`; `c` is a truth value.
+    Select(Value, Value, Value),
+    /// An elementary function.
+    Call1(Function1, Value),
+    /// An elementary function of two arguments.
+    Call2(Function2, Value, Value),
+    /// The row's total of an accumulator; row end.
+    RowTotal(AccumulatorId),
+    /// How many pixels the row contributed; row end.
+    RowCount,
+    /// The pass' total; pass end.
+    PassTotal(TotalId),
+    /// How many pixels the pass used; pass end.
+    PassCount,
+}
+
+impl Op {
+    /// The values that this operation reads, in order.
+    pub fn operands(&self) -> impl Iterator<Item = Value> {
+        let (a, b, c) = match *self {
+            Op::Const(_) | Op::Input(_) | Op::Outer(_) | Op::Channel(_) => (None, None, None),
+            Op::RowTotal(_) | Op::RowCount | Op::PassTotal(_) | Op::PassCount => (None, None, None),
+            Op::Offset(a) | Op::Neg(a) | Op::Abs(a) | Op::Sqrt(a) | Op::Not(a) | Op::Call1(_, a) => {
+                (Some(a), None, None)
+            }
+            Op::Add(a, b) | Op::Sub(a, b) | Op::Mul(a, b) | Op::Div(a, b) | Op::Call2(_, a, b) => {
+                (Some(a), Some(b), None)
+            }
+            Op::Compare(_, a, b) | Op::And(a, b) | Op::Or(a, b) => (Some(a), Some(b), None),
+            Op::Fma(a, b, c) | Op::Select(a, b, c) => (Some(a), Some(b), Some(c)),
+        };
+        [a, b, c].into_iter().flatten()
+    }
+
+    /// Flops by the project's convention: + − × ÷ √ count 1, FMA 2; negation, comparisons and calls 0.
+    pub fn flops(&self) -> u32 {
+        match self {
+            Op::Add(..) | Op::Sub(..) | Op::Mul(..) | Op::Div(..) | Op::Sqrt(_) | Op::Offset(_) => 1,
+            Op::Fma(..) => 2,
+            _ => 0,
+        }
+    }
+}
+
+/// One instruction: what, where, and the part of the document that asked for it.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Instruction {
+    /// What to compute.
+    pub op: Op,
+    /// Where in the loop nest.
+    pub level: Level,
+    /// The formula it came from; `None` for what the loop itself needs.
+    pub span: Option<Span>,
+}
+
+/// What becomes of the pixel values.
+#[derive(Clone, PartialEq, Debug)]
+pub enum Sink {
+    /// Sums. `accumulators[i]` is the pixel value summed; `totals[i]` the row-end (or row, pass) value summed over the rows
+    /// that have pixels; `outputs[i]` the pass-end (or pass) value handed back.
+    Sums {
+        /// Pixel values.
+        accumulators: Vec<Value>,
+        /// Row-end values.
+        totals: Vec<Value>,
+        /// Pass-end values.
+        outputs: Vec<Value>,
+    },
+    /// The pixel value, as f32, is *added* to the pixel of an output plane (the synthetic camera).
+    Plane(Value),
+}
+
+impl Sink {
+    /// What is handed back; nothing of a plane.
+    pub fn outputs(&self) -> &[Value] {
+        match self {
+            Sink::Sums { outputs, .. } => outputs,
+            Sink::Plane(_) => &[],
+        }
+    }
+}
+
+/// Which pixels of the window take part. Truth values and bounds depend on entry parameters only.
+#[derive(Clone, Copy, PartialEq, Debug, Default)]
+pub struct PixelSet {
+    /// Row values `lo`, `hi`: only pixels with lo ≤ x ≤ hi; a NaN empties the row.
+    pub bounds: Option<(Value, Value)>,
+    /// A pixel truth value: only where it holds.
+    pub mask: Option<Value>,
+    /// A pixel truth value: where it holds the pixel is counted as saturated and left out.
+    pub saturated: Option<Value>,
+}
+
+/// A loop nest; see the module's text.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Program {
+    pub(crate) coordinates: u32,
+    pub(crate) channels: u32,
+    pub(crate) inputs: Vec<Input>,
+    pub(crate) instructions: Vec<Instruction>,
+    pub(crate) pixel_set: PixelSet,
+    pub(crate) sink: Sink,
+    pub(crate) names: Names,
+    pub(crate) fused: bool,
+}
+
+/// Names for the text form.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct Names {
+    /// Coordinates, inner first.
+    pub coordinates: Vec<String>,
+    /// Raw planes.
+    pub channels: Vec<String>,
+    /// Parameters in document order.
+    pub parameters: Vec<String>,
+    /// Constants in document order.
+    pub constants: Vec<String>,
+    /// What each output is.
+    pub outputs: Vec<String>,
+}
+
+/// The arithmetic of the pixel level.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// 4 lanes of f32; rows are summed in f64.
+    #[default]
+    F32,
+    /// 2 lanes of f64.
+    F64,
+}
+
+impl Precision {
+    /// Pixels that one group holds.
+    pub fn lanes(self) -> usize {
+        match self {
+            Precision::F32 => 4,
+            Precision::F64 => 2,
+        }
+    }
+}
+
+/// Operation counts of one program, by level.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Cost {
+    /// Flops a pixel, accumulation included.
+    pub flops_per_pixel: u32,
+    /// Flops a row (prologue and epilogue).
+    pub flops_per_row: u32,
+    /// Flops a pass (prologue and epilogue).
+    pub flops_per_pass: u32,
+    /// Sums kept per pixel.
+    pub accumulators: u32,
+    /// Elementary functions a pixel, by name.
+    pub calls: std::collections::BTreeMap<&'static str, u32>,
+    /// Divisions and square roots among the flops a pixel.
+    pub divisions: u32,
+    /// Instructions a pixel, accumulation included.
+    pub instructions_per_pixel: u32,
+    /// Stores and fetches a pixel for want of registers, where there are 16 of them and where there are 32.
+    pub spills: [u32; 2],
+}
+
+/// What the caller gives for [`Program::inputs`]; slices in document order.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Bindings<'a> {
+    /// All parameters of the model.
+    pub parameters: &'a [f64],
+    /// All parameters when the pass was entered.
+    pub entry: &'a [f64],
+    /// All constants.
+    pub constants: &'a [f64],
+    /// One limit a channel; `f64::INFINITY` for a channel that never saturates.
+    pub saturation: &'a [f64],
+    /// One shift a coordinate, px; missing ones are 0.
+    pub shift: &'a [f64],
+}
+
+impl Program {
+    /// Number of coordinates, the inner one included.
+    pub fn coordinates(&self) -> usize {
+        self.coordinates as usize
+    }
+    /// Number of raw planes that the model declares (all are handed to a kernel, read or not).
+    pub fn channels(&self) -> usize {
+        self.channels as usize
+    }
+    /// What the program reads, in the order of [`Op::Input`].
+    pub fn inputs(&self) -> &[Input] {
+        &self.inputs
+    }
+    /// All instructions, ordered by level, operands first. `Value(i)` is the result of instruction i.
+    pub fn instructions(&self) -> &[Instruction] {
+        &self.instructions
+    }
+    /// Which pixels take part.
+    pub fn pixel_set(&self) -> &PixelSet {
+        &self.pixel_set
+    }
+    /// What becomes of them.
+    pub fn sink(&self) -> &Sink {
+        &self.sink
+    }
+    /// Names for printing.
+    pub fn names(&self) -> &Names {
+        &self.names
+    }
+    /// Whether the pixel level multiplies and adds with one rounding where it can: in elementary functions and in
+    /// [`Self::contractions`]. No other level does.
+    pub fn is_fused(&self) -> bool {
+        self.fused
+    }
+    /// The instruction that makes `value`.
+    pub fn instruction(&self, value: Value) -> &Instruction {
+        &self.instructions[value.index()]
+    }
+    /// For each accumulator of a fused program: the factors of its pixel value, if that is a product which nothing else
+    /// reads. It is added with one rounding.
+    pub fn contractions(&self) -> Vec<Option<(Value, Value)>> {
+        let Sink::Sums { accumulators, .. } = &self.sink else { return Vec::new() };
+        let mut reads = vec![0_u32; self.instructions.len()];
+        let set = self.pixel_set.mask.into_iter().chain(self.pixel_set.saturated);
+        let operands = self.instructions.iter().flat_map(|i| i.op.operands());
+        operands.chain(set).chain(accumulators.iter().copied()).for_each(|v| reads[v.index()] += 1);
+        let factors = |v: &Value| match *self.instruction(*v) {
+            Instruction { op: Op::Mul(a, b), level: Level::Pixel, .. } if self.fused && reads[v.index()] == 1 => {
+                Some((a, b))
+            }
+            _ => None,
+        };
+        accumulators.iter().map(factors).collect()
+    }
+    /// What some values are made of, and those themselves; by value. Operands stand in front of what reads them.
+    pub fn made_of(&self, roots: impl IntoIterator<Item = Value>) -> Vec<bool> {
+        let mut needed = vec![false; self.instructions.len()];
+        roots.into_iter().for_each(|v| needed[v.index()] = true);
+        for (i, instruction) in self.instructions.iter().enumerate().rev() {
+            if needed[i] {
+                instruction.op.operands().for_each(|v| needed[v.index()] = true);
+            }
+        }
+        needed
+    }
+    /// True when `value` is a truth value.
+    pub fn is_truth(&self, value: Value) -> bool {
+        match self.instruction(value).op {
+            Op::Compare(..) | Op::And(..) | Op::Or(..) | Op::Not(_) => true,
+            Op::Select(_, a, _) => self.is_truth(a),
+            _ => false,
+        }
+    }
+    /// The numbers for [`Program::inputs`], in order. A missing shift is 0; any other missing slot is a bug of the caller
+    /// and reads NaN.
+    pub fn gather(&self, bindings: &Bindings) -> impl Iterator<Item = f64> {
+        let at = |slice: &[f64], i: usize| slice.get(i).copied().unwrap_or(f64::NAN);
+        let number = move |input: &Input| match *input {
+            Input::Parameter(p) => at(bindings.parameters, p.index()),
+            Input::Entry(p) => at(bindings.entry, p.index()),
+            Input::Constant(c) => at(bindings.constants, c.index()),
+            Input::Saturation(c) => at(bindings.saturation, c.index()),
+            Input::Shift(c) => bindings.shift.get(c.index()).copied().unwrap_or(0.0),
+        };
+        self.inputs.iter().map(number)
+    }
+
+    /// Counts what the program does; F itself is part of the count when the program sums it.
+    pub fn cost(&self) -> Cost {
+        let mut cost = Cost::default();
+        for instruction in &self.instructions {
+            let flops = instruction.op.flops();
+            match instruction.level {
+                Level::Pixel => cost.flops_per_pixel += flops,
+                Level::Row | Level::RowEnd => cost.flops_per_row += flops,
+                Level::Pass | Level::PassEnd => cost.flops_per_pass += flops,
+            }
+            if instruction.level == Level::Pixel {
+                cost.instructions_per_pixel += u32::from(flops > 0);
+                cost.divisions += u32::from(matches!(instruction.op, Op::Div(..) | Op::Sqrt(_)));
+                let name = match instruction.op {
+                    Op::Call1(function, _) => function.name(),
+                    Op::Call2(function, ..) => function.name(),
+                    _ => continue,
+                };
+                *cost.calls.entry(name).or_default() += 1;
+            }
+        }
+        if let Sink::Sums { accumulators, totals, .. } = &self.sink {
+            cost.accumulators = accumulators.len() as u32;
+            cost.flops_per_pixel += accumulators.len() as u32;
+            cost.instructions_per_pixel += accumulators.len() as u32;
+            cost.flops_per_row += totals.len() as u32;
+        }
+        cost.spills = [registers::OF_16, registers::OF_32].map(|count| registers::spills(self, count));
+        cost
+    }
+}

@@ -1,0 +1,389 @@
+//! Derivatives against dual numbers: random models at random points. The reference works the formulas out pixel by pixel in
+//! hyper-dual numbers, by its own tree, and adds up the absolute terms on the way; a program may be wrong by 1e-12 of
+//! those. Where rounding exceeds that, both are worked out again in double-double, and these must agree.
+
+use std::cell::Cell;
+use std::fmt::Write;
+
+#[path = "duals_numbers_tests.rs"]
+mod numbers;
+#[path = "duals_random_tests.rs"]
+mod random;
+
+use numbers::{Hyper, PARAMETERS, Scalar, pair};
+use random::{Condition, Place, Random, Scope, Tree};
+
+use crate::program::function::Function1;
+use crate::program::interpreter::{Pixels, Slices, Window, run};
+use crate::program::{Bindings, Instruction, Level, Op, ParameterId, Precision, Program, Sink, Value};
+use crate::proof::double_double::DoubleDouble;
+use crate::proof::evaluate::evaluate;
+use crate::proof::weighed::Weighed;
+use crate::{Lowering, Method, Model};
+
+const MODELS: u64 = 10_000;
+const POINTS: usize = 16;
+/// Error over the sum of the absolute terms.
+const TOLERANCE: f64 = 1e-12;
+/// Terms below this have lost digits to the smallest numbers of f64.
+const SMALLEST: f64 = 1e-290;
+
+/// A random model and what was asked of it.
+struct Case {
+    scope: Scope,
+    functions: Vec<Tree>,
+    definitions: Vec<Tree>,
+    intensity: Tree,
+    noise: Option<Tree>,
+    domain: Option<Condition>,
+    /// Declared positive.
+    positive: [bool; PARAMETERS],
+    /// The free ones.
+    subset: Vec<usize>,
+    method: Method,
+}
+
+impl Case {
+    fn new(random: &mut Random) -> Case {
+        let parameters = 1 + random.below(PARAMETERS);
+        let coordinates = 1 + random.below(2);
+        let (functions, definitions) = (random.below(3), random.below(4));
+        let predictor = random.one_in(4);
+        let bare =
+            Scope { coordinates, parameters, definitions: 0, functions: 0, predictor, argument: false, index: false };
+        let depth = random.pick(&[1, 2, 3, 3, 4, 4, 5]);
+        let functions: Vec<Tree> = (0..functions).map(|_| Scope { argument: true, ..bare }.tree(random, 2)).collect();
+        let with = Scope { functions: functions.len(), ..bare };
+        let definitions: Vec<Tree> =
+            (0..definitions).map(|i| Scope { definitions: i, ..with }.tree(random, depth.min(3))).collect();
+        let scope = Scope { definitions: definitions.len(), ..with };
+        let intensity = match random.below(3) {
+            // As models are: a height times a shape on a background.
+            0 => {
+                let shape = Box::new(scope.tree(random, depth));
+                let height = Tree::Mul(Box::new(Tree::Parameter(random.below(parameters))), shape);
+                Tree::Add(Box::new(Tree::Parameter(random.below(parameters))), Box::new(height))
+            }
+            _ => scope.tree(random, depth),
+        };
+        let noise = random.one_in(5).then(|| {
+            let base = if random.one_in(2) { Tree::Intensity } else { scope.tree(random, 2) };
+            match random.below(2) {
+                0 => Tree::Add(Box::new(Tree::Number(0.5)), Box::new(Tree::Whole(Box::new(base), 2))),
+                _ => {
+                    let above = Box::new(Tree::Extreme(true, Box::new(base), Box::new(Tree::Number(0.0))));
+                    Tree::Add(Box::new(Tree::Number(0.7)), Box::new(Tree::Mul(Box::new(Tree::Constant), above)))
+                }
+            }
+        });
+        let positive = std::array::from_fn(|_| random.one_in(3));
+        let domain = random.one_in(4).then(|| Case::domain(random, &Scope { predictor: false, ..bare }, &positive));
+        let mut subset: Vec<usize> = (0..parameters).filter(|_| !random.one_in(4)).collect();
+        if subset.is_empty() {
+            subset.push(0);
+        }
+        let method = random.pick(&[Method::Newton, Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt]);
+        Case { scope, functions, definitions, intensity, noise, domain, positive, subset, method }
+    }
+
+    fn domain(random: &mut Random, scope: &Scope, positive: &[bool]) -> Condition {
+        let p = |i: usize| Tree::Parameter(i % scope.parameters);
+        let first = positive[..scope.parameters].iter().position(|&p| p);
+        match (random.below(3), first) {
+            // A quadratic inequality: bounds of a row.
+            (0 | 1, Some(a)) => {
+                let offset = Tree::Sub(Box::new(Tree::Coordinate(0)), Box::new(p(random.below(6))));
+                let y = Tree::Coordinate(scope.coordinates - 1);
+                let form = Tree::Form(Box::new([offset, y, p(a), Tree::Number(0.1), p(a)]));
+                Condition::Compare("<=", form, Tree::Number(random.between(5.0, 80.0).round() + 0.5))
+            }
+            _ => scope.condition(random, 2),
+        }
+    }
+
+    fn text(&self) -> String {
+        let mut text = String::from("name = \"random\"\n");
+        let coordinates = ["[\"x\"]", "[\"x\", \"y\"]"][self.scope.coordinates - 1];
+        writeln!(text, "coordinates = {coordinates}\nchannels = [\"phi\", \"u\"]\n[parameters]").unwrap();
+        for i in 0..self.scope.parameters {
+            let bound = if self.positive[i] { ", min = 0.0" } else { "" };
+            writeln!(text, "p{i} = {{ start = 1.0{bound} }}").unwrap();
+        }
+        writeln!(text, "[constants]\nk = 0.4\n[definitions]").unwrap();
+        for (i, g) in self.functions.iter().enumerate() {
+            writeln!(text, "\"g{i}(t)\" = \"{g}\"").unwrap();
+        }
+        for (i, d) in self.definitions.iter().enumerate() {
+            writeln!(text, "d{i} = \"{d}\"").unwrap();
+        }
+        writeln!(text, "[model]\nobserved = \"phi\"\nintensity = \"{}\"", self.intensity).unwrap();
+        if let Some(noise) = &self.noise {
+            writeln!(text, "noise = \"{noise}\"").unwrap();
+        }
+        if let Some(domain) = &self.domain {
+            writeln!(text, "domain = \"{domain}\"").unwrap();
+        }
+        text
+    }
+
+    /// The free parameters as variables, the others as numbers; all as numbers when `held`.
+    fn place<'a, N: Scalar>(&'a self, at: &Point, held: bool, undecided: &'a Cell<bool>) -> Place<'a, N> {
+        let values = if held { &at.entry } else { &at.parameters };
+        let parameter = |i: usize| match self.subset.iter().position(|&p| p == i && !held) {
+            Some(free) => Hyper::variable(values[i], free),
+            None => Hyper::fixed(values[i].into()),
+        };
+        Place {
+            coordinates: [0.0; 2],
+            predictor: 0.0,
+            constant: at.constant,
+            parameters: std::array::from_fn(parameter),
+            definitions: &self.definitions,
+            functions: &self.functions,
+            intensity: &self.intensity,
+            argument: None,
+            index: 0.0,
+            undecided,
+        }
+    }
+
+    /// F, gradient and upper Hessian in the order of a program's outputs. `None`: see [`Place::undecided`].
+    fn reference<N: Scalar>(&self, at: &Point) -> Option<Vec<N>> {
+        let undecided = Cell::new(false);
+        let (mut here, mut entry) = (self.place::<N>(at, false, &undecided), self.place::<N>(at, true, &undecided));
+        let n = self.subset.len();
+        let zero = N::from(0.0);
+        let mut outputs = vec![zero; 1 + n + n * (n + 1) / 2];
+        let mut add = |k: usize, term: N| outputs[k] = outputs[k] + term;
+        let Window { x, y, width, height, .. } = at.window;
+        for (x, y) in (y..y + height).flat_map(|y| (x..x + width).map(move |x| (x, y))) {
+            for place in [&mut here, &mut entry] {
+                place.coordinates = [x as f64, y as f64];
+                place.predictor = Noise.at(1, x, y);
+            }
+            if self.domain.as_ref().is_some_and(|domain| !entry.inside(domain)) {
+                continue;
+            }
+            let residual = Hyper::fixed(Noise.at(0, x, y).into()).sub(&here.value(&self.intensity));
+            let full = self.method == Method::Newton;
+            let variance = self.noise.as_ref().map(|noise| if full { here.value(noise) } else { entry.value(noise) });
+            let square = residual.mul(&residual);
+            let chi = variance.map_or(square, |v| square.mul(&v.inverse()));
+            let term = match variance.filter(|_| full) {
+                Some(v) => chi.add(&v.call1(Function1::Log)),
+                None => chi,
+            };
+            let weight = variance.map_or(N::from(2.0), |v| N::from(2.0) / v.value);
+            add(0, term.value);
+            let mut k = 1 + n;
+            for i in 0..n {
+                add(1 + i, term.gradient[i]);
+                for j in i..n {
+                    let curved = term.hessian[pair(i, j)];
+                    add(k, if full { curved } else { weight * (residual.gradient[i] * residual.gradient[j]) });
+                    k += 1;
+                }
+            }
+        }
+        (!undecided.get()).then_some(outputs)
+    }
+}
+
+struct Point {
+    parameters: Vec<f64>,
+    entry: Vec<f64>,
+    constant: f64,
+    window: Window,
+}
+
+impl Point {
+    fn new(random: &mut Random, case: &Case) -> Point {
+        let mut draw = |i: usize| match case.positive[i] {
+            true => random.between(0.2, 2.5),
+            false => random.between(-2.0, 2.0),
+        };
+        let parameters: Vec<f64> = (0..PARAMETERS).map(&mut draw).collect();
+        let entry = match random.one_in(2) {
+            true => parameters.clone(),
+            false => parameters.iter().map(|p| p * random.between(0.9, 1.1)).collect(),
+        };
+        let height = if case.scope.coordinates == 1 { 1 } else { 2 };
+        let y = if case.scope.coordinates == 1 { 0 } else { random.below(4) };
+        let window = Window { x: random.below(5), y, width: 2 + random.below(2), height, slices: Slices::ONE };
+        Point { parameters, entry, constant: random.between(0.1, 0.9), window }
+    }
+
+    fn bindings<'a>(&'a self, constants: &'a [f64]) -> Bindings<'a> {
+        let saturation = &[f64::INFINITY; 2];
+        Bindings { parameters: &self.parameters, entry: &self.entry, constants, saturation, shift: &[] }
+    }
+}
+
+/// Pixels between −1 and 4.
+struct Noise;
+impl Pixels for Noise {
+    fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
+        Random((channel * 10_007 + x * 101 + y) as u64).between(-1.0, 4.0)
+    }
+}
+
+/// What became of the points.
+#[derive(Default, Debug)]
+struct Tally {
+    models: u64,
+    refused: u64,
+    points: u64,
+    /// Not finite, outside of a function's domain, or without pixels.
+    skipped: u64,
+    /// Rounding may decide a comparison, or a part of the formula is out of the ordinary range.
+    undecided: u64,
+    /// Decided by the referee: rounding, not derivation.
+    rounded: u64,
+    worst: f64,
+}
+
+/// The first output that is wrong at a point; with the referee called in any case when `strict`.
+fn compare(case: &Case, program: &Program, at: &Point, tally: &mut Tally, strict: bool) -> Result<(), String> {
+    tally.points += 1;
+    let Some(expected) = case.reference::<Weighed>(at) else {
+        tally.undecided += 1;
+        return Ok(());
+    };
+    let is_usable = |x: &Weighed| x.value.abs() < 1e60 && x.terms < 1e60;
+    if !expected.iter().all(is_usable) || expected.iter().all(|x| x.terms == 0.0) {
+        tally.skipped += 1;
+        return Ok(());
+    }
+    let constants = [at.constant];
+    let bindings = at.bindings(&constants);
+    let found = run(program, Precision::F64, &bindings, &Noise, at.window, None).outputs;
+    assert_eq!(found.len(), expected.len());
+    let error = |found: f64, expected: f64, terms: f64| {
+        if found == expected { 0.0 } else { (found - expected).abs() / terms.max(SMALLEST) }
+    };
+    let error_of = |i: usize| error(found[i], expected[i].value, expected[i].terms);
+    let worst = (0..found.len()).map(error_of).fold(0.0, |a: f64, b| if a >= b { a } else { b });
+    if worst <= TOLERANCE {
+        tally.worst = tally.worst.max(worst);
+        if !strict {
+            return Ok(());
+        }
+    }
+    let exact: Vec<DoubleDouble> = evaluate(program, &bindings, &Noise, at.window);
+    let Some(reference) = case.reference::<DoubleDouble>(at) else { return Ok(()) };
+    for (i, ((exact, reference), weighed)) in exact.iter().zip(&reference).zip(&expected).enumerate() {
+        let referee = (*exact - *reference).abs().to_f64() / weighed.terms.max(SMALLEST);
+        let is_right = *exact == *reference || referee <= TOLERANCE;
+        if !is_right {
+            return Err(format!(
+                "{}: {:e} instead of {:e} (double-double {:e} instead of {:e}), terms {:e}, at {:?}, entry {:?}, k {}",
+                program.names().outputs[i],
+                found[i],
+                weighed.value,
+                exact.to_f64(),
+                reference.to_f64(),
+                weighed.terms,
+                at.parameters,
+                at.entry,
+                at.constant,
+            ));
+        }
+    }
+    tally.rounded += u64::from(worst > TOLERANCE);
+    Ok(())
+}
+
+/// A program for a case; `None` when the document is refused (its formulas may have lost all parameters).
+fn lowered(case: &Case, random: &mut Random) -> Option<Program> {
+    let model = Model::from_toml(&case.text()).ok()?;
+    let subset: Vec<ParameterId> = case.subset.iter().map(|&i| ParameterId(i as u32)).collect();
+    let lowering = Lowering { fma: random.one_in(2), drop_saturated: random.one_in(4) };
+    model.objective(&subset, case.method).ok()?.program(lowering).ok()
+}
+
+/// The program of a seed at its points, after `spoil`; the first fault.
+fn check(seed: u64, tally: &mut Tally, spoil: impl FnOnce(&mut Program, &mut Random)) -> Result<(), String> {
+    let mut random = Random(seed);
+    let case = Case::new(&mut random);
+    let Some(mut program) = lowered(&case, &mut random) else {
+        tally.refused += 1;
+        return Ok(());
+    };
+    tally.models += 1;
+    spoil(&mut program, &mut random);
+    for i in 0..POINTS {
+        let at = Point::new(&mut random, &case);
+        let strict = i == 0 && seed % 10 < 2;
+        compare(&case, &program, &at, tally, strict).map_err(|fault| {
+            format!("seed {seed}, {:?}, parameters {:?}\n{}{fault}", case.method, case.subset, case.text())
+        })?;
+    }
+    Ok(())
+}
+
+/// Every other seed; two tests share the work between cores.
+fn check_seeds(first: u64) {
+    let mut tally = Tally::default();
+    let mut faults = Vec::new();
+    for seed in (first..2 * MODELS).step_by(2) {
+        if tally.models == MODELS / 2 {
+            break;
+        }
+        faults.extend(check(seed, &mut tally, |_, _| ()).err());
+    }
+    assert!(faults.is_empty(), "{} faults; {tally:?}\n{}", faults.len(), faults[..faults.len().min(8)].join("\n\n"));
+    let compared = tally.points - tally.skipped - tally.undecided;
+    assert!(tally.models == MODELS / 2 && compared * 10 > tally.points * 6, "{tally:?}");
+    assert!(tally.rounded * 1000 < compared, "{tally:?}");
+}
+
+#[test]
+fn derivatives_agree_with_dual_numbers() {
+    check_seeds(0);
+}
+
+#[test]
+fn derivatives_agree_with_dual_numbers_again() {
+    check_seeds(1);
+}
+
+/// One + for − or − for + somewhere in the program. Not every one matters (a + 0, a branch never taken).
+#[test]
+fn a_planted_sign_error_is_caught() {
+    let flip = |program: &mut Program, random: &mut Random| {
+        let sums = program.instructions.iter_mut().filter(|i| matches!(i.op, Op::Add(..) | Op::Sub(..)));
+        let mut sums: Vec<&mut Op> = sums.map(|i| &mut i.op).collect();
+        let Some(count) = sums.len().checked_sub(1) else { return };
+        let op = &mut sums[random.below(count + 1)];
+        **op = match **op {
+            Op::Add(a, b) => Op::Sub(a, b),
+            Op::Sub(a, b) => Op::Add(a, b),
+            other => other,
+        };
+    };
+    let caught = (0..300).filter(|&seed| check(seed, &mut Tally::default(), flip).is_err()).count();
+    assert!(caught >= 180, "{caught}");
+}
+
+/// One output's sign: caught wherever the output is not zero and was compared.
+#[test]
+fn a_negated_output_is_caught() {
+    let (mut caught, mut missed) = (0, 0);
+    for seed in 0..300 {
+        let mut is_constant = true;
+        let negate = |program: &mut Program, random: &mut Random| {
+            let Sink::Sums { outputs, .. } = &mut program.sink else { unreachable!() };
+            let output = random.below(outputs.len());
+            is_constant = matches!(program.instructions[outputs[output].index()].op, Op::Const(_));
+            let op = Op::Neg(outputs[output]);
+            outputs[output] = Value(program.instructions.len() as u32);
+            program.instructions.push(Instruction { op, level: Level::PassEnd, span: None });
+        };
+        let mut tally = Tally::default();
+        let is_caught = check(seed, &mut tally, negate).is_err();
+        caught += u64::from(is_caught);
+        missed += u64::from(!is_caught && !is_constant && tally.skipped + tally.undecided < tally.points);
+    }
+    // What is missed is zero wherever it was compared.
+    assert!(caught >= 140 && missed <= 10, "{caught} caught, {missed} missed");
+}

@@ -1,0 +1,188 @@
+//! Exact arithmetic modulo the prime 2⁶¹ − 1: two rational expressions that agree at a random point are equal but for a
+//! chance of degree / 2⁶¹ (Schwartz and Zippel).
+//!
+//! Elementary functions and roots are values without meaning, the same for the same argument: what holds for all of them
+//! holds for the true ones. Comparisons read the parity of a difference, so that terms may change sides.
+
+use std::cmp::Ordering;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::program::function::{Function1, Function2};
+use crate::proof::evaluate::Number;
+
+const P: u64 = (1 << 61) - 1;
+
+/// A residue, below the prime.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Modular(u64);
+
+impl Modular {
+    /// Of any bits, for random points.
+    pub fn of_bits(bits: u64) -> Modular {
+        Modular(bits % P)
+    }
+
+    /// The fraction with numerator and denominator below 2²⁰ that this residue stands for, if there is one.
+    pub fn small_fraction(self) -> Option<f64> {
+        const SMALL: i64 = 1 << 20;
+        let (mut r, mut r_next, mut t, mut t_next) = (P as i64, self.0 as i64, 0_i64, 1_i64);
+        while r_next >= SMALL {
+            let quotient = r / r_next;
+            (r, r_next) = (r_next, r - quotient * r_next);
+            (t, t_next) = (t_next, t.checked_sub(quotient.checked_mul(t_next)?)?);
+        }
+        (t_next.abs() < SMALL && t_next != 0).then(|| r_next as f64 / t_next as f64)
+    }
+
+    fn power(self, mut exponent: u64) -> Modular {
+        let (mut square, mut power) = (self, Modular(1));
+        while exponent > 0 {
+            if exponent & 1 == 1 {
+                power = power * square;
+            }
+            square = square * square;
+            exponent >>= 1;
+        }
+        power
+    }
+
+    /// A value that depends on the tag and the residue alone.
+    fn opaque(self, tag: u64) -> Modular {
+        let mut z = self.0 ^ tag.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        Modular::of_bits(z ^ (z >> 31))
+    }
+}
+
+impl From<f64> for Modular {
+    /// A number of the document, or one that f64 made of such: the fraction with the smallest denominator within two units in
+    /// the last place, so that 0.1 · 3 is three tenths.
+    fn from(x: f64) -> Modular {
+        if !x.is_finite() {
+            return Modular(0x5eed).opaque(x.to_bits());
+        }
+        let magnitude = x.abs();
+        let (mut h, mut h_before, mut k, mut k_before) = (1_u64, 0_u64, 0_u64, 1_u64);
+        let mut rest = magnitude;
+        for _ in 0..24 {
+            let whole = rest.floor();
+            if whole > 1e15 {
+                break;
+            }
+            let step = |now: u64, before: u64| now.checked_mul(whole as u64)?.checked_add(before);
+            let (Some(h_next), Some(k_next)) = (step(h, h_before), step(k, k_before)) else { break };
+            (h, h_before, k, k_before) = (h_next, h, k_next, k);
+            let tolerance = 2.0 * f64::EPSILON * magnitude;
+            let near = (h as f64 / k as f64 - magnitude).abs() <= tolerance;
+            // A number without a meaning of its own has a fraction with k² ≈ 1 / tolerance as near as that.
+            if near && k as f64 * k as f64 * tolerance < 0.05 && h < 1 << 52 {
+                let fraction = if k == 1 { Modular(h % P) } else { Modular(h % P) / Modular(k % P) };
+                return if x < 0.0 { -fraction } else { fraction };
+            }
+            rest = 1.0 / (rest - whole);
+        }
+        // As it stands: mantissa · 2^exponent, with 2⁶¹ = 1.
+        let bits = magnitude.to_bits();
+        let (exponent, fraction) = ((bits >> 52) as i64, bits & ((1 << 52) - 1));
+        let (mantissa, exponent) =
+            if exponent == 0 { (fraction, -1074) } else { (fraction | 1 << 52, exponent - 1075) };
+        let value = Modular(mantissa) * Modular(2).power(exponent.rem_euclid(61) as u64);
+        if x < 0.0 { -value } else { value }
+    }
+}
+
+impl PartialOrd for Modular {
+    fn partial_cmp(&self, other: &Modular) -> Option<Ordering> {
+        let difference = (*self - *other).0;
+        Some(match difference {
+            0 => Ordering::Equal,
+            d if d % 2 == 1 => Ordering::Less,
+            _ => Ordering::Greater,
+        })
+    }
+}
+impl Neg for Modular {
+    type Output = Modular;
+    fn neg(self) -> Modular {
+        Modular(if self.0 == 0 { 0 } else { P - self.0 })
+    }
+}
+impl Add for Modular {
+    type Output = Modular;
+    fn add(self, b: Modular) -> Modular {
+        let sum = self.0 + b.0;
+        Modular(if sum >= P { sum - P } else { sum })
+    }
+}
+impl Sub for Modular {
+    type Output = Modular;
+    fn sub(self, b: Modular) -> Modular {
+        self + -b
+    }
+}
+impl Mul for Modular {
+    type Output = Modular;
+    fn mul(self, b: Modular) -> Modular {
+        let product = u128::from(self.0) * u128::from(b.0);
+        Modular((product as u64) & P) + Modular((product >> 61) as u64)
+    }
+}
+impl Div for Modular {
+    type Output = Modular;
+    /// By Fermat; x / 0 is 0.
+    fn div(self, b: Modular) -> Modular {
+        self * b.power(P - 2)
+    }
+}
+
+impl Number for Modular {
+    fn abs(self) -> Modular {
+        if self < Modular(0) { -self } else { self }
+    }
+    fn sqrt(self) -> Modular {
+        self.opaque(1)
+    }
+    fn call1(self, function: Function1) -> Modular {
+        self.opaque(16 + function as u64)
+    }
+    fn call2(self, function: Function2, other: Modular) -> Modular {
+        self.opaque(64 + function as u64) + other.opaque(96 + function as u64) * self.opaque(128)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decimals_are_fractions() {
+        let of = |x: f64| Modular::from(x);
+        assert_eq!(of(0.1) * of(3.0), of(0.1 * 3.0));
+        assert_eq!(of(1.7) - of(1.0), of(1.7 - 1.0));
+        assert_eq!(of(-0.25) * of(-4.0), Modular(1));
+        assert_eq!(of(1e-9) * of(1e9), Modular(1));
+        assert_ne!(of(std::f64::consts::PI), of(355.0 / 113.0));
+        assert_eq!(of(std::f64::consts::PI) * of(2.0), of(2.0 * std::f64::consts::PI));
+        assert_eq!(of(7.0) / of(3.0) * of(3.0), of(7.0));
+    }
+
+    #[test]
+    fn small_fractions_come_back() {
+        for (numerator, denominator) in [(0.0, 1.0), (3.0, 10.0), (-7.0, 1.0), (1.0, -48.0), (1023.0, 1000.0)] {
+            let residue = Modular::from(numerator) / Modular::from(denominator);
+            assert_eq!(residue.small_fraction(), Some(numerator / denominator));
+        }
+        assert_eq!(Modular(0x5eed).opaque(7).small_fraction(), None);
+    }
+
+    #[test]
+    fn comparisons_do_not_mind_which_side_a_term_stands_on() {
+        for i in 0..100_u64 {
+            let [a, b, c] = [1, 2, 3].map(|k| Modular(i).opaque(k));
+            assert_eq!(a < b, a + c < b + c);
+            assert_eq!(a < b, -b < -a);
+            assert!(a < b || b < a);
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! An arithmetic that keeps the sum of the absolute terms beside its value: what rounding errors are measured against.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::program::function::{Function1, Function2};
+use crate::proof::calculus::{derivatives, derivatives2};
+use crate::proof::evaluate::Number;
+
+/// A value, and the sum of the absolute values of the terms that it was made of, each scaled by how it acts on the result.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weighed {
+    pub value: f64,
+    pub terms: f64,
+}
+
+impl PartialEq for Weighed {
+    fn eq(&self, b: &Self) -> bool {
+        self.value == b.value
+    }
+}
+impl PartialOrd for Weighed {
+    fn partial_cmp(&self, b: &Self) -> Option<std::cmp::Ordering> {
+        self.value.partial_cmp(&b.value)
+    }
+}
+impl From<f64> for Weighed {
+    fn from(x: f64) -> Self {
+        Weighed { value: x, terms: x.abs() }
+    }
+}
+impl Neg for Weighed {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Weighed { value: -self.value, ..self }
+    }
+}
+impl Add for Weighed {
+    type Output = Self;
+    fn add(self, b: Self) -> Self {
+        Weighed { value: self.value + b.value, terms: self.terms + b.terms }
+    }
+}
+impl Sub for Weighed {
+    type Output = Self;
+    fn sub(self, b: Self) -> Self {
+        self + -b
+    }
+}
+impl Mul for Weighed {
+    type Output = Self;
+    fn mul(self, b: Self) -> Self {
+        Weighed { value: self.value * b.value, terms: self.terms * b.terms }
+    }
+}
+impl Div for Weighed {
+    type Output = Self;
+    fn div(self, b: Self) -> Self {
+        let inverse = Weighed { value: 1.0 / b.value, terms: b.terms / b.value.abs() / b.value.abs() };
+        Weighed { value: self.value / b.value, ..self * inverse }
+    }
+}
+
+impl Number for Weighed {
+    fn abs(self) -> Self {
+        Weighed { value: self.value.abs(), ..self }
+    }
+    fn sqrt(self) -> Self {
+        let root = self.value.sqrt();
+        Weighed { value: root, terms: self.terms / root }
+    }
+    fn call1(self, function: Function1) -> Self {
+        let (value, slope, _) = derivatives(function, self.value);
+        Weighed { value, terms: slope.abs() * self.terms + value.abs() }
+    }
+    fn call2(self, function: Function2, other: Self) -> Self {
+        let two = derivatives2(function, self.value, other.value);
+        let terms = two.a.abs() * self.terms + two.b.abs() * other.terms + two.value.abs();
+        Weighed { value: two.value, terms }
+    }
+}
