@@ -8,8 +8,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader};
+use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
-use isophote_tracker::{Buffer, Frame, Plane};
 
 use crate::limits::LIMITS;
 use crate::pixels::jpeg;

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isophote_tracker::Frame;
+use isophote_frame::Frame;
 
 use crate::limits::LIMITS;
 use crate::pages::{Paged, Place, Reader};

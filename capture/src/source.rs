@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use isophote_tracker::Frame;
+use isophote_frame::Frame;
 
 use crate::exposure::Exposure;
 use crate::limits::LIMITS;

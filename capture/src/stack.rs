@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isophote_tracker::{Buffer, Frame, Plane};
+use isophote_frame::{Buffer, Frame, Plane};
 
 use crate::decode::{self, Picture};
 use crate::limits::LIMITS;

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use isophote_frame::{Frame, Plane};
 use isophote_jit::{PixelFormat, Slices, Window};
-use isophote_tracker::{Frame, Plane};
 
 use crate::exposure::Exposure;
 use crate::light::defocus::Blur;

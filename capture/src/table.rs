@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use isophote_frame::{Frame, Plane};
 use isophote_jit::PixelFormat;
-use isophote_tracker::{Frame, Plane};
 
 use crate::limits::LIMITS;
 use crate::source::SourceError;

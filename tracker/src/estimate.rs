@@ -2,7 +2,7 @@
 
 use isophote_symbolic::ParameterId;
 
-use crate::alternatives::Substitute;
+use crate::solve::alternatives::Substitute;
 use serde::{Deserialize, Serialize};
 
 use crate::exposure::ExposureAdvice;

@@ -2,7 +2,7 @@
 
 use isophote_jit::PixelFormat;
 
-use crate::frame::{Frame, Plane};
+use isophote_frame::{Frame, Plane};
 
 /// xorshift64*: enough for test noise.
 pub(crate) struct Noise(pub u64);

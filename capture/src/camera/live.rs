@@ -6,7 +6,7 @@
 use std::io;
 use std::time::{Duration, Instant};
 
-use isophote_tracker::Frame;
+use isophote_frame::Frame;
 use rustix::fd::AsFd;
 
 use super::device::{self, Found, Identity};

@@ -1,7 +1,7 @@
 //! Whole pictures of known layout into planes: mostly which bytes of one copy a plane is.
 
+use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
-use isophote_tracker::{Buffer, Frame, Plane};
 
 use super::encoding::Layout;
 use super::{Colour, PixelsError, jpeg, mosaic};

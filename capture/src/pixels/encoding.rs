@@ -1,7 +1,7 @@
 //! The table of pixel formats: what each is called, and how its bytes lie.
 
+use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
-use isophote_tracker::Frame;
 
 use super::{Colour, PixelsError, convert, jpeg};
 use crate::limits::LIMITS;

@@ -1,7 +1,7 @@
 //! JPEG pictures, decoded strictly: of cameras their luma as it is stored, or one colour; of files grey, or r, g, b.
 
+use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
-use isophote_tracker::{Buffer, Frame, Plane};
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;

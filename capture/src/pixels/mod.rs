@@ -13,7 +13,7 @@ mod segments;
 
 pub use encoding::Encoding;
 
-use isophote_tracker::FrameError;
+use isophote_frame::FrameError;
 
 /// What becomes of a colour mosaic or colour picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use isophote_frame::{Buffer, Plane};
 use isophote_jit::PixelFormat;
-use isophote_tracker::{Buffer, Plane};
 
 /// Three rows of the mosaic around the one that is filled in; each has one reflected pixel more at both ends.
 type Rows = [Vec<u16>; 3];

@@ -12,7 +12,7 @@
 use super::trial::{Kernels, share, tried};
 use super::{ExposureAdvice, ExposureGoal};
 use crate::estimate::Estimate;
-use crate::grey::Mixture;
+use crate::sight::grey::Mixture;
 use crate::track::solver::{Look, Solver};
 
 /// The largest share of the target that may be saturated for the sake of the centre.

@@ -11,9 +11,9 @@ use isophote_symbolic::{Bindings, Precision, Prediction, Roles};
 use nalgebra::DMatrix;
 
 use super::ExposureGoal;
-use crate::compiled::{Control, Job, Layout, lowering};
-use crate::loops::{Loops, Totals};
-use crate::scaled;
+use crate::solve::compiled::{Control, Job, Layout, lowering};
+use crate::solve::loops::{Loops, Totals};
+use crate::solve::scaled;
 use crate::track::solver::Solver;
 use crate::track::window::{Margin, shape};
 

@@ -8,13 +8,13 @@ use isophote_symbolic::{Model, Precision};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::*;
-use crate::compiled::Compiled;
 use crate::estimate::{Estimate, TrackState};
-use crate::frame::{Frame, Plane};
 use crate::options::{MotionOptions, TrackError, TrackerOptions};
 use crate::picture::Noise;
-use crate::tracker::Tracker;
+use crate::solve::compiled::Compiled;
+use crate::track::tracker::Tracker;
 use crate::{Camera, Pose};
+use isophote_frame::{Frame, Plane};
 
 const SIZE: [usize; 2] = [640, 480];
 const FLAT: [[f64; 3]; 3] = [[0.0, 80.0, 0.0], [-70.0, -40.0, 0.0], [70.0, -40.0, 0.0]];

@@ -15,7 +15,7 @@ use super::rigid::Rigid;
 use super::seen::{Five, outline, seen};
 use super::target::TargetSpot;
 use crate::camera::Intrinsics;
-use crate::scaled;
+use crate::solve::scaled;
 
 /// A spot and its fitted ellipse.
 #[derive(Clone, Debug)]

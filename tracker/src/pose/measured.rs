@@ -9,7 +9,7 @@ use super::seen::Five;
 use super::target::{Target, TargetSpot};
 use super::{Alternative, DELTA_CHI_SQUARE_MAX, Pose};
 use crate::camera::Intrinsics;
-use crate::scaled;
+use crate::solve::scaled;
 
 /// What a fit says about all of a model's parameters.
 pub(crate) struct Fitted<'a> {

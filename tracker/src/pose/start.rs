@@ -10,7 +10,7 @@ use super::direct::Geometry;
 use super::joint::{Joint, Minimum, SpotSeen};
 use super::rigid::Rigid;
 use super::seen::Five;
-use crate::start::Sight;
+use crate::sight::start::Sight;
 
 /// A pose to begin with.
 #[derive(Clone, Debug)]

@@ -16,8 +16,8 @@ use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, Object
 use serde::{Deserialize, Serialize};
 
 use self::outlook::Outlook;
-use crate::compiled::{CompileFailure, Compiled, Control, lowering};
 use crate::exposure::ExposureAdvice;
+use crate::solve::compiled::{CompileFailure, Compiled, Control, lowering};
 
 /// Costs and self-check of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

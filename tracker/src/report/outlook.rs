@@ -13,9 +13,9 @@ use isophote_symbolic::{Diagnostics, Model, ParameterId, Precision, Severity, St
 use super::Bound;
 use super::information::{Condition, Information};
 use super::points::{Numbers, Point, sizes};
-use crate::compiled::Compiled;
 use crate::exposure::{ExposureAdvice, ExposureGoal, Kernels, outlook};
 use crate::options::TrackerOptions;
+use crate::solve::compiled::Compiled;
 use crate::track::solver::Solver;
 use crate::track::window::Reach;
 

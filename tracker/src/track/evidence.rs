@@ -18,7 +18,7 @@ use isophote_symbolic::{ParameterId, Roles};
 use nalgebra::DMatrix;
 
 use super::solver::Solver;
-use crate::fit::{Fit, Worth};
+use crate::solve::fit::{Fit, Worth};
 
 /// What the weights multiply, in the order of the list above, and the constant.
 const WEIGHTS: [f64; 4] = [2.4, -4.0, -0.7, -1.5];

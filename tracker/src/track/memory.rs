@@ -9,8 +9,8 @@ use super::search::Candidate;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
 use crate::estimate::Ahead;
-use crate::motion::{Measured, Motion, Predicted};
 use crate::options::PredictOptions;
+use crate::track::motion::{Measured, Motion, Predicted};
 
 /// From this many measurements on the velocity is known.
 const MOVING: u32 = 2;

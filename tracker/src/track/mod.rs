@@ -11,17 +11,19 @@
 
 pub(crate) mod evidence;
 mod memory;
+pub(crate) mod motion;
 mod posed;
 pub(crate) mod publish;
 mod reconsider;
 mod rival;
 pub(crate) mod search;
 pub(crate) mod solver;
+pub(crate) mod tracker;
 pub(crate) mod window;
 
-use crate::compiled::{CompileFailure, Control};
-use crate::motion::Predicted;
 use crate::options::TrackerOptions;
+use crate::solve::compiled::{CompileFailure, Control};
+use crate::track::motion::Predicted;
 use memory::Memory;
 use search::{Candidate, Search};
 use solver::{Attempt, Look, Solver};

@@ -6,9 +6,9 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::alternatives::{self, MISFIT};
-use crate::compiled::CompileFailure;
-use crate::fit::Fit;
+use crate::solve::alternatives::{self, MISFIT};
+use crate::solve::compiled::CompileFailure;
+use crate::solve::fit::Fit;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
 const ASTRAY: f64 = 4.0;

@@ -5,9 +5,9 @@
 
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::compiled::{CompileFailure, Control};
-use crate::fit::{View, difference};
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
+use crate::solve::compiled::{CompileFailure, Control};
+use crate::solve::fit::{View, difference};
 
 /// The runner-up.
 #[derive(Clone, Debug)]

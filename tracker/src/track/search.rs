@@ -7,9 +7,9 @@ use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
 use super::window::{Margin, shape};
-use crate::cold::{Cold, Grain, Starts};
-use crate::compiled::{CompileFailure, Control};
 use crate::estimate::Ending;
+use crate::sight::cold::{Cold, Grain, Starts};
+use crate::solve::compiled::{CompileFailure, Control};
 
 /// Things that are fitted at most, …
 const SIGHTS_MAX: usize = 24;

@@ -10,14 +10,14 @@ use isophote_symbolic::Model;
 
 use super::rival::Rival;
 use super::window::{Margin, Reach, half_widths, holds, shape};
-use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::{Ending, Rejection};
-use crate::fit::{Fit, View, fit, limit};
-use crate::frame::Frame;
-use crate::mask::Mask;
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
-use crate::stage::QUANTISATION;
+use crate::sight::mask::Mask;
+use crate::solve::compiled::{CompileFailure, Compiled, Control};
+use crate::solve::fit::{Fit, View, fit, limit};
+use crate::solve::stage::QUANTISATION;
+use isophote_frame::Frame;
 
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use isophote_symbolic::ParameterId;
 
 use super::starts::{self, Offset};
-use crate::compiled::{CompileFailure, Compiled, Control};
-use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
+use crate::solve::compiled::{CompileFailure, Compiled, Control};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
 use crate::track::{MARGIN_PX, MARGIN_PX_MAX, MARGIN_SHARE};
+use isophote_frame::Frame;
 
 /// An end within so many standard deviations of the answer is the answer, …
 const DEVIATIONS: f64 = 3.0;

@@ -5,11 +5,11 @@ use serde::Serialize;
 
 use super::bench::{Bench, Goal};
 use super::starts::{self, Offset};
-use crate::compiled::CompileFailure;
-use crate::fit::quadratic_at;
-use crate::frame::Frame;
-use crate::stage::eigen_resolution;
+use crate::solve::compiled::CompileFailure;
+use crate::solve::fit::quadratic_at;
+use crate::solve::stage::eigen_resolution;
 use crate::track::window::Margin;
+use isophote_frame::Frame;
 
 /// The starts that are looked at.
 #[derive(Clone, Debug, PartialEq)]

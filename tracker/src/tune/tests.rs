@@ -4,9 +4,9 @@ use isophote_symbolic::{Method, Model, ParameterId, Precision};
 
 use super::starts::start;
 use super::{Bench, Grid, Offset, figures, newton_of_each, schedules, subsets};
-use crate::compiled::Compiled;
 use crate::options::TrackerOptions;
 use crate::picture::{Picture, Profile, Spot};
+use crate::solve::compiled::Compiled;
 
 const SPOT: &str = include_str!("../../../models/spot.toml");
 const PROFILE: &str = include_str!("../../../models/profile-1d.toml");

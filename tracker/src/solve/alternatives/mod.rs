@@ -20,10 +20,10 @@ use serde::{Deserialize, Serialize};
 
 use self::blind::{Mask, Painted};
 use self::residuals::Predictions;
-use crate::compiled::{CompileFailure, Compiled, Control};
 use crate::estimate::StageReport;
-use crate::fit::{Fit, View, fit};
-use crate::workers::InTurn;
+use crate::solve::compiled::{CompileFailure, Compiled, Control};
+use crate::solve::fit::{Fit, View, fit};
+use crate::solve::workers::InTurn;
 
 /// χ²/ν beyond which a plain fit is not taken as it is.
 pub(crate) const MISFIT: f64 = 1.35;

@@ -84,8 +84,8 @@ fn spike(present: &[(u32, u32)], largest: u32) -> Option<u32> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::frame::{Frame, Plane};
     use crate::picture::{Picture, Profile, Spot};
+    use isophote_frame::{Frame, Plane};
 
     fn found(picture: &Picture) -> Option<f64> {
         let frame = picture.frame();
@@ -140,7 +140,7 @@ mod tests {
 
         let red = picture(450.0, CUBIC, 253.0).pixels();
         let bytes: Vec<u8> = red.iter().flat_map(|pixel| [pixel.clamp(0.0, 253.0) as u8, 7]).collect();
-        let buffer = crate::frame::Buffer::Owned(bytes.into());
+        let buffer = isophote_frame::Buffer::Owned(bytes.into());
         let planes = (0..2).map(|channel| Plane::interleaved(PixelFormat::U8, &buffer, 96, 2, channel)).collect();
         let frame = Frame::new(&[96, 96], planes).unwrap();
         let window = Window { x: 20, y: 10, width: 70, height: 80, ..Window::whole(96, 96) };

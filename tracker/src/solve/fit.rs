@@ -6,15 +6,15 @@ use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
-use crate::alternatives::Substitute;
-use crate::clipping::clipping;
-use crate::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
 use crate::estimate::{Ending, StageReport};
-use crate::grey::{Grey, Mixture, may_be_nan};
-use crate::loops::{Loops, Totals};
 use crate::pose::Geometry;
-use crate::stage::{self, Pass, Problem, Rules};
-use crate::trust::{Curvature, Quadratic, Spectrum};
+use crate::sight::clipping::clipping;
+use crate::sight::grey::{Grey, Mixture, may_be_nan};
+use crate::solve::alternatives::Substitute;
+use crate::solve::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
+use crate::solve::loops::{Loops, Totals};
+use crate::solve::stage::{self, Pass, Problem, Rules};
+use crate::solve::trust::{Curvature, Quadratic, Spectrum};
 
 /// The largest pixel value of a format: the camera's limit where nothing else is known.
 pub(crate) fn largest_value(format: PixelFormat) -> f64 {

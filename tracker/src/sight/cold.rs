@@ -2,14 +2,14 @@
 
 use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
-use crate::colours::Colours;
-use crate::compiled::Control;
-use crate::fit::View;
-use crate::grey::{Grey, Mixture};
-use crate::halved::find_halved;
-use crate::mask::Mask;
 use crate::pose;
-use crate::start::{Sight, Sign, Wanted, find};
+use crate::sight::colours::Colours;
+use crate::sight::grey::{Grey, Mixture};
+use crate::sight::halved::find_halved;
+use crate::sight::mask::Mask;
+use crate::sight::start::{Sight, Sign, Wanted, find};
+use crate::solve::compiled::Control;
+use crate::solve::fit::View;
 
 /// What a cold start may begin with.
 pub(crate) struct Cold {

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 
-use crate::compiled::Compiled;
-use crate::frame::{Frame, Plane};
 use crate::options::TrackerOptions;
 use crate::picture::{Picture, Spot};
+use crate::solve::compiled::Compiled;
 use crate::{Estimate, TrackState, Tracker};
+use isophote_frame::{Frame, Plane};
 
 const MODEL: &str = r#"
 name = "spot"

@@ -4,7 +4,7 @@
 //! matrix (rows: channels; columns: lights; a light reads 1 in its own channel) with standard errors. It never knows a
 //! model: a light is called after the channel in which it is brightest.
 //!
-//! 1. What stands out in the mean of the channels is a light ([`crate::start`]).
+//! 1. What stands out in the mean of the channels is a light ([`crate::sight::start`]).
 //! 2. Its own channel is the one that reads most of it where no channel clips.
 //! 3. Every other channel's share is the slope of that channel over the own one, pixel by pixel ([`slope`]). The offset is
 //!    free, so neither black level nor an even ground counts.
@@ -14,10 +14,10 @@ mod slope;
 
 use isophote_jit::{PlaneView, Window};
 
-use crate::fit::largest_value;
-use crate::frame::Frame;
-use crate::grey::{Grey, Mixture};
-use crate::start::{Sight, Sign, Wanted, find};
+use crate::sight::grey::{Grey, Mixture};
+use crate::sight::start::{Sight, Sign, Wanted, find};
+use crate::solve::fit::largest_value;
+use isophote_frame::Frame;
 use slope::{Point, Share, slope};
 
 /// Lights that are looked for in a frame.

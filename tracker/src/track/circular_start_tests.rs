@@ -14,8 +14,8 @@ use super::*;
 use crate::picture::{Picture, Profile, Spot};
 use isophote_symbolic::{Model, Precision};
 
-const SPOT: &str = include_str!("../../tests/documents/plain-spot.toml");
-const THESIS: &str = include_str!("../../models/thesis-spot.toml");
+const SPOT: &str = include_str!("../../../tests/documents/plain-spot.toml");
+const THESIS: &str = include_str!("../../../models/thesis-spot.toml");
 const FRAGMENT: [(&str, f64); 2] = [("bx", 319.5), ("by", 239.5)];
 const TRUTH: Spot = Spot {
     centre: [330.0, 236.0],

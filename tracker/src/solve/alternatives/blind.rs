@@ -8,7 +8,7 @@ use isophote_jit::{PixelFormat, PlaneView};
 use isophote_symbolic::Precision;
 
 use super::residuals::Seen;
-use crate::fit::View;
+use crate::solve::fit::View;
 
 /// A saturated pixel is the target's where this share of the way from the background to the limit is predicted, while
 /// parameters are those of a start …

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix5, Vector5};
 
-use crate::grey::Grey;
+use crate::sight::grey::Grey;
 
 /// `level + slope · (place − middle)`, and how far pixels are from it. In a volume the plane is one of three slopes.
 #[derive(Clone, Debug, PartialEq)]

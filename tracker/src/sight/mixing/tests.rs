@@ -1,8 +1,8 @@
 //! Frames of known mixing.
 
 use super::*;
-use crate::frame::Plane;
 use crate::picture::Noise;
+use isophote_frame::Plane;
 use isophote_jit::PixelFormat;
 
 const WIDTH: usize = 200;

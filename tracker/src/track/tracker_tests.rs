@@ -1,15 +1,15 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::frame::Plane;
 use crate::picture::{Picture, Profile, Spot};
-use crate::workers::InTurn;
+use crate::solve::workers::InTurn;
+use isophote_frame::Plane;
 use isophote_jit::{PixelFormat, Slices, Window};
 use isophote_symbolic::{Model, Precision};
 
-const SPOT: &str = include_str!("../../tests/documents/plain-spot.toml");
-const THESIS: &str = include_str!("../../models/thesis-spot.toml");
-const DISC: &str = include_str!("../../models/dark-disc.toml");
-const GAUSSIAN: &str = include_str!("../../models/gaussian.toml");
+const SPOT: &str = include_str!("../../../tests/documents/plain-spot.toml");
+const THESIS: &str = include_str!("../../../models/thesis-spot.toml");
+const DISC: &str = include_str!("../../../models/dark-disc.toml");
+const GAUSSIAN: &str = include_str!("../../../models/gaussian.toml");
 
 fn compiled(document: &str, precision: Precision) -> Arc<Compiled> {
     let model = Model::from_toml(document).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
@@ -162,7 +162,7 @@ fn a_line_in_one_dimension() {
     let line = |x: f64| 30.0 + 0.05 * x + 90.0 * (-2.0 * ((x - 170.4) / 25.0).powi(2)).exp();
     let bytes = (0..400).map(|x| line(f64::from(x)).round() as u8).collect();
     let frame = Frame::new(&[400], vec![Plane::owned(PixelFormat::U8, bytes, 400)]).unwrap();
-    let mut tracker = tracker(include_str!("../../models/profile-1d.toml"), &[]);
+    let mut tracker = tracker(include_str!("../../../models/profile-1d.toml"), &[]);
     let estimate = tracker.track(&frame);
     assert!(estimate.converged, "{estimate:?}");
     for (name, value, off) in [("b", 170.4, 0.02), ("w", 25.0, 0.05), ("g0", 0.05, 1e-3), ("v1", 90.0, 0.2)] {
@@ -178,16 +178,16 @@ fn the_report_of_every_shipped_model() {
         DISC,
         GAUSSIAN,
         MISRA1A,
-        include_str!("../../models/profile-1d.toml"),
-        include_str!("../../models/rational-spot.toml"),
-        include_str!("../../models/bright-disc.toml"),
-        include_str!("../../models/bead.toml"),
-        include_str!("../../models/moffat.toml"),
-        include_str!("../../models/ring.toml"),
-        include_str!("../../models/gaussian-pixel.toml"),
-        include_str!("../../models/three-spots.toml"),
-        include_str!("../../models/blob-3d.toml"),
-        include_str!("../../models/blob-4d.toml"),
+        include_str!("../../../models/profile-1d.toml"),
+        include_str!("../../../models/rational-spot.toml"),
+        include_str!("../../../models/bright-disc.toml"),
+        include_str!("../../../models/bead.toml"),
+        include_str!("../../../models/moffat.toml"),
+        include_str!("../../../models/ring.toml"),
+        include_str!("../../../models/gaussian-pixel.toml"),
+        include_str!("../../../models/three-spots.toml"),
+        include_str!("../../../models/blob-3d.toml"),
+        include_str!("../../../models/blob-4d.toml"),
     ];
     for document in shipped {
         let compiled = compiled(document, Precision::F32);
@@ -440,7 +440,7 @@ fn a_blob_in_a_stack() {
         let plane = Plane::owned(PixelFormat::U8, (0..32 * 28 * 20).map(value).collect(), 32);
         Frame::new(&size, vec![plane]).unwrap().with_sequence(sequence)
     };
-    let compiled = compiled(include_str!("../../models/blob-3d.toml"), Precision::F32);
+    let compiled = compiled(include_str!("../../../models/blob-3d.toml"), Precision::F32);
     let window = |first: usize, count: usize| {
         let slices = Slices { first: [first, 0], count: [count, usize::MAX] };
         TrackerOptions { window: Some(Window { slices, ..Window::whole(32, 28) }), ..TrackerOptions::default() }

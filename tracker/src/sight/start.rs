@@ -15,10 +15,10 @@
 use isophote_symbolic::Estimator;
 use nalgebra::DMatrix;
 
-use crate::background::Background;
-use crate::component::{Component, Labels};
-use crate::grey::{Grey, place_of};
-use crate::mask::Mask;
+use crate::sight::background::Background;
+use crate::sight::component::{Component, Labels};
+use crate::sight::grey::{Grey, place_of};
+use crate::sight::mask::Mask;
 
 /// Which way a target differs from the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

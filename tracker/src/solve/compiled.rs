@@ -10,10 +10,10 @@ use isophote_symbolic::{
     Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Stage, Summand, ValueKind,
 };
 
-use crate::alternatives::Alternatives;
-use crate::loops::Loops;
-use crate::trust::Curvature;
-use crate::workers::{InTurn, Workers};
+use crate::solve::alternatives::Alternatives;
+use crate::solve::loops::Loops;
+use crate::solve::trust::Curvature;
+use crate::solve::workers::{InTurn, Workers};
 
 /// Why a model cannot run here.
 #[derive(Clone, Debug, thiserror::Error)]

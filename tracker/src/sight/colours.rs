@@ -1,6 +1,6 @@
 //! Colours: which of the things in a picture is which target of a document that fits several values of a pixel.
 //!
-//! What comes in: a model, what [`crate::start`] found in the sum of its pictures, and the planes. What goes out: one sight a
+//! What comes in: a model, what [`crate::sight::start`] found in the sum of its pictures, and the planes. What goes out: one sight a
 //! target, of the target's own colour, with starting values in the target's own units. Documents that fit one number a
 //! pixel have no colours.
 //!
@@ -15,9 +15,9 @@ use isophote_jit::PlaneView;
 use isophote_symbolic::{Estimator, Model, ParameterId, Start};
 use nalgebra::{DMatrix, DVector};
 
-use crate::fit::View;
-use crate::grey::Mixture;
-use crate::start::Sight;
+use crate::sight::grey::Mixture;
+use crate::sight::start::Sight;
+use crate::solve::fit::View;
 
 /// The brightness at which a model is asked.
 const PROBE: f64 = 100.0;

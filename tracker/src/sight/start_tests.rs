@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::grey::Mixture;
 use crate::picture::{Picture, Profile, Spot};
+use crate::sight::grey::Mixture;
 use isophote_jit::Window;
 
 fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {

@@ -16,7 +16,7 @@ use isophote_symbolic::Precision;
 use nalgebra::DVector;
 
 use crate::estimate::{Ending, StageReport};
-use crate::trust::{Curvature, Quadratic, Region, Spectrum, Step};
+use crate::solve::trust::{Curvature, Quadratic, Region, Spectrum, Step};
 
 /// What one gradient pass brings back.
 #[derive(Clone, Debug)]

@@ -1,6 +1,6 @@
 //! `Mask`: a place that is taken, so that a search finds what else there is.
 
-use crate::grey::place_of;
+use crate::sight::grey::place_of;
 
 /// The ellipsoid `(x − centre)ᵀ A (x − centre) ≤ 1` inside a box; px of the window.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,15 +10,15 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 
-use crate::compiled::{CompileFailure, Compiled};
 use crate::estimate::{Ending, Estimate, TrackState};
 use crate::exposure::Advisor;
-use crate::frame::Frame;
 use crate::options::{TrackError, TrackerOptions};
+use crate::solve::compiled::{CompileFailure, Compiled};
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::{Followed, Outcome, Track};
+use isophote_frame::Frame;
 
 /// Follows one target or several of the same model.
 pub struct Tracker {

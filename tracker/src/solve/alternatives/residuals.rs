@@ -8,9 +8,9 @@ use std::sync::Arc;
 use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
 use isophote_symbolic::{Bindings, Model, Precision, Prediction};
 
-use crate::compiled::{CompileFailure, Control, lowering};
-use crate::fit::View;
-use crate::grey::{Grey, Mixture};
+use crate::sight::grey::{Grey, Mixture};
+use crate::solve::compiled::{CompileFailure, Control, lowering};
+use crate::solve::fit::View;
 
 /// Predictions of one observed value.
 struct Entry {

@@ -2,8 +2,8 @@
 //!
 //! What comes in: such a picture, and what is wanted in whole pixels. What goes out: what was found, in whole pixels.
 
-use crate::grey::Grey;
-use crate::start::{Found, Wanted, find};
+use crate::sight::grey::Grey;
+use crate::sight::start::{Found, Wanted, find};
 
 /// So many cells make a target; a hot pixel is in one of them.
 const CELLS_MIN: usize = 2;

@@ -1,0 +1,16 @@
+//! From pixels to starting values: what a frame shows before any model is fitted to it.
+//!
+//! What comes in: a frame, the places that count, what to look for. What goes out: background, components, colours, the
+//! clipping level and starting values of parameters. It must never know a kernel's derivatives or the frame before.
+
+pub(crate) mod background;
+pub(crate) mod clipping;
+pub(crate) mod cold;
+pub(crate) mod colours;
+pub(crate) mod component;
+pub(crate) mod contour;
+pub(crate) mod grey;
+pub(crate) mod halved;
+pub(crate) mod mask;
+pub(crate) mod mixing;
+pub(crate) mod start;

@@ -1,0 +1,14 @@
+//! From starting values to a fit: compiled kernels, the schedule's stages, the trust region, and alternatives to a model
+//! that does not describe its picture.
+//!
+//! What comes in: planes, a window, parameters to start from. What goes out: a fit with its covariance and how it ended.
+//! It must never know the frame before, or the time.
+
+pub(crate) mod alternatives;
+pub(crate) mod compiled;
+pub(crate) mod fit;
+pub(crate) mod loops;
+pub(crate) mod scaled;
+pub(crate) mod stage;
+pub(crate) mod trust;
+pub(crate) mod workers;
