@@ -18,6 +18,7 @@
 //! ```
 
 pub mod camera;
+mod clock;
 pub mod decode;
 pub mod encode;
 mod exposure;

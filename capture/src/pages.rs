@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use crate::clock::Stamp;
 use crate::decode::{DecodeError, Picture};
 use crate::fits::Fits;
 use crate::limits::LIMITS;
@@ -26,6 +27,11 @@ pub(crate) trait Pages: Send {
 
     /// Width and height of a page, from 0.
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault>;
+
+    /// When a page was taken, where the file tells.
+    fn stamp(&self, _page: usize) -> Option<Stamp> {
+        None
+    }
 
     /// The pixels of a page, from 0. Its size is checked before memory is taken.
     fn picture(&mut self, page: usize) -> Result<Picture, PageFault>;
@@ -210,5 +216,11 @@ impl Reader {
         let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.about(&file.path))?;
         let (_, pages) = self.open.insert((file.clone(), pages));
         pages.picture(page).map_err(|fault| fault.about(&file.path))
+    }
+
+    /// When a page of the file that is open was taken, where that tells.
+    pub fn stamp(&self, file: &Arc<Paged>, page: usize) -> Option<Stamp> {
+        let (_, pages) = self.open.as_ref().filter(|(known, _)| Arc::ptr_eq(known, file))?;
+        pages.stamp(page)
     }
 }

@@ -7,12 +7,13 @@ use std::sync::Arc;
 
 use isophote_frame::Frame;
 
+use crate::clock::{Clock, Stamp};
 use crate::limits::LIMITS;
 use crate::pages::{Paged, Place, Reader};
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::stack::{Kind, Node, entries, picture_size, pictures_of, read};
 use crate::table::Table;
-use crate::truth;
+use crate::truth::{self, Truth};
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
@@ -28,7 +29,8 @@ pub struct Recording {
     next: usize,
     sequence: u64,
     channels: Option<Vec<String>>,
-    truth: BTreeMap<String, BTreeMap<String, f64>>,
+    truth: BTreeMap<String, Truth>,
+    clock: Clock,
     reader: Reader,
 }
 
@@ -59,13 +61,29 @@ impl Recording {
         // The truth stands beside the frames.
         let folder = if is_folder && about.is_dir() { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
-        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, reader: Reader::default() })
+        Ok(Recording {
+            path,
+            frames,
+            next: 0,
+            sequence: 0,
+            channels: None,
+            truth,
+            clock: Clock::default(),
+            reader: Reader::default(),
+        })
     }
 
     /// Fits every frame's planes to the channels of a model: one channel takes the image's only plane or the Rec. 601 luma
     /// of a colour image; three take r, g, b in this order; a CSV file gives the columns of these names.
     pub fn for_channels(mut self, channels: &[String]) -> Recording {
         self.channels = Some(channels.to_vec());
+        self
+    }
+
+    /// Frames a second, for frames of which neither their file nor `truth.jsonl` says when they were taken. Without, they have
+    /// no time.
+    pub fn at_rate(mut self, rate_hz: f64) -> Recording {
+        self.clock.rate_hz = (rate_hz > 0.0 && rate_hz.is_finite()).then_some(rate_hz);
         self
     }
 
@@ -93,9 +111,10 @@ impl Recording {
         }
     }
 
-    /// Starts over with the first file; frames go on being counted.
+    /// Starts over with the first file; frames go on being counted, and so does the time.
     pub fn rewind(&mut self) {
         self.next = 0;
+        self.clock.rewind();
     }
 
     fn load(&mut self, node: &Node) -> Result<Frame, SourceError> {
@@ -118,9 +137,14 @@ impl FrameSource for Recording {
         self.next += 1;
         let sequence = self.sequence;
         self.sequence += 1;
-        let frame = self.load(&node)?.with_sequence(sequence);
+        let frame = self.load(&node);
         let file = node.name();
-        let truth = self.truth.get(&file).cloned();
+        let truth = self.truth.get(&file);
+        let told = truth.and_then(|truth| truth.t_s).map(Stamp::Seconds);
+        // A frame that cannot be read takes its time all the same.
+        let time_s = self.clock.time_s(told.or_else(|| node.stamp(&self.reader)));
+        let frame = frame?.with_sequence(sequence).with_time_s(time_s);
+        let truth = truth.map(|truth| truth.parameters.clone());
         Ok(Some(Captured { frame, file: Some(file).filter(|name| !name.is_empty()), truth }))
     }
 

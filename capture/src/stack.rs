@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use isophote_frame::{Buffer, Frame, Plane};
 
+use crate::clock::Stamp;
 use crate::decode::{self, Picture};
 use crate::limits::LIMITS;
 use crate::order::natural;
@@ -170,6 +171,16 @@ impl Node {
                 size.push(nodes.len());
                 Ok(size)
             }
+        }
+    }
+
+    /// When its first picture was taken, where the file tells; `reader` has just read it.
+    pub fn stamp(&self, reader: &Reader) -> Option<Stamp> {
+        match self {
+            Node::File(_) => None,
+            Node::Page(file, page) => reader.stamp(file, *page),
+            Node::Pages(file, range) => reader.stamp(file, range.start),
+            Node::Folder(_, nodes) => nodes.first()?.stamp(reader),
         }
     }
 

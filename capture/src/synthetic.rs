@@ -247,7 +247,8 @@ impl FrameSource for Synthetic {
         }
         let made = Frame::new(&self.size, planes)
             .map_err(|error| SourceError::Synthetic { frame, reason: error.to_string() })?;
-        Ok(Some(Captured { frame: made.with_sequence(frame), file: None, truth: Some(truth) }))
+        let made = made.with_sequence(frame).with_time_s(Some(self.t_s(frame))).with_largest(self.spec.saturation);
+        Ok(Some(Captured { frame: made, file: None, truth: Some(truth) }))
     }
 
     fn description(&self) -> String {

@@ -70,7 +70,8 @@ impl Table {
             let bytes = column.iter().flat_map(|number| number.to_le_bytes()).collect();
             planes.push(Plane::owned(PixelFormat::F64, bytes, column.len()));
         }
-        Frame::new(&[self.columns[0].len()], planes).map_err(|error| fault(error.to_string()))
+        let frame = Frame::new(&[self.columns[0].len()], planes).map_err(|error| fault(error.to_string()))?;
+        Ok(frame.with_names(channels.into()))
     }
 }
 

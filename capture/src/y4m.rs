@@ -9,6 +9,7 @@ use std::path::Path;
 
 use isophote_jit::PixelFormat;
 
+use crate::clock::Stamp;
 use crate::decode::{DecodeError, Picture, check_size};
 use crate::pages::{PageFault, Pages};
 
@@ -78,6 +79,10 @@ impl Pages for Video {
         Ok(self.starts.len())
     }
 
+    fn stamp(&self, number: usize) -> Option<Stamp> {
+        self.header.period_s.map(|period_s| Stamp::Number { number, period_s })
+    }
+
     fn size(&mut self, _: usize) -> Result<[usize; 2], PageFault> {
         Ok(self.header.size)
     }
@@ -86,7 +91,7 @@ impl Pages for Video {
         if !self.walk_to(page)? {
             return Err(damaged(&format!("there is no frame {page}")));
         }
-        let Header { size, format, frame_bytes } = self.header;
+        let Header { size, format, frame_bytes, .. } = self.header;
         let start = self.starts[page];
         let left = self.file_bytes.saturating_sub(start);
         if left == 0 && self.next.is_none() && page + 1 == self.starts.len() {
@@ -108,17 +113,19 @@ impl Pages for Video {
 }
 
 /// What the first line says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Header {
     size: [usize; 2],
     format: PixelFormat,
     /// Of all planes.
     frame_bytes: u64,
+    /// Seconds from a frame to the next; `None` where the line does not say, or says 0.
+    period_s: Option<f64>,
 }
 
 impl Header {
     fn parse(text: &str) -> Result<Header, DecodeError> {
-        let (mut sides, mut space) = ([0; 2], "420");
+        let (mut sides, mut space, mut period_s) = ([0; 2], "420", None);
         for field in text.split_ascii_whitespace() {
             let (tag, value) = field.split_at_checked(1).unwrap_or(("", field));
             match tag {
@@ -128,6 +135,7 @@ impl Header {
                     sides[usize::from(tag == "H")] = side.ok_or_else(|| DecodeError::Damaged(reason()))?;
                 }
                 "C" => space = value,
+                "F" => period_s = period_of(value),
                 _ => {}
             }
         }
@@ -146,8 +154,15 @@ impl Header {
         let (chroma, format) = space_of(space).ok_or_else(unknown)?;
         let ([across, down], planes) = chroma;
         let samples = size[0] * size[1] + planes * size[0].div_ceil(across) * size[1].div_ceil(down);
-        Ok(Header { size, format, frame_bytes: (samples * format.bytes_per_pixel()) as u64 })
+        Ok(Header { size, format, frame_bytes: (samples * format.bytes_per_pixel()) as u64, period_s })
     }
+}
+
+/// Of frames a second, as a fraction.
+fn period_of(rate: &str) -> Option<f64> {
+    let (frames, seconds) = rate.split_once(':')?;
+    let (frames, seconds) = (frames.parse::<u32>().ok()?, seconds.parse::<u32>().ok()?);
+    (frames > 0 && seconds > 0).then(|| f64::from(seconds) / f64::from(frames))
 }
 
 /// How chroma lies, and the pixels' format; `None` if the name is not known.
@@ -217,7 +232,11 @@ mod tests {
             ("Cmono16", 30, PixelFormat::U16),
         ] {
             let header = Header::parse(&format!(" W5 H3 F25:1 Ip A1:1 {space} XCOLORRANGE=FULL")).unwrap();
-            assert_eq!(header, Header { size: [5, 3], format, frame_bytes: bytes }, "{space}");
+            let period_s = Some(0.04);
+            assert_eq!(header, Header { size: [5, 3], format, frame_bytes: bytes, period_s }, "{space}");
+        }
+        for (rate, period_s) in [("F30000:1001", Some(1001.0 / 30000.0)), ("F0:0", None), ("F25", None), ("", None)] {
+            assert_eq!(Header::parse(&format!(" W5 H3 {rate}")).unwrap().period_s, period_s, "{rate}");
         }
         for (text, words) in [
             (" W5 F25:1", "does not name width (W) and height (H)"),

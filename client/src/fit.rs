@@ -78,6 +78,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
         let fit_us = start.elapsed().as_micros() as u64;
         let mut line = wire::Estimate::new(&model, &model_id, captured.frame.sequence, &estimate);
         line.file = captured.file.clone();
+        line.time_s = captured.frame.time_s;
         line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
         line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
         let text =

@@ -54,6 +54,8 @@ pub struct Camera {
     /// Frames lost since the last one.
     lost: u64,
     next_number: u64,
+    /// When the first frame was taken.
+    first_ns: Option<u64>,
     /// What was wrong with the last picture, if anything.
     damage: Option<String>,
     last_picture: Instant,
@@ -119,6 +121,7 @@ impl Camera {
             applied: None,
             lost: 0,
             next_number: 0,
+            first_ns: None,
             damage: None,
             last_picture: Instant::now(),
             since: Instant::now(),
@@ -162,11 +165,6 @@ impl Camera {
     /// Of the frames' pixels.
     pub fn pixel_format(&self) -> isophote_jit::PixelFormat {
         self.plan.encoding.format()
-    }
-
-    /// Largest pixel value.
-    pub fn saturation(&self) -> f64 {
-        self.plan.encoding.saturation()
     }
 
     /// Closes the device.
@@ -320,7 +318,11 @@ impl Camera {
         }
         let number = self.next_number + std::mem::take(&mut self.lost);
         self.next_number = number + 1;
-        Captured { frame: frame.with_sequence(number), file: None, truth: None }
+        let time_s = frame.capture_ns.map(|now_ns| {
+            let first_ns = *self.first_ns.get_or_insert(now_ns);
+            now_ns.saturating_sub(first_ns) as f64 * 1e-9
+        });
+        Captured { frame: frame.with_sequence(number).with_time_s(time_s), file: None, truth: None }
     }
 
     fn look_at_the_time(&mut self) -> Option<Captured> {

@@ -21,6 +21,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use crate::clock::Stamp;
 use crate::decode::{self, DecodeError, Picture};
 use crate::limits::LIMITS;
 use crate::pages::{PageFault, Pages};
@@ -137,6 +138,10 @@ impl Pages for Mcap {
         // One that breaks off has a picture more than can be read: reading it says so.
         let pictures = self.index.places.len() + usize::from(!self.index.is_whole);
         Ok(pictures.min(most.saturating_add(1)))
+    }
+
+    fn stamp(&self, page: usize) -> Option<Stamp> {
+        self.index.places.get(page).map(|place| Stamp::LogTime(place.log_time))
     }
 
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault> {

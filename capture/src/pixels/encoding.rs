@@ -203,7 +203,8 @@ impl Encoding {
         }
         let expected = self.bytes_min(size, stride);
         let whole = bytes.get(..expected).ok_or(PixelsError::Short { expected, got: bytes.len() })?;
-        convert::frame(self.layout, self.format(), whole, size, stride, colour)
+        let frame = convert::frame(self.layout, self.format(), whole, size, stride, colour)?;
+        Ok(frame.with_largest(self.saturation()))
     }
 
     fn check_size(self, size: [usize; 2]) -> Result<(), PixelsError> {

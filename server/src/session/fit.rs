@@ -134,12 +134,14 @@ impl Fitter {
         let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, result);
         estimate.session = Some(self.name.clone());
         estimate.file = captured.file.clone();
-        estimate.capture_ns = frame.capture_ns;
+        let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
+        estimate.capture_ns = Some(capture_ns);
+        estimate.time_s = frame.time_s;
         estimate.publish_ns = Some(end_ns);
         estimate.truth =
             captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
         // Below 0 where a driver's stamp lies ahead of the clock.
-        let wait = frame.capture_ns.map(|capture_ns| (start_ns as i64 - capture_ns as i64) / 1000);
+        let wait = Some((start_ns as i64 - capture_ns as i64) / 1000);
         let fit = end_ns.saturating_sub(start_ns) / 1000;
         estimate.timing_us = Some(Timing { wait, fit });
         estimate

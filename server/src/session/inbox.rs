@@ -13,6 +13,8 @@ use crate::wire::Estimate;
 pub struct Delivery {
     /// The frame and what is known about it.
     pub captured: Captured,
+    /// When the source handed it on, CLOCK_MONOTONIC.
+    pub sent_ns: u64,
     /// Who pushed it and waits for its estimate.
     pub reply: Mutex<Option<Reply>>,
 }

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use isophote_tracker::{Camera, TrackError, Tracker};
+use isophote_tracker::{TrackError, Tracker};
 use tokio::sync::oneshot;
 
 use crate::clock::{elapsed_ms, monotonic_ns};
@@ -55,7 +55,6 @@ pub struct SourceOf {
 pub struct Session {
     name: String,
     document: SessionDocument,
-    camera: Camera,
     source: SourceOf,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -69,13 +68,11 @@ impl Session {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
             .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
-        let mut camera = document.camera.clone();
-        camera.saturation = camera.saturation.or(source.source.shape().saturation);
         let compiled = entry.kernels(document.options.precision)?;
         if let Some(format) = source.source.shape().format {
             compiled.warm(format, &Threads).map_err(compile_problem)?;
         }
-        let options = swap::options(&document, &camera, &entry.model, false);
+        let options = swap::options(&document, &entry.model, false);
         let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
@@ -94,7 +91,7 @@ impl Session {
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
         source.source.subscribe(&shared.inbox);
         let (thread, running) = (Mutex::new(Some(thread)), Mutex::new(running));
-        Ok(Session { name: name.to_string(), document, camera, source, shared, thread, running })
+        Ok(Session { name: name.to_string(), document, source, shared, thread, running })
     }
 
     /// Its estimates.
@@ -165,7 +162,7 @@ impl Session {
             compiled.warm(format, &Threads).map_err(compile_problem)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options(&self.document, &self.camera, &entry.model, true);
+        let options = swap::options(&self.document, &entry.model, true);
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
         Tracker::new(compiled.clone(), options.clone())
             .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
@@ -222,6 +219,14 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
             "the model `{}` has {coordinates} coordinates, the source's frames have {dimensions}",
             model.name()
         ));
+    }
+    // Columns are found by name; any may be over.
+    if let Some(columns) = &shape.columns {
+        let missing = model.channels().iter().find(|channel| !columns.contains(channel));
+        return missing.map_or(Ok(()), |channel| {
+            let names = columns.join(", ");
+            Err(format!("no column is named `{channel}`, which the model `{}` reads; there are {names}", model.name()))
+        });
     }
     if let Some(planes) = shape.planes.filter(|planes| *planes != channels && !(*planes == 3 && channels == 1)) {
         return Err(format!(

@@ -63,7 +63,7 @@ impl Status {
                 dimensions: Some(frame.size().len()),
                 planes: Some(frame.planes().len()),
                 format: frame.planes().first().map(|plane| plane.format),
-                saturation: None,
+                columns: frame.names().map(<[String]>::to_vec),
                 size: Some(frame.size().to_vec()),
             });
         }

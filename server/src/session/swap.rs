@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use isophote_tracker::{Camera, Compiled, MotionOptions, PredictOptions, TrackerOptions};
+use isophote_tracker::{Compiled, MotionOptions, PredictOptions, TrackerOptions};
 use tokio::sync::oneshot;
 
 use crate::registry::Entry;
@@ -53,7 +53,7 @@ pub struct Swapped {
 
 /// The options of a session for a model. Constants and starting values that the model does not know are left out when
 /// `is_swap`: they belong to the model that ran before, and come back with it.
-pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_swap: bool) -> TrackerOptions {
+pub fn options(document: &SessionDocument, model: &Model, is_swap: bool) -> TrackerOptions {
     let known = |names: &BTreeMap<String, f64>, has: &dyn Fn(&str) -> bool| {
         names.iter().filter(|(name, _)| !is_swap || has(name)).map(|(name, value)| (name.clone(), *value)).collect()
     };
@@ -62,7 +62,7 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
         window: document.window.map(jit_window),
         start: known(&document.start, &|name| model.parameter(name).is_some()),
         constants: known(&document.constants, &|name| model.constant(name).is_some()),
-        camera: camera.clone(),
+        camera: document.camera.clone(),
         target: document.target.clone(),
         targets: document.options.targets,
         motion: MotionOptions {

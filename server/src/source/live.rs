@@ -6,6 +6,7 @@ use std::time::Duration;
 use isophote_capture::{Camera, CameraState};
 
 use super::{Source, State, Worker};
+use crate::clock::monotonic_ns;
 use crate::wire::SourceState;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
@@ -49,7 +50,9 @@ impl Worker {
                 }
                 continue;
             }
-            if let Some(captured) = camera.next(LOOK) {
+            if let Some(mut captured) = camera.next(LOOK) {
+                // Some drivers do not say when.
+                captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
                 self.deliver(captured, None);
             }
             self.report(&camera);

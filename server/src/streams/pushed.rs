@@ -66,11 +66,12 @@ impl Pushed {
         media(&self.document, bytes)
     }
 
-    /// Decodes on a thread where it may take its time.
-    pub async fn decode(&self, media: Media, bytes: Vec<u8>) -> Result<Frame, Problem> {
+    /// Decodes on a thread where it may take its time. `time_s` is the client's.
+    pub async fn decode(&self, media: Media, bytes: Vec<u8>, time_s: Option<f64>) -> Result<Frame, Problem> {
         let document = self.document.clone();
         let decoding = tokio::task::spawn_blocking(move || decode(&document, media, bytes));
-        decoding.await.map_err(|_| Problem::bug("decoding panicked"))?
+        let frame = decoding.await.map_err(|_| Problem::bug("decoding panicked"))??;
+        Ok(frame.with_time_s(time_s))
     }
 
     /// Hands a frame to the source; frames are fitted in the order of these calls.

@@ -389,6 +389,15 @@ pub struct CreditDocument {
     pub credit: u32,
 }
 
+/// What is known of a pushed frame: the query of a `POST`; over a WebSocket, a text message before the frame's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameTime {
+    /// When the frame was taken, s on the client's own clock.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_s: Option<f64>,
+}
+
 fn target_or_none<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Target>, D::Error> {
     let fields = serde_json::Map::<String, serde_json::Value>::deserialize(deserializer)?;
     if fields.is_empty() {

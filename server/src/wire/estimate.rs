@@ -23,6 +23,9 @@ pub struct Estimate {
     /// When the frame was captured, CLOCK_MONOTONIC.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub capture_ns: Option<u64>,
+    /// When the frame was taken, s on its source's own clock; velocities are per second of it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub time_s: Option<f64>,
     /// When the estimate was handed to subscribers, CLOCK_MONOTONIC.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub publish_ns: Option<u64>,
@@ -130,6 +133,7 @@ impl Estimate {
             frame,
             file: None,
             capture_ns: None,
+            time_s: None,
             publish_ns: None,
             dropped: 0,
             model: model_id.to_string(),

@@ -4,6 +4,7 @@
 
 mod cameras;
 mod client;
+mod clocks;
 mod commands;
 mod exposure;
 mod guards;

@@ -38,6 +38,8 @@ pub(crate) struct Solver {
 pub(crate) struct Look<'a> {
     planes: Vec<PlaneView<'a>>,
     pub window: Window,
+    /// What its pixels can hold at most.
+    largest: f64,
     /// Where its pixels are clipped, for each window that was looked at.
     limits: Mutex<Vec<(Window, Vec<f64>)>>,
 }
@@ -86,13 +88,11 @@ impl Solver {
         let model = self.model();
         let dimensions = model.coordinates().len();
         let suits = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
-        if !suits || frame.planes().len() != model.channels().len() {
-            return None;
-        }
+        let planes = frame.planes_of(model.channels()).filter(|_| suits)?;
         let whole = Window::of_size(frame.sides());
         let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
-        let planes = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
-        Some(Look { planes, window, limits: Mutex::default() })
+        let planes = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
+        Some(Look { planes, window, largest: frame.largest.unwrap_or(f64::INFINITY), limits: Mutex::default() })
     }
 
     /// A part of what may be looked at.
@@ -100,7 +100,8 @@ impl Solver {
         View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision())
     }
 
-    /// One limit a plane: the camera's, else what the window's pixels show. Looked for once a frame and window.
+    /// One limit a plane: the camera's, else what the window's pixels show, but not above what the source's pixels can hold.
+    /// Looked for once a frame and window.
     fn limits(&self, look: &Look, window: Window) -> Vec<f64> {
         if let Some(limit) = self.options.camera.saturation {
             return vec![limit; look.planes.len()];
@@ -109,7 +110,7 @@ impl Solver {
         if let Some((_, limits)) = known.iter().find(|(seen, _)| *seen == window) {
             return limits.clone();
         }
-        let limits: Vec<f64> = look.planes.iter().map(|plane| limit(plane, window)).collect();
+        let limits: Vec<f64> = look.planes.iter().map(|plane| limit(plane, window).min(look.largest)).collect();
         known.push((window, limits.clone()));
         limits
     }

@@ -25,8 +25,8 @@ pub struct Tracker {
     pub(crate) solver: Solver,
     tracks: Vec<Track>,
     advisor: Option<Advisor>,
-    /// Of the last frame.
-    time_s: Option<f64>,
+    /// Of the last frame: its time and number.
+    last: Option<(f64, u64)>,
 }
 
 /// What a swap does to the parameters of the new model.
@@ -50,7 +50,7 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, time_s: None })
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None })
     }
 
     /// The model's kernels.
@@ -142,18 +142,18 @@ impl Tracker {
         }
     }
 
-    /// When the frame was taken: by its time, else by its number; never before the last one.
+    /// When the frame was taken: by its source's clock, else by the machine's, else by its number; never before the last one.
     fn now(&mut self, frame: &Frame) -> f64 {
         let period_s = self.solver.options.motion.period_s;
-        let told = match frame.capture_ns {
-            Some(ns) => ns as f64 * 1e-9,
-            None => frame.sequence as f64 * period_s,
+        let told = frame.time_s.or(frame.capture_ns.map(|ns| ns as f64 * 1e-9));
+        let time_s = match (told, self.last) {
+            (Some(told), None) => told,
+            (Some(told), Some((last, _))) if told > last => told,
+            (Some(_), Some((last, _))) => last + period_s,
+            (None, None) => frame.sequence as f64 * period_s,
+            (None, Some((last, number))) => last + frame.sequence.saturating_sub(number).max(1) as f64 * period_s,
         };
-        let time_s = match self.time_s {
-            Some(last) if told <= last => last + period_s,
-            _ => told,
-        };
-        self.time_s = Some(time_s);
+        self.last = Some((time_s, frame.sequence));
         time_s
     }
 
