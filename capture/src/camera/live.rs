@@ -1,4 +1,4 @@
-//! `Camera`: one camera through all that may happen to it.
+//! `LiveCamera`: one camera through all that may happen to it.
 //!
 //! It rests (closed), streams, or is down. What ends a stream, whatever it is, closes the device; from then on the camera is
 //! looked for by identity and set up anew, as if for the first time. So there is one way up and one way down.
@@ -33,7 +33,7 @@ const STALL_INTERVALS: u32 = 8;
 const LOOPBACK: &str = "v4l2 loopback";
 
 /// A camera that is bound to one identity, format and size.
-pub struct Camera {
+pub struct LiveCamera {
     spec: CameraSpec,
     identity: Identity,
     /// Like it, but others: they were there together.
@@ -76,12 +76,12 @@ enum Link {
     },
 }
 
-impl Camera {
+impl LiveCamera {
     /// Finds the camera, chooses and tries the format, sets the controls, and closes it again: it rests.
     ///
     /// # Errors
     /// A camera that is not there, is in use, or does not have what the document wants.
-    pub fn open(spec: CameraSpec) -> Result<Camera, CameraError> {
+    pub fn open(spec: CameraSpec) -> Result<LiveCamera, CameraError> {
         let Found { node, path, identity, others, key } = device::named(&spec.device)?;
         let device = path.display().to_string();
         let plan = formats::choose(&node, &device, &spec.format, spec.colour)?;
@@ -104,7 +104,7 @@ impl Camera {
             reconnects: 0,
         };
         let format = Format { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0, bytes: 0 };
-        let mut camera = Camera {
+        let mut camera = LiveCamera {
             spec,
             identity,
             others,
@@ -142,7 +142,7 @@ impl Camera {
         &self.status
     }
 
-    /// Ends a wait in [`Camera::next`] from another thread.
+    /// Ends a wait in [`LiveCamera::next`] from another thread.
     pub fn wake(&self) -> Wake {
         self.wake.clone()
     }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use isophote_capture::{Camera, CameraState};
+use isophote_capture::{CameraState, LiveCamera};
 
 use super::{Source, State, Worker};
 use crate::clock::monotonic_ns;
@@ -40,7 +40,7 @@ impl Source {
 
 impl Worker {
     /// Until the source stops.
-    pub(super) fn run_camera(&mut self, mut camera: Camera) {
+    pub(super) fn run_camera(&mut self, mut camera: LiveCamera) {
         loop {
             if !self.is_open() {
                 camera.rest();
@@ -69,7 +69,7 @@ impl Worker {
         is_wanted
     }
 
-    fn report(&self, camera: &Camera) {
+    fn report(&self, camera: &LiveCamera) {
         let (source_state, reason) = match camera.state() {
             CameraState::Resting => (SourceState::Idle, None),
             CameraState::Running => (SourceState::Running, None),

@@ -17,7 +17,7 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use isophote_capture::camera::CameraStatus;
-use isophote_capture::{Camera, Captured, Exposure, FrameSource, Wake};
+use isophote_capture::{Captured, Exposure, FrameSource, LiveCamera, Wake};
 use isophote_jit::PixelFormat;
 
 use crate::clock::monotonic_ns;
@@ -50,7 +50,7 @@ pub enum Producer {
     /// Clients send them.
     Pushed,
     /// A camera sends them.
-    Camera(Box<Camera>),
+    Camera(Box<LiveCamera>),
 }
 
 /// A running source.

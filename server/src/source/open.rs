@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isophote_capture::camera::FormatWanted;
 use isophote_capture::{
-    Camera, CameraError, CameraSpec, Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticError,
+    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, Recording, SourceError, Synthetic, SyntheticError,
     SyntheticSpec,
 };
 use isophote_jit::PixelFormat;
@@ -150,7 +150,7 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         colour: document.colour,
         controls: document.controls.clone(),
     };
-    let camera = Camera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
+    let camera = LiveCamera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
     let shape = Shape {
         dimensions: Some(2),
         planes: Some(camera.planes()),

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use isophote_capture::Captured;
+use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
@@ -13,11 +14,6 @@ use crate::session::Session;
 use crate::session::inbox::{Inbox, Reply};
 use crate::source::{Source, pixel_format};
 use crate::wire::{Estimate, PushedDocument, SourceDocument};
-
-/// What a PNG file begins with.
-const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
-/// What a JPEG file begins with.
-const JPEG: &[u8] = b"\xff\xd8\xff";
 
 /// What the bytes of a frame are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,7 +100,7 @@ pub fn gone() -> Problem {
 
 /// Pixels that begin like a JPEG are possible; the eight bytes of a PNG are not.
 fn media(document: &PushedDocument, bytes: &[u8]) -> Media {
-    let is_image = bytes.starts_with(PNG) || (bytes.starts_with(JPEG) && bytes.len() != raw_bytes(document));
+    let is_image = is_png(bytes) || (is_jpeg(bytes) && bytes.len() != raw_bytes(document));
     if is_image { Media::Image } else { Media::Raw }
 }
 

@@ -27,6 +27,8 @@ pub struct Tracker {
     advisor: Option<Advisor>,
     /// Of the last frame: its time and number.
     last: Option<(f64, u64)>,
+    /// Added to what frames say of their times.
+    shift_s: f64,
 }
 
 /// What a swap does to the parameters of the new model.
@@ -50,7 +52,7 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None })
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None, shift_s: 0.0 })
     }
 
     /// The model's kernels.
@@ -148,10 +150,14 @@ impl Tracker {
         let told = frame.time_s.or(frame.capture_ns.map(|ns| ns as f64 * 1e-9));
         let time_s = match (told, self.last) {
             (Some(told), None) => told,
-            (Some(told), Some((last, _))) if told > last => told,
-            (Some(_), Some((last, _))) => last + period_s,
+            (Some(told), Some((last_s, _))) if told + self.shift_s > last_s => told + self.shift_s,
+            // A clock that stood still, or begins anew: what comes after goes on from here.
+            (Some(told), Some((last_s, _))) => {
+                self.shift_s = last_s + period_s - told;
+                last_s + period_s
+            }
             (None, None) => frame.sequence as f64 * period_s,
-            (None, Some((last, number))) => last + frame.sequence.saturating_sub(number).max(1) as f64 * period_s,
+            (None, Some((last_s, number))) => last_s + frame.sequence.saturating_sub(number).max(1) as f64 * period_s,
         };
         self.last = Some((time_s, frame.sequence));
         time_s

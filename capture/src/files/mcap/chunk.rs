@@ -3,11 +3,49 @@
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
-use crate::decode::DecodeError;
+use crate::files::PageFault;
 use crate::limits::LIMITS;
-use crate::pages::PageFault;
+use crate::picture::DecodeError;
 
-use super::records::{Chunk, Packing};
+use super::records;
+
+/// How the records of a chunk are packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Packing {
+    Stored,
+    Lz4,
+    Zstd,
+}
+
+/// Where a chunk's records are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chunk {
+    /// `None` where it is one that is not read.
+    packing: Option<Packing>,
+    /// The byte of the file where the packed records begin, and how many bytes they are.
+    begin: u64,
+    bytes: u64,
+    /// Of the records when they are unpacked.
+    unpacked_bytes: u64,
+    /// CRC-32 of them; 0 where it is not known.
+    checksum: u32,
+}
+
+impl Chunk {
+    /// From the first bytes of its content, which is at these bytes of the file; `None` where that cannot be.
+    pub fn parse(head: &[u8], [begin, end]: [u64; 2]) -> Option<Chunk> {
+        let (header, head_bytes) = records::chunk_header(head)?;
+        let packing = match header.compression.as_str() {
+            "" => Some(Packing::Stored),
+            "lz4" => Some(Packing::Lz4),
+            "zstd" => Some(Packing::Zstd),
+            _ => None,
+        };
+        let (begin, bytes) = (begin + head_bytes, header.compressed_size);
+        let (unpacked_bytes, checksum) = (header.uncompressed_size, header.uncompressed_crc);
+        (bytes <= end.saturating_sub(begin)).then_some(Chunk { packing, begin, bytes, unpacked_bytes, checksum })
+    }
+}
 
 /// The records of a chunk.
 pub(super) fn unpack(file: &mut BufReader<File>, chunk: &Chunk) -> Result<Vec<u8>, PageFault> {

@@ -6,8 +6,11 @@
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
-use crate::decode::DecodeError;
-use crate::pages::PageFault;
+use crate::files::PageFault;
+use crate::picture::DecodeError;
+
+/// What a file begins with.
+pub(super) const FIRST: &[u8] = b"SIMPLE  =";
 
 const BLOCK_BYTES: u64 = 2880;
 const CARD_BYTES: usize = 80;
@@ -88,7 +91,7 @@ fn header(file: &mut File, at: u64, number: usize) -> Result<Option<(Header, u64
         let mut bytes = Vec::new();
         file.by_ref().take(BLOCK_BYTES).read_to_end(&mut bytes)?;
         if block == 0 {
-            let first: &[u8] = if number == 0 { b"SIMPLE  =" } else { b"XTENSION=" };
+            let first: &[u8] = if number == 0 { FIRST } else { b"XTENSION=" };
             match (bytes.starts_with(first), number) {
                 (true, _) => {}
                 (false, 0) => return Err(DecodeError::UnknownKind.into()),

@@ -21,14 +21,27 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use super::image;
 use crate::clock::Stamp;
-use crate::decode::{self, DecodeError, Picture};
 use crate::limits::LIMITS;
-use crate::pages::{PageFault, Pages};
+use crate::picture::{DecodeError, Picture};
 
-use index::{Index, Place, Stream};
+use index::{Index, Slot, Stream};
 use message::Image;
-use records::{HEAD_BYTES, Message, Rest, op};
+use records::{HEAD_BYTES, Record, op};
+
+pub(crate) const FORMAT: Format = Format {
+    name: "MCAP",
+    extensions: &["mcap"],
+    signatures: &[records::MAGIC],
+    content: Content::Pages {
+        words: ["an MCAP file", "pictures"],
+        open: |path, topic| Ok(Box::new(Mcap::open(path, topic)?)),
+        topics: Topics::Named,
+    },
+    beside: Beside::Recordings,
+};
 
 /// Unpacked chunks that are kept: two may overlap in time.
 const CHUNKS_KEPT: usize = 2;
@@ -37,7 +50,7 @@ const CHUNKS_KEPT: usize = 2;
 const TOPICS_SHOWN: usize = 20;
 
 /// An open file.
-pub(crate) struct Mcap {
+struct Mcap {
     file: BufReader<File>,
     file_bytes: u64,
     index: Index,
@@ -79,26 +92,29 @@ impl Mcap {
                     let chunk = self.index.chunks.get(number as usize).ok_or_else(wrong)?;
                     self.unpacked.push_front((number, chunk::unpack(&mut self.file, chunk)?));
                 }
-                let (_, records) = &self.unpacked[at.unwrap_or(0)];
-                usize::try_from(place.offset).ok().and_then(|offset| Rest(records.get(offset..)?).record())
+                let (_, unpacked) = &self.unpacked[at.unwrap_or(0)];
+                usize::try_from(place.offset).ok().and_then(|offset| records::split(unpacked.get(offset..)?))
             }
             None => {
                 standing = record_at(&mut self.file, self.file_bytes, place)?;
-                Rest(&standing).record()
+                records::split(&standing)
             }
         };
-        let message =
-            record.filter(|(opcode, _)| *opcode == op::MESSAGE).and_then(|(_, content)| Message::parse(content));
-        let message = message.filter(|message| message.channel == place.channel).ok_or_else(wrong)?;
+        let message = record.filter(|(opcode, ..)| *opcode == op::MESSAGE);
+        let message = message.and_then(|(opcode, content, _)| records::record(opcode, content));
+        let Some(Record::Message { header, data }) = message else { return Err(wrong().into()) };
+        if header.channel_id != place.channel {
+            return Err(wrong().into());
+        }
         let Stream { layout, encoding, .. } = stream;
-        Ok(message::image(*layout, encoding, message.payload).and_then(read)?)
+        Ok(message::image(*layout, encoding, &data).and_then(read)?)
     }
 }
 
 /// The bytes of a record that stands in the file itself.
-fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Place) -> Result<Vec<u8>, PageFault> {
+fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Slot) -> Result<Vec<u8>, PageFault> {
     let head = index::content_of(file, place.offset, HEAD_BYTES as u64, HEAD_BYTES as u64)?;
-    let bytes = Rest(head.get(1..).unwrap_or_default()).u64().and_then(|bytes| bytes.checked_add(HEAD_BYTES as u64));
+    let bytes = records::head(&head).and_then(|(_, bytes)| bytes.checked_add(HEAD_BYTES as u64));
     let end = bytes.and_then(|bytes| place.offset.checked_add(bytes));
     match bytes.filter(|_| end.is_some_and(|end| end <= file_bytes)) {
         Some(bytes) => index::content_of(file, place.offset, bytes, LIMITS.file_bytes),
@@ -108,7 +124,7 @@ fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Place) -> Resul
 
 /// The topic that is meant.
 fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
-    let of = |place: &Place| index.streams.get(&place.channel)?.as_ref().map(|stream| stream.topic.as_str());
+    let of = |place: &Slot| index.streams.get(&place.channel)?.as_ref().map(|stream| stream.topic.as_str());
     let topics: BTreeSet<&str> = index.places.iter().filter_map(of).collect();
     let mut shown: Vec<String> =
         topics.iter().take(TOPICS_SHOWN).map(|topic| topic.escape_debug().to_string()).collect();
@@ -146,14 +162,14 @@ impl Pages for Mcap {
 
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault> {
         self.with_image(page, |image| match image {
-            Image::Compressed { bytes, .. } => decode::size(&bytes),
+            Image::Compressed { bytes, .. } => image::size(&bytes),
             Image::Raw(raw) => pixels::size(&raw),
         })
     }
 
     fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
         self.with_image(page, |image| match image {
-            Image::Compressed { format, bytes } => decode::picture(&bytes).map_err(|error| match error {
+            Image::Compressed { format, bytes } => image::picture(&bytes).map_err(|error| match error {
                 DecodeError::UnknownKind => {
                     let shown: String = format.chars().filter(|c| !c.is_control()).take(40).collect();
                     DecodeError::Unsupported(format!("its images are compressed as `{shown}`; png and jpeg are read"))

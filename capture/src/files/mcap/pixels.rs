@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use isophote_jit::PixelFormat;
 
-use crate::decode::{DecodeError, Picture, check_size};
+use crate::picture::{DecodeError, Picture, check_size};
 use crate::pixels::{Colour, Encoding};
 
 use super::message::Raw;

@@ -12,13 +12,26 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::Tag;
 
-use crate::decode::{DecodeError, Picture, check_size};
+use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::encode::EncodeError;
 use crate::limits::LIMITS;
-use crate::pages::{PageFault, Pages};
+use crate::picture::{DecodeError, Picture, check_size};
+
+pub(crate) const FORMAT: Format = Format {
+    name: "TIFF",
+    extensions: &["tif", "tiff"],
+    // Of either byte order; with offsets of four bytes, or of eight.
+    signatures: &[b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"],
+    content: Content::Pages {
+        words: ["a TIFF", "pages"],
+        open: |path, _| Ok(Box::new(Tiff::open(path)?)),
+        topics: Topics::One,
+    },
+    beside: Beside::Pictures,
+};
 
 /// An open TIFF file.
-pub(crate) struct Tiff {
+struct Tiff {
     path: PathBuf,
     /// `None` after a page that could not be found: the decoder is at no known place then.
     decoder: Option<Decoder<BufReader<File>>>,
@@ -117,7 +130,6 @@ fn fault(error: tiff::TiffError) -> DecodeError {
             DecodeError::Unsupported(format!("{what}; save it uncompressed, or with LZW or Deflate"))
         }
         tiff::TiffError::LimitsExceeded => DecodeError::TooLarge("the page is larger than a frame may be".into()),
-        tiff::TiffError::FormatError(tiff::TiffFormatError::TiffSignatureNotFound) => DecodeError::UnknownKind,
         other => DecodeError::Damaged(other.to_string()),
     }
 }

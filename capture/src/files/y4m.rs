@@ -9,14 +9,26 @@ use std::path::Path;
 
 use isophote_jit::PixelFormat;
 
+use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::clock::Stamp;
-use crate::decode::{DecodeError, Picture, check_size};
-use crate::pages::{PageFault, Pages};
+use crate::picture::{DecodeError, Picture, check_size};
 
 /// Bytes of the first line, and of the line before a frame.
 const LINE_BYTES: [usize; 2] = [4096, 256];
 
 const MAGIC: &[u8] = b"YUV4MPEG2";
+
+pub(crate) const FORMAT: Format = Format {
+    name: "Y4M",
+    extensions: &["y4m"],
+    signatures: &[MAGIC],
+    content: Content::Pages {
+        words: ["a Y4M video", "frames"],
+        open: |path, _| Ok(Box::new(Video::open(path)?)),
+        topics: Topics::One,
+    },
+    beside: Beside::Recordings,
+};
 
 /// Colour spaces: how their names begin, into how many parts chroma divides width and height, and its planes (alpha is one).
 const SPACES: [(&str, [usize; 2], usize); 6] = [
@@ -29,7 +41,7 @@ const SPACES: [(&str, [usize; 2], usize); 6] = [
 ];
 
 /// An open video.
-pub(crate) struct Video {
+struct Video {
     file: File,
     file_bytes: u64,
     header: Header,

@@ -5,8 +5,12 @@ use std::path::Path;
 use isophote_frame::{Frame, Plane};
 use isophote_jit::PixelFormat;
 
+use super::format::{Beside, Content, Format};
 use crate::limits::LIMITS;
 use crate::source::SourceError;
+
+pub(crate) const FORMAT: Format =
+    Format { name: "CSV", extensions: &["csv"], signatures: &[], content: Content::Table, beside: Beside::Tables };
 
 /// The columns of a CSV file.
 #[derive(Clone, Debug, PartialEq)]

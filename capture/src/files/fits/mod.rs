@@ -12,13 +12,28 @@ use std::path::Path;
 
 use isophote_jit::PixelFormat;
 
-use crate::decode::{DecodeError, Picture, check_size};
-use crate::pages::{PageFault, Pages};
+use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use crate::picture::{DecodeError, Picture, check_size};
 
 use header::Header;
 
+pub(crate) const FORMAT: Format = Format {
+    name: "FITS",
+    extensions: &["fits", "fit", "fts"],
+    signatures: &[header::FIRST],
+    content: Content::Pages {
+        words: ["a FITS file", "pages"],
+        open: |path, _| Ok(Box::new(Fits::open(path)?)),
+        topics: Topics::One,
+    },
+    beside: Beside::Pictures,
+};
+
+/// `.fits.fz`, whose tiles are refused with the word what to do; it has to be unpacked first, so it is beside pictures.
+pub(crate) const PACKED: Format = Format { extensions: &["fz"], beside: Beside::Recordings, ..FORMAT };
+
 /// An open file.
-pub(crate) struct Fits {
+struct Fits {
     file: File,
     file_bytes: u64,
     /// Where the pixels begin.

@@ -1,4 +1,4 @@
-//! Motion: parameters as formulas of time.
+//! `Movement`: parameters as formulas of time.
 
 use std::collections::BTreeMap;
 
@@ -7,21 +7,21 @@ use isophote_symbolic::{Diagnostics, Formula, Model};
 use crate::moving::formula_of_t;
 
 /// Which parameter follows which formula of `t`, seconds since the first frame.
-pub(crate) struct Motion {
+pub(crate) struct Movement {
     moved: Vec<(usize, String, Formula)>,
 }
 
-impl Motion {
+impl Movement {
     /// Parses the formulas. The fault's name is the parameter whose formula it is.
-    pub fn parse(model: &Model, formulas: &BTreeMap<String, String>) -> Result<Motion, MotionFault> {
+    pub fn parse(model: &Model, formulas: &BTreeMap<String, String>) -> Result<Movement, MovementFault> {
         let mut moved = Vec::new();
         for (name, text) in formulas {
-            let Some(id) = model.parameter(name) else { return Err(MotionFault::UnknownName(name.clone())) };
+            let Some(id) = model.parameter(name) else { return Err(MovementFault::UnknownName(name.clone())) };
             let formula =
-                formula_of_t(text).map_err(|diagnostics| MotionFault::Formula { name: name.clone(), diagnostics })?;
+                formula_of_t(text).map_err(|diagnostics| MovementFault::Formula { name: name.clone(), diagnostics })?;
             moved.push((id.index(), name.clone(), formula));
         }
-        Ok(Motion { moved })
+        Ok(Movement { moved })
     }
 
     /// Writes the moved parameters at time `t_s`; the fault names a parameter that is no finite number then.
@@ -39,7 +39,7 @@ impl Motion {
 
 /// Why there is no motion.
 #[derive(Debug)]
-pub(crate) enum MotionFault {
+pub(crate) enum MovementFault {
     /// No parameter has that name.
     UnknownName(String),
     /// The formula is wrong.

@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
-use crate::decode::DecodeError;
+use crate::files::PageFault;
 use crate::limits::LIMITS;
-use crate::pages::PageFault;
+use crate::picture::DecodeError;
 
-use super::chunk;
+use super::chunk::{self, Chunk};
 use super::message::{Encoding, Layout};
-use super::records::{CHUNK_HEAD_BYTES, Channel, Chunk, HEAD_BYTES, MAGIC, MESSAGE_BYTES, Message, Rest, Schema, op};
+use super::records::{self, CHUNK_HEAD_BYTES, HEAD_BYTES, MAGIC, MESSAGE_BYTES, NONE, Record, op};
 
 /// Bytes of a schema, a channel or a message index; message indexes, and pictures of all topics; bytes of a topic's name.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
@@ -35,7 +35,7 @@ pub(super) struct Stream {
 
 /// Where a picture is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct Slot {
     pub log_time: u64,
     pub channel: u16,
     /// Of [`Index::chunks`]; `None` where the message stands in the file itself.
@@ -54,7 +54,7 @@ pub(super) struct Index {
     /// The message indexes of each chunk: channel, first byte of the content, bytes.
     indexes: Vec<Vec<(u16, u64, u64)>>,
     /// In the order of their log times; with the same time, of the file.
-    pub places: Vec<Place>,
+    pub places: Vec<Slot>,
     /// The file has what was recorded to the end; without, nobody knows how much is missing.
     pub is_whole: bool,
 }
@@ -107,26 +107,22 @@ impl Index {
         let (mut at, mut count, mut is_whole) = (MAGIC.len() as u64, 0, false);
         while at + (HEAD_BYTES as u64) <= file_bytes {
             let head = content(file, at, HEAD_BYTES as u64)?;
-            let (mut head, begin) = (Rest(&head), at + HEAD_BYTES as u64);
-            let (Some(opcode), Some(bytes)) = (head.u8(), head.u64()) else { break };
+            let begin = at + HEAD_BYTES as u64;
+            let Some((opcode, bytes)) = records::head(&head) else { break };
             let Some(end) = begin.checked_add(bytes).filter(|end| *end <= file_bytes) else { break };
             match opcode {
                 // What a recorder made room for and never filled.
-                op::NONE => break,
+                NONE => break,
                 op::FOOTER => return Ok(true),
                 op::DATA_END => is_whole = true,
-                op::SCHEMA => self.schema(&content(file, begin, bytes)?),
-                op::CHANNEL => self.channel(&content(file, begin, bytes)?)?,
+                op::SCHEMA | op::CHANNEL => self.take(opcode, &content(file, begin, bytes)?, None, at)?,
                 op::MESSAGE => {
                     let head = content(file, begin, bytes.min(MESSAGE_BYTES as u64))?;
-                    if let Some(message) = Message::parse(&head) {
-                        self.place(message.log_time, message.channel, None, at)?;
-                    }
+                    self.take(opcode, &head, None, at)?;
                 }
                 op::CHUNK => {
                     let head = content(file, begin, bytes.min(CHUNK_HEAD_BYTES as u64))?;
-                    let chunk =
-                        Chunk::parse(&head, begin).filter(|chunk| chunk.bytes <= end.saturating_sub(chunk.begin));
+                    let chunk = Chunk::parse(&head, [begin, end]);
                     let Some(chunk) = chunk else { return Err(damaged("the first fields of a chunk")) };
                     if self.chunks.len() == LIMITS.files {
                         return Err(too_many("chunks"));
@@ -136,8 +132,8 @@ impl Index {
                 }
                 op::MESSAGE_INDEX => {
                     let head = content(file, begin, bytes.min(2))?;
-                    if let (Some(channel), Some(indexes)) = (Rest(&head).u16(), self.indexes.last_mut()) {
-                        indexes.push((channel, begin, bytes));
+                    if let (Some(channel), Some(indexes)) = (head.first_chunk(), self.indexes.last_mut()) {
+                        indexes.push((u16::from_le_bytes(*channel), begin, bytes));
                         count += 1;
                     }
                     if count > INDEXES_MAX {
@@ -152,51 +148,43 @@ impl Index {
     }
 
     /// Takes note of what is in a chunk.
-    fn scan(&mut self, records: &[u8], chunk: u32) -> Result<(), PageFault> {
-        let mut rest = Rest(records);
-        while !rest.0.is_empty() {
-            let offset = (records.len() - rest.0.len()) as u64;
-            let Some((opcode, content)) = rest.record() else { return Err(damaged("a record of a chunk")) };
-            match opcode {
-                op::SCHEMA => self.schema(content),
-                op::CHANNEL => self.channel(content)?,
-                op::MESSAGE => {
-                    if let Some(message) = Message::parse(content) {
-                        self.place(message.log_time, message.channel, Some(chunk), offset)?;
-                    }
+    fn scan(&mut self, mut records: &[u8], chunk: u32) -> Result<(), PageFault> {
+        let bytes = records.len();
+        while !records.is_empty() {
+            let offset = (bytes - records.len()) as u64;
+            let Some((opcode, content, rest)) = records::split(records) else {
+                return Err(damaged("a record of a chunk"));
+            };
+            self.take(opcode, content, Some(chunk), offset)?;
+            records = rest;
+        }
+        Ok(())
+    }
+
+    /// Takes note of a record. One that cannot be read says nothing: what belongs to it has no channel then.
+    fn take(&mut self, opcode: u8, content: &[u8], chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
+        match records::record(opcode, content) {
+            Some(Record::Schema { header, .. }) => drop(self.schemas.insert(header.id, Layout::of(&header.name))),
+            Some(Record::Channel(mcap::records::Channel { id, schema_id, topic, message_encoding, .. })) => {
+                let layout = self.schemas.get(&schema_id).copied().flatten();
+                if layout.is_some() && topic.len() > TOPIC_BYTES_MAX {
+                    let reason = format!("a topic's name of {} bytes; at most {TOPIC_BYTES_MAX} are read", topic.len());
+                    return Err(DecodeError::TooLarge(reason).into());
                 }
-                _ => {}
+                let stream = |layout| Stream { topic, layout, encoding: Encoding::of(&message_encoding) };
+                self.streams.insert(id, layout.map(stream));
             }
+            Some(Record::Message { header, .. }) => self.place(header.log_time, header.channel_id, chunk, offset)?,
+            _ => {}
         }
         Ok(())
     }
 
     fn message_index(&mut self, content: &[u8], channel: u16, chunk: u32) -> Result<(), PageFault> {
-        let mut rest = Rest(content.get(2..).unwrap_or_default());
-        let Some(mut entries) = rest.counted().map(Rest) else { return Err(damaged("a message index")) };
-        while let (Some(log_time), Some(offset)) = (entries.u64(), entries.u64()) {
-            self.place(log_time, channel, Some(chunk), offset)?;
-        }
-        Ok(())
-    }
-
-    fn schema(&mut self, content: &[u8]) {
-        if let Some(schema) = Schema::parse(content) {
-            self.schemas.insert(schema.id, Layout::of(schema.name));
-        }
-    }
-
-    fn channel(&mut self, content: &[u8]) -> Result<(), PageFault> {
-        if let Some(Channel { id, schema, topic, encoding }) = Channel::parse(content) {
-            let layout = self.schemas.get(&schema).copied().flatten();
-            if layout.is_some() && topic.len() > TOPIC_BYTES_MAX {
-                let reason = format!("a topic's name of {} bytes; at most {TOPIC_BYTES_MAX} are read", topic.len());
-                return Err(DecodeError::TooLarge(reason).into());
-            }
-            let stream = |layout| Stream { topic: topic.into(), layout, encoding: Encoding::of(encoding) };
-            self.streams.insert(id, layout.map(stream));
-        }
-        Ok(())
+        let Some(Record::MessageIndex(index)) = records::record(op::MESSAGE_INDEX, content) else {
+            return Err(damaged("a message index"));
+        };
+        index.records.iter().try_for_each(|entry| self.place(entry.log_time, channel, Some(chunk), entry.offset))
     }
 
     fn place(&mut self, log_time: u64, channel: u16, chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
@@ -206,7 +194,7 @@ impl Index {
         if self.places.len() == PLACES_MAX {
             return Err(too_many("pictures"));
         }
-        self.places.push(Place { log_time, channel, chunk, offset });
+        self.places.push(Slot { log_time, channel, chunk, offset });
         Ok(())
     }
 }

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use base64::Engine as _;
 use serde::Deserialize;
 
-use crate::decode::DecodeError;
+use crate::picture::DecodeError;
 
 use super::protobuf::{Fields, Value};
 use super::ros::Ros;

@@ -1,122 +1,57 @@
-//! Files of several pictures behind one trait. A path in, its pictures by their number out, read one at a time, so that a
-//! recording of many pages costs no more memory than one.
-//!
-//! A further format is a file with an `impl Pages` and a row in [`Format`].
+//! Files of several pictures. A path in, its pictures by their number out, read one at a time, so that a recording of many pages
+//! costs no more memory than one.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::clock::Stamp;
-use crate::decode::{DecodeError, Picture};
-use crate::fits::Fits;
+use crate::files::{Content, Format, PageFault, Pages, extensions_with_topics};
 use crate::limits::LIMITS;
-use crate::mcap::Mcap;
+use crate::picture::{DecodeError, Picture};
 use crate::source::SourceError;
-use crate::tiff::Tiff;
-use crate::y4m::Video;
 
-/// An open file of several pictures.
-pub(crate) trait Pages: Send {
-    /// How many pictures there are; those beyond `most` are counted as one.
-    fn count(&mut self, most: usize) -> Result<usize, PageFault>;
-
-    /// How many pages are a volume, where the file is a series of volumes.
-    fn volume(&self) -> Option<usize> {
-        None
-    }
-
-    /// Width and height of a page, from 0.
-    fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault>;
-
-    /// When a page was taken, where the file tells.
-    fn stamp(&self, _page: usize) -> Option<Stamp> {
-        None
-    }
-
-    /// The pixels of a page, from 0. Its size is checked before memory is taken.
-    fn picture(&mut self, page: usize) -> Result<Picture, PageFault>;
-}
-
-/// Why a file gives no page.
-pub(crate) enum PageFault {
-    /// The operating system refused.
-    Unreadable(std::io::Error),
-    /// It is not what it should be.
-    Wrong(DecodeError),
-}
-
-impl PageFault {
-    pub fn about(self, path: &Path) -> SourceError {
-        match self {
-            PageFault::Unreadable(reason) => SourceError::Unreadable { path: path.into(), reason },
-            PageFault::Wrong(error) => error.about(path),
-        }
-    }
-}
-
-impl From<DecodeError> for PageFault {
-    fn from(error: DecodeError) -> PageFault {
-        PageFault::Wrong(error)
-    }
-}
-
-impl From<std::io::Error> for PageFault {
-    fn from(error: std::io::Error) -> PageFault {
-        PageFault::Unreadable(error)
-    }
-}
-
-/// The formats whose files hold several pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Format {
-    Tiff,
-    Fits,
-    Y4m,
-    Mcap,
-}
-
-impl Format {
-    /// For people: what the file is called, and what its pictures are.
-    fn words(self) -> [&'static str; 2] {
-        match self {
-            Format::Tiff => ["a TIFF", "pages"],
-            Format::Fits => ["a FITS file", "pages"],
-            Format::Y4m => ["a Y4M video", "frames"],
-            Format::Mcap => ["an MCAP file", "pictures"],
-        }
-    }
-}
-
-/// What a path names: a file or folder, and of an MCAP file the topic behind a `#`.
+/// What a path names: a file or folder, and of a file with several topics the one behind a `#`.
 #[derive(Clone, Debug)]
-pub(crate) struct Place {
+pub(crate) struct Address {
     pub path: PathBuf,
     pub topic: Option<String>,
 }
 
-impl Place {
+impl Address {
     /// A file whose own name has the `#` is that file.
-    pub fn of(path: &Path) -> Place {
-        const END: &str = ".mcap#";
+    pub fn of(path: &Path) -> Address {
         let text = path.to_str().filter(|_| !path.exists()).unwrap_or_default();
-        match text.to_ascii_lowercase().find(END).map(|at| text.split_at(at + END.len())) {
-            Some((file, topic)) => Place { path: file.trim_end_matches('#').into(), topic: Some(topic.into()) },
+        let small = text.to_ascii_lowercase();
+        let found = extensions_with_topics().find_map(|extension| {
+            let end = format!(".{extension}#");
+            small.find(&end).map(|at| text.split_at(at + end.len()))
+        });
+        match found {
+            Some((file, topic)) => Address { path: file.trim_end_matches('#').into(), topic: Some(topic.into()) },
             None => path.to_path_buf().into(),
         }
     }
 }
 
-impl From<PathBuf> for Place {
-    fn from(path: PathBuf) -> Place {
-        Place { path, topic: None }
+impl From<PathBuf> for Address {
+    fn from(path: PathBuf) -> Address {
+        Address { path, topic: None }
     }
 }
+
+/// More than any signature has.
+const SIGNATURE_BYTES_MAX: u64 = 64;
+
+type Open = fn(&Path, Option<&str>) -> Result<Box<dyn Pages>, PageFault>;
 
 /// A file of several pictures.
 pub(crate) struct Paged {
     pub path: PathBuf,
-    format: Format,
-    /// Of MCAP: whose pictures.
+    format: &'static Format,
+    open: Open,
+    words: [&'static str; 2],
+    /// Whose pictures, where the file has several topics.
     topic: Option<String>,
     /// How many.
     pub pages: usize,
@@ -129,15 +64,18 @@ pub(crate) struct Paged {
 impl std::fmt::Debug for Paged {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Paged { path, format, topic, pages, volume, .. } = self;
-        f.debug_tuple("Paged").field(path).field(format).field(topic).field(pages).field(volume).finish()
+        f.debug_tuple("Paged").field(path).field(&format.name).field(topic).field(pages).field(volume).finish()
     }
 }
 
 impl Paged {
     /// Counts the pictures of a file.
-    pub fn of(place: Place, format: Format) -> Result<Paged, SourceError> {
-        let Place { path, topic } = place;
-        let mut file = Paged { path, format, topic, pages: 0, volume: None, kept: Mutex::default() };
+    pub fn of(address: Address, format: &'static Format) -> Result<Paged, SourceError> {
+        let Address { path, topic } = address;
+        let Content::Pages { words, open, .. } = format.content else {
+            return Err(DecodeError::UnknownKind.about(&path));
+        };
+        let mut file = Paged { path, format, open, words, topic, pages: 0, volume: None, kept: Mutex::default() };
         match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume(), open))) {
             // What is another format altogether should not be called by the wrong name alone.
             Err(PageFault::Wrong(DecodeError::UnknownKind)) => {
@@ -163,17 +101,17 @@ impl Paged {
     }
 
     fn open(&self) -> Result<Box<dyn Pages>, PageFault> {
-        Ok(match self.format {
-            Format::Tiff => Box::new(Tiff::open(&self.path)?),
-            Format::Fits => Box::new(Fits::open(&self.path)?),
-            Format::Y4m => Box::new(Video::open(&self.path)?),
-            Format::Mcap => Box::new(Mcap::open(&self.path, self.topic.as_deref())?),
-        })
+        let mut begin = Vec::new();
+        std::fs::File::open(&self.path)?.take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
+        if !self.format.begins(&begin) {
+            return Err(DecodeError::UnknownKind.into());
+        }
+        (self.open)(&self.path, self.topic.as_deref())
     }
 
     /// For people.
     pub fn what(&self) -> String {
-        let [file, pages] = self.format.words();
+        let [file, pages] = self.words;
         match self.volume {
             _ if self.pages == 1 => "one picture".into(),
             Some(volume) => format!("{file} of {} volumes of {volume} {pages}", self.pages / volume.max(1)),
@@ -198,17 +136,17 @@ impl Paged {
 
 /// Reads pages; the file stays open for the page after it.
 #[derive(Default)]
-pub(crate) struct Reader {
+pub(crate) struct OpenFile {
     open: Option<(Arc<Paged>, Box<dyn Pages>)>,
 }
 
-impl std::fmt::Debug for Reader {
+impl std::fmt::Debug for OpenFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("Reader").field(&self.open.as_ref().map(|(file, _)| file)).finish()
+        f.debug_tuple("OpenFile").field(&self.open.as_ref().map(|(file, _)| file)).finish()
     }
 }
 
-impl Reader {
+impl OpenFile {
     /// The pixels of a page, from 0.
     pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<Picture, SourceError> {
         let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, pages)| pages);
