@@ -3,9 +3,10 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_server::explain::ExplainError;
 use isophote_server::export::{self, Question};
-use isophote_symbolic::{ExportOptions, Language, Lowering, PixelType};
+use isophote_symbolic::Lowering;
 
 use crate::arguments::PrecisionArgument;
 use crate::failure::Failure;

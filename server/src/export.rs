@@ -1,6 +1,7 @@
-//! A model's loops as source text, for the commands: what is asked for comes in as words, `symbolic` writes the text.
+//! A model's loops as source text, for the commands: what is asked for comes in as words, `isophote-export` writes the text.
 
-use isophote_symbolic::{ExportOptions, Lowering, Method, Model};
+use isophote_export::ExportOptions;
+use isophote_symbolic::{Lowering, Method, Model};
 
 use crate::explain::{ExplainError, named_method, parameters};
 use crate::wire::Exported;
@@ -24,7 +25,8 @@ pub fn export(model: &Model, question: Question<'_>, options: &ExportOptions) ->
     };
     let method = named_method(question.method.unwrap_or(Method::Newton.name()))?;
     let program = model.objective(&subset, method)?.program(question.lowering)?;
-    let text = model.export(&program, options).map_err(|error| ExplainError::Question(error.to_string()))?;
+    let text =
+        isophote_export::export(model, &program, options).map_err(|error| ExplainError::Question(error.to_string()))?;
     Ok(Exported {
         model: model.name().to_string(),
         digest: model.digest().to_string(),
