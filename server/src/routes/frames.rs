@@ -6,6 +6,7 @@ use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
+use isophote_wire::FrameTime;
 
 use super::{Answer, App, RawName, json, raw, upgraded};
 use crate::documents::{media_type, read_body};
@@ -14,7 +15,6 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::streams::frames;
 use crate::streams::pushed::{Media, Pushed};
-use crate::wire::FrameTime;
 
 /// Waits for the fit of this very frame.
 pub async fn post(

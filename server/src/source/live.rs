@@ -4,10 +4,10 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use isophote_capture::{CameraState, LiveCamera};
+use isophote_machine::monotonic_ns;
+use isophote_wire::SourceState;
 
 use super::{Source, State, Worker};
-use crate::clock::monotonic_ns;
-use crate::wire::SourceState;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
 const LOOK: Duration = Duration::from_millis(200);

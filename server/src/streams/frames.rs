@@ -1,5 +1,6 @@
 //! Frames over a WebSocket, `isophote.v1`: one binary message a frame, answered in order by one JSON text message, the
-//! estimate or a problem. A text message, `{"time_s": 1.25}`, says when the frame after it was taken. While a frame is fitted the next ones are decoded; further ones wait in the client's socket.
+//! estimate or a problem. A text message, `{"time_s": 1.25}`, says when the frame after it was taken. While a frame is
+//! fitted the next ones are decoded; further ones wait in the client's socket.
 
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -8,13 +9,13 @@ use std::time::Instant;
 
 use axum::extract::ws::{Message, WebSocket};
 use isophote_tracker::Frame;
+use isophote_wire::{Estimate, FrameTime};
 
 use super::pushed::{Pushed, Waiting, gone};
 use super::websocket::{close, refuse, send};
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::{Estimate, FrameTime};
 
 type Decoding = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use isophote_capture::Captured;
 use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
+use isophote_wire::{Estimate, PushedDocument, SourceDocument};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -13,7 +14,6 @@ use crate::problem::Problem;
 use crate::session::Session;
 use crate::session::inbox::{Inbox, Reply};
 use crate::source::{Source, pixel_format};
-use crate::wire::{Estimate, PushedDocument, SourceDocument};
 
 /// What the bytes of a frame are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,7 +137,7 @@ fn decode(document: &PushedDocument, media: Media, bytes: Vec<u8>) -> Result<Fra
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::wire::PushedFormat;
+    use isophote_wire::PushedFormat;
 
     /// A frame of 4 × 3 pixels has 24 bytes.
     #[test]
