@@ -5,18 +5,18 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use isophote_capture::Exposure;
+use isophote_machine::monotonic_ns;
 use isophote_tracker::{ControllerOptions, Ending, ExposureController, Stop, Tracker};
+use isophote_wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 use super::Shared;
 use super::beside::Beside;
 use super::inbox::{Delivery, Event, SourceEnd, Waiting};
 use super::swap::{Active, Swap, Swapped};
-use crate::clock::monotonic_ns;
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::source::Source;
-use crate::wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 /// What the thread owns.
 pub struct Fitter {

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 use isophote_tracker::{Camera, Compiled, MotionOptions, PredictOptions, Preparing, TrackerOptions, WORK_MAX};
+use isophote_wire::{PredictDocument, SessionDocument, Window};
 use tokio::sync::oneshot;
 
 use crate::registry::Entry;
-use crate::wire::{PredictDocument, SessionDocument, Window};
 
 /// A model that fits, or will.
 #[derive(Clone)]
