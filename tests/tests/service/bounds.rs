@@ -25,7 +25,7 @@ fn slow() -> String {
     }
     writeln!(text, "[model]\nintensity = \"{intensity}\"").unwrap();
     for stage in 0..8 {
-        let free = [&all[stage / 2..], &all[..stage / 2]].concat()[stage % 2..].join(", ");
+        let free = all[stage % 2..].join(", ");
         writeln!(text, "[[stages]]\nparameters = [{free}]\nmethod = \"newton\"\niterations = 100\ntolerance = 1e-9")
             .unwrap();
     }
@@ -79,11 +79,11 @@ fn a_session_that_is_stopped_ends_its_fit() {
         wait("the fit begins", || worked("fit ending") > Some(20));
         let begin = Instant::now();
         service.delete("/v1/sessions/ending").expect(204);
-        println!("stopped in {:?}", begin.elapsed());
+        eprintln!("stopped in {:?}", begin.elapsed());
         // Whoever pushed is told at once that there will be no estimate.
         assert!(pushed.join().unwrap().status >= 400);
         wait("the thread ends", || worked("fit ending").is_none());
-        println!("the fit ended in {:?}", begin.elapsed());
+        eprintln!("the fit ended in {:?}", begin.elapsed());
     });
     // Nothing of it is left: another one of the name begins anew.
     started_again(&service);
@@ -106,7 +106,7 @@ fn a_swap_does_not_wait_for_a_long_fit() {
         wait("the fit begins", || worked("fit swapping") > Some(20));
         let begin = Instant::now();
         let swap = service.put("/v1/sessions/swapping/model", &json!({"model": "spot"})).expect(200);
-        println!("swapped in {:?}", begin.elapsed());
+        eprintln!("swapped in {:?}", begin.elapsed());
         assert_eq!((&swap["active_model"], &swap["active_since_frame"]), (&json!("spot"), &json!(1)), "{swap}");
         let estimate = pushed.join().unwrap().expect(200);
         assert_eq!((&estimate["ending"], &estimate["converged"]), (&json!("cancelled"), &json!(false)), "{estimate}");
@@ -124,7 +124,7 @@ fn a_frame_has_a_bound_in_time() {
     // The answer may come later than the sender waits for it.
     push(&service, "bounded", &waves());
     let view = service.wait_for("bounded", |view| view["frames"] == 1);
-    println!("answered in {:?}", begin.elapsed());
+    eprintln!("answered in {:?}", begin.elapsed());
     let last = &view["last"];
     assert_eq!((&last["ending"], &last["state"]), (&json!("budget"), &json!("searching")), "{view}");
     assert_eq!((&view["state"], &last["converged"]), (&json!("running"), &json!(false)), "{view}");
@@ -168,14 +168,14 @@ fn alternatives_come_when_they_are_prepared() {
     };
     let begin = Instant::now();
     let first = both();
-    println!("the first covered frame: {} µs", first["timing_us"]["fit"]);
+    eprintln!("the first covered frame: {} µs", first["timing_us"]["fit"]);
     assert!(first["substitute"].is_null(), "{first}");
     let last = std::iter::repeat_with(both).find(|estimate| {
         assert!(begin.elapsed() < DEADLINE, "{estimate}");
         !estimate["substitute"].is_null()
     });
     let last = last.unwrap();
-    println!("prepared in {:?}; then a covered frame: {} µs", begin.elapsed(), last["timing_us"]["fit"]);
+    eprintln!("prepared in {:?}; then a covered frame: {} µs", begin.elapsed(), last["timing_us"]["fit"]);
     assert_eq!(last["substitute"]["robust"], true, "{last}");
     let off = last["parameters"]["bx"].as_f64().unwrap() - 30.2;
     assert!(off.abs() < 0.2 && last["state"] == "tracking", "{last}");

@@ -162,7 +162,7 @@ mod tests {
                 spent.set(spent.get() + units);
                 Ok(())
             });
-            println!("six spots: {} units in {:?}", spent.get(), begin.elapsed());
+            eprintln!("six spots: {} units in {:?}", spent.get(), begin.elapsed());
             assert!(!found.is_empty() && spent.get() < crate::WORK_MAX / 4, "{} units", spent.get());
         }
         // Given up at some step, it asks no more.
@@ -172,7 +172,7 @@ mod tests {
                 asked.set(asked.get() + 1);
                 if asked.get() > last { Err(Stop::Cancelled) } else { Ok(()) }
             });
-            println!("given up after {last} steps: {:?}", begin.elapsed());
+            eprintln!("given up after {last} steps: {:?}", begin.elapsed());
             assert!(found.is_empty() && asked.get() == last + 1, "{} steps", asked.get());
         }
     }

@@ -74,7 +74,7 @@ fn a_frame_that_is_left_takes_nothing_from_a_track() {
             let mut tracker = followed();
             let begin = Instant::now();
             let (_, left) = stopped_at(&mut tracker, &frame(5), asks, stop);
-            println!("left after {asks} of {warm} passes: {:?}", begin.elapsed());
+            eprintln!("left after {asks} of {warm} passes: {:?}", begin.elapsed());
             assert!(is_honest(&left, stop.into()), "{left:?}");
             assert!(matches!(left.state, TrackState::Coasting | TrackState::Tracking), "{left:?}");
             // Warm: it asks as seldom as it would have, and far less often than a search.
@@ -94,7 +94,7 @@ fn work_is_counted_and_bounded() {
         let is_enough = tracker(&compiled, work).track(&frame(0)).converged;
         if is_enough { high = work } else { low = work }
     }
-    println!("a cold spot of 160 × 100 px costs {high} units");
+    eprintln!("a cold spot of 160 × 100 px costs {high} units");
     for (work, ending) in [(high - 1, Ending::Budget), (high, Ending::SmallStep), (high + 1, Ending::SmallStep)] {
         let estimate = tracker(&compiled, work).track(&frame(0));
         assert_eq!(estimate.ending, ending, "{work}: {estimate:?}");
