@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
+use crate::budget::WORK_MAX;
 use crate::camera::{Camera, Distortion, IntrinsicsError};
 use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, Target, TargetError};
+use crate::solve::alternatives::Preparing;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +37,10 @@ pub struct TrackerOptions {
     pub exposure: Option<ExposureGoal>,
     /// What a search finds is taken for the target from this confidence on, 0 … 1.
     pub confidence_min: f64,
+    /// When alternatives to the model are prepared that frames ask for.
+    pub alternatives: Preparing,
+    /// A frame is left as it is after so much work; a unit is a pixel of one pass.
+    pub work_max: u64,
 }
 
 /// How targets move, and for how long one that is not seen is believed to go on.
@@ -68,6 +74,8 @@ impl Default for TrackerOptions {
             predict: None,
             exposure: None,
             confidence_min: 0.0,
+            alternatives: Preparing::default(),
+            work_max: WORK_MAX,
         }
     }
 }

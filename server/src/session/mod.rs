@@ -1,5 +1,6 @@
 //! A session: one named fit thread that follows one target in the frames of one source.
 
+mod beside;
 mod fit;
 pub mod inbox;
 mod status;
@@ -17,7 +18,8 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::Entry;
 use crate::source::{Shape, Source};
-use fit::{Fitter, Light};
+use beside::Beside;
+use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
 use isophote_machine::Threads;
 use isophote_machine::{elapsed_ms, monotonic_ns};
@@ -71,14 +73,21 @@ impl Session {
         if let Some(format) = source.source.shape().format {
             compiled.warm(format, &Threads)?;
         }
-        let options = swap::options(&document, &entry.model, false);
+        let options = swap::options(&document);
         let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
-        let light = Light::of(&document.options, &source.source)?;
-        let fitter =
-            Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
+        let knob = ExposureKnob::of(&document.options, &source.source)?;
+        let fitter = Fitter {
+            name: name.to_string(),
+            shared: shared.clone(),
+            tracker,
+            active,
+            knob,
+            beside: Beside::default(),
+            next_frame: None,
+        };
         let (runs, running) = std::sync::mpsc::sync_channel::<()>(0);
         let run = move || {
             let _runs = runs;
@@ -161,7 +170,7 @@ impl Session {
             compiled.warm(format, &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options(&self.document, &entry.model, true);
+        let options = swap::options_known(&self.document, &entry.model);
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
         Tracker::new(compiled.clone(), options.clone())
             .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;

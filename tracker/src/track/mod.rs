@@ -22,7 +22,8 @@ pub(crate) mod tracker;
 pub(crate) mod window;
 
 use crate::options::TrackerOptions;
-use crate::solve::compiled::{CompileFailure, Control};
+use crate::solve::alternatives::Starts;
+use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use memory::Memory;
 use search::{Candidate, Search};
@@ -83,7 +84,7 @@ impl Track {
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let attempt = solver.attempt(look, &start, control, margin)?;
-        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, false)?;
+        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, Starts::Given)?;
         let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);

@@ -10,10 +10,13 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 
+use crate::budget::{Budget, Watch};
 use crate::estimate::{Ending, Estimate, TrackState};
 use crate::exposure::Advisor;
 use crate::options::{TrackError, TrackerOptions};
-use crate::solve::compiled::{CompileFailure, Compiled};
+use crate::solve::alternatives::Preparation;
+use crate::solve::compiled::Compiled;
+use crate::solve::stage_kernels::CompileFailure;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::solver::{Attempt, Look, Solver};
@@ -29,6 +32,8 @@ pub struct Tracker {
     last: Option<(f64, u64)>,
     /// Added to what frames say of their times.
     shift_s: f64,
+    /// Alternatives that frames were fitted without.
+    wanted: Option<Preparation>,
 }
 
 /// What a swap does to the parameters of the new model.
@@ -52,7 +57,7 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None, shift_s: 0.0 })
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None, shift_s: 0.0, wanted: None })
     }
 
     /// The model's kernels.
@@ -73,6 +78,7 @@ impl Tracker {
             answer.get_or_insert(carried);
         }
         self.solver = Solver::new(compiled, options);
+        self.wanted = None;
         self.advisor = advisor(&self.solver);
         answer.unwrap_or_default()
     }
@@ -99,6 +105,17 @@ impl Tracker {
 
     /// Fits one frame: what it says about each target, in the order of their numbers; never empty.
     pub fn track_all(&mut self, frame: &Frame) -> Vec<Estimate> {
+        self.track_all_while(frame, &|| None)
+    }
+
+    /// What frames since the last call were fitted without, because it is prepared beside them: to be run on another thread.
+    pub fn wanted(&mut self) -> Option<Preparation> {
+        self.wanted.take()
+    }
+
+    /// The same, ended by `watch`, which is asked before every pass and every step of a search. A target whose fit was done by
+    /// then is tracked; of the others the frame says nothing, the ending says why, and they are remembered as they were.
+    pub fn track_all_while(&mut self, frame: &Frame, watch: Watch) -> Vec<Estimate> {
         let grey; // colour frames for a one-channel model
         let frame = match self.solver.model().channels().len() == 1 && frame.planes().len() == 3 {
             true => {
@@ -109,7 +126,8 @@ impl Tracker {
         };
         let time_s = self.now(frame);
         let missing = |ending| self.tracks.iter().map(|_| Outcome::Missing(Attempt::none(ending))).collect();
-        let look = self.solver.look(frame);
+        let budget = Budget::new(self.solver.options.work_max, watch);
+        let look = self.solver.look(frame).map(|look| look.within(&budget));
         let outcomes: Vec<Outcome> = match &look {
             Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),
@@ -118,6 +136,8 @@ impl Tracker {
         let mut estimates: Vec<Estimate> =
             numbered.map(|(number, outcome)| self.take(number, outcome, frame, look.as_ref(), time_s)).collect();
         self.advise(look.as_ref(), &mut estimates);
+        let wanted = look.as_ref().and_then(Look::wanted).cloned();
+        self.wanted = wanted.or(self.wanted.take());
         estimates
     }
 
@@ -131,7 +151,9 @@ impl Tracker {
             _ => None,
         };
         let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
-        let told = Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s, saturation };
+        let spend = |units| look.map_or(Ok(()), |look| look.spend(units));
+        let told =
+            Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s, saturation, spend: &spend };
         estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
     }
 
@@ -185,14 +207,18 @@ impl Tracker {
                 Some(Followed::Kept(candidate)) => Outcome::Seen(candidate),
                 Some(Followed::Doubtful(doubtful)) => {
                     let track = &self.tracks[number];
-                    let search = match &mut search {
-                        Some(search) => search,
-                        none => {
-                            let size_px = track.memory.size_px(solver);
-                            none.insert(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?)
+                    if search.is_none() && look.unfinished().is_none() {
+                        let size_px = track.memory.size_px(solver);
+                        search = Some(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?);
+                    }
+                    match (look.unfinished(), &mut search) {
+                        (None, Some(search)) => track.settle(solver, look, doubtful, search, time_s),
+                        // What a search has not come to may be the target.
+                        (ending, _) => {
+                            let attempt = Attempt::none(ending.unwrap_or_default());
+                            track.missing(solver, look, attempt, time_s)
                         }
-                    };
-                    track.settle(solver, look, doubtful, search, time_s)
+                    }
                 }
                 None => continue,
             };
@@ -276,3 +302,7 @@ mod tests;
 #[cfg(test)]
 #[path = "circular_start_tests.rs"]
 mod circular_start_tests;
+
+#[cfg(test)]
+#[path = "bounded_tests.rs"]
+mod bounded_tests;
