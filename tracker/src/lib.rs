@@ -41,4 +41,5 @@ pub use solve::stage_kernels::{CompileFailure, StageKernels};
 pub use solve::workers::{InTurn, Workers};
 pub use track::evidence::Evidence;
 pub use track::search::Sighting;
-pub use track::tracker::{Carried, Tracker};
+pub use track::shared::Carried;
+pub use track::tracker::Tracker;

@@ -46,7 +46,8 @@ pub struct TrackerOptions {
 /// How targets move, and for how long one that is not seen is believed to go on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionOptions {
-    /// Standard deviation of the acceleration, px/s². Follows what is seen when absent.
+    /// Standard deviation of the acceleration, px/s² (mm/s² for a pose), another one every `period_s`. Learned from what is
+    /// seen when absent.
     pub acceleration_px_s2: Option<f64>,
     /// Time from frame to frame where frames carry no time, s.
     pub period_s: f64,
@@ -178,6 +179,11 @@ fn suggestion(nearest: &Option<String>) -> String {
 }
 
 impl MotionOptions {
+    /// The density of the acceleration as white noise, unit²/s³, where it is given.
+    pub(crate) fn density(&self) -> Option<f64> {
+        self.acceleration_px_s2.map(|deviation| deviation * deviation * self.period_s)
+    }
+
     fn check(&self) -> Result<(), TrackError> {
         let positive = |name, value: f64| match value > 0.0 && value.is_finite() {
             true => Ok(()),

@@ -35,7 +35,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
             (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
         }
         Outcome::Coasting(attempt, predicted) => {
-            let (parameters, covariance) = memory.coasted(solver, &predicted);
+            let (parameters, covariance) = memory.coasted(solver, &predicted, time_s);
             let pose = solver.pose_of(&parameters, covariance.as_ref());
             (TrackState::Coasting, attempt, covariance, parameters, None, pose)
         }
@@ -62,7 +62,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
         covariance: covariance.as_ref().map(rows),
         objective: told.map(|worth| worth.objective),
         reduced_chi_square: told.and_then(|worth| worth.reduced),
-        log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
+        log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model())),
         confidence,
         exposure_advice: None,
         ahead,

@@ -23,7 +23,7 @@ const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
 /// Of several things one that is the target with less than this probability is not taken.
-const UNLIKE: f64 = 0.003;
+pub(super) const UNLIKE: f64 = 0.003;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
 

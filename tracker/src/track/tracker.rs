@@ -19,6 +19,7 @@ use crate::solve::compiled::Compiled;
 use crate::solve::stage_kernels::CompileFailure;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
+use crate::track::shared::{Carried, Shared};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::{Followed, Outcome, Track};
 use isophote_frame::Frame;
@@ -26,7 +27,7 @@ use isophote_frame::Frame;
 /// Follows one target or several of the same model.
 pub struct Tracker {
     pub(crate) solver: Solver,
-    tracks: Vec<Track>,
+    pub(super) tracks: Vec<Track>,
     advisor: Option<Advisor>,
     /// Of the last frame: its time and number.
     last: Option<(f64, u64)>,
@@ -34,15 +35,6 @@ pub struct Tracker {
     shift_s: f64,
     /// Alternatives that frames were fitted without.
     wanted: Option<Preparation>,
-}
-
-/// What a swap does to the parameters of the new model.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Carried {
-    /// Names of those that keep their values.
-    pub carried: Vec<String>,
-    /// Names of those that start anew.
-    pub reset: Vec<String>,
 }
 
 impl Tracker {
@@ -65,22 +57,25 @@ impl Tracker {
         &self.solver.compiled
     }
 
-    /// Takes another model from the next frame on. Parameters of the same name keep their values if they lie inside the new
-    /// bounds, and the track goes on from them; the others start anew. Starts and constants that the new model does not
-    /// have are left alone: they belonged to the old one. The answer is that of the first target.
+    /// Takes another model from the next frame on. What both models have goes on: parameters of the same role, else of the
+    /// same name, if they lie inside the new bounds; where targets are, how they move, and whether they are coasting, for
+    /// models that have centres, or a pose, both. The rest starts anew. Starts and constants that the new model does not
+    /// have are left alone: they belonged to the old one. The values are those of the first target.
     pub fn swap(&mut self, compiled: Arc<Compiled>, options: TrackerOptions) -> Carried {
-        let (old, new) = (self.solver.model(), compiled.model());
         self.tracks.resize_with(options.targets, Track::default);
-        let mut answer = None;
+        let old = self.solver.compiled.clone();
+        let shared = Shared::of(&old, &compiled, &options);
+        let first = self.tracks.first().and_then(|track| track.memory.warm.as_deref());
+        let mut carried = shared.told(first);
         for track in &mut self.tracks {
-            let (carried, warm) = carry(old, new, track.memory.warm.as_ref());
-            track.memory = track.memory.swapped(warm);
-            answer.get_or_insert(carried);
+            track.memory = track.memory.swapped(&shared);
         }
-        self.solver = Solver::new(compiled, options);
+        self.solver = Solver::new(compiled.clone(), options);
         self.wanted = None;
         self.advisor = advisor(&self.solver);
-        answer.unwrap_or_default()
+        let moving = self.names().into_iter().zip(&self.tracks).filter(|(_, track)| track.memory.measurements() > 0);
+        carried.moving = moving.map(|(name, _)| name).collect();
+        carried
     }
 
     /// The targets' ids, in the order of their numbers.
@@ -247,22 +242,6 @@ impl Tracker {
 fn advisor(solver: &Solver) -> Option<Advisor> {
     let options = &solver.options;
     options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
-}
-
-/// The values that a new model takes over, and their names.
-fn carry(old: &Model, new: &Model, warm: Option<&Vec<Option<f64>>>) -> (Carried, Option<Vec<Option<f64>>>) {
-    let value = |name: &str| warm.and_then(|warm| warm[old.parameter(name)?.index()]);
-    let mut carried = Carried::default();
-    let mut values = Vec::new();
-    for parameter in new.parameters() {
-        let inside = |v: &f64| parameter.min.is_none_or(|min| *v > min) && parameter.max.is_none_or(|max| *v < max);
-        let value = value(&parameter.name).filter(inside);
-        let names = if value.is_some() { &mut carried.carried } else { &mut carried.reset };
-        names.push(parameter.name.clone());
-        values.push(value);
-    }
-    let warm = values.iter().any(Option::is_some).then_some(values);
-    (carried, warm)
 }
 
 fn kept(followed: &Followed) -> Option<Vec<f64>> {
