@@ -36,13 +36,11 @@ pub struct Sums {
 pub struct Kernel {
     program: Program,
     options: KernelOptions,
+    frame_bytes: usize,
     code: Code,
 }
 
 impl Kernel {
-    /// The most machine code that a kernel may have.
-    pub const CODE_BYTES_MAX: usize = 1 << 20;
-
     /// Compiles a program.
     pub fn compile(program: &Program, options: &KernelOptions) -> Result<Kernel, CompileError> {
         Kernel::compile_for(Processor::Host, program, options)
@@ -56,9 +54,6 @@ impl Kernel {
     ) -> Result<Kernel, CompileError> {
         check(program, options, processor)?;
         let compiled = compile::native(program, options, processor)?;
-        if compiled.bytes.len() > Self::CODE_BYTES_MAX {
-            return Err(CompileError::TooLarge { bytes: compiled.bytes.len() });
-        }
         let shape = Shape {
             inputs: program.inputs().len(),
             outputs: program.sink().outputs().len(),
@@ -68,7 +63,7 @@ impl Kernel {
             lanes: options.precision.lanes(),
         };
         let code = Code::load(&compiled, shape).map_err(CompileError::NoCodeMemory)?;
-        Ok(Kernel { program: program.clone(), options: options.clone(), code })
+        Ok(Kernel { program: program.clone(), options: options.clone(), frame_bytes: compiled.frame_bytes, code })
     }
 
     /// The program that it computes.
@@ -78,6 +73,10 @@ impl Kernel {
     /// What it was compiled for.
     pub fn options(&self) -> &KernelOptions {
         &self.options
+    }
+    /// Bytes of stack that a call takes.
+    pub fn frame_bytes(&self) -> usize {
+        self.frame_bytes
     }
     /// The size of its machine code, constants included.
     pub fn code_bytes(&self) -> usize {
@@ -97,12 +96,8 @@ impl Kernel {
     /// Adds the program's value to every pixel of `plane`, which holds the pixels of `window` row by row.
     pub fn render(&self, bindings: &Bindings<'_>, window: Window, plane: &mut [f32]) -> Result<(), RunError> {
         let Sink::Plane(_) = self.program.sink() else { return Err(RunError::Sink { renders: false }) };
-        let size = [PlaneView::SIDE_MAX; 4];
-        let rows = window.size()[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n));
-        if window.clipped_to(size) != Some(window) || rows > PlaneView::SIDE_MAX {
-            return Err(RunError::Window { window, size });
-        }
         self.check_slices(window)?;
+        check_unbound(window)?;
         if window.pixels() != plane.len() {
             return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
         }
@@ -126,6 +121,9 @@ impl Kernel {
             return Err(RunError::Planes { channels: formats.len(), planes: planes.len() });
         }
         self.check_slices(window)?;
+        if planes.is_empty() {
+            check_unbound(window)?;
+        }
         let mut regions = SmallVec::new();
         for (channel, (plane, expected)) in planes.iter().zip(formats).enumerate() {
             if plane.format() != *expected {
@@ -137,6 +135,16 @@ impl Kernel {
             regions.push(plane.region(window).ok_or(RunError::Window { window, size: plane.size() })?);
         }
         Ok(regions)
+    }
+}
+
+/// A window that no plane bounds.
+fn check_unbound(window: Window) -> Result<(), RunError> {
+    let size = [PlaneView::SIDE_MAX; 4];
+    let rows = window.size()[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n));
+    match window.clipped_to(size) == Some(window) && rows <= PlaneView::SIDE_MAX {
+        true => Ok(()),
+        false => Err(RunError::Window { window, size }),
     }
 }
 
