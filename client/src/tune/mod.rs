@@ -8,19 +8,17 @@ mod rewrite;
 mod scenes;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 use std::time::Instant;
 
-use isophote_machine::Threads;
 use isophote_symbolic::{Method, Model, Precision};
 use isophote_tracker::tune::{
     Bench, Convexity, Goal, Grid, Offset, Run, Schedule, Subset, figures, newton_of_each, schedules, subsets,
 };
-use isophote_tracker::{CompileFailure, Compiled, TrackerOptions};
+use isophote_tracker::{CompileFailure, TrackerOptions};
 
 use crate::failure::Failure;
-use crate::fit::other;
+use crate::offline::compile;
 use crate::{model_files, output};
 use rewrite::Document;
 use scenes::{Scene, Scenes, scenes};
@@ -103,7 +101,7 @@ struct Found<'a> {
 /// `isophote tune`.
 pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
-    let text = std::fs::read_to_string(&args.model).map_err(other)?;
+    let text = std::fs::read_to_string(&args.model).map_err(Failure::other)?;
     let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let source = Document { model: &model, text: &text, is_json };
     let Scenes { scenes, options, lost } = scenes(args, &model)?;
@@ -120,8 +118,7 @@ pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let document = source.rewritten((chosen > 0).then_some(&stages[..]), &report::sentences(&found));
     let document = document.ok_or_else(|| not_understood(args))?;
     if let Some(path) = &args.out {
-        std::fs::write(path, &document)
-            .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))?;
+        output::file(path, document.as_bytes())?;
     }
     match (args.json, &args.out) {
         (true, out_path) => output::json(out, &report::json(&found, out_path.is_none().then_some(document.as_str()))),
@@ -133,16 +130,6 @@ pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
 }
 
-/// Programs of a document's stages.
-fn compiled(path: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<Compiled>, Failure> {
-    let compiled = Compiled::with_cache(model, precision, Arc::default(), &Threads);
-    compiled.map(Arc::new).map_err(|failure| refused(path, &failure))
-}
-
-fn refused(path: &Path, failure: &CompileFailure) -> Failure {
-    Failure::model(&path.display().to_string(), &isophote_wire::explain::diagnostics(failure))
-}
-
 fn no_kernel(error: CompileFailure) -> Failure {
     Failure::Other(error.to_string())
 }
@@ -150,7 +137,7 @@ fn no_kernel(error: CompileFailure) -> Failure {
 fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> Result<Vec<Candidate>, Failure> {
     let bench = |schedule: Schedule| -> Result<Candidate, Failure> {
         let changed = source.with_stages(&schedule.stages).ok_or_else(|| not_understood(args))?;
-        let compiled = compiled(&args.model, changed, options.precision)?;
+        let compiled = compile(&args.model, changed, options.precision)?;
         let bench = Bench::new(compiled, options.clone()).map_err(|error| Failure::Usage(error.to_string()))?;
         Ok(Candidate { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
     };
@@ -231,7 +218,7 @@ fn convexity(
     let newton = source.with_stages(&newton_of_each(source.model)).ok_or_else(|| not_understood(args))?;
     let precision = Precision::F64;
     let options = TrackerOptions { precision, ..options.clone() };
-    let bench = Bench::new(compiled(&args.model, newton, precision)?, options)
+    let bench = Bench::new(compile(&args.model, newton, precision)?, options)
         .map_err(|error| Failure::Usage(error.to_string()))?;
     let offset = |centre_px: f64| Offset { centre_px, share: SHARE_OF_PX * centre_px };
     let mut found = Vec::new();
