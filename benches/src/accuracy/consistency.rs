@@ -5,8 +5,8 @@
 
 use std::fmt::Write;
 
-use super::plot::{Axis, COLOURS, Panel, Series, Style, svg};
 use super::run::Measured;
+use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
 /// Shares of frames that should lie inside their ellipse.
 pub const SHARES: [f64; 7] = [0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99];

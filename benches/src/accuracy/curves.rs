@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use super::condition::{Condition, Glare, Task, condition, lamp, nothing};
-use super::plot::{Axis, COLOURS, Panel, Series, Style, svg};
 use super::run::{Documents, Measured, measure};
+use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
 /// One curve's points: how bad the light is, and what came of it.
 pub struct Curve {
