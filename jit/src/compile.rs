@@ -3,15 +3,15 @@
 use cranelift_codegen::control::ControlPlane;
 use cranelift_codegen::ir::Function;
 use cranelift_codegen::{CompiledCode, Context, verify_function};
-use isophote_symbolic::Program;
+use isophote_symbolic::{Op, Program, Sink};
 
 use crate::addresses::{Extent, addresses};
 use crate::audit;
 use crate::error::CompileError;
 use crate::host::{self, Allocator, Processor};
-use crate::kernel::KernelOptions;
 use crate::limits::{LIMITS, Limits};
 use crate::lower::lower;
+use crate::options::KernelOptions;
 
 /// Machine code that needs nothing filled in, within [`LIMITS`].
 pub(crate) struct Native {
@@ -21,7 +21,7 @@ pub(crate) struct Native {
     pub frame_bytes: usize,
 }
 
-/// Machine code of a program that [`check`](crate::kernel::check) has passed.
+/// Machine code of a program.
 pub(crate) fn native(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     let (function, allocator) = audited(program, options, processor)?;
     let mut context = Context::for_function(function);
@@ -55,6 +55,7 @@ pub(crate) fn audited(
     options: &KernelOptions,
     processor: Processor,
 ) -> Result<(Function, Allocator), CompileError> {
+    check(program, options, processor)?;
     let isa = host::isa(processor, Allocator::Backtracking)?;
     let function = lower(program, options, &*isa);
     verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
@@ -76,6 +77,26 @@ pub(crate) fn translate(
         .map_err(|error| CompileError::Compiler(format!("{:?}", error.inner)))?;
     audit::relocations(compiled.buffer.relocs()).map_err(CompileError::Audit)?;
     Ok(compiled)
+}
+
+/// What the lowering takes for granted.
+fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
+    let reads = |op: &Op| matches!(op, Op::Channel(_));
+    let any = program.instructions().iter().any(|i| reads(&i.op));
+    let (channels, formats) = (program.channels(), options.formats.len());
+    let renders = matches!(program.sink(), Sink::Plane(_));
+    if formats != channels && (any || !renders || formats != 0) {
+        return Err(CompileError::Formats { channels, formats });
+    }
+    if renders && any {
+        return Err(CompileError::Malformed("a program that renders reads a channel".into()));
+    }
+    // Elementary functions of a fused program multiply and add with one rounding, too.
+    let fused = program.is_fused() || program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..)));
+    if fused && !processor.has_fma() {
+        return Err(CompileError::NoFma);
+    }
+    program.check().map_err(CompileError::Malformed)
 }
 
 #[cfg(test)]

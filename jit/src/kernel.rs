@@ -1,24 +1,14 @@
 //! `Kernel`: a program as native code, ready to run over the pixels of a window.
 
-use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
+use isophote_symbolic::{Bindings, Program, Sink};
 use smallvec::SmallVec;
 
 use crate::compile;
 use crate::error::{CompileError, RunError};
 use crate::host::Processor;
-use crate::plane::{PixelFormat, PlaneView, Region, Window};
-use crate::runner::{Code, Shape};
-
-/// What a kernel is compiled for besides its program.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub struct KernelOptions {
-    /// The arithmetic of the pixel loop.
-    pub precision: Precision,
-    /// How the pixels of each channel are stored; may be empty for a program that renders.
-    pub formats: Vec<PixelFormat>,
-    /// The pixels of a row follow each other without gaps, in every plane.
-    pub packed: bool,
-}
+use crate::options::KernelOptions;
+use crate::plane::{PlaneView, Region, Window};
+use crate::runner::{CallShape, Code};
 
 /// What a pass hands back.
 #[derive(Clone, PartialEq, Debug, Default)]
@@ -52,9 +42,8 @@ impl Kernel {
         program: &Program,
         options: &KernelOptions,
     ) -> Result<Kernel, CompileError> {
-        check(program, options, processor)?;
         let compiled = compile::native(program, options, processor)?;
-        let shape = Shape {
+        let shape = CallShape {
             inputs: program.inputs().len(),
             outputs: program.sink().outputs().len(),
             formats: options.formats.clone(),
@@ -146,24 +135,4 @@ fn check_unbound(window: Window) -> Result<(), RunError> {
         true => Ok(()),
         false => Err(RunError::Window { window, size }),
     }
-}
-
-/// What [`compile::native`] takes for granted.
-pub(crate) fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
-    let reads = |op: &Op| matches!(op, Op::Channel(_));
-    let any = program.instructions().iter().any(|i| reads(&i.op));
-    let (channels, formats) = (program.channels(), options.formats.len());
-    let renders = matches!(program.sink(), Sink::Plane(_));
-    if formats != channels && (any || !renders || formats != 0) {
-        return Err(CompileError::Formats { channels, formats });
-    }
-    if renders && any {
-        return Err(CompileError::Malformed("a program that renders reads a channel".into()));
-    }
-    // Elementary functions of a fused program multiply and add with one rounding, too.
-    let fused = program.is_fused() || program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..)));
-    if fused && !processor.has_fma() {
-        return Err(CompileError::NoFma);
-    }
-    program.check().map_err(CompileError::Malformed)
 }

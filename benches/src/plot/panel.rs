@@ -27,9 +27,14 @@ pub struct Axis {
 
 impl Axis {
     /// An axis with a number at each tick.
-    pub fn new(name: &str, range: [f64; 2], ticks: &[f64], logarithmic: bool) -> Axis {
+    pub fn linear(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
         let ticks = ticks.iter().map(|tick| (*tick, tick.to_string())).collect();
-        Axis { name: name.to_string(), range, ticks, logarithmic }
+        Axis { name: name.to_string(), range, ticks, logarithmic: false }
+    }
+
+    /// The same, on which equal factors take equal room.
+    pub fn logarithmic(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
+        Axis { logarithmic: true, ..Axis::linear(name, range, ticks) }
     }
 
     /// The share of the axis that lies before a value; what is outside stands at its end.

@@ -23,7 +23,7 @@ const SATURATION: f64 = 255.0;
 const PIXEL_SHARES: [f64; 2] = [0.618_033_988_75, 0.381_966_011_25];
 
 /// A frame, and a point near its answer.
-pub struct Scene {
+pub struct TrialFrame {
     /// Planes as the model's channels.
     pub frame: Frame,
     /// All parameters.
@@ -31,9 +31,9 @@ pub struct Scene {
 }
 
 /// What all fits look at.
-pub struct Scenes {
+pub struct TrialFrames {
     /// Never empty.
-    pub scenes: Vec<Scene>,
+    pub scenes: Vec<TrialFrame>,
     /// For the fits.
     pub options: TrackerOptions,
     /// Frames of the recording in which the target was not found.
@@ -41,7 +41,7 @@ pub struct Scenes {
 }
 
 /// Renders frames, or reads them and finds the target in each.
-pub fn scenes(args: &TuneArgs, model: &Arc<Model>) -> Result<Scenes, Failure> {
+pub fn scenes(args: &TuneArgs, model: &Arc<Model>) -> Result<TrialFrames, Failure> {
     let camera = offline::camera(args.camera.as_deref())?;
     match &args.frames {
         Some(path) => recorded(path, model, camera, &args.model),
@@ -49,7 +49,7 @@ pub fn scenes(args: &TuneArgs, model: &Arc<Model>) -> Result<Scenes, Failure> {
     }
 }
 
-fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<Scenes, Failure> {
+fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialFrames, Failure> {
     let saturation = given.saturation.unwrap_or(SATURATION);
     let electrons_per_dn = given.electrons_per_dn.unwrap_or(FULL_WELL_E / saturation);
     let read_noise_e = given.read_noise_e.unwrap_or(READ_NOISE_E);
@@ -83,12 +83,12 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<Scenes
         let captured = captured.ok_or_else(|| Failure::Other("the synthetic camera gave no frame".into()))?;
         let truth = captured.truth.unwrap_or_default();
         let start = model.parameters().iter().map(|parameter| truth[&parameter.name]).collect();
-        scenes.push(Scene { frame: captured.frame, start });
+        scenes.push(TrialFrame { frame: captured.frame, start });
     }
-    Ok(Scenes { scenes, options: TrackerOptions { camera, ..TrackerOptions::default() }, lost: 0 })
+    Ok(TrialFrames { scenes, options: TrackerOptions { camera, ..TrackerOptions::default() }, lost: 0 })
 }
 
-fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<Scenes, Failure> {
+fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<TrialFrames, Failure> {
     let options = TrackerOptions { camera, ..TrackerOptions::default() };
     let mut run = Run::open(document, model, path, None, options)?;
     let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
@@ -101,7 +101,7 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
         let truth = captured.truth.as_ref();
         let known = model.parameters().iter().map(|p| truth.and_then(|truth| truth.get(&p.name).copied()));
         match known.collect::<Option<Vec<f64>>>().or_else(|| found(&run, &captured.frame)) {
-            Some(start) => scenes.push(Scene { frame: captured.frame, start }),
+            Some(start) => scenes.push(TrialFrame { frame: captured.frame, start }),
             None => lost += 1,
         }
     }
@@ -113,7 +113,7 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
         );
         return Err(Failure::Other(message));
     }
-    Ok(Scenes { scenes, options: run.options, lost })
+    Ok(TrialFrames { scenes, options: run.options, lost })
 }
 
 /// By a search of its own for each frame.

@@ -25,20 +25,20 @@ pub struct Fitter {
     /// The model in `tracker`: the two change together, here only.
     pub active: Active,
     /// Sets the source's exposure, when the session asks for it.
-    pub light: Option<Light>,
+    pub light: Option<ExposureLoop>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
 }
 
 /// A controller and the knob that it turns.
-pub struct Light {
+pub struct ExposureLoop {
     controller: ExposureController,
     exposure: Exposure,
 }
 
-impl Light {
+impl ExposureLoop {
     /// What a session asks for; a problem when its source has no exposure to set.
-    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<Light>, Problem> {
+    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<ExposureLoop>, Problem> {
         if !options.exposure.control {
             return Ok(None);
         }
@@ -52,7 +52,7 @@ impl Light {
             SourceDocument::Recording(_) | SourceDocument::Pushed(_) => {}
         }
         options.range = exposure.range().unwrap_or(options.range);
-        Ok(Some(Light { controller: ExposureController::new(options), exposure }))
+        Ok(Some(ExposureLoop { controller: ExposureController::new(options), exposure }))
     }
 
     fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
@@ -63,7 +63,7 @@ impl Light {
     }
 }
 
-impl Drop for Light {
+impl Drop for ExposureLoop {
     /// Whoever comes after finds the light as it was.
     fn drop(&mut self) {
         if self.controller.factor() != 1.0 {

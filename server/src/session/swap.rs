@@ -8,7 +8,7 @@ use isophote_tracker::{Camera, Compiled, MotionOptions, PredictOptions, TrackerO
 use isophote_wire::{PredictDocument, SessionDocument, Window};
 use tokio::sync::oneshot;
 
-use crate::registry::Entry;
+use crate::registry::ModelEntry;
 
 /// A model that fits, or will.
 #[derive(Clone)]
@@ -23,7 +23,7 @@ pub struct Active {
 
 impl Active {
     /// The model of a registry's entry.
-    pub fn new(entry: &Entry) -> Active {
+    pub fn new(entry: &ModelEntry) -> Active {
         Active { name: entry.name.to_string(), id: entry.id().into(), model: entry.model.clone() }
     }
 }
@@ -51,11 +51,23 @@ pub struct Swapped {
     pub reset: Vec<String>,
 }
 
-/// The options of a session for a model. Constants and starting values that the model does not know are left out when
-/// `is_swap`: they belong to the model that ran before, and come back with it.
-pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_swap: bool) -> TrackerOptions {
+/// What becomes of constants and starting values that a model does not know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unknown {
+    /// They are handed on, and the tracker refuses them.
+    Kept,
+    /// They are left out: they belong to the model that ran before, and come back with it.
+    LeftOut,
+}
+
+/// The options of a session for a model.
+pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, unknown: Unknown) -> TrackerOptions {
     let known = |names: &BTreeMap<String, f64>, has: &dyn Fn(&str) -> bool| {
-        names.iter().filter(|(name, _)| !is_swap || has(name)).map(|(name, value)| (name.clone(), *value)).collect()
+        names
+            .iter()
+            .filter(|(name, _)| unknown == Unknown::Kept || has(name))
+            .map(|(name, value)| (name.clone(), *value))
+            .collect()
     };
     TrackerOptions {
         precision: document.options.precision,
