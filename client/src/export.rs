@@ -3,7 +3,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_symbolic::{ExportOptions, Language, Lowering, Model, PixelType};
+use isophote_export::{ExportOptions, Language, PixelType};
+use isophote_symbolic::{Lowering, Model};
 use isophote_wire::Exported;
 use isophote_wire::explain::{self, ExplainError};
 
@@ -131,7 +132,8 @@ fn exported(
     let subset = explain::subset(model, Some(names))?;
     let method = explain::named_method(&args.method)?;
     let program = model.objective(&subset, method)?.program(lowering)?;
-    let text = model.export(&program, options).map_err(|error| ExplainError::Question(error.to_string()))?;
+    let text =
+        isophote_export::export(model, &program, options).map_err(|error| ExplainError::Question(error.to_string()))?;
     Ok(Exported {
         model: model.name().to_string(),
         digest: model.digest().to_string(),

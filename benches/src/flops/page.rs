@@ -1,9 +1,8 @@
 //! docs/flops.md and docs/figure-6-1.svg: what the benchmark writes there, and whether it stands there.
 
-use isophote_symbolic::BodyFlops;
-
 use super::counts::{Row, in_columns};
 use super::figure;
+use crate::bodies::BodyFlops;
 use crate::page::{docs, with, write_svg, write_to};
 
 /// The part of the page that says how many flops; the same on every machine.

@@ -4,9 +4,8 @@
 use std::sync::Arc;
 
 use isophote_jit::{CompileError, Kernel, KernelOptions, Line, PixelFormat, has_fma};
-use isophote_symbolic::{
-    Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Show, Span,
-};
+use isophote_notation::Show;
+use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Span};
 use isophote_tracker::CompileFailure;
 
 use crate::{Explanation, StageReport};
@@ -71,13 +70,13 @@ pub fn explain(
     drop(Kernel::compile(&program, &options)?); // for its time alone
     let compile_ms = clock_ns().saturating_sub(start_ns) as f64 / 1e6;
     let text = match show {
-        "sums" => objective.explain(Show::Sums),
+        "sums" => isophote_notation::explain(&objective, Show::Sums),
         "program" => program.to_string(),
         "clif" => annotated(model, &program, &isophote_jit::explain(&program, &options)?.clif),
         "asm" => annotated(model, &program, &isophote_jit::explain(&program, &options)?.machine),
-        "latex" => objective.explain(Show::Latex),
-        "mathml" => objective.explain(Show::MathMl),
-        _ => objective.explain(Show::Derivative),
+        "latex" => isophote_notation::explain(&objective, Show::Latex),
+        "mathml" => isophote_notation::explain(&objective, Show::MathMl),
+        _ => isophote_notation::explain(&objective, Show::Derivative),
     };
     let stage = StageReport::of(model, &objective, method, lowering, compile_ms)?;
     let (name, digest) = (model.name().to_string(), model.digest().to_string());

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::program::{Input, Op, Program};
+use isophote_symbolic::{Input, Op, Program};
 
 /// Words that a value cannot have: of C, of Rust, of C's headers, and those that the exported function uses itself.
 const TAKEN: &str = "auto break case char const continue default do double else enum extern float for goto if inline int long \
@@ -22,7 +22,7 @@ pub(super) fn is_function_name(name: &str) -> bool {
 
 fn is_taken(name: &str) -> bool {
     TAKEN.split_whitespace().any(|word| word == name)
-        || crate::program::function::Function1::named(name).is_some()
+        || isophote_symbolic::Function1::named(name).is_some()
         || ["sqrt", "abs", "fabs", "pow", "atan2", "fma", "rint", "signal", "raise"].contains(&name)
 }
 

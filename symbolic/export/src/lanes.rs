@@ -1,11 +1,13 @@
 //! The pixel loop with vectors: groups of pixels as they fit, then one with what is left, in which the lanes behind the row's
 //! last pixel take no part. Rows and passes are those of one lane.
 
-use crate::export::body::{Body, Statements};
-use crate::export::lines::File;
-use crate::export::vectors::Vectors;
-use crate::export::{ExportError, Source, rust};
-use crate::program::{Level, Op, Sink, Value};
+use isophote_symbolic::{Level, Op, Sink, Value};
+
+use crate::body::{Body, Statements};
+use crate::lines::File;
+use crate::options::{ExportError, Source};
+use crate::rust;
+use crate::vectors::Vectors;
 
 /// The whole file.
 pub(super) fn file(source: &Source<'_>) -> Result<String, ExportError> {

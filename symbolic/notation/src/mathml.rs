@@ -1,11 +1,11 @@
 //! Lines as MathML Core: one `<math display="block">` each, long sums broken over rows of a table. An operation's element says
 //! in `data-span` which bytes of the document it came from, unless the element around it says the same.
 
-use crate::language::diagnostic::Span;
-use crate::notation::looks::{Looks, Stem};
-use crate::notation::text;
-use crate::notation::tree::{Kind, Line, Term, Tree, fraction, needs_power_of_ten, scientific};
-use crate::program::Comparison;
+use isophote_symbolic::{Comparison, Span};
+
+use crate::looks::{Looks, Stem};
+use crate::text;
+use crate::tree::{Kind, Line, Term, Tree, fraction, needs_power_of_ten, scientific};
 
 const TIMES: &str = "<mo lspace=\"0\" rspace=\"0.17em\">\u{2062}</mo>";
 const APPLY: &str = "<mo>\u{2061}</mo>";

@@ -8,41 +8,13 @@
 //! differentiation gives them; whatever occurs twice in a body is computed once, and xⁿ by shared squares; nothing is
 //! factored, multiplied out or taken apart, there is one sum for each entry, and nothing leaves the loop.
 
-use std::collections::BTreeSet;
+use std::collections::HashMap;
 
-use rustc_hash::FxHashMap;
-
-use crate::derive::graph::{Bits, Graph, Node, NodeId};
-use crate::derive::jet::{jet, pair};
-use crate::derive::objective::{Origin, residual, variance};
-use crate::language::diagnostic::Diagnostics;
-use crate::language::model::{Lowering, Method, Model};
-use crate::program::{
-    AccumulatorId, ChannelId, Comparison, CoordinateId, Input, InputId, Instruction, Level, Op, ParameterId, PixelSet,
-    Program, Sink, TotalId, Value,
+use isophote_symbolic::{
+    AccumulatorId, Bits, ChannelId, Comparison, CoordinateId, Diagnostics, Expressions, Input, InputId, Instruction,
+    Level, Lowering, Method, Model, Node, NodeId, Op, ParameterId, Part, PixelSet, Program, ProgramParts, Sink,
+    TotalId, Value, renamed,
 };
-
-/// Which derivatives a loop sums.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Part {
-    /// The gradient.
-    Gradient,
-    /// The upper triangle of the Hessian.
-    Hessian,
-    /// Both, in one loop.
-    Both,
-}
-
-impl Part {
-    /// The gradient is part of it.
-    pub fn has_gradient(self) -> bool {
-        self != Part::Hessian
-    }
-    /// The Hessian is part of it.
-    pub fn has_hessian(self) -> bool {
-        self != Part::Gradient
-    }
-}
 
 /// Flops per pixel, accumulation included and F left out, in the four columns of the thesis' Table 6.1. Plain counts are
 /// those of the whole loop body; optimised counts are those of what is left in it, as everywhere else.
@@ -60,159 +32,119 @@ pub struct BodyFlops {
     pub joint_optimised: u32,
 }
 
-impl Model {
-    /// Flops per pixel in the four columns of the thesis' Table 6.1.
-    pub fn body_flops(&self, subset: &[ParameterId], method: Method) -> Result<BodyFlops, Diagnostics> {
-        let lowering = Lowering { fma: true, drop_saturated: false };
-        let plain = |part| self.plain_program(subset, method, part);
-        let optimised = |part| -> Result<u32, Diagnostics> {
-            Ok(self.part_objective(subset, method, part)?.cost(lowering)?.flops_per_pixel)
-        };
-        let joint = plain(Part::Both)?;
-        Ok(BodyFlops {
-            separate_plain: whole_body(&plain(Part::Gradient)?) + whole_body(&plain(Part::Hessian)?),
-            separate_optimised: optimised(Part::Gradient)? + optimised(Part::Hessian)?,
-            joint_plain: whole_body(&joint),
-            joint_plain_hoisted: joint.cost().flops_per_pixel,
-            joint_optimised: self.objective(subset, method)?.cost(lowering)?.flops_per_pixel,
-        })
-    }
-
-    /// The derivatives as differentiation writes them, F left out, over every pixel of the window: the domain is not
-    /// looked at. It is made to be counted and compared with; [`Model::objective`] is what is fast.
-    pub fn plain_program(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Program, Diagnostics> {
-        let mut graph = self.formulas.graph.clone();
-        let entries = entries(&mut graph, self, subset, method, part);
-        let origin = Origin::of(self);
-        if graph.overflowed() {
-            return Err(origin.growth(subset.len()));
-        }
-        let names = self.names(entries.iter().map(|(name, _)| name.clone()).collect());
-        let mut body = Body::new(&graph);
-        let sink = body.sink(&entries);
-        let mut program = Program {
-            coordinates: names.coordinates.len() as u32,
-            channels: names.channels.len() as u32,
-            inputs: body.inputs,
-            instructions: body.instructions,
-            pixel_set: PixelSet::default(),
-            sink,
-            names,
-            fused: false,
-        };
-        // Orders the instructions by level; without FMA it finds nothing else to do.
-        crate::program::peephole::improve(&mut program, false);
-        origin.checked(&graph, program)
-    }
+/// Flops per pixel in the four columns of the thesis' Table 6.1.
+pub fn body_flops(model: &Model, subset: &[ParameterId], method: Method) -> Result<BodyFlops, Diagnostics> {
+    let lowering = Lowering { fma: true, drop_saturated: false };
+    let plain = |part| plain_program(model, subset, method, part);
+    let optimised = |part| -> Result<u32, Diagnostics> {
+        Ok(model.part_objective(subset, method, part)?.cost(lowering)?.flops_per_pixel)
+    };
+    let joint = plain(Part::Both)?;
+    Ok(BodyFlops {
+        separate_plain: whole_body(&plain(Part::Gradient)?) + whole_body(&plain(Part::Hessian)?),
+        separate_optimised: optimised(Part::Gradient)? + optimised(Part::Hessian)?,
+        joint_plain: whole_body(&joint),
+        joint_plain_hoisted: joint.cost().flops_per_pixel,
+        joint_optimised: model.objective(subset, method)?.cost(lowering)?.flops_per_pixel,
+    })
 }
 
-impl Program {
-    /// The same sums over the pixels of another program's set, to compare the two: [`Model::plain_program`] looks at no
-    /// domain. Inputs of the other program come after those of this one.
-    pub fn over_pixels_of(&self, other: &Program) -> Program {
-        let mut program = self.clone();
-        let moved = |v: Value| Value(v.0 + self.instructions.len() as u32);
-        for instruction in &other.instructions {
-            let op = match crate::program::peephole::renamed(instruction.op, &moved) {
-                Op::Input(input) => {
-                    let wanted = other.inputs[input.index()];
-                    let known = program.inputs.iter().position(|input| *input == wanted);
-                    let index = known.unwrap_or_else(|| {
-                        program.inputs.push(wanted);
-                        program.inputs.len() - 1
-                    });
-                    Op::Input(InputId(index as u32))
-                }
-                op => op,
-            };
-            program.instructions.push(Instruction { op, ..*instruction });
-        }
-        let set = other.pixel_set;
-        program.pixel_set = PixelSet {
-            bounds: set.bounds.map(|(lo, hi)| (moved(lo), moved(hi))),
-            mask: set.mask.map(moved),
-            saturated: set.saturated.map(moved),
-        };
-        // What only the other program's sums read is dropped here.
-        crate::program::peephole::improve(&mut program, false);
-        program
-    }
-}
-
-/// The flops of the loop body when nothing leaves it.
-fn whole_body(program: &Program) -> u32 {
-    let body = program.instructions.iter().filter(|i| i.level <= Level::Pixel);
-    body.map(|i| i.op.flops()).sum::<u32>() + program.cost().accumulators
-}
-
-/// The derivatives of F, named, as differentiation writes them.
-fn entries(
-    graph: &mut Graph,
+/// The derivatives as differentiation writes them, F left out, over every pixel of the window: the domain is not
+/// looked at. It is made to be counted and compared with; [`Model::objective`] is what is fast.
+pub fn plain_program(
     model: &Model,
     subset: &[ParameterId],
     method: Method,
     part: Part,
-) -> Vec<(String, NodeId)> {
-    let newton = method == Method::Newton;
-    let residual = residual(graph, model);
-    let variance = variance(graph, model, !newton);
-    let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-    let variables: BTreeSet<NodeId> = parameters.iter().copied().collect();
-    let name = |i: usize| &model.parameters[subset[i].index()].name;
-    let zero = graph.number(0.0);
-    // Newton: F itself; else L r_u and Q r_u r_v.
-    let (total, own) = model.formulas.shape().jet(graph, newton, &[residual], variance);
-    let entry = |node: Option<&NodeId>| node.copied().unwrap_or(zero);
-    let (l, q) = (entry(own.first.get(&residual)), entry(own.second.get(&(residual, residual))));
-    let root = if newton { total } else { residual };
-    let jet = jet(graph, root, &variables, newton && part.has_hessian());
-    let first: Vec<NodeId> = parameters.iter().map(|u| jet.first.get(u).copied().unwrap_or(zero)).collect();
-    let mut list = Vec::new();
-    for i in (0..parameters.len()).filter(|_| part.has_gradient()) {
-        let node = match newton {
-            true => first[i],
-            false => graph.product(1.0, [(l, 1), (first[i], 1)]),
+) -> Result<Program, Diagnostics> {
+    let derivatives = model.derivatives(subset, method, part)?;
+    let names = model.names(derivatives.entries().iter().map(|(name, _)| name.clone()).collect());
+    let mut body = Body::new(derivatives.expressions());
+    let sink = body.sink(derivatives.entries());
+    let parts = ProgramParts {
+        coordinates: names.coordinates.len() as u32,
+        channels: names.channels.len() as u32,
+        inputs: body.inputs,
+        instructions: body.instructions,
+        pixel_set: PixelSet::default(),
+        sink,
+        fused: false,
+    };
+    Ok(Program::arranged(parts, names).unwrap())
+}
+
+/// The sums of `program` over the pixels of another program's set, to compare the two: [`plain_program`] looks at no
+/// domain. Inputs of the other program come after those of the first.
+pub fn over_pixels_of(program: &Program, other: &Program) -> Program {
+    let (mut inputs, mut instructions) = (program.inputs().to_vec(), program.instructions().to_vec());
+    let first = instructions.len() as u32;
+    let moved = |v: Value| Value(v.0 + first);
+    for instruction in other.instructions() {
+        let op = match renamed(instruction.op, &moved) {
+            Op::Input(input) => {
+                let wanted = other.inputs()[input.index()];
+                let known = inputs.iter().position(|input| *input == wanted);
+                let index = known.unwrap_or_else(|| {
+                    inputs.push(wanted);
+                    inputs.len() - 1
+                });
+                Op::Input(InputId(index as u32))
+            }
+            op => op,
         };
-        list.push((format!("dF/d{}", name(i)), node));
+        instructions.push(Instruction { op, ..*instruction });
     }
-    for i in (0..parameters.len()).filter(|_| part.has_hessian()) {
-        for j in i..parameters.len() {
-            let node = match newton {
-                true => jet.second.get(&pair(parameters[i], parameters[j])).copied().unwrap_or(zero),
-                false => graph.product(1.0, [(q, 1), (first[i], 1), (first[j], 1)]),
-            };
-            list.push((format!("d2F/d{}d{}", name(i), name(j)), node));
-        }
-    }
-    list
+    let set = other.pixel_set();
+    let pixel_set = PixelSet {
+        bounds: set.bounds.map(|(lo, hi)| (moved(lo), moved(hi))),
+        mask: set.mask.map(moved),
+        saturated: set.saturated.map(moved),
+    };
+    let parts = ProgramParts {
+        coordinates: program.coordinates() as u32,
+        channels: program.channels() as u32,
+        inputs,
+        instructions,
+        pixel_set,
+        sink: program.sink().clone(),
+        fused: program.is_fused(),
+    };
+    // What only the other program's sums read is dropped here.
+    Program::arranged(parts, program.names().clone()).unwrap()
+}
+
+/// The flops of the loop body when nothing leaves it.
+fn whole_body(program: &Program) -> u32 {
+    let body = program.instructions().iter().filter(|i| i.level <= Level::Pixel);
+    body.map(|i| i.op.flops()).sum::<u32>() + program.cost().accumulators
 }
 
 /// Writes nodes as they stand: sums and products from left to right.
 struct Body<'g> {
-    graph: &'g Graph,
+    expressions: Expressions<'g>,
     instructions: Vec<Instruction>,
     inputs: Vec<Input>,
     /// By the operation as text, which has what a hash needs.
-    known: FxHashMap<String, Value>,
-    values: FxHashMap<NodeId, Value>,
+    known: HashMap<String, Value>,
+    values: HashMap<NodeId, Value>,
 }
 
 impl<'g> Body<'g> {
-    fn new(graph: &'g Graph) -> Body<'g> {
-        let (known, values) = (FxHashMap::default(), FxHashMap::default());
-        Body { graph, instructions: Vec::new(), inputs: Vec::new(), known, values }
+    fn new(expressions: Expressions<'g>) -> Body<'g> {
+        let (known, values) = (HashMap::new(), HashMap::new());
+        Body { expressions, instructions: Vec::new(), inputs: Vec::new(), known, values }
     }
 
     /// One sum for each entry that is not zero everywhere.
     fn sink(&mut self, entries: &[(String, NodeId)]) -> Sink {
         let roots: Vec<NodeId> = entries.iter().map(|(_, node)| *node).collect();
-        for id in self.graph.reachable(&roots) {
+        for id in self.expressions.reachable(&roots) {
             let value = self.node(id);
             self.values.insert(id, value);
         }
         let (mut accumulators, mut totals, mut outputs) = (Vec::new(), Vec::new(), Vec::new());
         for (_, node) in entries {
-            if self.graph.value_of(*node) == Some(0.0) {
+            if matches!(self.expressions.node(*node), Node::Number(number) if number.get() == 0.0) {
                 outputs.push(self.number(0.0));
                 continue;
             }
@@ -254,9 +186,9 @@ impl<'g> Body<'g> {
     }
 
     fn node(&mut self, id: NodeId) -> Value {
-        let graph = self.graph;
+        let expressions = self.expressions;
         let at = |n: &NodeId| self.values[n];
-        let op = match graph.node(id) {
+        let op = match expressions.node(id) {
             Node::Number(bits) => return self.number(bits.get()),
             Node::Input(input) => {
                 let index = self.inputs.iter().position(|i| i == input).unwrap_or_else(|| {
@@ -288,14 +220,14 @@ impl<'g> Body<'g> {
 
     /// Coefficients of ±1 cost nothing; x plus what is known earlier is one operation, as it is in every program.
     fn sum(&mut self, constant: f64, terms: &[(NodeId, Bits)]) -> Value {
-        let inner = |n: NodeId| matches!(self.graph.node(n), Node::Coordinate(CoordinateId(0)));
+        let inner = |n: NodeId| matches!(self.expressions.node(n), Node::Coordinate(CoordinateId(0)));
         if let Some(x) = terms.iter().position(|(n, c)| inner(*n) && c.get() == 1.0) {
             let (early, late): (Vec<_>, Vec<_>) = terms
                 .iter()
                 .enumerate()
                 .filter(|(i, _)| *i != x)
                 .map(|(_, term)| *term)
-                .partition(|(n, _)| self.graph.level(*n) < Level::Pixel);
+                .partition(|(n, _)| self.expressions.level(*n) < Level::Pixel);
             let early = self.terms(constant, &early, None);
             let offset = self.emit(Op::Offset(early), Level::Pixel);
             return self.terms(0.0, &late, Some(offset));

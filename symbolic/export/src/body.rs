@@ -5,12 +5,12 @@
 
 use std::collections::BTreeSet;
 
-use crate::export::header::comment;
-use crate::export::names::Words;
-use crate::export::spelling::Spelling;
-use crate::export::{Language, Source};
-use crate::language::diagnostic::Span;
-use crate::program::{CoordinateId, Level, Op, Precision, Program, Sink, Value};
+use isophote_symbolic::{CoordinateId, Level, Op, Precision, Program, Sink, Span, Value};
+
+use crate::header::comment;
+use crate::names::Words;
+use crate::options::{Language, Source};
+use crate::spelling::Spelling;
 
 /// Statements of each level, a line each.
 #[derive(Default)]
@@ -141,7 +141,7 @@ impl<'a> Statements<'a> {
             return;
         }
         *shown = span;
-        let text = span.and_then(|s| self.source.model.text.get(s.start as usize..s.end as usize));
+        let text = span.and_then(|span| self.source.model.words(span));
         if let Some(text) = text.filter(|text| !text.is_empty()) {
             lines.push(match self.source.options.language {
                 Language::C => format!("/* {} */", comment(text)),

@@ -1,7 +1,8 @@
 //! What an exported file says of itself: where it comes from, what goes in and out, in which order and units.
 
-use crate::export::Source;
-use crate::program::{Input, Op, Precision, Sink};
+use isophote_symbolic::{Input, Op, Precision, Sink};
+
+use crate::options::Source;
 
 /// Text of a document that stands in a comment of C or Rust: it cannot end the comment, nor start another.
 pub(super) fn comment(text: &str) -> String {

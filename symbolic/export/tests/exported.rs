@@ -1,23 +1,25 @@
 //! Exported source of the thesis' spot, kept as files: a change of the text shows as a change of these.
-//! `UPDATE_EXPECT=1 cargo test -p isophote-symbolic --test exported` writes them anew.
+//! `UPDATE_EXPECT=1 cargo test -p isophote-export --test exported` writes them anew.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+#[path = "../../tests/common/mod.rs"]
 mod common;
 
 use std::path::Path;
 
 use common::expect;
-use isophote_symbolic::{ExportError, ExportOptions, Language, Lowering, Method, Model, Precision};
+use isophote_export::{ExportError, ExportOptions, Language, export};
+use isophote_symbolic::{Lowering, Method, Model, Precision};
 
 fn spot() -> Model {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/thesis-spot.toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/thesis-spot.toml");
     Model::from_toml(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
 fn text(model: &Model, options: &ExportOptions) -> Result<String, ExportError> {
     let centre = [model.parameter("bx").unwrap(), model.parameter("by").unwrap()];
     let program = model.objective(&centre, Method::Newton).unwrap().program(Lowering::default()).unwrap();
-    model.export(&program, options)
+    export(model, &program, options)
 }
 
 #[test]
@@ -64,7 +66,7 @@ intensity = "fn + t1*i + sums*row + window*i*row"
     let model = Model::from_toml(document).unwrap();
     let all: Vec<_> = model.stages()[0].parameters.clone();
     let program = model.objective(&all, Method::Newton).unwrap().program(Lowering::default()).unwrap();
-    let c = model.export(&program, &ExportOptions::new(Language::C, 1)).unwrap();
+    let c = export(&model, &program, &ExportOptions::new(Language::C, 1)).unwrap();
     assert_eq!(c.matches("ends * / here").count(), 1);
     for word in ["const double fn_ =", "const double sums_ =", "const double t1_ =", "const float double_ ="] {
         assert!(c.contains(word), "{word} is not in\n{c}");

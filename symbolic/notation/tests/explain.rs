@@ -1,20 +1,22 @@
 //! What `explain` shows, in each notation: kept as files, read back as XML, and never two names that look alike.
-//! `UPDATE_EXPECT=1 cargo test -p isophote-symbolic --test explain` writes the files anew.
+//! `UPDATE_EXPECT=1 cargo test -p isophote-notation --test explain` writes the files anew.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+#[path = "../../tests/common/mod.rs"]
 mod common;
 
 use std::path::Path;
 
 use common::expect;
-use isophote_symbolic::{Method, Model, ParameterId, Show};
+use isophote_notation::{Show, explain};
+use isophote_symbolic::{Method, Model, ParameterId};
 
 fn explained(model: &Model, parameters: &[ParameterId], show: Show) -> String {
-    model.objective(parameters, Method::Newton).unwrap().explain(show)
+    explain(&model.objective(parameters, Method::Newton).unwrap(), show)
 }
 
 fn shipped() -> Vec<Model> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
     let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     paths.sort();
     paths.iter().map(|path| Model::from_toml(&std::fs::read_to_string(path).unwrap()).unwrap()).collect()
@@ -36,7 +38,7 @@ fn all(model: &Model) -> Vec<ParameterId> {
 #[test]
 fn the_thesis_spot_in_three_notations() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = std::fs::read_to_string(root.join("../models/thesis-spot.toml")).unwrap();
+    let text = std::fs::read_to_string(root.join("../../models/thesis-spot.toml")).unwrap();
     let spot = Model::from_toml(&text).unwrap();
     let centre = [spot.parameter("bx").unwrap(), spot.parameter("by").unwrap()];
     for (show, name) in [(Show::Derivative, "txt"), (Show::Latex, "tex"), (Show::MathMl, "mathml")] {
@@ -49,7 +51,7 @@ fn the_thesis_spot_in_three_notations() {
 #[test]
 fn spans_are_places_of_the_document() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = std::fs::read_to_string(root.join("../models/thesis-spot.toml")).unwrap();
+    let text = std::fs::read_to_string(root.join("../../models/thesis-spot.toml")).unwrap();
     let spot = Model::from_toml(&text).unwrap();
     let shown = explained(&spot, &[spot.parameter("bx").unwrap()], Show::MathMl);
     let places: Vec<&str> = shown.split("data-span=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
@@ -105,12 +107,12 @@ fn every_shipped_model_is_well_formed() {
         let own = model.stages()[0].method;
         let objective = model.objective(&parameters, Method::Newton);
         let objective = objective.or_else(|_| model.objective(&parameters, own)).unwrap();
-        let mathml = objective.explain(Show::MathMl);
+        let mathml = explain(&objective, Show::MathMl);
         assert!(mathml.lines().all(|line| line.starts_with("<math display=\"block\"") && line.ends_with("</math>")));
         for line in mathml.lines() {
             well_formed(line);
         }
-        braces(&objective.explain(Show::Latex));
+        braces(&explain(&objective, Show::Latex));
     }
 }
 

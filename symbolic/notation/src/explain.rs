@@ -5,14 +5,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::derive::graph::{Graph, Node, NodeId, operands};
-use crate::derive::objective::Objective;
-use crate::notation::looks::Looks;
-use crate::notation::tree::{Kind, Line, Term, Tree, WIDTH};
-use crate::notation::{latex, mathml, text};
-use crate::program::function::Function2;
-use crate::program::schedule::Term as SumTerm;
-use crate::program::{Input, Names};
+use isophote_symbolic::{Expressions, Function2, Input, Names, Node, NodeId, Objective, OutputTerm};
+
+use crate::looks::Looks;
+use crate::tree::{Kind, Line, Term, Tree, WIDTH};
+use crate::{latex, mathml, text};
 
 /// What to show of an objective.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -27,16 +24,14 @@ pub enum Show {
     MathMl,
 }
 
-impl Objective {
-    /// A part of the derivation, as text.
-    pub fn explain(&self, show: Show) -> String {
-        let forms = if show == Show::Sums { &[][..] } else { &self.forms };
-        let lines = Writer::new(self, forms).lines(self, forms);
-        match show {
-            Show::Derivative | Show::Sums => text::lines(&lines),
-            Show::Latex => latex::lines(&lines, &looks(self.names())),
-            Show::MathMl => mathml::lines(&lines, &looks(self.names())),
-        }
+/// A part of the derivation, as text.
+pub fn explain(objective: &Objective, show: Show) -> String {
+    let forms = if show == Show::Sums { &[][..] } else { objective.forms() };
+    let lines = Writer::new(objective, forms).lines(objective, forms);
+    match show {
+        Show::Derivative | Show::Sums => text::lines(&lines),
+        Show::Latex => latex::lines(&lines, &looks(objective.names())),
+        Show::MathMl => mathml::lines(&lines, &looks(objective.names())),
     }
 }
 
@@ -59,7 +54,7 @@ fn word(letter: char, names: &Names) -> String {
 
 /// Turns nodes into trees; a number that is used more than once, and whatever is too wide, gets a line of its own.
 struct Writer<'a> {
-    graph: &'a Graph,
+    expressions: Expressions<'a>,
     names: &'a Names,
     trees: BTreeMap<NodeId, Tree>,
     lines: Vec<Line>,
@@ -67,17 +62,18 @@ struct Writer<'a> {
 
 impl<'a> Writer<'a> {
     fn new(objective: &'a Objective, forms: &[(String, NodeId)]) -> Writer<'a> {
-        let (graph, names) = (objective.graph(), objective.names());
-        let terms = objective.sums().outputs.iter().flat_map(|o| &o.terms);
+        let (expressions, names) = (objective.expressions(), objective.names());
+        let terms = objective.outputs().iter().flat_map(|o| &o.terms);
         let mut roots: Vec<NodeId> = terms.flat_map(|t| [Some(t.coefficient), t.row, t.pixel]).flatten().collect();
         roots.extend(forms.iter().map(|(_, node)| *node));
-        let counts = graph.use_counts(&roots);
+        let counts = expressions.use_counts(&roots);
         let shared = word('t', names);
-        let mut writer = Writer { graph, names, trees: BTreeMap::new(), lines: Vec::new() };
-        for id in graph.reachable(&roots) {
+        let mut writer = Writer { expressions, names, trees: BTreeMap::new(), lines: Vec::new() };
+        for id in expressions.reachable(&roots) {
             let tree = writer.tree(id);
-            let is_leaf = operands(graph.node(id)).next().is_none();
-            let is_used_again = counts[id.index()] > 1 && !graph.is_truth(id);
+            let node = expressions.node(id);
+            let is_leaf = matches!(node, Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_));
+            let is_used_again = counts[id.index()] > 1 && !expressions.is_truth(id);
             let tree = if !is_leaf && (is_used_again || text::tree(&tree).len() > WIDTH) {
                 let name = Tree::name(format!("{shared}{}", writer.lines.len()));
                 writer.lines.push(Line { left: name.clone(), right: tree });
@@ -110,7 +106,7 @@ impl<'a> Writer<'a> {
         let parameters: Vec<&str> =
             objective.subset().iter().map(|p| self.names.parameters[p.index()].as_str()).collect();
         let entries = entries(&function, &parameters);
-        let outputs = &objective.sums().outputs;
+        let outputs = objective.outputs();
         for (i, output) in outputs.iter().enumerate() {
             let left = match entries.get(i) {
                 Some(entry) if entries.len() == outputs.len() => Tree { kind: entry.clone(), span: None },
@@ -129,14 +125,14 @@ impl<'a> Writer<'a> {
         }
         for (i, pixel) in shown.into_iter().enumerate() {
             let inside = self.at(pixel);
-            let right = Tree { span: self.graph.span(pixel), kind: Kind::Total("pixels", Box::new(inside)) };
+            let right = Tree { span: self.expressions.span(pixel), kind: Kind::Total("pixels", Box::new(inside)) };
             self.lines.push(Line { left: Tree::name(format!("{total}{i}")), right });
         }
         self.lines
     }
 
     /// coefficient · Σ_rows row · Σ_pixels pixel.
-    fn term(&self, term: &SumTerm, total: &str, shown: &mut Vec<NodeId>) -> Term {
+    fn term(&self, term: &OutputTerm, total: &str, shown: &mut Vec<NodeId>) -> Term {
         let plain = |kind: Kind| Tree { kind, span: None };
         let inner = term.pixel.map_or(plain(Kind::Total("pixels", Box::new(plain(Kind::Number(1.0))))), |pixel| {
             let at = shown.iter().position(|other| *other == pixel).unwrap_or_else(|| {
@@ -182,7 +178,7 @@ impl<'a> Writer<'a> {
     fn tree(&self, id: NodeId) -> Tree {
         let one = |n: &NodeId| Box::new(self.at(*n));
         let names = self.names;
-        let kind = match self.graph.node(id) {
+        let kind = match self.expressions.node(id) {
             Node::Number(bits) => Kind::Number(bits.get()),
             Node::Input(Input::Parameter(p)) => Kind::Name(names.parameters[p.index()].clone()),
             Node::Input(Input::Entry(p)) => Kind::Entry(names.parameters[p.index()].clone()),
@@ -211,7 +207,7 @@ impl<'a> Writer<'a> {
             Node::Not(a) => Kind::Not(one(a)),
             Node::Select(c, a, b) => Kind::Select(one(c), one(a), one(b)),
         };
-        Tree { kind, span: self.graph.span(id) }
+        Tree { kind, span: self.expressions.span(id) }
     }
 }
 

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use crate::export::body::{Body, Statements};
-use crate::export::lines::File;
-use crate::export::{PixelType, Source, header};
-use crate::program::{Level, Op, Sink};
+use isophote_symbolic::{Level, Op, Sink};
+
+use crate::body::{Body, Statements};
+use crate::header;
+use crate::lines::File;
+use crate::options::{PixelType, Source};
 
 /// The whole file.
 pub(super) fn file(source: &Source<'_>) -> String {

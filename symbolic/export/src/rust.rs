@@ -1,10 +1,11 @@
 //! The file around the statements, in Rust.
 
-use crate::export::body::{Body, Statements};
-use crate::export::lines::File;
-use crate::export::{Source, header};
-use crate::program::function::Function1;
-use crate::program::{Level, Op, Precision, Sink};
+use isophote_symbolic::{Function1, Level, Op, Precision, Sink};
+
+use crate::body::{Body, Statements};
+use crate::header;
+use crate::lines::File;
+use crate::options::Source;
 
 /// The whole file.
 pub(super) fn file(source: &Source<'_>) -> String {

@@ -5,53 +5,14 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::domain;
 use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::square::Shift;
+use crate::derive::steps::Step;
+use crate::derive::sums::{Shift, Sums};
 use crate::language::diagnostic::Span;
 use crate::language::model::Lowering;
-use crate::program::steps::Step;
 use crate::program::{
     AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId,
     Value,
 };
-
-/// coefficient · Σ_rows (row · Σ_pixels pixel); an absent row factor is 1, an absent pixel value counts pixels.
-#[derive(Clone, Debug)]
-pub(crate) struct Term {
-    /// Known per pass.
-    pub coefficient: NodeId,
-    pub row: Option<NodeId>,
-    pub pixel: Option<NodeId>,
-}
-
-/// One number that a pass hands back: a sum of terms.
-#[derive(Clone, Debug)]
-pub(crate) struct Output {
-    pub name: String,
-    pub terms: Vec<Term>,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct Sums {
-    pub outputs: Vec<Output>,
-    /// Totals over one offset of the column are made from those over another, once a row.
-    pub shift: Option<Shift>,
-}
-
-impl Sums {
-    /// The pixel values that are really summed.
-    pub fn summed(&self, graph: &mut Graph) -> Vec<NodeId> {
-        let Some(shift) = &self.shift else { return self.pixels() };
-        let mut seen = FxHashSet::default();
-        let parts: Vec<NodeId> = self.pixels().into_iter().flat_map(|p| shift.parts(graph, p)).flatten().collect();
-        parts.into_iter().filter(|part| seen.insert(*part)).collect()
-    }
-
-    /// The distinct pixel values that are summed, in order of first use.
-    pub fn pixels(&self) -> Vec<NodeId> {
-        let mut seen = FxHashSet::default();
-        self.outputs.iter().flat_map(|o| &o.terms).filter_map(|t| t.pixel).filter(|p| seen.insert(*p)).collect()
-    }
-}
 
 /// The loop nest for sums over the pixels of `domain`.
 pub(crate) fn sums(

@@ -1,28 +1,7 @@
-//! A [`Program`] as source text, for machines where no compiler may run beside the program, and to compare with.
-//!
-//! What comes in: a program, the model that it was made of (for names and formulas), and [`ExportOptions`]. What goes out: one
-//! file of C99 or Rust 2021 that needs nothing but the language's mathematics, with the program's loops in sight: pass, row,
-//! pixel, row end, pass end. With one lane it computes what [`crate::program::interpreter::run_in_lanes`] computes with one, bit for
-//! bit, elementary functions apart: they are the platform's.
-//! It must never know: how a frame lies in memory; an exported function is told by strides, counted in pixels.
-//!
-//! `names` finds words for values, `body` writes the statements of each level, `c` and `rust` what stands around them, `spelling`
-//! is the table of how each language spells an operation; `lanes` writes the pixel loop with vectors, whose table is `vectors`.
+//! What is asked for, why it is not given, and what the writers of a file share.
 
-mod body;
-mod c;
-mod header;
-mod lanes;
-mod lines;
-mod names;
-mod rust;
-mod spelling;
-mod vectors;
-
+use isophote_symbolic::{Model, Precision, Program};
 use thiserror::Error;
-
-use crate::language::model::Model;
-use crate::program::{Precision, Program};
 
 /// In which language.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -122,41 +101,18 @@ pub enum ExportError {
     NotInLanes(&'static str),
 }
 
-impl Model {
-    /// A program of this model as source text; see the module's text.
-    pub fn export(&self, program: &Program, options: &ExportOptions) -> Result<String, ExportError> {
-        if options.pixels.len() != program.channels() {
-            return Err(ExportError::Channels { channels: program.channels(), given: options.pixels.len() });
-        }
-        if *program.names() != self.names(program.names().outputs.clone()) {
-            return Err(ExportError::Foreign(self.name().to_string()));
-        }
-        let name = options.name.clone().unwrap_or_else(|| format!("isophote_{}", self.name().replace('-', "_")));
-        if !names::is_function_name(&name) {
-            return Err(ExportError::Name(name));
-        }
-        let source = Source { model: self, program, options, name };
-        match (options.language, options.precision, options.lanes) {
-            (Language::C, _, 1) => Ok(c::file(&source)),
-            (Language::Rust, _, 1) => Ok(rust::file(&source)),
-            (Language::Rust, Precision::F32, 4 | 8 | 16) => lanes::file(&source),
-            (language, precision, lanes) => Err(ExportError::Lanes { lanes, precision, language }),
-        }
-    }
-}
-
 /// All that is known when a file is written.
-struct Source<'a> {
-    model: &'a Model,
-    program: &'a Program,
-    options: &'a ExportOptions,
+pub(crate) struct Source<'a> {
+    pub model: &'a Model,
+    pub program: &'a Program,
+    pub options: &'a ExportOptions,
     /// Of the function.
-    name: String,
+    pub name: String,
 }
 
 impl Source<'_> {
     /// How many coordinates planes and windows have: at least those of a picture.
-    fn dimensions(&self) -> usize {
+    pub fn dimensions(&self) -> usize {
         self.program.coordinates().max(2)
     }
 }

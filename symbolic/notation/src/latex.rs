@@ -1,9 +1,10 @@
 //! Lines as LaTeX: one `align*` of amsmath, long sums broken over rows, each line's place in the document as a comment.
 
-use crate::notation::looks::{Looks, Stem};
-use crate::notation::text;
-use crate::notation::tree::{Kind, Line, Term, Tree, fraction, needs_power_of_ten, scientific};
-use crate::program::Comparison;
+use isophote_symbolic::Comparison;
+
+use crate::looks::{Looks, Stem};
+use crate::text;
+use crate::tree::{Kind, Line, Term, Tree, fraction, needs_power_of_ten, scientific};
 
 /// The lines, for a document that uses amsmath.
 pub(crate) fn lines(lines: &[Line], looks: &Looks) -> String {

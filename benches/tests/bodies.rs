@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 
+use isophote_benches::bodies::{body_flops, over_pixels_of, plain_program};
 use isophote_symbolic::interpreter::{Pixels, Slices, Window, run};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Part, Precision, Program, Sink, Value};
 
@@ -57,7 +58,7 @@ fn all_agree(name: &str, subset: &str, method: Method) {
         assert!(found.iter().zip(wanted).all(near), "{name} {part:?}: {found:?} is not {wanted:?}");
     };
     for part in [Part::Gradient, Part::Hessian, Part::Both] {
-        close(&outputs(&model, &model.plain_program(&subset, method, part).unwrap()), part);
+        close(&outputs(&model, &plain_program(&model, &subset, method, part).unwrap()), part);
         let optimised = model.part_objective(&subset, method, part).unwrap().program(lowering).unwrap();
         close(&outputs(&model, &optimised).split_off(1), part);
     }
@@ -78,7 +79,7 @@ fn joint_is_never_more_than_separate_and_optimised_never_more_than_plain() {
     let model = model("thesis-spot");
     for subset in ["bx,by", "a1,a2,a3", "bx,by,a1,a2,a3", "bx,by,a1,a2,a3,v0,v1"] {
         let ids: Vec<ParameterId> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
-        let flops = model.body_flops(&ids, Method::Newton).unwrap();
+        let flops = body_flops(&model, &ids, Method::Newton).unwrap();
         assert!(flops.joint_plain <= flops.separate_plain, "{subset}: {flops:?}");
         assert!(flops.joint_optimised <= flops.separate_optimised, "{subset}: {flops:?}");
         assert!(flops.separate_optimised <= flops.separate_plain, "{subset}: {flops:?}");
@@ -104,7 +105,7 @@ fn a_loop_for_each_entry_would_take_far_more_than_the_thesis_counts() {
     let model = model("thesis-spot");
     let each = |subset: &str| -> u32 {
         let ids: Vec<ParameterId> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
-        let program = model.plain_program(&ids, Method::Newton, Part::Both).unwrap();
+        let program = plain_program(&model, &ids, Method::Newton, Part::Both).unwrap();
         let Sink::Sums { accumulators, .. } = program.sink() else { panic!("sums") };
         accumulators.iter().map(|sum| alone(&program, *sum)).sum()
     };
@@ -117,8 +118,8 @@ fn plain_sums_over_another_programs_pixels() {
     let model = model("thesis-spot");
     let centre = [model.parameter("bx").unwrap(), model.parameter("by").unwrap()];
     let optimised = model.objective(&centre, Method::Newton).unwrap().program(Lowering::default()).unwrap();
-    let plain = model.plain_program(&centre, Method::Newton, Part::Both).unwrap();
-    let over = plain.over_pixels_of(&optimised);
+    let plain = plain_program(&model, &centre, Method::Newton, Part::Both).unwrap();
+    let over = over_pixels_of(&plain, &optimised);
     // A small spot, so that most of the window is outside of the domain.
     let parameters = [5.3, 3.7, 0.1, 0.02, 0.15, -0.5, -0.3, 20.0, 150.0];
     let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };

@@ -1,7 +1,6 @@
 //! Trees and lines in the spelling of the formula language, as far as it goes.
 
-use crate::notation::tree::{Kind, Line, Term, Tree, needs_power_of_ten};
-use crate::program::Comparison;
+use crate::tree::{Kind, Line, Term, Tree, needs_power_of_ten};
 
 /// One line each.
 pub(crate) fn lines(lines: &[Line]) -> String {
@@ -31,7 +30,7 @@ pub(crate) fn tree(t: &Tree) -> String {
             format!("{name}({})", arguments.iter().map(tree).collect::<Vec<_>>().join(", "))
         }
         Kind::Power(a, b) => format!("pow({}, {})", tree(a), tree(b)),
-        Kind::Compare(c, a, b) => format!("{} {} {}", tree(a), sign(*c), tree(b)),
+        Kind::Compare(c, a, b) => format!("{} {} {}", tree(a), c.sign(), tree(b)),
         Kind::And(a, b) => format!("({} and {})", tree(a), tree(b)),
         Kind::Or(a, b) => format!("({} or {})", tree(a), tree(b)),
         Kind::Not(a) => format!("not ({})", tree(a)),
@@ -67,15 +66,6 @@ pub(crate) fn terms(list: &[Term]) -> String {
 
 pub(crate) fn number(value: f64) -> String {
     if needs_power_of_ten(value) { format!("{value:e}") } else { format!("{value}") }
-}
-
-pub(crate) fn sign(comparison: Comparison) -> &'static str {
-    match comparison {
-        Comparison::Lt => "<",
-        Comparison::Le => "<=",
-        Comparison::Eq => "==",
-        Comparison::Ne => "!=",
-    }
 }
 
 fn grouped(t: &Tree) -> String {

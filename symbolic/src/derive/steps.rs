@@ -2,8 +2,8 @@
 //! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
 
 use crate::derive::graph::{Bits, Graph, Node, NodeId};
+use crate::derive::schedule::Builder;
 use crate::program::function::{Function1, Function2};
-use crate::program::schedule::Builder;
 use crate::program::{ChannelId, Comparison, CoordinateId, Level, Op, Value};
 
 /// How one node is computed from others.

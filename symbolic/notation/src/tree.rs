@@ -3,8 +3,7 @@
 //! What comes in: nodes of the graph, from `explain`. What goes out: lines `name = tree`. A tree never knows how it will look;
 //! it is never deeper than [`WIDTH`], because what is wider than that gets a name of its own, so it may be walked recursively.
 
-use crate::language::diagnostic::Span;
-use crate::program::Comparison;
+use isophote_symbolic::{Comparison, Span};
 
 /// Characters of plain text beyond which an expression gets a line and a name of its own.
 pub(crate) const WIDTH: usize = 120;
@@ -104,7 +103,7 @@ impl Tree {
         let Kind::Sum(terms) = &self.kind else { return None };
         let (mut rows, mut start, mut width) = (Vec::new(), 0, 0);
         for (i, term) in terms.iter().enumerate() {
-            let own = crate::notation::text::terms(std::slice::from_ref(term)).chars().count() + 3;
+            let own = crate::text::terms(std::slice::from_ref(term)).chars().count() + 3;
             if i > start && width + own > ROW {
                 rows.push(&terms[start..i]);
                 (start, width) = (i, 0);

@@ -1,8 +1,8 @@
 //! How each language spells an operation on single numbers: one table.
 
-use crate::export::{Language, PixelType};
-use crate::program::function::{Function1, Function2};
-use crate::program::{Comparison, Op, Precision, Value};
+use isophote_symbolic::{Comparison, Function1, Function2, Op, Precision, Value};
+
+use crate::options::{Language, PixelType};
 
 /// A spelling: a language, and the arithmetic of the place.
 #[derive(Clone, Copy)]

@@ -2,8 +2,9 @@
 //!
 //! Truth values are vectors of all ones or all zeros; with 16 lanes they are bits of a mask.
 
-use crate::export::PixelType;
-use crate::program::{Comparison, Op, Value};
+use isophote_symbolic::{Comparison, Op, Value};
+
+use crate::options::PixelType;
 
 /// Vectors of 4, 8 or 16 lanes.
 #[derive(Clone, Copy)]
