@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::registry::Entry;
+use crate::registry::ModelEntry;
 use crate::source::{Shape, Source};
 use beside::Beside;
 use fit::{ExposureKnob, Fitter};
@@ -26,7 +26,7 @@ use isophote_machine::{elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
 use status::Status;
 pub use swap::Swapped;
-use swap::{Active, Swap};
+use swap::{Active, Swap, Unknown};
 
 /// What the fit thread shares with the rest of the service.
 pub struct Shared {
@@ -65,7 +65,12 @@ pub struct Session {
 
 impl Session {
     /// Compiles, checks, and starts the thread. Only from the compile thread.
-    pub fn start(name: &str, document: SessionDocument, source: SourceOf, entry: &Entry) -> Result<Session, Problem> {
+    pub fn start(
+        name: &str,
+        document: SessionDocument,
+        source: SourceOf,
+        entry: &ModelEntry,
+    ) -> Result<Session, Problem> {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
             .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
@@ -129,7 +134,7 @@ impl Session {
         let mut document = self.document.clone();
         let status = self.shared.status();
         document.model = status.active.name.clone();
-        let state = status.state(monotonic_ns(), self.source.source.is_steady());
+        let state = status.state(monotonic_ns(), &self.source.source);
         let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
         let trouble = self.source.source.trouble().filter(|_| !is_over);
         let (state, reason) = trouble.unwrap_or_else(|| (state, status.reason.clone()));
@@ -152,7 +157,7 @@ impl Session {
 
     /// Compiles a model and hands it to the fit thread, which takes it between two frames. Only from the compile thread,
     /// so that swaps are ordered. Answers the compile time and where the fit thread's answer will come.
-    pub fn begin_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    pub fn begin_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let before = std::mem::replace(&mut self.shared.status().requested_model, entry.name.to_string());
         let result = self.try_swap(entry);
         if result.is_err() {
@@ -161,7 +166,7 @@ impl Session {
         result
     }
 
-    fn try_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    fn try_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
         check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
         let start_ns = monotonic_ns();
@@ -246,7 +251,7 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
 }
 
 /// The key of the option that a tracker refuses.
-fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) -> Problem {
+fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant, error) {

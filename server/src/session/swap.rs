@@ -7,7 +7,7 @@ use isophote_tracker::{Compiled, MotionOptions, PredictOptions, Preparing, Track
 use isophote_wire::{PredictDocument, SessionDocument, Window};
 use tokio::sync::oneshot;
 
-use crate::registry::Entry;
+use crate::registry::ModelEntry;
 
 /// A model that fits, or will.
 #[derive(Clone)]
@@ -22,7 +22,7 @@ pub struct Active {
 
 impl Active {
     /// The model of a registry's entry.
-    pub fn new(entry: &Entry) -> Active {
+    pub fn new(entry: &ModelEntry) -> Active {
         Active { name: entry.name.to_string(), id: entry.id().into(), model: entry.model.clone() }
     }
 }

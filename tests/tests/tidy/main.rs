@@ -2,6 +2,7 @@
 //! README.md and docs/ show really runs. Each checker is shown a planted fault that it must catch.
 #![allow(clippy::unwrap_used)]
 
+mod claims;
 mod dependencies;
 mod examples;
 mod language;

@@ -13,7 +13,7 @@ const UNSAFE_FILES: [(&str, &str); 4] = [
     ("jit/src/runner.rs", "calls compiled code"),
     ("jit/tests/bounds.rs", "pixels between protected pages"),
     ("capture/src/camera/ioctl.rs", "calls V4L2 drivers, and maps their buffers"),
-    ("benches/src/foreign.rs", "calls what other compilers made of exported source, to time it"),
+    ("benches/src/speed/foreign.rs", "calls what other compilers made of exported source, to time it"),
 ];
 
 /// Words that must not stand in the code of some folders, tests left out, and why.
