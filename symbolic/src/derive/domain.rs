@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::jet::jet;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{Comparison, CoordinateId, Level};
 
 /// Where a model holds: both must, when both are there.

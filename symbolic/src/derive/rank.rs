@@ -7,7 +7,7 @@
 //! coefficients that depend on the row the rank is lower still, but such sums cancel: polynomials in a column's number. So
 //! do sums over the branches of a condition, where one is all of a value at some points; these are left as they are.)
 
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::proof::hyper::{Evaluator, Order};
 use crate::proof::modular::Modular;
 use crate::proof::points::Random;

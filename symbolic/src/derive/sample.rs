@@ -3,7 +3,7 @@
 //! What comes in: places, parameters and constants. What goes out: a [`Sample`] each, in f64. For whoever needs a model's
 //! profile and not its sums; a picture is what [`Model::rendering`] is for.
 
-use crate::derive::graph::Node;
+use crate::language::graph::Node;
 use crate::language::model::Model;
 use crate::program::Input;
 use crate::proof::hyper::{Evaluator, Order};

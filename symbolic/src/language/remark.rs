@@ -3,8 +3,8 @@
 //! What comes in: a model, a parameter and what is to be said about it. What goes out: a [`Diagnostic`] at the parameter's
 //! place in the document. It never knows what led to the remark.
 
-use crate::derive::graph::{Node, NodeId};
 use crate::language::diagnostic::{Diagnostic, Severity};
+use crate::language::graph::{Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{Input, ParameterId};
 

@@ -2,11 +2,10 @@
 //! index leaves the sum before it is expanded: Σ (a + c g(i)) = n a + c Σ g(i), Π c g(i) = cⁿ Π g(i).
 
 use crate::language::diagnostic::quoted;
-use crate::language::elaborate::{
-    Elaborator, Local, Matrix, Poison, Shape, Task, Worked, fault, is_reserved, shape_of,
-};
+use crate::language::elaborate::{Elaborator, Local, Matrix, Poison, Shape, Task, Worked, fault, shape_of};
 use crate::language::limits::LIMITS;
 use crate::language::parser::{Expr, Kind};
+use crate::language::words::is_reserved;
 
 use super::SCALAR;
 

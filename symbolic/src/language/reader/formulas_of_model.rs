@@ -1,12 +1,11 @@
 //! `[model]`: its formulas.
 
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Saturated};
 use crate::language::diagnostic::Span;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::model::{Formulas, Observation};
+use crate::language::model::{Formulas, Loss, Observation, Saturated};
 use crate::language::reader::faults::get;
 use crate::language::reader::likelihood_of_model::read_likelihood;
 use crate::program::{ChannelId, CoordinateId};

@@ -1,7 +1,6 @@
 //! What several functions are made of: polynomials, numbers in two parts, signs, powers of two.
 
-use super::Accuracy;
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// 1.5 · 2⁵²: x + MAGIC has the integer nearest to x, |x| < 2⁵¹, in its low bits.
 pub const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;

@@ -1,9 +1,8 @@
 //! e^x = 2^k e^r with k the integer nearest to x / ln 2, |r| ≤ ½ ln 2; e^r by a polynomial.
 
-use super::Accuracy;
 use super::arithmetic::{MAGIC, Two, clamped, polynomial, power_of_two, quick_sum};
 use super::coefficients::{EXP_DOUBLE, EXP_SINGLE, LN_2};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// e^x
 #[inline(always)]

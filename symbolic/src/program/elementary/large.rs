@@ -1,9 +1,9 @@
 //! sin, cos, tan of large arguments, one f64 at a time: 192 bits of x · 2/π modulo 4 (Payne and Hanek 1983).
 
-use super::Accuracy;
 use super::arithmetic::{Two, product};
 use super::coefficients::{HALF_PI_DOUBLE, TWO_OVER_PI};
-use super::machine::Plain;
+use super::machine::Accuracy;
+use super::plain::Plain;
 use super::trigonometric::{sin_of, tan_of};
 use crate::program::function::Function1;
 

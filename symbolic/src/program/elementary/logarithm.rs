@@ -1,9 +1,8 @@
 //! ln x = k ln 2 + ln m, ½√2 ≤ m < √2, ln m by a polynomial in s = (m − 1)/(m + 1).
 
-use super::Accuracy;
 use super::arithmetic::{Two, polynomial, product, quick_sum, two_product, two_sum};
 use super::coefficients::{LN_2, LN_2_DOUBLE, LOG_DOUBLE, LOG_SINGLE, POWER_DOUBLE, TWO_THIRDS};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// The bits of ½√2, rounded to a multiple of 2⁻²⁰.
 const ROOT_HALF: u64 = 0x3fe6_a09e_0000_0000;

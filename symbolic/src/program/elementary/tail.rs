@@ -3,12 +3,11 @@
 //! With a = |z|/√2, e^(a²) erfc(a) (1 + 2a) is a polynomial in (a − 2)/(a + 2) for all a ≥ 0 (Shepherd and Laframboise
 //! 1981), so that nothing underflows where Q does.
 
-use super::Accuracy;
 use super::arithmetic::polynomial;
 use super::coefficients::{TAIL_DOUBLE, TAIL_SINGLE};
 use super::exponential::exp;
 use super::logarithm::log;
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// Beyond this the ratio is z to the last digit.
 const FAR: f64 = 1e8;

@@ -1,9 +1,8 @@
 //! sin, cos, tan: x = k π/2 + r, |r| ≤ π/4 (Cody and Waite 1980), then polynomials. Beyond 2²⁰ see [`super::large`].
 
-use super::Accuracy;
 use super::arithmetic::{MAGIC, SIGN, Two, odd, polynomial, quick_sum, signed, two_product, two_sum};
 use super::coefficients::{COS_DOUBLE, COS_SINGLE, HALF_PI, HALF_PI_SHORT, SIN_DOUBLE, SIN_SINGLE};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 use crate::program::function::Function1;
 
 /// From here on k has more bits than its products with the parts of π/2 leave it.
