@@ -4,9 +4,12 @@
 
 mod dependencies;
 mod examples;
+mod imports;
 mod language;
 mod links;
 mod markdown;
+mod names;
+mod rooms;
 mod sources;
 
 use std::path::PathBuf;
