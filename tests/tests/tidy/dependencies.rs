@@ -5,7 +5,7 @@ use toml::de::{DeTable, DeValue};
 use crate::{expect_none, files};
 
 /// A crate of the workspace and the crates of the workspace that it may use.
-const MAY_USE: [(&str, &[&str]); 11] = [
+const MAY_USE: [(&str, &[&str]); 13] = [
     ("isophote-symbolic", &[]),
     ("isophote-export", &["isophote-symbolic"]),
     ("isophote-notation", &["isophote-symbolic"]),
@@ -13,15 +13,20 @@ const MAY_USE: [(&str, &[&str]); 11] = [
     ("isophote-frame", &["isophote-jit"]),
     ("isophote-tracker", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),
     ("isophote-capture", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),
+    ("isophote-machine", &["isophote-tracker"]),
+    (
+        "isophote-wire",
+        &["isophote-symbolic", "isophote-notation", "isophote-jit", "isophote-tracker", "isophote-capture"],
+    ),
     (
         "isophote-server",
         &[
             "isophote-symbolic",
-            "isophote-export",
-            "isophote-notation",
             "isophote-jit",
             "isophote-tracker",
             "isophote-capture",
+            "isophote-machine",
+            "isophote-wire",
         ],
     ),
     (
@@ -32,6 +37,8 @@ const MAY_USE: [(&str, &[&str]); 11] = [
             "isophote-jit",
             "isophote-tracker",
             "isophote-capture",
+            "isophote-machine",
+            "isophote-wire",
             "isophote-server",
         ],
     ),

@@ -6,10 +6,9 @@ use std::sync::Arc;
 use isophote_jit::{CompileError, Kernel, KernelOptions, Line, PixelFormat, has_fma};
 use isophote_notation::Show;
 use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Span};
-use isophote_tracker::{CompileFailure, Compiled};
+use isophote_tracker::CompileFailure;
 
-use crate::clock::{elapsed_ms, monotonic_ns};
-use crate::wire::{Explanation, ModelReport, StageReport};
+use crate::{Explanation, StageReport};
 
 /// What an explanation can show, in this build.
 pub const SHOWN: [&str; 7] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml"];
@@ -40,30 +39,27 @@ pub fn split(names: &str) -> Vec<&str> {
 }
 
 /// The figures for one subset of the parameters (absent: those of the last stage), and a text: see [`SHOWN`]. `method` is
-/// a name as in a document; absent, `newton`.
+/// a name as in a document; absent, `newton`. `clock_ns` measures how long that takes.
 pub fn explain(
     model: &Arc<Model>,
     subset: Option<&[&str]>,
     method: Option<&str>,
     show: &str,
+    clock_ns: &dyn Fn() -> u64,
 ) -> Result<Explanation, ExplainError> {
     if !SHOWN.contains(&show) {
         return Err(ExplainError::Question(format!("`{show}` cannot be shown; there are {}", SHOWN.join(", "))));
     }
-    let last = model.stages().last();
-    let subset = match subset {
-        Some(names) if !names.is_empty() => parameters(model, names)?,
-        _ => last.map(|stage| stage.parameters.clone()).unwrap_or_default(),
-    };
+    let subset = self::subset(model, subset)?;
     let method = named_method(method.unwrap_or("newton"))?;
-    let start_ns = monotonic_ns();
+    let start_ns = clock_ns();
     let objective = model.objective(&subset, method)?;
     let lowering = Lowering { fma: has_fma(), drop_saturated: false };
     let program = objective.program(lowering)?;
     let formats = vec![PixelFormat::U8; model.channels().len()];
     let options = KernelOptions { precision: Precision::F32, packed: formats.len() == 1, formats };
     drop(Kernel::compile(&program, &options)?); // for its time alone
-    let compile_ms = elapsed_ms(start_ns);
+    let compile_ms = clock_ns().saturating_sub(start_ns) as f64 / 1e6;
     let text = match show {
         "sums" => isophote_notation::explain(&objective, Show::Sums),
         "program" => program.to_string(),
@@ -110,12 +106,11 @@ fn excerpt(words: &str) -> String {
     }
 }
 
-/// What `model check --json` prints, compile times included.
-pub fn report(compiled: &Compiled) -> Result<ModelReport, CompileFailure> {
-    compiled.report(&monotonic_ns)
-}
-
-pub(crate) fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterId>, ExplainError> {
+/// The parameters of these names; without names, those of the last stage.
+pub fn subset(model: &Model, names: Option<&[&str]>) -> Result<Vec<ParameterId>, ExplainError> {
+    let Some(names) = names.filter(|names| !names.is_empty()) else {
+        return Ok(model.stages().last().map(|stage| stage.parameters.clone()).unwrap_or_default());
+    };
     let unknown = |name: &str| {
         let all: Vec<&str> = model.parameters().iter().map(|p| p.name.as_str()).collect();
         ExplainError::Question(format!(
@@ -135,7 +130,8 @@ pub(crate) fn parameters(model: &Model, names: &[&str]) -> Result<Vec<ParameterI
     Ok(subset)
 }
 
-pub(crate) fn named_method(name: &str) -> Result<Method, ExplainError> {
+/// The method that documents call so.
+pub fn named_method(name: &str) -> Result<Method, ExplainError> {
     let all = [Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt];
     let found = all.into_iter().find(|method| method.name() == name);
     let names = || all.map(Method::name).join(", ");
@@ -150,29 +146,14 @@ pub fn diagnostics(failure: &CompileFailure) -> Diagnostics {
     }
 }
 
-#[cfg(feature = "http")]
-pub(crate) fn compile_problem(failure: CompileFailure) -> crate::problem::Problem {
-    crate::problem::Problem::wrong_document(diagnostics(&failure))
-}
-
-#[cfg(feature = "http")]
-pub(crate) fn problem(error: ExplainError) -> crate::problem::Problem {
-    use crate::problem::Problem;
-    match error {
-        ExplainError::Question(_) => Problem::bad_request(error.to_string()),
-        ExplainError::Model(diagnostics) => Problem::wrong_document(diagnostics),
-        ExplainError::Kernel(_) => Problem::bug(error.to_string()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
     fn shown(show: &str) -> String {
-        let model = Model::from_toml(include_str!("../../models/thesis-spot.toml")).unwrap();
-        explain(&Arc::new(model), Some(&["bx", "by"]), None, show).unwrap().text
+        let model = Model::from_toml(include_str!("../../../models/thesis-spot.toml")).unwrap();
+        explain(&Arc::new(model), Some(&["bx", "by"]), None, show, &|| 0).unwrap().text
     }
 
     /// How many lines with an instruction that `is_meant` there are, and how many of them name a formula.

@@ -5,7 +5,7 @@ use isophote_tracker as tracker;
 pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Substitute, TrackState};
 use serde::{Deserialize, Serialize};
 
-use super::Named;
+use crate::Named;
 
 /// What is not known is absent: no `session` and no times offline, no `truth` from a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -5,7 +5,7 @@ use isophote_symbolic::{Diagnostic, Method};
 pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, SessionDocument, SourceDocument};
+use crate::{Estimate, SessionDocument, SourceDocument};
 
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
