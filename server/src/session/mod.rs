@@ -26,7 +26,7 @@ use isophote_machine::{elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
 use status::Status;
 pub use swap::Swapped;
-use swap::{Active, Swap, Unknown};
+use swap::{Active, Swap};
 
 /// What the fit thread shares with the rest of the service.
 pub struct Shared {

@@ -5,9 +5,12 @@
 mod claims;
 mod dependencies;
 mod examples;
+mod imports;
 mod language;
 mod links;
 mod markdown;
+mod names;
+mod rooms;
 mod sources;
 
 use std::path::PathBuf;
