@@ -32,7 +32,7 @@ pub use language::formulas::Formula;
 pub use language::limits::{LIMITS, Limits};
 pub use language::model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, Stage, Start, Summand};
 pub use notation::explain::Show;
-pub use program::check::ProgramParts;
+pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::function::{Function1, Function2};
 pub use program::*;
 pub use proof::{Form, Proof};

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use crate::export::body::{Body, Statements};
 use crate::export::lines::File;
 use crate::export::{PixelType, Source, header};
-use crate::program::{Level, Op, Sink};
+use crate::program::{Level, Opcode, Sink};
 
 /// The whole file.
 pub(super) fn file(source: &Source<'_>) -> String {
@@ -78,7 +78,7 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
     file.line(&head);
     file.open("{");
     checks(file, source, statements);
-    if !program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op, Op::Input(_))) {
+    if !program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_))) {
         file.line("(void)inputs;");
     }
     file.line("uint64_t pixels = 0, saturated = 0;");
@@ -98,7 +98,7 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
     file.lines(&body.pass_end);
     if let Sink::Sums { outputs, .. } = program.sink() {
         for (i, value) in outputs.iter().enumerate() {
-            file.line(&format!("sums->outputs[{i}] = {};", statements.read_number(*value, Level::PassEnd)));
+            file.line(&format!("sums->outputs[{i}] = {};", statements.read(*value, Level::PassEnd)));
         }
     }
     file.line("sums->pixels = pixels;");
@@ -142,7 +142,7 @@ fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: 
     }
     file.line("const size_t count = end - start + 1;");
     let reads =
-        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op, Op::Channel(id) if id.index() == c));
+        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c));
     for (c, plane) in statements.words.planes.iter().enumerate().filter(|(c, _)| reads(*c)) {
         let first = if source.options.packed {
             "window.first[0] + start"
@@ -196,7 +196,7 @@ fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: 
         }
         file.lines(&body.row_end);
         for (i, value) in totals.iter().enumerate() {
-            file.line(&format!("total{i} += {};", statements.read_number(*value, Level::RowEnd)));
+            file.line(&format!("total{i} += {};", statements.read(*value, Level::RowEnd)));
         }
     }
 }
@@ -226,7 +226,7 @@ fn pixel_end(file: &mut File, statements: &Statements<'_>) {
             }
         }
         Sink::Plane(value) => {
-            file.line(&format!("out_row[i] += (float){};", statements.read_number(*value, Level::Pixel)))
+            file.line(&format!("out_row[i] += (float){};", statements.read(*value, Level::Pixel)))
         }
     }
     (0..open).for_each(|_| file.close("}"));

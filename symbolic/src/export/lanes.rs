@@ -5,7 +5,7 @@ use crate::export::body::{Body, Statements};
 use crate::export::lines::File;
 use crate::export::vectors::Vectors;
 use crate::export::{ExportError, Source, rust};
-use crate::program::{Level, Op, Sink, Value};
+use crate::program::{Level, Op, Opcode, Sink, Value};
 
 /// The whole file.
 pub(super) fn file(source: &Source<'_>) -> Result<String, ExportError> {
@@ -80,16 +80,11 @@ impl Lanes<'_> {
     /// A value as the pixel loop reads it.
     fn read(&self, value: Value) -> String {
         let instruction = self.source.program.instruction(value);
-        match instruction.op {
-            Op::Const(x) => self.vectors.splat(&self.statements.spelling(Level::Pixel).literal(x)),
-            _ if instruction.level == Level::Pixel => self.word(value).to_string(),
+        match instruction.op.constant() {
+            Some(x) => self.vectors.splat(&self.statements.spelling(Level::Pixel).literal(x)),
+            None if instruction.level == Level::Pixel => self.word(value).to_string(),
             _ => format!("{}_v", self.word(value)),
         }
-    }
-
-    fn read_number(&self, value: Value) -> String {
-        let text = self.read(value);
-        if self.is_truth(value) { self.vectors.number_of(&text) } else { text }
     }
 
     /// What the loop reads of outer levels, in every lane.
@@ -111,19 +106,13 @@ impl Lanes<'_> {
         let (mut lines, mut shown) = (Vec::new(), None);
         for (value, op, span) in self.statements.at(Level::Pixel) {
             let word = self.word(value);
-            let expression = match op {
-                Op::Channel(_) => continue,
-                Op::Offset(_) => {
+            let expression = match op.code {
+                Opcode::Channel(_) => continue,
+                Opcode::Offset => {
                     self.vectors.call("add_ps", &[&format!("{word}_at"), &self.vectors.splat(&format!("{word}_part"))])
                 }
-                op => {
-                    let of_truths = matches!(op, Op::And(..) | Op::Or(..) | Op::Not(_));
-                    let condition = if let Op::Select(c, ..) = op { Some(c) } else { None };
-                    let read = |v: Value| {
-                        let as_truth = of_truths || condition == Some(v) || self.is_truth(value) && condition.is_some();
-                        if as_truth { self.read(v) } else { self.read_number(v) }
-                    };
-                    let spelled = self.vectors.operation(op, self.is_truth(value), &read);
+                _ => {
+                    let spelled = self.vectors.operation(op, self.is_truth(value), &|v| self.read(v));
                     spelled.ok_or(ExportError::NotInLanes("elementary functions"))?
                 }
             };
@@ -135,7 +124,7 @@ impl Lanes<'_> {
 
     /// The channels that are read, each with its plane.
     fn channels(&self) -> Vec<(Value, usize)> {
-        let channel = |(value, op, _)| if let Op::Channel(c) = op { Some((value, c.index())) } else { None };
+        let channel = |(value, op, _): (Value, Op, _)| if let Opcode::Channel(c) = op.code { Some((value, c.index())) } else { None };
         self.statements.at(Level::Pixel).filter_map(channel).collect()
     }
 
@@ -240,9 +229,9 @@ impl Lanes<'_> {
         for (i, value) in accumulators.iter().enumerate() {
             let sum = format!("sum{i}");
             let added = match self.statements.contractions[i] {
-                None => self.vectors.add_where(used.as_deref(), &sum, &self.read_number(*value)),
+                None => self.vectors.add_where(used.as_deref(), &sum, &self.read(*value)),
                 Some((a, b)) => {
-                    let [a, b] = [a, b].map(|v| self.read_number(v));
+                    let [a, b] = [a, b].map(|v| self.read(v));
                     self.vectors.add_product_where(used.as_deref(), &sum, [&a, &b])
                 }
             };

@@ -4,7 +4,7 @@ use crate::export::body::{Body, Statements};
 use crate::export::lines::File;
 use crate::export::{Source, header};
 use crate::program::function::Function1;
-use crate::program::{Level, Op, Precision, Sink};
+use crate::program::{Level, Op, Opcode, Precision, Sink};
 
 /// The whole file.
 pub(super) fn file(source: &Source<'_>) -> String {
@@ -90,7 +90,7 @@ pub(super) fn nearest_and_erf(file: &mut File, statements: &Statements<'_>) {
         file.close("}");
         file.line("");
     }
-    let calls_erf = |op: Op| matches!(op, Op::Call1(Function1::Erf, _));
+    let calls_erf = |op: Op| op.code == Opcode::Call1(Function1::Erf);
     if statements.program().instructions().iter().zip(&statements.live).any(|(x, live)| *live && calls_erf(x.op)) {
         file.line("/// erf: a series of terms of one sign near 0, a continued fraction of erfc beyond.");
         file.open("fn erf(x: f64) -> f64 {");
@@ -127,7 +127,7 @@ pub(super) fn open(file: &mut File, source: &Source<'_>, statements: &Statements
     planes.for_each(|(word, pixel)| file.line(&format!("{word}: Plane<'_, {}>,", pixel.name())));
     file.line("window: Window,");
     let reads =
-        program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op, Op::Input(_)));
+        program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_)));
     file.line(&format!("{}inputs: &[f64; {}],", if reads { "" } else { "_" }, program.inputs().len()));
     if let Sink::Plane(_) = program.sink() {
         file.line("out: &mut [f32],");
@@ -182,14 +182,14 @@ pub(super) fn passes(
         }
         file.lines(&body.row_end);
         for (i, value) in totals.iter().enumerate() {
-            file.line(&format!("total{i} += {};", statements.read_number(*value, Level::RowEnd)));
+            file.line(&format!("total{i} += {};", statements.read(*value, Level::RowEnd)));
         }
     }
     loops.iter().for_each(|_| file.close("}"));
     file.line("// pass end");
     file.lines(&body.pass_end);
     if let Sink::Sums { outputs, .. } = program.sink() {
-        let values: Vec<String> = outputs.iter().map(|v| statements.read_number(*v, Level::PassEnd)).collect();
+        let values: Vec<String> = outputs.iter().map(|v| statements.read(*v, Level::PassEnd)).collect();
         file.line(&format!("let outputs = [{}];", values.join(", ")));
         file.line("Some(Sums { outputs, pixels, saturated })");
     } else {
@@ -247,7 +247,7 @@ pub(super) fn place(source: &Source<'_>, plane: &str) -> String {
 /// The planes that the pixel loop reads.
 pub(super) fn planes_read<'s>(statements: &'s Statements<'_>) -> impl Iterator<Item = (usize, &'s String)> {
     let reads =
-        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op, Op::Channel(id) if id.index() == c));
+        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c));
     statements.words.planes.iter().enumerate().filter(move |(c, _)| reads(*c))
 }
 
@@ -307,7 +307,7 @@ fn pixel_loop(file: &mut File, source: &Source<'_>, statements: &Statements<'_>,
         }
         Sink::Plane(value) => {
             let narrow = if source.options.precision == Precision::F64 { " as f32" } else { "" };
-            file.line(&format!("out_row[i] += {}{narrow};", statements.read_number(*value, Level::Pixel)));
+            file.line(&format!("out_row[i] += {}{narrow};", statements.read(*value, Level::Pixel)));
         }
     }
     (0..depth).for_each(|_| file.close("}"));

@@ -239,3 +239,16 @@ fn a_kink_at_the_minimum_does_not_go_on_for_ever() {
         assert!((point[0] - 20.0).abs() < 0.1, "{start}: {point:?} {report:?}");
     }
 }
+
+#[test]
+fn a_start_without_derivatives_is_left_aside() {
+    // At 3 exactly F is known, but a root has no slope there.
+    let f = |u: &[f64], i: usize| {
+        let slope = if u[0] == 3.0 { f64::INFINITY } else { 1.0 };
+        (u[0] - 1.0 - 1e-3 * (i as f64 - 4.0), vec![slope], vec![0.0])
+    };
+    let mut problem = Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+    let mut point = vec![3.0];
+    assert_eq!(run(&mut problem, &rules(1, 9), &mut point).ending, Ending::SmallStep);
+    assert!((point[0] - 1.0).abs() < 1e-3, "{point:?}");
+}
