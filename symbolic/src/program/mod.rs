@@ -1,6 +1,6 @@
 //! `Program`: the loop nest that a kernel runs, in SSA form with dense ids.
 //!
-//! What comes in: instructions from [`crate::program::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
+//! What comes in: instructions from [`crate::derive::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
 //! meaning and that the JIT turns into machine code. It never knows a pixel's memory layout.
 //!
 //! ```text
@@ -23,8 +23,6 @@ mod op_tests;
 pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
-pub(crate) mod schedule;
-pub(crate) mod steps;
 pub(crate) mod walk;
 
 pub use op::{Kind, Literal, Op, Opcode, Row, spelled};

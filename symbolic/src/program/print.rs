@@ -1,7 +1,6 @@
 //! The text form of a [`Program`], to read and to keep as an expected file.
 
-use crate::notation::text::sign;
-use crate::program::{Input, Level, Names, Op, Opcode, Program, Sink, Value, spelled};
+use crate::program::{Comparison, Input, Level, Names, Op, Opcode, Program, Sink, Value, spelled};
 
 impl std::fmt::Display for Program {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -39,6 +38,18 @@ impl std::fmt::Display for Program {
                 }
                 Ok(())
             }
+        }
+    }
+}
+
+impl Comparison {
+    /// Its sign in the formula language.
+    pub fn sign(self) -> &'static str {
+        match self {
+            Comparison::Lt => "<",
+            Comparison::Le => "<=",
+            Comparison::Eq => "==",
+            Comparison::Ne => "!=",
         }
     }
 }
@@ -86,7 +97,7 @@ fn held(program: &Program, code: Opcode) -> String {
         Opcode::Outer(c) => coordinate(names, c.index()),
         Opcode::Offset => coordinate(names, 0),
         Opcode::Channel(c) => channel(names, c.index()),
-        Opcode::Compare(c) => sign(c).to_string(),
+        Opcode::Compare(c) => c.sign().to_string(),
         Opcode::Call1(function) => function.name().to_string(),
         Opcode::Call2(function) => function.name().to_string(),
         Opcode::RowTotal(a) => a.0.to_string(),
