@@ -138,7 +138,9 @@ fn the_generator_knows_every_operation_at_every_level() {
     for code in Opcode::every().into_iter().filter(|code| *code != Opcode::Fma || Processor::Host.has_fma()) {
         let levels = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd, Level::PassEnd];
         let only = code.row().level;
-        places.extend(levels.into_iter().filter(|l| only.is_none_or(|only| only == *l)).map(|l| (discriminant(&code), l)));
+        places.extend(
+            levels.into_iter().filter(|l| only.is_none_or(|only| only == *l)).map(|l| (discriminant(&code), l)),
+        );
     }
     assert_eq!(met, places);
 }

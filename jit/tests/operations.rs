@@ -7,8 +7,8 @@ use common::{Image, Planes, Random, same};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window, has_fma};
 use isophote_symbolic::interpreter;
 use isophote_symbolic::{
-    AccumulatorId, Bindings, Comparison, Input, InputId, Instruction, Kind, Level, Opcode, ParameterId, PixelSet, Precision, Program,
-    ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, Bindings, Comparison, Input, InputId, Instruction, Kind, Level, Opcode, ParameterId, PixelSet,
+    Precision, Program, ProgramParts, Sink, TotalId, Value,
 };
 
 /// Three numbers, two truth values about them, and the operation at a level; its result is handed back as it is, so that
@@ -19,13 +19,11 @@ fn program(code: Opcode, level: Level, truths: bool) -> Program {
         instructions.push(Instruction { op, level, span: None });
         Value(instructions.len() as u32 - 1)
     };
-    let parameters: Vec<Value> =
-        (0..4).map(|i| push(Level::Pass, Opcode::Input(InputId(i)).of([]))).collect();
+    let parameters: Vec<Value> = (0..4).map(|i| push(Level::Pass, Opcode::Input(InputId(i)).of([]))).collect();
     // The operands stand at the level itself, where it can have its own; row ends and pass ends read the pass'.
     let numbers: Vec<Value> = parameters[..3].iter().map(|v| push(level, Opcode::Neg.of([*v]))).collect();
-    let conditions = [[0, 1], [1, 2], [2, 0]].map(|[a, b]| {
-        push(level, Opcode::Compare(Comparison::Lt).of([numbers[a], numbers[b]]))
-    });
+    let conditions = [[0, 1], [1, 2], [2, 0]]
+        .map(|[a, b]| push(level, Opcode::Compare(Comparison::Lt).of([numbers[a], numbers[b]])));
     let (mut number, mut condition) = (numbers.iter(), conditions.iter());
     let mut operand = |kind: &Kind| match kind {
         Kind::Number => *number.next().unwrap(),

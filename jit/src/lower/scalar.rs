@@ -33,7 +33,9 @@ impl<'p> Emitter<'_, 'p> {
         for (value, op) in self.instructions(level) {
             self.speak_for(Some(value));
             let result = match (op.code, base) {
-                (Opcode::Input(input), Some(inputs)) => self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32),
+                (Opcode::Input(input), Some(inputs)) => {
+                    self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32)
+                }
                 _ => self.scalar_op(op, level),
             };
             self.results[value.index()] = Some(result);
@@ -125,7 +127,9 @@ impl<'p> Emitter<'_, 'p> {
             Opcode::And => ins.band(at(0), at(1)),
             Opcode::Or => ins.bor(at(0), at(1)),
             Opcode::Not | Opcode::Select | Opcode::Call1(_) | Opcode::Call2(_) => return None,
-            Opcode::Const(_) | Opcode::Input(_) | Opcode::Outer(_) | Opcode::Offset | Opcode::Channel(_) => return None,
+            Opcode::Const(_) | Opcode::Input(_) | Opcode::Outer(_) | Opcode::Offset | Opcode::Channel(_) => {
+                return None;
+            }
             Opcode::RowTotal(_) | Opcode::RowCount | Opcode::PassTotal(_) | Opcode::PassCount => return None,
         })
     }

@@ -6,7 +6,8 @@ use super::{Image, Planes, Random, same};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, Window};
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
-    AccumulatorId, Bindings, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, Bindings, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId,
+    Value,
 };
 
 /// Planes that a program is run on, each with a format and gaps of its own.

@@ -82,7 +82,8 @@ fn wrong_instruction(parts: &mut ProgramParts, at: usize, random: &mut Random) -
         (code, operands) => {
             // Another operation of the same kinds.
             let row = |code: Opcode| (code.row().operands, code.row().result);
-            let others: Vec<Opcode> = Opcode::every().into_iter().filter(|o| *o != code && row(*o) == row(code)).collect();
+            let others: Vec<Opcode> =
+                Opcode::every().into_iter().filter(|o| *o != code && row(*o) == row(code)).collect();
             if operands.is_empty() || others.is_empty() {
                 return None;
             }

@@ -4,8 +4,8 @@
 
 use super::Random;
 use isophote_symbolic::{
-    AccumulatorId, ChannelId, ConstantId, CoordinateId, Input, InputId, Instruction, Kind, Level, Op, Opcode, ParameterId,
-    PixelSet, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, ChannelId, ConstantId, CoordinateId, Input, InputId, Instruction, Kind, Level, Op, Opcode,
+    ParameterId, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
 };
 use std::mem::discriminant;
 

@@ -80,7 +80,12 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
     file.line(&head);
     file.open("{");
     checks(file, source, statements);
-    if !program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_))) {
+    if !program
+        .instructions()
+        .iter()
+        .zip(&statements.live)
+        .any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_)))
+    {
         file.line("(void)inputs;");
     }
     file.line("uint64_t pixels = 0, saturated = 0;");
@@ -143,8 +148,9 @@ fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: 
         file.line("if (start > end) continue;");
     }
     file.line("const size_t count = end - start + 1;");
-    let reads =
-        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c));
+    let reads = |c: usize| {
+        statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c))
+    };
     for (c, plane) in statements.words.planes.iter().enumerate().filter(|(c, _)| reads(*c)) {
         let first = if source.options.packed {
             "window.first[0] + start"
@@ -227,9 +233,7 @@ fn pixel_end(file: &mut File, statements: &Statements<'_>) {
                 file.line(&statements.added(i, *value));
             }
         }
-        Sink::Plane(value) => {
-            file.line(&format!("out_row[i] += (float){};", statements.read(*value, Level::Pixel)))
-        }
+        Sink::Plane(value) => file.line(&format!("out_row[i] += (float){};", statements.read(*value, Level::Pixel))),
     }
     (0..open).for_each(|_| file.close("}"));
 }

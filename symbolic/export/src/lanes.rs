@@ -126,7 +126,9 @@ impl Lanes<'_> {
 
     /// The channels that are read, each with its plane.
     fn channels(&self) -> Vec<(Value, usize)> {
-        let channel = |(value, op, _): (Value, Op, _)| if let Opcode::Channel(c) = op.code { Some((value, c.index())) } else { None };
+        let channel = |(value, op, _): (Value, Op, _)| {
+            if let Opcode::Channel(c) = op.code { Some((value, c.index())) } else { None }
+        };
         self.statements.at(Level::Pixel).filter_map(channel).collect()
     }
 

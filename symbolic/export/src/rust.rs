@@ -127,8 +127,11 @@ pub(super) fn open(file: &mut File, source: &Source<'_>, statements: &Statements
     file.open(&format!("pub fn {}(", source.name));
     planes.for_each(|(word, pixel)| file.line(&format!("{word}: Plane<'_, {}>,", pixel.name())));
     file.line("window: Window,");
-    let reads =
-        program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_)));
+    let reads = program
+        .instructions()
+        .iter()
+        .zip(&statements.live)
+        .any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_)));
     file.line(&format!("{}inputs: &[f64; {}],", if reads { "" } else { "_" }, program.inputs().len()));
     if let Sink::Plane(_) = program.sink() {
         file.line("out: &mut [f32],");
@@ -247,8 +250,9 @@ pub(super) fn place(source: &Source<'_>, plane: &str) -> String {
 
 /// The planes that the pixel loop reads.
 pub(super) fn planes_read<'s>(statements: &'s Statements<'_>) -> impl Iterator<Item = (usize, &'s String)> {
-    let reads =
-        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c));
+    let reads = |c: usize| {
+        statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c))
+    };
     statements.words.planes.iter().enumerate().filter(move |(c, _)| reads(*c))
 }
 

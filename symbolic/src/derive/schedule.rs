@@ -10,8 +10,8 @@ use crate::derive::sums::{Shift, Sums};
 use crate::language::diagnostic::Span;
 use crate::language::model::Lowering;
 use crate::program::{
-    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink, TotalId,
-    Value,
+    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink,
+    TotalId, Value,
 };
 
 /// The loop nest for sums over the pixels of `domain`.

@@ -147,10 +147,12 @@ impl Builder<'_> {
             return None;
         }
         match self.product(node, &factors) {
-            Step::Of(_, factors_of) if coefficient == 1.0 && !factors.iter().any(|(_, e)| *e < 0) => match factors_of[..] {
-                [a, b] => Some((a, b)),
-                _ => None,
-            },
+            Step::Of(_, factors_of) if coefficient == 1.0 && !factors.iter().any(|(_, e)| *e < 0) => {
+                match factors_of[..] {
+                    [a, b] => Some((a, b)),
+                    _ => None,
+                }
+            }
             _ => None,
         }
     }

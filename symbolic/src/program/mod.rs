@@ -286,7 +286,9 @@ impl Program {
         let operands = self.instructions.iter().flat_map(|i| i.op.operands());
         operands.chain(set).chain(accumulators.iter().copied()).for_each(|v| reads[v.index()] += 1);
         let factors = |v: &Value| match self.instruction(*v).op.parts() {
-            (Opcode::Mul, &[a, b]) if reads[v.index()] == 1 && self.instruction(*v).level == Level::Pixel => Some((a, b)),
+            (Opcode::Mul, &[a, b]) if reads[v.index()] == 1 && self.instruction(*v).level == Level::Pixel => {
+                Some((a, b))
+            }
             _ => None,
         };
         accumulators.iter().map(factors).collect()
@@ -309,10 +311,12 @@ impl Program {
             match op.code.row().result {
                 Kind::Truth => return true,
                 Kind::Number | Kind::OfRow => return false,
-                Kind::Either => match op.operands().zip(op.code.row().operands).find(|(_, kind)| **kind == Kind::Either) {
-                    Some((operand, _)) => value = operand,
-                    None => return false,
-                },
+                Kind::Either => {
+                    match op.operands().zip(op.code.row().operands).find(|(_, kind)| **kind == Kind::Either) {
+                        Some((operand, _)) => value = operand,
+                        None => return false,
+                    }
+                }
             }
         }
     }

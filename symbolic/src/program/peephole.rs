@@ -14,16 +14,16 @@ pub(crate) fn improve(program: &mut Program, fma: bool) {
             // x · (1 / d), the reciprocal used here only.
             Opcode::Mul => [(a, b), (b, a)].into_iter().find_map(|(x, reciprocal)| {
                 match program.instructions[reciprocal.index()].op.parts() {
-                    (Opcode::Div, &[one, d]) if lone(reciprocal) && is_one(program, one) => Some(Opcode::Div.of([x, d])),
+                    (Opcode::Div, &[one, d]) if lone(reciprocal) && is_one(program, one) => {
+                        Some(Opcode::Div.of([x, d]))
+                    }
                     _ => None,
                 }
             }),
-            Opcode::Add if fma && level == Level::Pixel => {
-                [(a, b), (b, a)].into_iter().find_map(|(product, c)| {
-                    let (x, y) = factors(program, product).filter(|_| lone(product))?;
-                    Some(Opcode::Fma.of([x, y, c]))
-                })
-            }
+            Opcode::Add if fma && level == Level::Pixel => [(a, b), (b, a)].into_iter().find_map(|(product, c)| {
+                let (x, y) = factors(program, product).filter(|_| lone(product))?;
+                Some(Opcode::Fma.of([x, y, c]))
+            }),
             _ => None,
         };
         if let Some(new) = new {

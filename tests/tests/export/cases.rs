@@ -2,9 +2,7 @@
 
 use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
-use isophote_symbolic::{
-    Bindings, Estimator, Lowering, Method, Model, ParameterId, Precision, Program, Sink, Start,
-};
+use isophote_symbolic::{Bindings, Estimator, Lowering, Method, Model, ParameterId, Precision, Program, Sink, Start};
 use isophote_tests::repository;
 
 /// Pixels of a plane along each coordinate.

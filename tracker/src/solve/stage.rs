@@ -182,7 +182,8 @@ pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut Vec<f6
     if !never_began || !problem.value(point, point).is_some_and(f64::is_finite) {
         return report;
     }
-    let Some(mut aside) = [-1.0, 1.0].into_iter().map(|sign| aside(point, rules, sign)).find(|p| problem.allowed(p)) else {
+    let Some(mut aside) = [-1.0, 1.0].into_iter().map(|sign| aside(point, rules, sign)).find(|p| problem.allowed(p))
+    else {
         return report;
     };
     let report = run_from(problem, rules, &mut aside);
