@@ -1,8 +1,10 @@
 //! The meaning of a [`Program`]: what comes in is a program, numbers and pixels; what goes out are the sums that native
 //! code must equal bit for bit. It is written to be read, not to be fast.
 
-use crate::program::arithmetic::{Arithmetic, Double, Single};
-use crate::program::elementary::{MAGIC, Plain};
+use std::marker::PhantomData;
+
+use crate::program::arithmetic::{Double, Number, Single};
+use crate::program::elementary::MAGIC;
 use crate::program::walk::{Place, Walk, Walked, walk};
 use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Precision, Program};
 
@@ -108,24 +110,28 @@ fn in_lanes(
         3 => [window.slices.count[0], 1],
         _ => window.slices.count,
     };
-    let machine = Plain { fused: program.fused };
     macro_rules! run {
-        ($arithmetic:ident) => {{
-            let inner = $arithmetic(machine);
+        ($number:ty) => {{
+            let inner = PhantomData::<$number>;
             let mut lanes = Lanes { inner, lanes, inputs, pixels, window, depth, length, plane };
             walk(program, &program.pixel_set, &mut lanes)
         }};
     }
-    let Walked { outputs, pixels, saturated } = match precision {
-        Precision::F32 => run!(Single),
-        Precision::F64 => run!(Double),
+    let Walked { outputs, pixels, saturated } = match (precision, program.fused) {
+        (Precision::F32, false) => run!(Single<false>),
+        (Precision::F32, true) => run!(Single<true>),
+        (Precision::F64, false) => run!(Double<false>),
+        (Precision::F64, true) => run!(Double<true>),
     };
-    Outcome { outputs, pixels, saturated }
+    Outcome { outputs: outputs.into_iter().map(f64::from).collect(), pixels, saturated }
 }
 
+/// The numbers of every level but the pixels'.
+type Scalar = Double<false>;
+
 /// Groups of pixels, one a lane; everything outside of the pixel loop in f64.
-struct Lanes<'a, A> {
-    inner: A,
+struct Lanes<'a, N> {
+    inner: PhantomData<N>,
     lanes: usize,
     inputs: Vec<f64>,
     pixels: &'a dyn Pixels,
@@ -136,7 +142,7 @@ struct Lanes<'a, A> {
     plane: Option<&'a mut [f32]>,
 }
 
-impl<A> Lanes<'_, A> {
+impl<N> Lanes<'_, N> {
     /// Where a row is: y, z, w.
     fn outer(&self, row: usize) -> [usize; 3] {
         let Window { y, height, slices, .. } = self.window;
@@ -145,13 +151,10 @@ impl<A> Lanes<'_, A> {
     }
 }
 
-impl<A: Arithmetic<Number: Into<f64>>> Walk for Lanes<'_, A> {
-    type Outer = Double;
-    type Inner = A;
+impl<N: Number + Into<f64>> Walk for Lanes<'_, N> {
+    type Outer = Scalar;
+    type Inner = N;
 
-    fn arithmetic(&self) -> (Double, A) {
-        (Double(Plain { fused: false }), self.inner)
-    }
     fn lanes(&self) -> usize {
         self.lanes
     }
@@ -160,55 +163,57 @@ impl<A: Arithmetic<Number: Into<f64>>> Walk for Lanes<'_, A> {
     }
     /// All groups but the last are full. The last one has the pixels that are left; where it would leave the window it
     /// begins further left, and lanes in front of them take no part either.
-    fn places(&self, bounds: Option<[f64; 2]>) -> Vec<Place> {
-        let Some((start, end)) = row_range(bounds, self.window) else { return Vec::new() };
+    fn places(&self, bounds: Option<[Scalar; 2]>) -> Vec<Place> {
+        let Some((start, end)) = row_range(bounds.map(|both| both.map(f64::from)), self.window) else {
+            return Vec::new();
+        };
         let rest = start + (end - start) / self.lanes * self.lanes;
         let last = rest.min(self.window.width.saturating_sub(self.lanes));
         let lane = |column| if column < rest { (column - start) % self.lanes } else { column - last };
         (start..=end).map(|column| Place { column, lane: lane(column) }).collect()
     }
-    fn input(&self, input: InputId) -> f64 {
-        self.inputs[input.index()]
+    fn input(&self, input: InputId) -> Scalar {
+        self.inputs[input.index()].into()
     }
-    fn coordinate(&self, coordinate: CoordinateId, row: usize) -> f64 {
-        self.outer(row)[coordinate.index() - 1] as f64
+    fn coordinate(&self, coordinate: CoordinateId, row: usize) -> Scalar {
+        (self.outer(row)[coordinate.index() - 1] as f64).into()
     }
-    fn offset(&self, places: &[Place], c: f64) -> Vec<A::Number> {
-        let m = self.inner;
+    fn offset(&self, places: &[Place], c: Scalar) -> Vec<N> {
         let Some(first) = places.first() else { return Vec::new() };
+        let c = f64::from(c);
         let n = nearest(-c);
-        let base = m.constant((self.window.x + first.column) as f64 - n);
-        let (step, fraction) = (m.constant(self.lanes as f64), m.constant(c + n));
-        let mut running: Vec<A::Number> = (0..self.lanes).map(|l| m.add(base, m.constant(l as f64))).collect();
+        let base = N::from((self.window.x + first.column) as f64 - n);
+        let (step, fraction) = (N::from(self.lanes as f64), N::from(c + n));
+        let mut running: Vec<N> = (0..self.lanes).map(|l| base + N::from(l as f64)).collect();
         let mut values = Vec::with_capacity(places.len());
         let groups = places.chunks(self.lanes);
         let last = groups.len() - 1;
         for (at, group) in groups.enumerate() {
-            let shift = m.constant(0.0 - group[0].lane as f64);
-            let here = |lane: usize| if at == last { m.add(running[lane], shift) } else { running[lane] };
-            values.extend(group.iter().map(|place| m.add(here(place.lane), fraction)));
-            running.iter_mut().for_each(|t| *t = m.add(*t, step));
+            let shift = N::from(0.0 - group[0].lane as f64);
+            let here = |lane: usize| if at == last { running[lane] + shift } else { running[lane] };
+            values.extend(group.iter().map(|place| here(place.lane) + fraction));
+            running.iter_mut().for_each(|t| *t = *t + step);
         }
         values
     }
-    fn pixel(&self, channel: ChannelId, column: usize, row: usize) -> A::Number {
+    fn pixel(&self, channel: ChannelId, column: usize, row: usize) -> N {
         let [y, z, w] = self.outer(row);
-        self.inner.constant(self.pixels.at_place(channel.index(), [self.window.x + column, y, z, w]))
+        N::from(self.pixels.at_place(channel.index(), [self.window.x + column, y, z, w]))
     }
-    fn rounded(&self, x: f64) -> A::Number {
-        self.inner.constant(x)
+    fn rounded(&self, x: Scalar) -> N {
+        N::from(x.into())
     }
     /// The upper half of the lanes is added to the lower one until one is left.
-    fn total(&self, lanes: &[A::Number]) -> f64 {
+    fn total(&self, lanes: &[N]) -> Scalar {
         let mut sum: Vec<f64> = lanes.iter().map(|x| (*x).into()).collect();
         let mut half = sum.len() / 2;
         while half > 0 {
             (0..half).for_each(|l| sum[l] += sum[l + half]);
             half /= 2;
         }
-        sum[0]
+        sum[0].into()
     }
-    fn takes(&mut self, column: usize, row: usize, shown: Option<A::Number>) {
+    fn takes(&mut self, column: usize, row: usize, shown: Option<N>) {
         if let (Some(value), Some(plane)) = (shown, self.plane.as_deref_mut()) {
             plane[row * self.window.width + column] += value.into() as f32;
         }

@@ -1,11 +1,11 @@
 //! `Op`, an opcode with its operands, and the one table of all there is to know of an operation.
 //!
 //! What comes in: a row an operation. What goes out: what it reads and gives, where it may stand, its flops, how it is written
-//! in a program's text, in C and in Rust, and what it computes in any [`Arithmetic`]. Checks, counts, keys, text, exports and
+//! in a program's text, in C and in Rust, and what it computes in any [`Number`]. Checks, counts, keys, text, exports and
 //! walks read the table; only how it becomes machine code stands elsewhere.
 //! It must never know: the order in which instructions run.
 
-use crate::program::arithmetic::{Arithmetic, Cell};
+use crate::program::arithmetic::{Cell, Number, holds};
 use crate::program::function::{Function1, Function2};
 use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, Level, TotalId, Value};
 
@@ -85,16 +85,16 @@ pub struct Row {
 
 /// Reads an operand as its kind has it.
 macro_rules! read {
-    (Number, $m:ident, $cell:expr) => {
-        $cell.number($m)
+    (Number, $cell:expr) => {
+        $cell.number()
     };
-    (Truth, $m:ident, $cell:expr) => {
+    (Truth, $cell:expr) => {
         $cell.truth()
     };
-    (Either, $m:ident, $cell:expr) => {
+    (Either, $cell:expr) => {
         $cell
     };
-    (OfRow, $m:ident, $cell:expr) => {
+    (OfRow, $cell:expr) => {
         ()
     };
 }
@@ -120,7 +120,7 @@ macro_rules! every {
 }
 
 macro_rules! operations {
-    ($m:ident, $leaf:ident; $(
+    ($leaf:ident; $(
         $(#[$doc:meta])*
         $name:ident $(($held:ident: $payload:ty))? [$($operand:ident: $kind:ident),*] -> $result:ident, $level:expr, $flops:literal,
         $text:literal, $c:literal, $rust:literal, $value:expr;
@@ -159,17 +159,12 @@ macro_rules! operations {
         /// The value of an operation; `leaf` gives that of one that reads no cell.
         #[allow(unused_variables, clippy::let_unit_value)]
         #[inline]
-        pub(crate) fn apply<A: Arithmetic>(
-            $m: A,
-            op: Op,
-            cells: &[Cell<A::Number>],
-            leaf: &impl Fn(Op) -> A::Number,
-        ) -> Cell<A::Number> {
+        pub(crate) fn apply<N: Number>(op: Op, cells: &[Cell<N>], leaf: &impl Fn(Op) -> N) -> Cell<N> {
             let $leaf = || leaf(op);
             match op.code {
                 $(Opcode::$name $(($held))? => {
                     let [$($operand,)* ..] = op.operands;
-                    $(let $operand = read!($kind, $m, cells[$operand.index()]);)*
+                    $(let $operand = read!($kind, cells[$operand.index()]);)*
                     give!($result, $value)
                 })*
             }
@@ -179,9 +174,9 @@ macro_rules! operations {
 
 const ANY: Option<Level> = None;
 
-operations! { m, leaf;
+operations! { leaf;
     /// A number.
-    Const(x: Literal) [] -> Number, ANY, 0, "$_", "", "", m.constant(x.get());
+    Const(x: Literal) [] -> Number, ANY, 0, "$_", "", "", x.get().into();
     /// One of [`crate::Program::inputs`].
     Input(i: InputId) [] -> Number, Some(Level::Pass), 0, "$_", "", "", leaf();
     /// A coordinate of an outer loop (never 0).
@@ -194,24 +189,24 @@ operations! { m, leaf;
     /// The pixel of a raw plane, converted to the lane type.
     Channel(c: ChannelId) [] -> Number, Some(Level::Pixel), 0, "pixel($_)", "", "", leaf();
     /// -a (flips the sign bit).
-    Neg [a: Number] -> Number, ANY, 0, "-$0", "-$s", "-$s", m.neg(a);
+    Neg [a: Number] -> Number, ANY, 0, "-$0", "-$s", "-$s", -a;
     /// |a| (clears the sign bit).
-    Abs [a: Number] -> Number, ANY, 0, "abs($0)", "fabs$f($0)", "$s.abs()", m.abs(a);
+    Abs [a: Number] -> Number, ANY, 0, "abs($0)", "fabs$f($0)", "$s.abs()", a.abs();
     /// √a.
-    Sqrt [a: Number] -> Number, ANY, 1, "sqrt($0)", "sqrt$f($0)", "$s.sqrt()", m.sqrt(a);
+    Sqrt [a: Number] -> Number, ANY, 1, "sqrt($0)", "sqrt$f($0)", "$s.sqrt()", a.sqrt();
     /// a + b.
-    Add [a: Number, b: Number] -> Number, ANY, 1, "$0 + $1", "$0 + $1", "$0 + $1", m.add(a, b);
+    Add [a: Number, b: Number] -> Number, ANY, 1, "$0 + $1", "$0 + $1", "$0 + $1", a + b;
     /// a − b.
-    Sub [a: Number, b: Number] -> Number, ANY, 1, "$0 - $1", "$0 - $1", "$0 - $1", m.sub(a, b);
+    Sub [a: Number, b: Number] -> Number, ANY, 1, "$0 - $1", "$0 - $1", "$0 - $1", a - b;
     /// a · b.
-    Mul [a: Number, b: Number] -> Number, ANY, 1, "$0 * $1", "$0 * $1", "$0 * $1", m.mul(a, b);
+    Mul [a: Number, b: Number] -> Number, ANY, 1, "$0 * $1", "$0 * $1", "$0 * $1", a * b;
     /// a / b.
-    Div [a: Number, b: Number] -> Number, ANY, 1, "$0 / $1", "$0 / $1", "$0 / $1", m.div(a, b);
+    Div [a: Number, b: Number] -> Number, ANY, 1, "$0 / $1", "$0 / $1", "$0 / $1", a / b;
     /// a · b + c, rounded once.
     Fma [a: Number, b: Number, c: Number] -> Number, ANY, 2,
-        "fma($0, $1, $2)", "fma$f($0, $1, $2)", "$s.mul_add($1, $2)", m.fma(a, b, c);
+        "fma($0, $1, $2)", "fma$f($0, $1, $2)", "$s.mul_add($1, $2)", a.fma(b, c);
     /// Whether two numbers compare so.
-    Compare(c: Comparison) [a: Number, b: Number] -> Truth, ANY, 0, "$0 $_ $1", "$0 $_ $1", "$0 $_ $1", m.holds(c, a, b);
+    Compare(c: Comparison) [a: Number, b: Number] -> Truth, ANY, 0, "$0 $_ $1", "$0 $_ $1", "$0 $_ $1", holds(c, a, b);
     /// Both.
     And [a: Truth, b: Truth] -> Truth, ANY, 0, "$0 and $1", "$0 && $1", "$0 && $1", a && b;
     /// At least one.
@@ -222,9 +217,9 @@ operations! { m, leaf;
     Select [c: Truth, a: Either, b: Either] -> Either, ANY, 0,
         "if($0, $1, $2)", "$0 ? $1 : $2", "if $0 { $1 } else { $2 }", if c { a } else { b };
     /// An elementary function.
-    Call1(f: Function1) [a: Number] -> Number, ANY, 0, "$_($0)", "", "", m.call1(f, a);
+    Call1(f: Function1) [a: Number] -> Number, ANY, 0, "$_($0)", "", "", a.call1(f);
     /// An elementary function of two arguments.
-    Call2(f: Function2) [a: Number, b: Number] -> Number, ANY, 0, "$_($0, $1)", "", "", m.call2(f, a, b);
+    Call2(f: Function2) [a: Number, b: Number] -> Number, ANY, 0, "$_($0, $1)", "", "", a.call2(f, b);
     /// The row's total of an accumulator.
     RowTotal(a: AccumulatorId) [] -> Number, Some(Level::RowEnd), 0, "row sum $_", "", "", leaf();
     /// How many pixels the row contributed.

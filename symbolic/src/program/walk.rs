@@ -6,13 +6,9 @@
 //! [`crate::proof::evaluate`] in exact arithmetic, at any numbers. It must never know: what an operation does (the table in
 //! [`crate::program::op`]), or where pixels come from.
 
-use crate::program::arithmetic::{Arithmetic, Cell};
+use crate::program::arithmetic::{Cell, Number};
 use crate::program::op::{Op, Opcode, apply};
 use crate::program::{ChannelId, CoordinateId, InputId, Level, PixelSet, Program, Sink, Value};
-
-/// Numbers outside of the pixel loop, and those in it.
-pub(crate) type Outer<W> = <<W as Walk>::Outer as Arithmetic>::Number;
-pub(crate) type Inner<W> = <<W as Walk>::Inner as Arithmetic>::Number;
 
 /// A pixel of a row: its column, and the lane that sums it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -24,26 +20,25 @@ pub(crate) struct Place {
 /// How a program is walked.
 pub(crate) trait Walk {
     /// The arithmetic of pass and row and of their ends.
-    type Outer: Arithmetic;
+    type Outer: Number;
     /// That of the pixels.
-    type Inner: Arithmetic;
+    type Inner: Number;
 
-    fn arithmetic(&self) -> (Self::Outer, Self::Inner);
     fn lanes(&self) -> usize;
     fn rows(&self) -> usize;
     /// The pixels of a row from the first of two numbers to the second, in the order of their sums.
-    fn places(&self, bounds: Option<[Outer<Self>; 2]>) -> Vec<Place>;
-    fn input(&self, input: InputId) -> Outer<Self>;
-    fn coordinate(&self, coordinate: CoordinateId, row: usize) -> Outer<Self>;
+    fn places(&self, bounds: Option<[Self::Outer; 2]>) -> Vec<Place>;
+    fn input(&self, input: InputId) -> Self::Outer;
+    fn coordinate(&self, coordinate: CoordinateId, row: usize) -> Self::Outer;
     /// The inner coordinate plus `c` at each of a row's places.
-    fn offset(&self, places: &[Place], c: Outer<Self>) -> Vec<Inner<Self>>;
-    fn pixel(&self, channel: ChannelId, column: usize, row: usize) -> Inner<Self>;
+    fn offset(&self, places: &[Place], c: Self::Outer) -> Vec<Self::Inner>;
+    fn pixel(&self, channel: ChannelId, column: usize, row: usize) -> Self::Inner;
     /// What the pixel loop reads of a number that is known outside of it.
-    fn rounded(&self, x: Outer<Self>) -> Inner<Self>;
+    fn rounded(&self, x: Self::Outer) -> Self::Inner;
     /// The lanes of a row's sum, together.
-    fn total(&self, lanes: &[Inner<Self>]) -> Outer<Self>;
+    fn total(&self, lanes: &[Self::Inner]) -> Self::Outer;
     /// A pixel takes part; `shown` is what it adds to a plane.
-    fn takes(&mut self, column: usize, row: usize, shown: Option<Inner<Self>>);
+    fn takes(&mut self, column: usize, row: usize, shown: Option<Self::Inner>);
 }
 
 /// What a walk hands back.
@@ -62,17 +57,16 @@ fn level(program: &Program, level: Level) -> Vec<(usize, Op)> {
     all.filter(|(_, x)| x.level == level).map(|(i, x)| (i, x.op)).collect()
 }
 
-fn execute<A: Arithmetic>(m: A, ops: &[(usize, Op)], cells: &mut [Cell<A::Number>], leaf: impl Fn(Op) -> A::Number) {
+fn execute<N: Number>(ops: &[(usize, Op)], cells: &mut [Cell<N>], leaf: impl Fn(Op) -> N) {
     for (i, op) in ops {
-        cells[*i] = apply(m, *op, cells, &leaf);
+        cells[*i] = apply(*op, cells, &leaf);
     }
 }
 
 /// Walks a program over the pixels of `set`.
-pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> Walked<Outer<W>> {
-    let (outer, inner) = walk.arithmetic();
+pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
     // The check refuses a leaf at another level than its own.
-    let nowhere = || outer.constant(f64::NAN);
+    let nowhere = || W::Outer::from(f64::NAN);
     let (row_level, row_end) = (level(program, Level::Row), level(program, Level::RowEnd));
     let mut pixel_level = level(program, Level::Pixel);
     let offsets: Vec<(usize, Value)> = pixel_level.iter().filter_map(|(i, op)| offset(op).map(|c| (*i, c))).collect();
@@ -83,33 +77,33 @@ pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> 
     };
     let contractions = program.contractions();
     let factors = |i: usize| contractions.get(i).copied().flatten();
-    let mut cells = vec![Cell::Number(outer.constant(0.0)); program.instructions.len()];
-    let mut lanes = vec![Cell::Number(inner.constant(0.0)); program.instructions.len()];
-    let mut pass_totals = vec![outer.constant(0.0); totals.len()];
+    let mut cells = vec![Cell::Number(W::Outer::from(0.0)); program.instructions.len()];
+    let mut lanes = vec![Cell::Number(W::Inner::from(0.0)); program.instructions.len()];
+    let mut pass_totals = vec![W::Outer::from(0.0); totals.len()];
     let mut walked = Walked { outputs: Vec::new(), pixels: 0, saturated: 0 };
 
     let pass_level = level(program, Level::Pass);
-    execute(outer, &pass_level, &mut cells, |op| match op.code {
+    execute(&pass_level, &mut cells, |op| match op.code {
         Opcode::Input(input) => walk.input(input),
         _ => nowhere(),
     });
     pass_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
     for row in 0..walk.rows() {
-        execute(outer, &row_level, &mut cells, |op| match op.code {
+        execute(&row_level, &mut cells, |op| match op.code {
             Opcode::Outer(c) => walk.coordinate(c, row),
             _ => nowhere(),
         });
         row_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
-        let number = |v: Value| cells[v.index()].number(outer);
+        let number = |v: Value| cells[v.index()].number();
         let places = walk.places(set.bounds.map(|(lo, hi)| [number(lo), number(hi)]));
         let along: Vec<_> = offsets.iter().map(|(i, c)| (*i, walk.offset(&places, number(*c)))).collect();
-        let mut sums = vec![vec![inner.constant(0.0); walk.lanes()]; accumulators.len()];
+        let mut sums = vec![vec![W::Inner::from(0.0); walk.lanes()]; accumulators.len()];
         let mut used = 0;
         for (at, Place { column, lane }) in places.into_iter().enumerate() {
             along.iter().for_each(|(i, values)| lanes[*i] = Cell::Number(values[at]));
-            execute(inner, &pixel_level, &mut lanes, |op| match op.code {
+            execute(&pixel_level, &mut lanes, |op| match op.code {
                 Opcode::Channel(channel) => walk.pixel(channel, column, row),
-                _ => inner.constant(f64::NAN),
+                _ => W::Inner::from(f64::NAN),
             });
             let holds = |v: Value| lanes[v.index()].truth();
             if !set.mask.is_none_or(holds) {
@@ -120,12 +114,12 @@ pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> 
                 continue;
             }
             used += 1;
-            let number = |v: Value| lanes[v.index()].number(inner);
+            let number = |v: Value| lanes[v.index()].number();
             for (i, value) in accumulators.iter().enumerate() {
                 let sum = &mut sums[i][lane];
                 *sum = match factors(i) {
-                    Some((a, b)) => inner.fma(number(a), number(b), *sum),
-                    None => inner.add(*sum, number(*value)),
+                    Some((a, b)) => number(a).fma(number(b), *sum),
+                    None => *sum + number(*value),
                 };
             }
             let shown = match program.sink {
@@ -139,21 +133,21 @@ pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> 
             continue;
         }
         walked.pixels += used;
-        execute(outer, &row_end, &mut cells, |op| match op.code {
+        execute(&row_end, &mut cells, |op| match op.code {
             Opcode::RowTotal(a) => walk.total(&sums[a.index()]),
-            Opcode::RowCount => outer.constant(used as f64),
+            Opcode::RowCount => W::Outer::from(used as f64),
             _ => nowhere(),
         });
         for (total, value) in pass_totals.iter_mut().zip(totals) {
-            *total = outer.add(*total, cells[value.index()].number(outer));
+            *total = *total + cells[value.index()].number();
         }
     }
-    execute(outer, &level(program, Level::PassEnd), &mut cells, |op| match op.code {
+    execute(&level(program, Level::PassEnd), &mut cells, |op| match op.code {
         Opcode::PassTotal(t) => pass_totals[t.index()],
-        Opcode::PassCount => outer.constant(walked.pixels as f64),
+        Opcode::PassCount => W::Outer::from(walked.pixels as f64),
         _ => nowhere(),
     });
-    walked.outputs = outputs.iter().map(|v| cells[v.index()].number(outer)).collect();
+    walked.outputs = outputs.iter().map(|v| cells[v.index()].number()).collect();
     walked
 }
 

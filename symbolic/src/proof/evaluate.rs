@@ -5,54 +5,11 @@
 //! same table of operations as the interpreter, which says what a program's rounding is; this says what it rounds.
 //! It must never know: where a program came from.
 
-use std::marker::PhantomData;
-use std::ops::{Add, Div, Mul, Neg, Sub};
-
-use crate::program::arithmetic::Arithmetic;
+pub(crate) use crate::program::arithmetic::Number;
 use crate::program::function::{Function1, Function2};
 use crate::program::walk::{Place, Walk, walk};
-use crate::program::{ChannelId, Comparison, CoordinateId, InputId, PixelSet, Program, holds};
+use crate::program::{ChannelId, CoordinateId, InputId, PixelSet, Program};
 use crate::proof::double_double::DoubleDouble;
-
-/// An arithmetic.
-pub(crate) trait Number:
-    Copy
-    + PartialOrd
-    + From<f64>
-    + Neg<Output = Self>
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-{
-    /// |x|.
-    fn abs(self) -> Self;
-    /// √x.
-    fn sqrt(self) -> Self;
-    /// An elementary function.
-    fn call1(self, function: Function1) -> Self;
-    /// An elementary function of two arguments.
-    fn call2(self, function: Function2, other: Self) -> Self;
-    /// 2 / √π.
-    fn two_over_root_pi() -> Self {
-        Self::from(std::f64::consts::FRAC_2_SQRT_PI)
-    }
-}
-
-impl Number for f64 {
-    fn abs(self) -> f64 {
-        f64::abs(self)
-    }
-    fn sqrt(self) -> f64 {
-        f64::sqrt(self)
-    }
-    fn call1(self, function: Function1) -> f64 {
-        function.value(self)
-    }
-    fn call2(self, function: Function2, other: f64) -> f64 {
-        function.value(self, other)
-    }
-}
 
 impl Number for DoubleDouble {
     fn abs(self) -> Self {
@@ -120,61 +77,6 @@ pub(crate) fn evaluate_at<N: Number>(program: &Program, sample: &Sample<'_, N>) 
     Evaluated { outputs, taken: exactly.taken }
 }
 
-/// The arithmetic of a [`Number`], which contracts nothing.
-pub(crate) struct Exact<N>(PhantomData<N>);
-
-impl<N> Exact<N> {
-    pub fn new() -> Exact<N> {
-        Exact(PhantomData)
-    }
-}
-impl<N> Clone for Exact<N> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-impl<N> Copy for Exact<N> {}
-
-impl<N: Number> Arithmetic for Exact<N> {
-    type Number = N;
-    fn constant(self, x: f64) -> N {
-        x.into()
-    }
-    fn neg(self, a: N) -> N {
-        -a
-    }
-    fn abs(self, a: N) -> N {
-        a.abs()
-    }
-    fn sqrt(self, a: N) -> N {
-        a.sqrt()
-    }
-    fn add(self, a: N, b: N) -> N {
-        a + b
-    }
-    fn sub(self, a: N, b: N) -> N {
-        a - b
-    }
-    fn mul(self, a: N, b: N) -> N {
-        a * b
-    }
-    fn div(self, a: N, b: N) -> N {
-        a / b
-    }
-    fn fma(self, a: N, b: N, c: N) -> N {
-        a * b + c
-    }
-    fn call1(self, function: Function1, a: N) -> N {
-        a.call1(function)
-    }
-    fn call2(self, function: Function2, a: N, b: N) -> N {
-        a.call2(function, b)
-    }
-    fn holds(self, comparison: Comparison, a: N, b: N) -> bool {
-        holds(comparison, a, b)
-    }
-}
-
 /// A walk over a sample: one lane, and every column as it is.
 struct Exactly<'s, 'p, N> {
     sample: &'s Sample<'p, N>,
@@ -182,12 +84,9 @@ struct Exactly<'s, 'p, N> {
 }
 
 impl<N: Number> Walk for Exactly<'_, '_, N> {
-    type Outer = Exact<N>;
-    type Inner = Exact<N>;
+    type Outer = N;
+    type Inner = N;
 
-    fn arithmetic(&self) -> (Exact<N>, Exact<N>) {
-        (Exact::new(), Exact::new())
-    }
     fn lanes(&self) -> usize {
         1
     }

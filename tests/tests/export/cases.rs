@@ -140,7 +140,7 @@ pub fn several_lanes() -> Vec<Case> {
             }
         }
     }
-    assert!(cases.len() > 10);
+    assert!(cases.len() > 7); // two widths on a processor without AVX-512
     cases
 }
 
