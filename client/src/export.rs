@@ -108,14 +108,10 @@ pub fn run(args: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
         lanes,
         name: args.name.clone(),
     };
-    let exported = exported(&model, args, &names, &options).map_err(|error| match error {
-        ExplainError::Question(message) => Failure::Usage(message),
-        ExplainError::Model(diagnostics) => Failure::model(&args.model.display().to_string(), &diagnostics),
-        other => Failure::Other(other.to_string()),
-    })?;
+    let exported = exported(&model, args, &names, &options)
+        .map_err(|error| Failure::unexplained(&args.model.display().to_string(), error))?;
     if let Some(path) = &args.out {
-        let unwritten = |error| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
-        std::fs::write(path, &exported.text).map_err(unwritten)?;
+        output::file(path, exported.text.as_bytes())?;
     }
     match (args.json, &args.out) {
         (true, _) => output::json(out, &exported),

@@ -22,18 +22,21 @@ mod proof;
 pub use derive::derivation::Part;
 pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
-pub use derive::graph::{Bits, Node, NodeId};
-pub use derive::likelihood::{Loss, Saturated};
 pub use derive::objective::{Objective, Prediction, ValueKind};
 pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
 pub use language::diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use language::formulas::Formula;
+pub use language::graph::{Bits, Node, NodeId};
 pub use language::limits::{LIMITS, Limits};
-pub use language::model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, Stage, Start, Summand};
+pub use language::model::{
+    Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Roles, Saturated, Stage, Start, Summand,
+};
 pub use program::check::ProgramParts;
 pub use program::function::{Function1, Function2};
 pub use program::peephole::renamed;
 pub use program::*;
+#[doc(hidden)]
+pub use proof::ulps;
 pub use proof::{Form, Proof};

@@ -5,7 +5,7 @@
 
 use isophote_symbolic::{Input, Instruction, Op, Program, Sink};
 
-use crate::kernel::KernelOptions;
+use crate::options::KernelOptions;
 
 /// A program without what only people read, and the options.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]

@@ -14,7 +14,7 @@ use crate::documents::{media_type, read_body, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::registry::{Entry, Expected, Media};
+use crate::registry::{Expected, Media, ModelEntry};
 
 /// `PUT /v1/models/{name}`
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
@@ -117,7 +117,7 @@ fn expected(headers: &HeaderMap) -> Result<Expected, Problem> {
     }
 }
 
-fn tagged(mut response: Response, entry: &Entry) -> Response {
+fn tagged(mut response: Response, entry: &ModelEntry) -> Response {
     if let Ok(tag) = HeaderValue::from_str(&format!("\"{}\"", entry.tag())) {
         response.headers_mut().insert(header::ETAG, tag);
     }

@@ -48,6 +48,17 @@ pub enum Event {
     Closed,
 }
 
+/// What a fit that takes long holds up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Waiting {
+    /// Nothing but the next frame.
+    Nothing,
+    /// A new model.
+    Swap,
+    /// Whoever stops the session.
+    End,
+}
+
 /// The slot between source and fit thread: the newest frame wins.
 #[derive(Default)]
 pub struct Inbox {
@@ -114,6 +125,16 @@ impl Inbox {
         };
         self.changed.notify_all();
         drop((frame, swaps));
+    }
+
+    /// For the fit thread during a fit: what waits for it to end.
+    pub fn waiting(&self) -> Waiting {
+        let state = self.lock();
+        match (state.is_closed, state.swaps.is_empty()) {
+            (true, _) => Waiting::End,
+            (false, false) => Waiting::Swap,
+            (false, true) => Waiting::Nothing,
+        }
     }
 
     /// For the fit thread: what comes next. Calling it says that the last event is done with.

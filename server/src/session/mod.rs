@@ -1,5 +1,6 @@
 //! A session: one named fit thread that follows one target in the frames of one source.
 
+mod beside;
 mod fit;
 pub mod inbox;
 mod status;
@@ -15,9 +16,10 @@ use tokio::sync::oneshot;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::registry::Entry;
+use crate::registry::ModelEntry;
 use crate::source::{Shape, Source};
-use fit::{Fitter, Light};
+use beside::Beside;
+use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
 use isophote_machine::Threads;
 use isophote_machine::{elapsed_ms, monotonic_ns};
@@ -63,7 +65,12 @@ pub struct Session {
 
 impl Session {
     /// Compiles, checks, and starts the thread. Only from the compile thread.
-    pub fn start(name: &str, document: SessionDocument, source: SourceOf, entry: &Entry) -> Result<Session, Problem> {
+    pub fn start(
+        name: &str,
+        document: SessionDocument,
+        source: SourceOf,
+        entry: &ModelEntry,
+    ) -> Result<Session, Problem> {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
             .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
@@ -71,14 +78,21 @@ impl Session {
         if let Some(format) = source.source.shape().format {
             compiled.warm(format, &Threads)?;
         }
-        let options = swap::options(&document, &entry.model, false);
+        let options = swap::options(&document);
         let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
-        let light = Light::of(&document.options, &source.source)?;
-        let fitter =
-            Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
+        let knob = ExposureKnob::of(&document.options, &source.source)?;
+        let fitter = Fitter {
+            name: name.to_string(),
+            shared: shared.clone(),
+            tracker,
+            active,
+            knob,
+            beside: Beside::default(),
+            next_frame: None,
+        };
         let (runs, running) = std::sync::mpsc::sync_channel::<()>(0);
         let run = move || {
             let _runs = runs;
@@ -120,7 +134,7 @@ impl Session {
         let mut document = self.document.clone();
         let status = self.shared.status();
         document.model = status.active.name.clone();
-        let state = status.state(monotonic_ns(), self.source.source.is_steady());
+        let state = status.state(monotonic_ns(), &self.source.source);
         let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
         let trouble = self.source.source.trouble().filter(|_| !is_over);
         let (state, reason) = trouble.unwrap_or_else(|| (state, status.reason.clone()));
@@ -143,7 +157,7 @@ impl Session {
 
     /// Compiles a model and hands it to the fit thread, which takes it between two frames. Only from the compile thread,
     /// so that swaps are ordered. Answers the compile time and where the fit thread's answer will come.
-    pub fn begin_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    pub fn begin_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let before = std::mem::replace(&mut self.shared.status().requested_model, entry.name.to_string());
         let result = self.try_swap(entry);
         if result.is_err() {
@@ -152,7 +166,7 @@ impl Session {
         result
     }
 
-    fn try_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    fn try_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
         check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
         let start_ns = monotonic_ns();
@@ -161,7 +175,7 @@ impl Session {
             compiled.warm(format, &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options(&self.document, &entry.model, true);
+        let options = swap::options_known(&self.document, &entry.model);
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
         Tracker::new(compiled.clone(), options.clone())
             .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
@@ -237,7 +251,7 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
 }
 
 /// The key of the option that a tracker refuses.
-fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) -> Problem {
+fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant, error) {

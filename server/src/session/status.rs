@@ -6,7 +6,7 @@ use isophote_tracker::Frame;
 use isophote_wire::SessionState;
 
 use super::swap::Active;
-use crate::source::Shape;
+use crate::source::{Shape, Source};
 
 /// Estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;
@@ -75,13 +75,13 @@ impl Status {
         self.reason = Some(reason);
     }
 
-    /// What it does at the time `now_ns`.
-    pub fn state(&self, now_ns: u64, is_steady: bool) -> SessionState {
+    /// What it does at the time `now_ns`, with frames from that source.
+    pub fn state(&self, now_ns: u64, source: &Source) -> SessionState {
         let Some(last_ns) = self.times_ns.back() else { return self.ended.unwrap_or(SessionState::Starting) };
         let first_ns = self.times_ns.front().unwrap_or(last_ns);
         let period_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
         let is_late = now_ns.saturating_sub(*last_ns) > STALL_NS.max(STALL_PERIODS * period_ns);
-        let running = if is_steady && is_late { SessionState::Stalled } else { SessionState::Running };
+        let running = if source.is_steady() && is_late { SessionState::Stalled } else { SessionState::Running };
         self.ended.unwrap_or(running)
     }
 

@@ -22,9 +22,18 @@ pub enum ExplainError {
     /// The document asks for what this build cannot do.
     #[error("the model cannot be explained")]
     Model(Diagnostics),
-    /// A kernel could not be made.
+    /// A kernel could not be made; not the document's fault.
     #[error("a kernel could not be compiled: {0}")]
-    Kernel(#[from] CompileError),
+    Kernel(CompileError),
+}
+
+impl From<CompileError> for ExplainError {
+    fn from(error: CompileError) -> ExplainError {
+        match too_large(&error) {
+            Some(diagnostic) => ExplainError::Model(vec![diagnostic]),
+            None => ExplainError::Kernel(error),
+        }
+    }
 }
 
 impl From<Diagnostics> for ExplainError {
@@ -142,8 +151,18 @@ pub fn named_method(name: &str) -> Result<Method, ExplainError> {
 pub fn diagnostics(failure: &CompileFailure) -> Diagnostics {
     match failure {
         CompileFailure::Model(diagnostics) => diagnostics.clone(),
-        kernel => vec![Diagnostic::error("", "no-kernel", "model", Span::default(), kernel.to_string())],
+        CompileFailure::Kernel(error) => {
+            let ours = || Diagnostic::error("", "no-kernel", "model", Span::default(), failure.to_string());
+            vec![too_large(error).unwrap_or_else(ours)]
+        }
     }
+}
+
+/// The fault of a document whose loop is too large to run, if it is that.
+fn too_large(error: &CompileError) -> Option<Diagnostic> {
+    let is_too_large = matches!(error, CompileError::CodeTooLarge { .. } | CompileError::FrameTooLarge { .. });
+    let fault = || Diagnostic::error("", "limit", "model", Span::default(), format!("the model is too large: {error}"));
+    is_too_large.then(|| fault().help("free fewer parameters in a stage, or write shorter formulas"))
 }
 
 #[cfg(test)]
@@ -190,6 +209,19 @@ mod tests {
         let (all, with_formula) =
             named(&text, |code| [" = fadd", " = fmul", " = fsub", " = fma"].iter().any(|op| code.contains(op)));
         assert!(all > 50 && with_formula * 10 >= all * 9, "{with_formula} of {all} name a formula:\n{text}");
+    }
+
+    #[test]
+    fn a_loop_that_is_too_large_is_the_documents_fault() {
+        let too_large = CompileError::FrameTooLarge { bytes: 1 << 20 };
+        let told = diagnostics(&CompileFailure::Kernel(Arc::new(too_large.clone())));
+        assert!(
+            told[0].code == "limit" && told[0].message.contains("1048576 bytes of stack") && told[0].help.is_some()
+        );
+        assert!(matches!(ExplainError::from(too_large), ExplainError::Model(same) if same == told));
+        let ours = CompileError::Audit("a trap".into());
+        assert_eq!(diagnostics(&CompileFailure::Kernel(Arc::new(ours.clone())))[0].code, "no-kernel");
+        assert!(matches!(ExplainError::from(ours), ExplainError::Kernel(_)));
     }
 
     #[test]

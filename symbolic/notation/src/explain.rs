@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use isophote_symbolic::{Expressions, Function2, Input, Names, Node, NodeId, Objective, OutputTerm};
 
 use crate::looks::Looks;
-use crate::tree::{Kind, Line, Term, Tree, WIDTH};
+use crate::tree::{Addend, Equation, Expression, Tree, WIDTH};
 use crate::{latex, mathml, text};
 
 /// What to show of an objective.
@@ -57,7 +57,7 @@ struct Writer<'a> {
     expressions: Expressions<'a>,
     names: &'a Names,
     trees: BTreeMap<NodeId, Tree>,
-    lines: Vec<Line>,
+    lines: Vec<Equation>,
 }
 
 impl<'a> Writer<'a> {
@@ -76,7 +76,7 @@ impl<'a> Writer<'a> {
             let is_used_again = counts[id.index()] > 1 && !expressions.is_truth(id);
             let tree = if !is_leaf && (is_used_again || text::tree(&tree).len() > WIDTH) {
                 let name = Tree::name(format!("{shared}{}", writer.lines.len()));
-                writer.lines.push(Line { left: name.clone(), right: tree });
+                writer.lines.push(Equation { left: name.clone(), right: tree });
                 name
             } else {
                 tree
@@ -90,7 +90,7 @@ impl<'a> Writer<'a> {
         self.trees.get(&id).cloned().unwrap_or_else(|| Tree::name("?"))
     }
 
-    fn lines(mut self, objective: &Objective, forms: &[(String, NodeId)]) -> Vec<Line> {
+    fn lines(mut self, objective: &Objective, forms: &[(String, NodeId)]) -> Vec<Equation> {
         let mut numbers: BTreeMap<&str, (usize, String)> = BTreeMap::new();
         let several = |name: &str| forms.iter().filter(|(other, _)| other == name).count() > 1;
         for (name, node) in forms {
@@ -99,7 +99,7 @@ impl<'a> Writer<'a> {
             let left = if several(name) { format!("{word}{number}") } else { word.clone() };
             *number += 1;
             let right = self.at(*node);
-            self.lines.push(Line { left: Tree::name(left), right });
+            self.lines.push(Equation { left: Tree::name(left), right });
         }
         let (function, total) = (word('F', self.names), word('S', self.names));
         let mut shown: Vec<NodeId> = Vec::new();
@@ -112,66 +112,68 @@ impl<'a> Writer<'a> {
                 Some(entry) if entries.len() == outputs.len() => Tree { kind: entry.clone(), span: None },
                 _ => Tree::name(&output.name),
             };
-            let mut terms: Vec<Term> = output.terms.iter().map(|term| self.term(term, &total, &mut shown)).collect();
+            let mut terms: Vec<Addend> = output.terms.iter().map(|term| self.term(term, &total, &mut shown)).collect();
             let kind = match &mut terms[..] {
-                [] => Kind::Number(0.0),
-                [Term { coefficient: 1.0, body: Some(_) }] => match terms.pop().and_then(|term| term.body) {
+                [] => Expression::Number(0.0),
+                [Addend { coefficient: 1.0, body: Some(_) }] => match terms.pop().and_then(|term| term.body) {
                     Some(body) => body.kind,
-                    None => Kind::Number(1.0),
+                    None => Expression::Number(1.0),
                 },
-                _ => Kind::Sum(terms),
+                _ => Expression::Sum(terms),
             };
-            self.lines.push(Line { left, right: Tree { kind, span: None } });
+            self.lines.push(Equation { left, right: Tree { kind, span: None } });
         }
         for (i, pixel) in shown.into_iter().enumerate() {
             let inside = self.at(pixel);
-            let right = Tree { span: self.expressions.span(pixel), kind: Kind::Total("pixels", Box::new(inside)) };
-            self.lines.push(Line { left: Tree::name(format!("{total}{i}")), right });
+            let right =
+                Tree { span: self.expressions.span(pixel), kind: Expression::Total("pixels", Box::new(inside)) };
+            self.lines.push(Equation { left: Tree::name(format!("{total}{i}")), right });
         }
         self.lines
     }
 
     /// coefficient · Σ_rows row · Σ_pixels pixel.
-    fn term(&self, term: &OutputTerm, total: &str, shown: &mut Vec<NodeId>) -> Term {
-        let plain = |kind: Kind| Tree { kind, span: None };
-        let inner = term.pixel.map_or(plain(Kind::Total("pixels", Box::new(plain(Kind::Number(1.0))))), |pixel| {
-            let at = shown.iter().position(|other| *other == pixel).unwrap_or_else(|| {
-                shown.push(pixel);
-                shown.len() - 1
+    fn term(&self, term: &OutputTerm, total: &str, shown: &mut Vec<NodeId>) -> Addend {
+        let plain = |kind: Expression| Tree { kind, span: None };
+        let inner =
+            term.pixel.map_or(plain(Expression::Total("pixels", Box::new(plain(Expression::Number(1.0))))), |pixel| {
+                let at = shown.iter().position(|other| *other == pixel).unwrap_or_else(|| {
+                    shown.push(pixel);
+                    shown.len() - 1
+                });
+                Tree::name(format!("{total}{at}"))
             });
-            Tree::name(format!("{total}{at}"))
-        });
         let inner = match term.row.map(|row| self.at(row)) {
             None => inner,
             Some(row) => {
                 let mut factors = match row.kind {
-                    Kind::Product(factors) => factors,
+                    Expression::Product(factors) => factors,
                     kind => vec![(Tree { kind, ..row }, 1)],
                 };
                 factors.push((inner, 1));
-                plain(Kind::Total("rows", Box::new(plain(Kind::Product(factors)))))
+                plain(Expression::Total("rows", Box::new(plain(Expression::Product(factors)))))
             }
         };
         let (coefficient, body) = match self.at(term.coefficient) {
-            Tree { kind: Kind::Number(value), .. } => (value, None),
-            Tree { kind: Kind::Sum(mut terms), span } => match (terms.len(), terms.pop()) {
-                (1, Some(Term { coefficient, body })) => (coefficient, body),
+            Tree { kind: Expression::Number(value), .. } => (value, None),
+            Tree { kind: Expression::Sum(mut terms), span } => match (terms.len(), terms.pop()) {
+                (1, Some(Addend { coefficient, body })) => (coefficient, body),
                 (_, last) => {
                     terms.extend(last);
-                    (1.0, Some(Tree { kind: Kind::Sum(terms), span }))
+                    (1.0, Some(Tree { kind: Expression::Sum(terms), span }))
                 }
             },
             tree => (1.0, Some(tree)),
         };
         let body = match body {
             None => inner,
-            Some(Tree { kind: Kind::Product(mut factors), span }) => {
+            Some(Tree { kind: Expression::Product(mut factors), span }) => {
                 factors.push((inner, 1));
-                Tree { kind: Kind::Product(factors), span }
+                Tree { kind: Expression::Product(factors), span }
             }
-            Some(tree) => plain(Kind::Product(vec![(tree, 1), (inner, 1)])),
+            Some(tree) => plain(Expression::Product(vec![(tree, 1), (inner, 1)])),
         };
-        Term { coefficient, body: Some(body) }
+        Addend { coefficient, body: Some(body) }
     }
 
     /// A node over the trees of its operands.
@@ -179,42 +181,43 @@ impl<'a> Writer<'a> {
         let one = |n: &NodeId| Box::new(self.at(*n));
         let names = self.names;
         let kind = match self.expressions.node(id) {
-            Node::Number(bits) => Kind::Number(bits.get()),
-            Node::Input(Input::Parameter(p)) => Kind::Name(names.parameters[p.index()].clone()),
-            Node::Input(Input::Entry(p)) => Kind::Entry(names.parameters[p.index()].clone()),
-            Node::Input(Input::Constant(c)) => Kind::Name(names.constants[c.index()].clone()),
-            Node::Input(Input::Saturation(c)) => Kind::Saturation(names.channels[c.index()].clone()),
-            Node::Input(Input::Shift(c)) => Kind::Shift(names.coordinates[c.index()].clone()),
-            Node::Coordinate(c) => Kind::Name(names.coordinates[c.index()].clone()),
-            Node::Channel(c) => Kind::Name(names.channels[c.index()].clone()),
+            Node::Number(bits) => Expression::Number(bits.get()),
+            Node::Input(Input::Parameter(p)) => Expression::Name(names.parameters[p.index()].clone()),
+            Node::Input(Input::Entry(p)) => Expression::Entry(names.parameters[p.index()].clone()),
+            Node::Input(Input::Constant(c)) => Expression::Name(names.constants[c.index()].clone()),
+            Node::Input(Input::Saturation(c)) => Expression::Saturation(names.channels[c.index()].clone()),
+            Node::Input(Input::Shift(c)) => Expression::Shift(names.coordinates[c.index()].clone()),
+            Node::Coordinate(c) => Expression::Name(names.coordinates[c.index()].clone()),
+            Node::Channel(c) => Expression::Name(names.channels[c.index()].clone()),
             Node::Sum(constant, terms) => {
-                let mut list: Vec<Term> =
-                    terms.iter().map(|(n, c)| Term { coefficient: c.get(), body: Some(self.at(*n)) }).collect();
+                let mut list: Vec<Addend> =
+                    terms.iter().map(|(n, c)| Addend { coefficient: c.get(), body: Some(self.at(*n)) }).collect();
                 if constant.get() != 0.0 {
-                    list.push(Term { coefficient: constant.get(), body: None });
+                    list.push(Addend { coefficient: constant.get(), body: None });
                 }
-                Kind::Sum(list)
+                Expression::Sum(list)
             }
-            Node::Product(factors) => Kind::Product(factors.iter().map(|(n, e)| (self.at(*n), *e)).collect()),
-            Node::Sqrt(a) => Kind::Sqrt(one(a)),
-            Node::Abs(a) => Kind::Abs(one(a)),
-            Node::Call1(f, a) => Kind::Call(f.name(), vec![self.at(*a)]),
-            Node::Call2(Function2::Pow, a, b) => Kind::Power(one(a), one(b)),
-            Node::Call2(f, a, b) => Kind::Call(f.name(), vec![self.at(*a), self.at(*b)]),
-            Node::Compare(c, a, b) => Kind::Compare(*c, one(a), one(b)),
-            Node::And(a, b) => Kind::And(one(a), one(b)),
-            Node::Or(a, b) => Kind::Or(one(a), one(b)),
-            Node::Not(a) => Kind::Not(one(a)),
-            Node::Select(c, a, b) => Kind::Select(one(c), one(a), one(b)),
+            Node::Product(factors) => Expression::Product(factors.iter().map(|(n, e)| (self.at(*n), *e)).collect()),
+            Node::Sqrt(a) => Expression::Sqrt(one(a)),
+            Node::Abs(a) => Expression::Abs(one(a)),
+            Node::Call1(f, a) => Expression::Call(f.name(), vec![self.at(*a)]),
+            Node::Call2(Function2::Pow, a, b) => Expression::Power(one(a), one(b)),
+            Node::Call2(f, a, b) => Expression::Call(f.name(), vec![self.at(*a), self.at(*b)]),
+            Node::Compare(c, a, b) => Expression::Compare(*c, one(a), one(b)),
+            Node::And(a, b) => Expression::And(one(a), one(b)),
+            Node::Or(a, b) => Expression::Or(one(a), one(b)),
+            Node::Not(a) => Expression::Not(one(a)),
+            Node::Select(c, a, b) => Expression::Select(one(c), one(a), one(b)),
         };
         Tree { kind, span: self.expressions.span(id) }
     }
 }
 
 /// F, its gradient, its upper Hessian row by row: the order of a derivation's outputs.
-fn entries(function: &str, parameters: &[&str]) -> Vec<Kind> {
-    let by = |names: &[&str]| Kind::Derivative(function.to_string(), names.iter().map(|n| n.to_string()).collect());
-    let mut entries = vec![Kind::Name(function.to_string())];
+fn entries(function: &str, parameters: &[&str]) -> Vec<Expression> {
+    let by =
+        |names: &[&str]| Expression::Derivative(function.to_string(), names.iter().map(|n| n.to_string()).collect());
+    let mut entries = vec![Expression::Name(function.to_string())];
     entries.extend(parameters.iter().map(|u| by(&[u])));
     for (i, u) in parameters.iter().enumerate() {
         entries.extend(parameters[i..].iter().map(|v| by(&[u, v])));

@@ -4,10 +4,10 @@ use isophote_symbolic::Comparison;
 
 use crate::looks::{Looks, Stem};
 use crate::text;
-use crate::tree::{Kind, Line, Term, Tree, fraction, needs_power_of_ten, scientific};
+use crate::tree::{Addend, Equation, Expression, Tree, fraction, needs_power_of_ten, scientific};
 
 /// The lines, for a document that uses amsmath.
-pub(crate) fn lines(lines: &[Line], looks: &Looks) -> String {
+pub(crate) fn lines(lines: &[Equation], looks: &Looks) -> String {
     let latex = Latex { looks };
     let mut rows = Vec::new();
     for line in lines {
@@ -53,25 +53,25 @@ impl Latex<'_> {
 
     fn tree(&self, t: &Tree) -> String {
         match &t.kind {
-            Kind::Number(value) => number(*value),
-            Kind::Name(name) => self.name(name),
-            Kind::Entry(name) => format!("{}^{{(\\mathrm{{entry}})}}", self.name(name)),
-            Kind::Saturation(name) => format!("\\operatorname{{limit}}({})", self.name(name)),
-            Kind::Shift(name) => format!("\\operatorname{{shift}}({})", self.name(name)),
-            Kind::Sum(list) => self.terms(list, true),
-            Kind::Product(factors) => self.product(1.0, factors),
-            Kind::Sqrt(a) => format!("\\sqrt{{{}}}", self.tree(a)),
-            Kind::Abs(a) => format!("\\left|{}\\right|", self.tree(a)),
-            Kind::Call(name, arguments) => {
+            Expression::Number(value) => number(*value),
+            Expression::Name(name) => self.name(name),
+            Expression::Entry(name) => format!("{}^{{(\\mathrm{{entry}})}}", self.name(name)),
+            Expression::Saturation(name) => format!("\\operatorname{{limit}}({})", self.name(name)),
+            Expression::Shift(name) => format!("\\operatorname{{shift}}({})", self.name(name)),
+            Expression::Sum(list) => self.terms(list, true),
+            Expression::Product(factors) => self.product(1.0, factors),
+            Expression::Sqrt(a) => format!("\\sqrt{{{}}}", self.tree(a)),
+            Expression::Abs(a) => format!("\\left|{}\\right|", self.tree(a)),
+            Expression::Call(name, arguments) => {
                 let arguments: Vec<String> = arguments.iter().map(|a| self.tree(a)).collect();
                 format!("\\operatorname{{{name}}}\\left({}\\right)", arguments.join(", "))
             }
-            Kind::Power(a, b) => format!("{}^{{{}}}", self.base(a), self.tree(b)),
-            Kind::Compare(c, a, b) => format!("{} {} {}", self.inline(a), sign(*c), self.inline(b)),
-            Kind::And(a, b) => format!("{} \\land {}", self.factor(a), self.factor(b)),
-            Kind::Or(a, b) => format!("{} \\lor {}", self.factor(a), self.factor(b)),
-            Kind::Not(a) => format!("\\lnot {}", self.factor(a)),
-            Kind::Select(..) => {
+            Expression::Power(a, b) => format!("{}^{{{}}}", self.base(a), self.tree(b)),
+            Expression::Compare(c, a, b) => format!("{} {} {}", self.inline(a), sign(*c), self.inline(b)),
+            Expression::And(a, b) => format!("{} \\land {}", self.factor(a), self.factor(b)),
+            Expression::Or(a, b) => format!("{} \\lor {}", self.factor(a), self.factor(b)),
+            Expression::Not(a) => format!("\\lnot {}", self.factor(a)),
+            Expression::Select(..) => {
                 let (cases, otherwise) = t.cases();
                 let mut rows: Vec<String> = cases
                     .iter()
@@ -80,8 +80,8 @@ impl Latex<'_> {
                 rows.push(format!("{} & \\text{{otherwise}}", self.tree(otherwise)));
                 format!("\\begin{{cases}} {} \\end{{cases}}", rows.join(" \\\\ "))
             }
-            Kind::Total(over, a) => format!("\\sum_{{\\mathrm{{{over}}}}} {}", self.factor(a)),
-            Kind::Derivative(function, parameters) => {
+            Expression::Total(over, a) => format!("\\sum_{{\\mathrm{{{over}}}}} {}", self.factor(a)),
+            Expression::Derivative(function, parameters) => {
                 let function = self.name(function);
                 let d = |name: &String| format!("\\partial {}", self.name(name));
                 match &parameters[..] {
@@ -96,7 +96,7 @@ impl Latex<'_> {
     }
 
     /// `first`: stands at the sum's beginning, so that its first sign is left out if it is +.
-    fn terms(&self, list: &[Term], first: bool) -> String {
+    fn terms(&self, list: &[Addend], first: bool) -> String {
         let mut text = String::new();
         for (i, term) in list.iter().enumerate() {
             text += match (first && i == 0, i == 0, term.coefficient < 0.0) {
@@ -110,7 +110,7 @@ impl Latex<'_> {
             let c = term.coefficient.abs();
             text += &match &term.body {
                 None => number(c),
-                Some(Tree { kind: Kind::Product(factors), .. }) => self.product(c, factors),
+                Some(Tree { kind: Expression::Product(factors), .. }) => self.product(c, factors),
                 Some(body) => self.juxtaposed(c, &[(body, 1)], false),
             };
         }
@@ -150,7 +150,7 @@ impl Latex<'_> {
     }
 
     fn inline(&self, t: &Tree) -> String {
-        if matches!(t.kind, Kind::Sum(_)) { self.tree(t) } else { self.factor(t) }
+        if matches!(t.kind, Expression::Sum(_)) { self.tree(t) } else { self.factor(t) }
     }
 
     fn base(&self, t: &Tree) -> String {

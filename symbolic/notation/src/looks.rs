@@ -52,7 +52,7 @@ pub(crate) enum Stem {
 
 /// A name as it is set.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub(crate) struct Look {
+pub(crate) struct Glyph {
     pub stem: Stem,
     pub index: Option<String>,
 }
@@ -60,7 +60,7 @@ pub(crate) struct Look {
 /// The looks of a model's names.
 pub(crate) struct Looks {
     coordinates: Vec<char>,
-    spelled: BTreeMap<String, Look>,
+    spelled: BTreeMap<String, Glyph>,
 }
 
 impl Looks {
@@ -74,33 +74,33 @@ impl Looks {
         let mut taken = std::collections::BTreeSet::new();
         for name in names {
             if !taken.insert(looks.of(name)) {
-                looks.spelled.insert(name.to_string(), Look { stem: Stem::Word(name.to_string()), index: None });
+                looks.spelled.insert(name.to_string(), Glyph { stem: Stem::Word(name.to_string()), index: None });
             }
         }
         looks
     }
 
-    pub fn of(&self, name: &str) -> Look {
+    pub fn of(&self, name: &str) -> Glyph {
         if let Some(look) = self.spelled.get(name) {
             return look.clone();
         }
         let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
         if stem.is_empty() || name.contains('_') {
-            return Look { stem: Stem::Word(name.to_string()), index: None };
+            return Glyph { stem: Stem::Word(name.to_string()), index: None };
         }
         if stem.len() < name.len() {
-            return Look {
+            return Glyph {
                 stem: sign(stem).unwrap_or_else(|| Stem::Word(stem.to_string())),
                 index: Some(name[stem.len()..].to_string()),
             };
         }
         if let Some(sign) = sign(name) {
-            return Look { stem: sign, index: None };
+            return Glyph { stem: sign, index: None };
         }
         let before = name.char_indices().next_back().filter(|(_, last)| self.coordinates.contains(last));
         match before.and_then(|(at, last)| sign(&name[..at]).map(|stem| (stem, last))) {
-            Some((stem, last)) => Look { stem, index: Some(last.to_string()) },
-            None => Look { stem: Stem::Word(name.to_string()), index: None },
+            Some((stem, last)) => Glyph { stem, index: Some(last.to_string()) },
+            None => Glyph { stem: Stem::Word(name.to_string()), index: None },
         }
     }
 }

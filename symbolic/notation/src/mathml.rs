@@ -5,13 +5,13 @@ use isophote_symbolic::{Comparison, Span};
 
 use crate::looks::{Looks, Stem};
 use crate::text;
-use crate::tree::{Kind, Line, Term, Tree, fraction, needs_power_of_ten, scientific};
+use crate::tree::{Addend, Equation, Expression, Tree, fraction, needs_power_of_ten, scientific};
 
 const TIMES: &str = "<mo lspace=\"0\" rspace=\"0.17em\">\u{2062}</mo>";
 const APPLY: &str = "<mo>\u{2061}</mo>";
 
 /// A fragment for a page: nothing but `math` elements, one on a line.
-pub(crate) fn lines(lines: &[Line], looks: &Looks) -> String {
+pub(crate) fn lines(lines: &[Equation], looks: &Looks) -> String {
     let mathml = MathMl { looks };
     lines.iter().map(|line| mathml.line(line)).collect()
 }
@@ -21,13 +21,13 @@ struct MathMl<'a> {
 }
 
 impl MathMl<'_> {
-    fn line(&self, line: &Line) -> String {
+    fn line(&self, line: &Equation) -> String {
         let left = format!("{}<mo>=</mo>", self.tree(&line.left, None));
         let span = line.right.span;
         let inside = match line.right.rows() {
             None => left + &self.tree(&line.right, span),
             Some(rows) => {
-                let row = |(i, terms): (usize, &&[Term])| {
+                let row = |(i, terms): (usize, &&[Addend])| {
                     let name = if i == 0 { left.as_str() } else { "" };
                     let terms = self.terms(terms, i == 0, span);
                     format!(
@@ -64,29 +64,29 @@ impl MathMl<'_> {
         let here = t.span.or(around);
         let at = |a: &Tree| self.tree(a, here);
         let (tag, inside) = match &t.kind {
-            Kind::Number(value) => return number(*value),
-            Kind::Name(name) => return self.name(name),
-            Kind::Entry(name) => {
+            Expression::Number(value) => return number(*value),
+            Expression::Name(name) => return self.name(name),
+            Expression::Entry(name) => {
                 return format!("<msup>{}<mtext>(entry)</mtext></msup>", self.name(name));
             }
-            Kind::Saturation(name) => return call("limit", &self.name(name)),
-            Kind::Shift(name) => return call("shift", &self.name(name)),
-            Kind::Sum(list) => ("mrow", self.terms(list, true, here)),
-            Kind::Product(factors) => ("mrow", self.product(1.0, factors, here)),
-            Kind::Sqrt(a) => ("msqrt", at(a)),
-            Kind::Abs(a) => ("mrow", format!("<mo form=\"prefix\">|</mo>{}<mo form=\"postfix\">|</mo>", at(a))),
-            Kind::Call(name, arguments) => {
+            Expression::Saturation(name) => return call("limit", &self.name(name)),
+            Expression::Shift(name) => return call("shift", &self.name(name)),
+            Expression::Sum(list) => ("mrow", self.terms(list, true, here)),
+            Expression::Product(factors) => ("mrow", self.product(1.0, factors, here)),
+            Expression::Sqrt(a) => ("msqrt", at(a)),
+            Expression::Abs(a) => ("mrow", format!("<mo form=\"prefix\">|</mo>{}<mo form=\"postfix\">|</mo>", at(a))),
+            Expression::Call(name, arguments) => {
                 let arguments: Vec<String> = arguments.iter().map(at).collect();
                 ("mrow", call(name, &arguments.join("<mo>,</mo>")))
             }
-            Kind::Power(a, b) => ("msup", self.base(a, here) + &at(b)),
-            Kind::Compare(c, a, b) => {
+            Expression::Power(a, b) => ("msup", self.base(a, here) + &at(b)),
+            Expression::Compare(c, a, b) => {
                 ("mrow", format!("{}<mo>{}</mo>{}", self.inline(a, here), sign(*c), self.inline(b, here)))
             }
-            Kind::And(a, b) => ("mrow", format!("{}<mo>∧</mo>{}", self.factor(a, here), self.factor(b, here))),
-            Kind::Or(a, b) => ("mrow", format!("{}<mo>∨</mo>{}", self.factor(a, here), self.factor(b, here))),
-            Kind::Not(a) => ("mrow", format!("<mo>¬</mo>{}", self.factor(a, here))),
-            Kind::Select(..) => {
+            Expression::And(a, b) => ("mrow", format!("{}<mo>∧</mo>{}", self.factor(a, here), self.factor(b, here))),
+            Expression::Or(a, b) => ("mrow", format!("{}<mo>∨</mo>{}", self.factor(a, here), self.factor(b, here))),
+            Expression::Not(a) => ("mrow", format!("<mo>¬</mo>{}", self.factor(a, here))),
+            Expression::Select(..) => {
                 let row = |value: &str, condition: &str| {
                     let cell = |inside: &str| format!("<mtd style=\"text-align:left\">{inside}</mtd>");
                     format!("<mtr>{}{}</mtr>", cell(value), cell(condition))
@@ -99,14 +99,14 @@ impl MathMl<'_> {
                 rows += &row(&at(otherwise), "<mtext>otherwise</mtext>");
                 ("mrow", format!("<mo form=\"prefix\">{{</mo><mtable>{rows}</mtable>"))
             }
-            Kind::Total(over, a) => (
+            Expression::Total(over, a) => (
                 "mrow",
                 format!(
                     "<munder><mo movablelimits=\"false\">∑</mo><mtext>{over}</mtext></munder>{}",
                     self.factor(a, here)
                 ),
             ),
-            Kind::Derivative(function, parameters) => {
+            Expression::Derivative(function, parameters) => {
                 let function = self.name(function);
                 let d = |name: &String| format!("<mi>∂</mi>{}", self.name(name));
                 let (above, below) = match &parameters[..] {
@@ -125,7 +125,7 @@ impl MathMl<'_> {
         format!("<{tag}{}>{inside}</{tag}>", place(t.span.filter(|own| Some(*own) != around)))
     }
 
-    fn terms(&self, list: &[Term], first: bool, around: Option<Span>) -> String {
+    fn terms(&self, list: &[Addend], first: bool, around: Option<Span>) -> String {
         let mut text = String::new();
         for (i, term) in list.iter().enumerate() {
             text += match (first && i == 0, term.coefficient < 0.0) {
@@ -137,7 +137,7 @@ impl MathMl<'_> {
             let c = term.coefficient.abs();
             text += &match &term.body {
                 None => number(c),
-                Some(Tree { kind: Kind::Product(factors), span }) => {
+                Some(Tree { kind: Expression::Product(factors), span }) => {
                     let own = span.filter(|own| Some(*own) != around);
                     format!("<mrow{}>{}</mrow>", place(own), self.product(c, factors, span.or(around)))
                 }
@@ -182,7 +182,7 @@ impl MathMl<'_> {
     }
 
     fn inline(&self, t: &Tree, around: Option<Span>) -> String {
-        if matches!(t.kind, Kind::Sum(_)) { self.tree(t, around) } else { self.factor(t, around) }
+        if matches!(t.kind, Expression::Sum(_)) { self.tree(t, around) } else { self.factor(t, around) }
     }
 
     fn base(&self, t: &Tree, around: Option<Span>) -> String {

@@ -1,42 +1,42 @@
 //! Trees and lines in the spelling of the formula language, as far as it goes.
 
-use crate::tree::{Kind, Line, Term, Tree, needs_power_of_ten};
+use crate::tree::{Addend, Equation, Expression, Tree, needs_power_of_ten};
 
 /// One line each.
-pub(crate) fn lines(lines: &[Line]) -> String {
+pub(crate) fn lines(lines: &[Equation]) -> String {
     lines.iter().map(|line| format!("{} = {}\n", tree(&line.left), tree(&line.right))).collect()
 }
 
 /// A tree.
 pub(crate) fn tree(t: &Tree) -> String {
     match &t.kind {
-        Kind::Number(value) => number(*value),
-        Kind::Name(name) => name.clone(),
-        Kind::Entry(name) => format!("{name}@entry"),
-        Kind::Saturation(name) => format!("limit({name})"),
-        Kind::Shift(name) => format!("shift({name})"),
-        Kind::Sum(list) => terms(list),
-        Kind::Product(factors) => {
+        Expression::Number(value) => number(*value),
+        Expression::Name(name) => name.clone(),
+        Expression::Entry(name) => format!("{name}@entry"),
+        Expression::Saturation(name) => format!("limit({name})"),
+        Expression::Shift(name) => format!("shift({name})"),
+        Expression::Sum(list) => terms(list),
+        Expression::Product(factors) => {
             let power = |(base, e): &(Tree, i32)| match e {
                 1 => grouped(base),
-                _ if matches!(base.kind, Kind::Product(_)) => format!("({})^{e}", tree(base)),
+                _ if matches!(base.kind, Expression::Product(_)) => format!("({})^{e}", tree(base)),
                 _ => format!("{}^{e}", grouped(base)),
             };
             factors.iter().map(power).collect::<Vec<_>>().join("*")
         }
-        Kind::Sqrt(a) => format!("sqrt({})", tree(a)),
-        Kind::Abs(a) => format!("abs({})", tree(a)),
-        Kind::Call(name, arguments) => {
+        Expression::Sqrt(a) => format!("sqrt({})", tree(a)),
+        Expression::Abs(a) => format!("abs({})", tree(a)),
+        Expression::Call(name, arguments) => {
             format!("{name}({})", arguments.iter().map(tree).collect::<Vec<_>>().join(", "))
         }
-        Kind::Power(a, b) => format!("pow({}, {})", tree(a), tree(b)),
-        Kind::Compare(c, a, b) => format!("{} {} {}", tree(a), c.sign(), tree(b)),
-        Kind::And(a, b) => format!("({} and {})", tree(a), tree(b)),
-        Kind::Or(a, b) => format!("({} or {})", tree(a), tree(b)),
-        Kind::Not(a) => format!("not ({})", tree(a)),
-        Kind::Select(c, a, b) => format!("if({}, {}, {})", tree(c), tree(a), tree(b)),
-        Kind::Total(over, a) => format!("Σ_{over} {}", grouped(a)),
-        Kind::Derivative(function, parameters) => {
+        Expression::Power(a, b) => format!("pow({}, {})", tree(a), tree(b)),
+        Expression::Compare(c, a, b) => format!("{} {} {}", tree(a), c.sign(), tree(b)),
+        Expression::And(a, b) => format!("({} and {})", tree(a), tree(b)),
+        Expression::Or(a, b) => format!("({} or {})", tree(a), tree(b)),
+        Expression::Not(a) => format!("not ({})", tree(a)),
+        Expression::Select(c, a, b) => format!("if({}, {}, {})", tree(c), tree(a), tree(b)),
+        Expression::Total(over, a) => format!("Σ_{over} {}", grouped(a)),
+        Expression::Derivative(function, parameters) => {
             let order = if parameters.len() > 1 { parameters.len().to_string() } else { String::new() };
             let below: String = parameters.iter().map(|name| format!("d{name}")).collect();
             format!("d{order}{function}/{below}")
@@ -45,7 +45,7 @@ pub(crate) fn tree(t: &Tree) -> String {
 }
 
 /// The terms of a sum; the first one's sign only if it is −.
-pub(crate) fn terms(list: &[Term]) -> String {
+pub(crate) fn terms(list: &[Addend]) -> String {
     let mut text = String::new();
     for term in list {
         let c = term.coefficient;
@@ -69,5 +69,5 @@ pub(crate) fn number(value: f64) -> String {
 }
 
 fn grouped(t: &Tree) -> String {
-    if matches!(t.kind, Kind::Sum(_)) { format!("({})", tree(t)) } else { tree(t) }
+    if matches!(t.kind, Expression::Sum(_)) { format!("({})", tree(t)) } else { tree(t) }
 }

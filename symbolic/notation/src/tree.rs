@@ -11,7 +11,7 @@ pub(crate) const WIDTH: usize = 120;
 const ROW: usize = 72;
 
 /// `left = right`.
-pub(crate) struct Line {
+pub(crate) struct Equation {
     pub left: Tree,
     pub right: Tree,
 }
@@ -19,20 +19,20 @@ pub(crate) struct Line {
 /// An expression, and where in the document the operation came from.
 #[derive(Clone)]
 pub(crate) struct Tree {
-    pub kind: Kind,
+    pub kind: Expression,
     pub span: Option<Span>,
 }
 
 /// Coefficient times body; without a body, a number.
 #[derive(Clone)]
-pub(crate) struct Term {
+pub(crate) struct Addend {
     pub coefficient: f64,
     pub body: Option<Tree>,
 }
 
 /// The expressions there are.
 #[derive(Clone)]
-pub(crate) enum Kind {
+pub(crate) enum Expression {
     Number(f64),
     /// A name of the document, or one that `explain` gave.
     Name(String),
@@ -42,7 +42,7 @@ pub(crate) enum Kind {
     Saturation(String),
     /// How far a coordinate is shifted.
     Shift(String),
-    Sum(Vec<Term>),
+    Sum(Vec<Addend>),
     Product(Vec<(Tree, i32)>),
     Sqrt(Box<Tree>),
     Abs(Box<Tree>),
@@ -62,28 +62,28 @@ pub(crate) enum Kind {
 
 impl Tree {
     pub fn name(name: impl Into<String>) -> Tree {
-        Tree { kind: Kind::Name(name.into()), span: None }
+        Tree { kind: Expression::Name(name.into()), span: None }
     }
 
     /// Stands beside a factor, or under an exponent, only in brackets.
     pub fn is_loose(&self) -> bool {
-        use Kind::*;
+        use Expression::*;
         matches!(self.kind, Sum(_) | Compare(..) | And(..) | Or(..) | Not(_) | Select(..))
     }
 
     /// One sign or one name with its index, or something with brackets of its own: takes an exponent as it is.
     pub fn is_closed(&self) -> bool {
         match &self.kind {
-            Kind::Number(value) => *value >= 0.0 && !needs_power_of_ten(*value),
-            kind => matches!(kind, Kind::Name(_) | Kind::Sqrt(_) | Kind::Abs(_)),
+            Expression::Number(value) => *value >= 0.0 && !needs_power_of_ten(*value),
+            kind => matches!(kind, Expression::Name(_) | Expression::Sqrt(_) | Expression::Abs(_)),
         }
     }
 
     /// Its first sign is a digit: a coefficient before it needs a dot between.
     pub fn starts_with_digit(&self) -> bool {
         match &self.kind {
-            Kind::Number(_) => true,
-            Kind::Power(base, _) => base.starts_with_digit(),
+            Expression::Number(_) => true,
+            Expression::Power(base, _) => base.starts_with_digit(),
             _ => false,
         }
     }
@@ -91,7 +91,7 @@ impl Tree {
     /// The value chosen first, then the others with their conditions, then what is left: nested `if`s as one list.
     pub fn cases(&self) -> (Vec<(&Tree, &Tree)>, &Tree) {
         let (mut cases, mut rest) = (Vec::new(), self);
-        while let Kind::Select(condition, value, otherwise) = &rest.kind {
+        while let Expression::Select(condition, value, otherwise) = &rest.kind {
             cases.push((value.as_ref(), condition.as_ref()));
             rest = otherwise;
         }
@@ -99,8 +99,8 @@ impl Tree {
     }
 
     /// A sum's terms, broken into rows; `None` if one row holds it.
-    pub fn rows(&self) -> Option<Vec<&[Term]>> {
-        let Kind::Sum(terms) = &self.kind else { return None };
+    pub fn rows(&self) -> Option<Vec<&[Addend]>> {
+        let Expression::Sum(terms) = &self.kind else { return None };
         let (mut rows, mut start, mut width) = (Vec::new(), 0, 0);
         for (i, term) in terms.iter().enumerate() {
             let own = crate::text::terms(std::slice::from_ref(term)).chars().count() + 3;

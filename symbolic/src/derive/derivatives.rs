@@ -7,10 +7,10 @@ use std::collections::BTreeSet;
 
 use crate::derive::derivation::Part;
 use crate::derive::expressions::Expressions;
-use crate::derive::graph::{Graph, NodeId};
 use crate::derive::jet::{jet, pair};
 use crate::derive::objective::{Origin, residual, variance};
 use crate::language::diagnostic::Diagnostics;
+use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
 

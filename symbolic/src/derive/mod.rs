@@ -10,7 +10,6 @@ pub(crate) mod derivatives;
 pub(crate) mod domain;
 pub(crate) mod entry;
 pub(crate) mod expressions;
-pub(crate) mod graph;
 pub(crate) mod jet;
 pub(crate) mod likelihood;
 pub(crate) mod monomial;

@@ -9,15 +9,14 @@
 use crate::derive::absorb::gather;
 use crate::derive::derivation::{Cuts, Derivation, Part, Target};
 use crate::derive::expressions::Expressions;
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::Saturated;
 use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{Output, Sums};
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::model::{Lowering, Method, Model};
+use crate::language::model::{Lowering, Method, Model, Saturated};
 use crate::program::{Comparison, Cost, Input, Level, ParameterId, Program};
 use crate::proof::{Claim, Errors, Form, Proof, is_small_f32};
 

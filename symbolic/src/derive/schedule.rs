@@ -4,10 +4,10 @@
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::domain;
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::steps::Step;
 use crate::derive::sums::{Shift, Sums};
 use crate::language::diagnostic::Span;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::{
     AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId,

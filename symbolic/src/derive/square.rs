@@ -9,9 +9,9 @@ use std::collections::BTreeSet;
 use rustc_hash::FxHashMap;
 
 use crate::derive::domain::parabola;
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::monomial::Splitter;
 use crate::derive::sums::{Shift, Sums};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level};
 
 /// Sums that are looked at.
@@ -40,7 +40,7 @@ pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
     let whole = graph.product(0.5, [(parabola.curvature, 1), (square, 1)]);
     let is_offset = |n: &NodeId| match graph.node(*n) {
         Node::Sum(_, terms) => {
-            terms.contains(&(x, crate::derive::graph::Bits::new(1.0)))
+            terms.contains(&(x, crate::language::graph::Bits::new(1.0)))
                 && terms.iter().all(|(n, _)| *n == x || graph.level(*n) < Level::Pixel)
         }
         _ => false,

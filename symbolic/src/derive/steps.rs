@@ -1,8 +1,8 @@
 //! How one node of the graph is computed from others: Horner for sums, shared powers for products, one reciprocal a
 //! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
 
-use crate::derive::graph::{Bits, Graph, Node, NodeId};
 use crate::derive::schedule::Builder;
+use crate::language::graph::{Bits, Graph, Node, NodeId};
 use crate::program::function::{Function1, Function2};
 use crate::program::{ChannelId, Comparison, CoordinateId, Level, Op, Value};
 

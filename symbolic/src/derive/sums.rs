@@ -5,7 +5,7 @@
 
 use rustc_hash::FxHashSet;
 
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Node, NodeId};
 
 /// coefficient · Σ_rows (row · Σ_pixels pixel); an absent row factor is 1, an absent pixel value counts pixels.
 #[derive(Clone, Debug)]

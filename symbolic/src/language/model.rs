@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Saturated, Shape};
-use crate::language::diagnostic::{Diagnostics, Span};
+use crate::language::diagnostic::Span;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId};
 
 /// An unknown of the fit.
@@ -176,6 +175,30 @@ impl Method {
     }
 }
 
+/// How residuals count.
+#[derive(Clone, Copy, PartialEq, Debug, Default)]
+pub enum Loss {
+    /// Their square.
+    #[default]
+    Squares,
+    /// Huber's: beyond c standard deviations linearly.
+    Huber(f64),
+    /// Tukey's biweight: beyond c standard deviations not at all.
+    Tukey(f64),
+}
+
+/// What becomes of a pixel at its channel's limit.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Saturated {
+    /// It is left out.
+    #[default]
+    Dropped,
+    /// It is left out where it is predicted to be near the limit, whatever it shows.
+    Predicted,
+    /// It says that there was at least that much light.
+    Censored,
+}
+
 /// One step of the schedule.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Stage {
@@ -228,11 +251,6 @@ pub(crate) struct Observation {
 }
 
 impl Formulas {
-    /// What F is of a residual.
-    pub fn shape(&self) -> Shape {
-        if self.clipped.is_some() { Shape::Clipped(self.loss) } else { Shape::Seen(self.loss) }
-    }
-
     /// The same for another entry of `observed`.
     pub fn of_entry(&self, Observation { observed, intensity, shown, noise }: Observation) -> Formulas {
         let entries = vec![Observation { observed, intensity, shown, noise }];
@@ -268,14 +286,6 @@ pub struct Model {
 }
 
 impl Model {
-    /// Reads a TOML document; on failure every fault that was found.
-    pub fn from_toml(text: &str) -> Result<Model, Diagnostics> {
-        crate::language::reader::read(text, crate::language::document::read_toml(text)?)
-    }
-    /// Reads a JSON document; on failure every fault that was found.
-    pub fn from_json(text: &str) -> Result<Model, Diagnostics> {
-        crate::language::reader::read(text, crate::language::document::read_json(text)?)
-    }
     /// Its name.
     pub fn name(&self) -> &str {
         &self.name

@@ -2,8 +2,7 @@
 //! code must equal bit for bit. It is written to be read, not to be fast.
 
 use crate::program::elementary::{Accuracy, MAGIC, Plain};
-use crate::program::{Bindings, Instruction, Level, Op, Precision, Program, Sink, Value};
-use crate::proof::evaluate::holds;
+use crate::program::{Bindings, Instruction, Level, Op, Precision, Program, Sink, Value, holds};
 
 /// Where pixels come from. Coordinates are those of the whole plane.
 pub trait Pixels {

@@ -96,6 +96,16 @@ pub enum Comparison {
     Ne,
 }
 
+/// True when the comparison holds.
+pub(crate) fn holds<N: PartialOrd>(comparison: Comparison, a: N, b: N) -> bool {
+    match comparison {
+        Comparison::Lt => a < b,
+        Comparison::Le => a <= b,
+        Comparison::Eq => a == b,
+        Comparison::Ne => a != b,
+    }
+}
+
 /// One operation. Operands are earlier values; numbers unless said otherwise.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub enum Op {

@@ -7,7 +7,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::program::function::{Function1, Function2};
-use crate::program::{Comparison, Level, Op, Program, Sink, Value};
+use crate::program::{Level, Op, Program, Sink, Value, holds};
 use crate::proof::double_double::DoubleDouble;
 
 /// An arithmetic.
@@ -65,16 +65,6 @@ impl Number for DoubleDouble {
     }
     fn two_over_root_pi() -> Self {
         Self::from(2.0) / Self::from(-1.0).call1(Function1::Acos).sqrt()
-    }
-}
-
-/// True when the comparison holds.
-pub(crate) fn holds<N: PartialOrd>(comparison: Comparison, a: N, b: N) -> bool {
-    match comparison {
-        Comparison::Lt => a < b,
-        Comparison::Le => a <= b,
-        Comparison::Eq => a == b,
-        Comparison::Ne => a != b,
     }
 }
 

@@ -13,20 +13,22 @@ pub(crate) mod double_double;
 mod duals_tests;
 pub(crate) mod evaluate;
 pub(crate) mod hyper;
+pub(crate) mod likelihood;
 pub(crate) mod modular;
 pub(crate) mod points;
+pub mod ulps;
 pub(crate) mod weighed;
 
 use serde::{Deserialize, Serialize};
 
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Shape};
-use crate::language::model::Model;
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::{Loss, Model};
 use crate::program::interpreter;
 use crate::program::{Bindings, Precision, Program};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
 use crate::proof::hyper::{Evaluator, Hyper, Order};
+use crate::proof::likelihood::Shape;
 use crate::proof::modular::Modular;
 use crate::proof::points::{FAR, LIMIT, NEAR, Point, Random, centre, columns_around, picture, plausible};
 use crate::proof::weighed::Weighed;

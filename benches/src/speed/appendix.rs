@@ -1,7 +1,7 @@
 //! The thesis' appendix A.1 as a contender, and a referee of its sums.
 
-use crate::contenders::{C, folder};
-use crate::foreign::Compiled;
+use super::contenders::{C, folder};
+use super::foreign::Compiled;
 
 /// Compiled with its pixels in columns, as the thesis has them, or in rows.
 pub fn compiled(rows: bool) -> Result<Compiled, String> {

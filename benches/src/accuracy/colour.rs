@@ -10,10 +10,10 @@ use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Camera, Compiled, Frame, InTurn, Plane, TrackState, Tracker, TrackerOptions};
 
-use crate::accuracy::condition::{Condition, condition};
-use crate::accuracy::run::each;
-use crate::accuracy::scene::{Beside, Scene};
-use crate::accuracy::sensor::{FULL, Random};
+use super::condition::{Condition, condition};
+use super::run::each;
+use super::scene::{Beside, Scene};
+use super::sensor::{FULL, Random};
 
 /// What red, green and blue read of the red light.
 const RED: [f64; 3] = [1.0, 0.25, 0.10];

@@ -11,8 +11,7 @@ use rustc_hash::FxHashMap;
 use crate::language::diagnostic::Span;
 use crate::language::limits::LIMITS;
 use crate::program::function::{Function1, Function2};
-use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, id};
-use crate::proof::evaluate::holds;
+use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, holds, id};
 
 id!(/// A node of the graph.
     NodeId);

@@ -4,12 +4,13 @@ use isophote_export::PixelType;
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
 
+use super::appendix;
+use super::contenders::{self, Function, Way};
+use super::foreign::{Compiled, Picture};
+use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
+use super::race::{Contender, Standing, race, refuse_wrong, scales};
 use crate::bodies::{over_pixels_of, plain_program};
-use crate::contenders::{self, Function, Way};
-use crate::foreign::{Compiled, Picture};
-use crate::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
-use crate::race::{Contender, Standing, race, refuse_wrong, scales};
-use crate::{appendix, text};
+use crate::text;
 
 /// Subsets of the parameters: a name for functions, one for tables, the parameters, and how many times faster than the
 /// unfactored derivative in C the kernel is asked to be.

@@ -1,12 +1,9 @@
-//! Small charts as SVG: lines, dots and shaded cells in panels side by side.
-//!
-//! Every colour is one that can be read on white and on black, for nothing says on which the figure is shown.
+//! Small charts: lines, dots and shaded cells in panels side by side.
 
-use std::fmt::Write;
+use super::{Svg, TEXT};
 
 /// Colours of series, in order.
 pub const COLOURS: [&str; 5] = ["#4389d8", "#cf7a2f", "#3f9b6c", "#9a6bd1", "#c2556b"];
-const TEXT: &str = "#767e88";
 /// From so many names on they stand aslant.
 const CROWDED: usize = 10;
 const PANEL: [f64; 2] = [430.0, 330.0];
@@ -30,9 +27,14 @@ pub struct Axis {
 
 impl Axis {
     /// An axis with a number at each tick.
-    pub fn new(name: &str, range: [f64; 2], ticks: &[f64], logarithmic: bool) -> Axis {
+    pub fn linear(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
         let ticks = ticks.iter().map(|tick| (*tick, tick.to_string())).collect();
-        Axis { name: name.to_string(), range, ticks, logarithmic }
+        Axis { name: name.to_string(), range, ticks, logarithmic: false }
+    }
+
+    /// The same, on which equal factors take equal room.
+    pub fn logarithmic(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
+        Axis { logarithmic: true, ..Axis::linear(name, range, ticks) }
     }
 
     /// The share of the axis that lies before a value; what is outside stands at its end.
@@ -102,15 +104,14 @@ impl Panel {
         [left + self.x.share(x) * (RIGHT - left), base - self.y.share(y) * (base - TOP)]
     }
 
-    fn draw(&self, svg: &mut String) {
-        let mut line = |text: String| writeln!(svg, "{text}").unwrap();
+    fn draw(&self, svg: &mut Svg) {
         let ([left, base], middle) = (ORIGIN, (ORIGIN[0] + RIGHT) / 2.0);
-        line(format!("<text x=\"{left}\" y=\"18\" font-size=\"13\">{}</text>", self.title));
+        svg.text([&left, &18], "font-size=\"13\"", &self.title);
         for (value, name) in &self.y.ticks {
             let [_, y] = self.place([self.x.range[0], *value]);
-            line(format!("<path d=\"M{left} {y:.1}H{RIGHT}\" stroke=\"{TEXT}\" stroke-opacity=\"0.3\"/>"));
-            line(format!("<text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{name}</text>", left - 6.0, y + 4.0));
+            svg.tick(y, [left, RIGHT], "0.3", name);
         }
+        let mut line = |text: String| svg.element(text);
         for (value, name) in &self.x.ticks {
             let [x, _] = self.place([*value, self.y.range[0]]);
             line(format!("<path d=\"M{x:.1} {base}v4\" stroke=\"{TEXT}\"/>"));
@@ -176,15 +177,11 @@ impl Panel {
 
 /// Panels side by side.
 pub fn svg(title: &str, panels: &[Panel]) -> String {
-    let [width, height] = [PANEL[0] * panels.len() as f64, PANEL[1]];
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
-         font-family=\"sans-serif\" font-size=\"11\" fill=\"{TEXT}\">\n<title>{title}</title>\n"
-    );
+    let mut svg = Svg::new(title, PANEL[0] * panels.len() as f64, PANEL[1]);
     for (i, panel) in panels.iter().enumerate() {
-        writeln!(svg, "<g transform=\"translate({} 0)\">", PANEL[0] * i as f64).unwrap();
+        svg.element(format_args!("<g transform=\"translate({} 0)\">", PANEL[0] * i as f64));
         panel.draw(&mut svg);
-        svg.push_str("</g>\n");
+        svg.element("</g>");
     }
-    svg + "</svg>\n"
+    svg.finish()
 }

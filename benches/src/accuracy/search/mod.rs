@@ -1,5 +1,7 @@
 //! Cold starts in whole frames: how often the target is found, how long that takes, and whether the confidence is right.
 
+pub mod scene;
+
 use std::fmt::Write as _;
 use std::sync::Arc;
 use std::time::Instant;
@@ -7,7 +9,7 @@ use std::time::Instant;
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Compiled, Evidence, Sighting, TrackState, Tracker, TrackerOptions};
 
-use crate::scene::{Profile, Scene, Thing, height};
+use scene::{Profile, Scene, Thing, height};
 
 /// A fit that ends this near to the target's centre is right, px.
 const RIGHT_PX: f64 = 2.0;

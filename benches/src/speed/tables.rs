@@ -2,9 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::against::{Race, SUBSETS};
-use crate::compile_time::{PROCESSES, RUNS, Took};
-use crate::race::{ROUNDS, Standing};
+use super::against::{Race, SUBSETS};
+use super::compile_time::{PROCESSES, RUNS, Took};
+use super::race::{ROUNDS, Standing};
+use crate::plot::Svg;
 
 /// All that one run measures.
 pub struct Measured {
@@ -158,48 +159,30 @@ fn provenance() -> String {
 pub fn svg(m: &Measured) -> String {
     const COLOURS: [&str; 9] =
         ["#2f68b0", "#a85a1c", "#cf7a2f", "#e39b55", "#edbd86", "#c9a06b", "#5f8f4e", "#7fb069", "#a3cf8f"];
-    const TEXT: &str = "#767e88";
     let contenders = &m.races[0].standings;
     let top = m.races.iter().flat_map(|race| &race.standings).map(|s| s.median_ns).fold(0.0, f64::max);
     let (bar, gap, left, base, height) = (18, 24, 44, 320, 270.0);
     let group = contenders.len() * bar + gap;
     let (width, tall) = (left + m.races.len() * group, base + 40 + contenders.len().div_ceil(3) * 16);
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {tall}\" width=\"{width}\" height=\"{tall}\" \
-         font-family=\"sans-serif\" font-size=\"11\" fill=\"{TEXT}\">\n\
-         <title>Nanoseconds a pixel: isophote's kernels and other compilers' loops</title>\n\
-         <text x=\"{left}\" y=\"16\" font-size=\"13\">ns a pixel, thesis-spot, Newton, f32 pixels</text>\n"
-    );
+    let mut svg = Svg::new("Nanoseconds a pixel: isophote's kernels and other compilers' loops", width, tall);
+    svg.text([&left, &16], "font-size=\"13\"", "ns a pixel, thesis-spot, Newton, f32 pixels");
     for tick in 0..=top as usize {
-        let y = base as f64 - tick as f64 / top * height;
-        writeln!(svg, "<path d=\"M{left} {y:.1}H{width}\" stroke=\"{TEXT}\" stroke-opacity=\"0.3\"/>").unwrap();
-        writeln!(svg, "<text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{tick}</text>", left - 6, y + 4.0).unwrap();
+        svg.tick(base as f64 - tick as f64 / top * height, [left as f64, width as f64], "0.3", tick);
     }
     for (g, race) in m.races.iter().enumerate() {
         for (i, s) in race.standings.iter().enumerate() {
             let (x, tall) = (left + 8 + g * group + i * bar, s.median_ns / top * height);
             let (y, colour) = (base as f64 - tall, COLOURS[i % COLOURS.len()]);
             let title = format!("<title>{}: {:.2} ns</title>", s.name, s.median_ns);
-            writeln!(
-                svg,
-                "<rect x=\"{x}\" y=\"{y:.1}\" width=\"{}\" height=\"{tall:.1}\" fill=\"{colour}\">{title}</rect>",
-                bar - 2
-            )
-            .unwrap();
+            svg.rect([&x, &format_args!("{y:.1}")], [&(bar - 2), &format_args!("{tall:.1}")], colour, &title);
         }
         let x = left + 8 + g * group;
-        writeln!(svg, "<text x=\"{x}\" y=\"{}\" font-size=\"12\">{{{}}}</text>", base + 16, race.name).unwrap();
+        svg.text([&x, &(base + 16)], "font-size=\"12\"", format_args!("{{{}}}", race.name));
     }
     for (i, s) in contenders.iter().enumerate() {
         let (x, y) = (left + (i % 3) * 230, base + 36 + (i / 3) * 16);
-        writeln!(
-            svg,
-            "<rect x=\"{x}\" y=\"{}\" width=\"10\" height=\"10\" fill=\"{}\"/>",
-            y - 9,
-            COLOURS[i % COLOURS.len()]
-        )
-        .unwrap();
-        writeln!(svg, "<text x=\"{}\" y=\"{y}\">{}</text>", x + 15, s.name).unwrap();
+        svg.rect([&x, &(y - 9)], [&10, &10], COLOURS[i % COLOURS.len()], "");
+        svg.text([&(x + 15), &y], "", &s.name);
     }
-    svg + "</svg>\n"
+    svg.finish()
 }

@@ -3,9 +3,9 @@
 use isophote_jit::{Kernel, PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Model};
 
-use crate::against::{SUBSETS, kernel};
-use crate::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth, values};
-use crate::race::{Contender, Standing, race};
+use super::against::{SUBSETS, kernel};
+use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth, values};
+use super::race::{Contender, Standing, race};
 use crate::text;
 
 /// Windows: width and height, px; all but the square ones have about as many pixels as the first.
@@ -35,15 +35,27 @@ fn pass<'a>(kernel: &'a Kernel, bytes: &'a [u8], format: PixelFormat, size: [usi
     Contender { name: format!("{} x {}", size[0], size[1]), turn: Box::new(turn), code_bytes: None }
 }
 
-/// Over windows of each of [`SIZES`]: a domain that covers the window, or its inscribed ellipse.
-pub fn widths(covered: bool) -> Vec<Standing> {
+/// Which pixels of a window take part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Domain {
+    /// All.
+    Covering,
+    /// Those of the inscribed ellipse.
+    Inscribed,
+}
+
+/// Over windows of each of [`SIZES`].
+pub fn widths(domain: Domain) -> Vec<Standing> {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
     let kernel = kernel(&model, SUBSETS[0].2, PixelFormat::F32, false);
     let frames: Vec<(Vec<u8>, Vec<f64>)> = SIZES
         .iter()
         .map(|size| {
             let half = size.map(|n| n as f64 / 2.0);
-            let reach = if covered { 2.0 } else { 1.0 };
+            let reach = match domain {
+                Domain::Covering => 2.0,
+                Domain::Inscribed => 1.0,
+            };
             let parameters = values(&model, |name| match name {
                 "bx" => half[0] - 0.5,
                 "by" => half[1] - 0.5,
