@@ -81,7 +81,7 @@ impl Model {
     /// The derivatives as differentiation writes them, F left out, over every pixel of the window: the domain is not
     /// looked at. It is made to be counted and compared with; [`Model::objective`] is what is fast.
     pub fn plain_program(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Program, Diagnostics> {
-        let mut graph = self.formulas.graph.clone();
+        let mut graph = self.formulas.graph.drawing_on(self.budget());
         let entries = entries(&mut graph, self, subset, method, part);
         let origin = Origin::of(self);
         if graph.overflowed() {

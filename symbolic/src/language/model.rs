@@ -9,6 +9,7 @@ use crate::derive::bodies::Part;
 use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::likelihood::{Loss, Saturated, Shape};
 use crate::derive::objective::{Objective, Prediction, ValueKind};
+use crate::language::budget::Budget;
 use crate::language::diagnostic::{Diagnostics, Span};
 use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
 
@@ -203,7 +204,7 @@ pub struct Lowering {
 /// The formulas of a model, as nodes: those of one entry of `observed`, the first as a rule.
 #[derive(Clone, Debug)]
 pub(crate) struct Formulas {
-    pub graph: Graph,
+    pub graph: Arc<Graph>,
     pub observed: NodeId,
     /// The mean over the pixel's Gauss points.
     pub intensity: NodeId,
@@ -264,9 +265,13 @@ pub struct Model {
     pub(crate) constants: Vec<Constant>,
     pub(crate) roles: Vec<Roles>,
     pub(crate) stages: Vec<Stage>,
-    pub(crate) document: serde_json::Value,
+    pub(crate) document: Arc<serde_json::Value>,
     pub(crate) digest: String,
     pub(crate) formulas: Formulas,
+    /// Units of work that reading it took.
+    pub(crate) reading: usize,
+    /// What is derived draws on it; absent, each derivation has a budget of its own.
+    pub(crate) budget: Option<Budget>,
 }
 
 impl Model {
@@ -346,8 +351,12 @@ impl Model {
     /// Models whose F add up to this one's: one for each entry of `observed`, this model itself when there is one only,
     /// each followed by one of the pixels at their limit where those are censored. What is derived from a model is of
     /// its first entry, and of pixels below their limit.
+    ///
+    /// They share one budget, [`crate::LIMITS`]`.work`: so much is derived of all of them together, for all stages, and then
+    /// no more. Whoever derives a whole schedule takes the summands once.
     pub fn summands(&self) -> Vec<Summand> {
         let mut summands = Vec::new();
+        let budget = Some(Budget::after(self.reading));
         for entry in &self.formulas.entries {
             let formulas = self.formulas.of_entry(*entry);
             let clipped = match (self.formulas.saturated, formulas.graph.node(entry.observed)) {
@@ -356,7 +365,10 @@ impl Model {
                 }
                 _ => None,
             };
-            let of = |formulas: Formulas, is_clipped| Summand { model: Model { formulas, ..self.clone() }, is_clipped };
+            let of = |formulas: Formulas, is_clipped| {
+                let budget = budget.clone();
+                Summand { model: Model { formulas, budget, ..self.clone() }, is_clipped }
+            };
             summands.push(of(formulas, false));
             summands.extend(clipped.map(|formulas| of(formulas, true)));
         }
@@ -367,7 +379,7 @@ impl Model {
     pub fn nearest_name(&self, name: &str) -> Option<&str> {
         let names =
             self.parameters.iter().map(|p| p.name.as_str()).chain(self.constants.iter().map(|c| c.name.as_str()));
-        crate::language::diagnostic::nearest_name(name, names)
+        crate::language::diagnostic::Spellings::default().nearest(name, names)
     }
 
     /// True when every exclusive bound and every constraint holds; false for NaN.
@@ -420,6 +432,11 @@ impl Model {
     /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
     pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
         crate::derive::objective::prediction(self, what, lowering)
+    }
+
+    /// What a derivation may cost.
+    pub(crate) fn budget(&self) -> Budget {
+        self.budget.clone().unwrap_or_else(|| Budget::after(self.reading))
     }
 
     pub(crate) fn names(&self, outputs: Vec<String>) -> Names {

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use sha2::{Digest, Sha256};
 
 use crate::derive::graph::Graph;
-use crate::language::diagnostic::{Diagnostics, Span, nearest_name, quoted};
+use crate::language::diagnostic::{Diagnostics, Span, quoted};
 use crate::language::document::{Entry, Item, Key, to_json};
 use crate::language::elaborate::{Binding, Matrix};
 use crate::language::formulas::{Definition, FormulaReader};
@@ -93,6 +93,8 @@ pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Resul
     let digest = format!("sha256:{}", digest.iter().map(|b| format!("{b:02x}")).collect::<String>());
     match (formulas, faults.is_empty()) {
         (Some(formulas), true) => Ok(Model {
+            reading: formulas.graph.budget().work(),
+            budget: None,
             name: name.unwrap_or_default(),
             description: description.unwrap_or_default(),
             text: text.into(),
@@ -103,7 +105,7 @@ pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Resul
             roles,
             stages,
             places: crate::language::places::places(&root),
-            document,
+            document: document.into(),
             digest,
             formulas,
         }),
@@ -284,7 +286,7 @@ fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span
     let found = Estimator::ALL.into_iter().find(|e| e.name() == &*text.value);
     let known = || Estimator::ALL.into_iter().filter(|e| e.coordinates() <= coordinates.max(1)).map(Estimator::name);
     if found.is_none() {
-        let help = match nearest_name(&text.value, known()) {
+        let help = match faults.nearest(&text.value, known()) {
             Some(near) => format!("did you mean \"{near}\"?"),
             None => format!("estimators: {}", known().collect::<Vec<_>>().join(", ")),
         };

@@ -1,5 +1,7 @@
 //! `[model]`: its formulas.
 
+use std::sync::Arc;
+
 use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::likelihood::{Loss, Saturated};
 use crate::language::diagnostic::Span;
@@ -126,7 +128,7 @@ pub(crate) fn read_model(
     let domain = domain.flatten();
     let clipped = None;
     Some(Formulas {
-        graph,
+        graph: Arc::new(graph),
         observed,
         intensity,
         shown,
