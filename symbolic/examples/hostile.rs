@@ -28,7 +28,7 @@ fn main() {
         let before = MEMORY.current_usage();
         MEMORY.reset_peak_usage();
         let start = processor_ms();
-        let model = ending::read(&hostile);
+        let model = hostile.read();
         let reading = processor_ms() - start;
         let end = match model {
             Err(faults) => format!("{}: {}", faults[0].code, faults[0].message),

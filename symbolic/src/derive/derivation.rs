@@ -115,6 +115,7 @@ impl Derivation {
         let slopes: Vec<_> = target.parameters.iter().map(slopes).collect();
         for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
             for (j, v) in target.parameters.iter().enumerate().skip(i) {
+                graph.charge(slopes[i].len() * slopes[j].len());
                 let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {
                     for (m, m_v) in &slopes[j] {
@@ -146,7 +147,7 @@ impl Derivation {
     pub fn copied(&self) -> Derivation {
         let mut copy = self.clone();
         let terms: usize = self.factors.values().map(Polynomial::len).sum();
-        copy.graph.charge(self.graph.len() + 4 * self.entries.len() + 4 * terms);
+        copy.graph.charge(self.graph.len() / 2 + 4 * self.entries.len() + 4 * terms);
         copy
     }
 
@@ -229,7 +230,7 @@ impl Derivation {
 }
 
 /// Values worked out in the search of combinations, beyond which there is none.
-const RANK: usize = LIMITS.work / 8;
+const RANK: usize = LIMITS.work / 16;
 
 /// The sums without those that are combinations of others, F's own left alone.
 pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {

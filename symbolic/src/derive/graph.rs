@@ -124,14 +124,14 @@ impl Graph {
     /// A copy that draws on a budget, which pays for it.
     pub fn drawing_on(&self, budget: Budget) -> Graph {
         let mut graph = Graph { budget, overflowed: false, work: 0, ..self.clone() };
-        graph.charge(self.len());
+        graph.charge(self.len() / 2);
         graph
     }
 
     /// A copy that draws on the same budget.
     pub fn copied(&self) -> Graph {
         let mut graph = self.clone();
-        graph.charge(self.len());
+        graph.charge(self.len() / 2);
         graph
     }
 

@@ -363,10 +363,7 @@ impl Origin {
             return Err(self.spent(graph.budget()));
         }
         if graph.overflowed() {
-            return Err(self.fault(
-                "limit",
-                format!("the loop grows past {} distinct operations", LIMITS.nodes),
-            ));
+            return Err(self.fault("limit", format!("the loop grows past {} distinct operations", LIMITS.nodes)));
         }
         if count > most {
             return Err(

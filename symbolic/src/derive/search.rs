@@ -19,7 +19,7 @@ use crate::program::schedule::{Sums, pixel_cost};
 /// Derivations tried at most.
 const DERIVATIONS: usize = 32;
 /// Work (see [`Graph::work`]) after which no other way is tried: that of all derivations, and that of all layouts.
-const WORK: usize = LIMITS.work / 4;
+const WORK: usize = LIMITS.work / 8;
 
 struct Found {
     cuts: Cuts,
@@ -96,7 +96,8 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
 impl Search<'_> {
     /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
     fn attempt(&mut self, cuts: Cuts) {
-        if self.derivations >= DERIVATIONS || self.work >= WORK || !self.tried.insert(cuts.clone()) {
+        let is_spent = self.work >= WORK || self.graph.budget().is_spent();
+        if self.derivations >= DERIVATIONS || is_spent || !self.tried.insert(cuts.clone()) {
             return;
         }
         let (mut graph, mut residual) = (self.graph.copied(), self.target.residual);
@@ -133,7 +134,10 @@ impl Search<'_> {
             work += try_layout(&mut best, whole);
         }
         for form in 0..best.derivation.forms.len() {
-            if !best.derivation.has_terms(form) || work >= WORK {
+            if work >= WORK || best.derivation.graph.budget().is_spent() {
+                break;
+            }
+            if !best.derivation.has_terms(form) {
                 continue;
             }
             let mut layout = best.layout.clone();

@@ -191,7 +191,7 @@ impl Elaborator<'_> {
         let values =
             locals.iter().map(|l| l.value.clone()).collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Unknown)?;
         let entries = values.iter().map(|value| value.entries.len()).sum::<usize>();
-        self.charge(entries / 4, at)?;
+        self.charge(4 + entries / 4, at)?;
         let key = (name.to_string(), values);
         if let Some(known) = self.workings.results.get(&key) {
             return Ok(known.clone());

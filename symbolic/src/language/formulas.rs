@@ -235,10 +235,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
                 "it is a condition on coordinates and parameters",
             );
         }
-        if !intensity.is_empty()
-            && !self.workings.lacks_names
-            && !reads(self, intensity, is_parameter)
-        {
+        if !intensity.is_empty() && !self.workings.lacks_names && !reads(self, intensity, is_parameter) {
             tell(self, "model.intensity", "`intensity` depends on no parameter", "there is nothing to fit");
         }
         if constraints.iter().flatten().any(|c| self.graph.level(*c) > Level::Pass) {

@@ -37,8 +37,8 @@ pub struct Limits {
     pub exponent: i64,
     /// Nodes of the expression graph, counted while it grows.
     pub nodes: usize,
-    /// Units of work that a document is worth, reading and the derivation of all its stages together; a unit takes about
-    /// 50 ns of one processor.
+    /// Units of work that a document is worth, reading and the derivation of all its stages together; a unit takes 50
+    /// to 100 ns of one processor.
     pub work: usize,
     /// Operations that its programs and their formulas hold, all stages together.
     pub kept: usize,
@@ -67,7 +67,7 @@ pub const LIMITS: Limits = Limits {
     entries: 256,
     exponent: 64,
     nodes: 32_768,
-    work: 2_000_000,
+    work: 4_000_000,
     kept: 262_144,
     instructions: 8192,
     diagnostics: 64,

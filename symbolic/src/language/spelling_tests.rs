@@ -21,9 +21,42 @@ const KINDS: [Kind; 5] = [Kind::Basic, Kind::Literal, Kind::BasicLines, Kind::Li
 
 /// Characters of one to four bytes, blanks that TOML does not trim, quotes, and what only escapes can spell.
 const CHARACTERS: [char; 36] = [
-    'a', 'b', 'x', '0', 'u', 'U', 'n', '"', '\'', '\\', '/', '#', ' ', '\t', '\n', '\r', '\u{8}', '\u{c}', '\u{1b}',
-    '\u{0}', '\u{7f}', '\u{85}', '\u{a0}', 'é', 'ß', '\u{301}', 'Ω', '\u{2003}', '\u{2028}', '\u{feff}', '明', '\u{d7ff}',
-    '\u{e000}', '\u{10000}', '😀', '\u{10ffff}',
+    'a',
+    'b',
+    'x',
+    '0',
+    'u',
+    'U',
+    'n',
+    '"',
+    '\'',
+    '\\',
+    '/',
+    '#',
+    ' ',
+    '\t',
+    '\n',
+    '\r',
+    '\u{8}',
+    '\u{c}',
+    '\u{1b}',
+    '\u{0}',
+    '\u{7f}',
+    '\u{85}',
+    '\u{a0}',
+    'é',
+    'ß',
+    '\u{301}',
+    'Ω',
+    '\u{2003}',
+    '\u{2028}',
+    '\u{feff}',
+    '明',
+    '\u{d7ff}',
+    '\u{e000}',
+    '\u{10000}',
+    '😀',
+    '\u{10ffff}',
 ];
 
 fn below(random: &mut Random, count: usize) -> usize {
@@ -191,7 +224,11 @@ fn each_character_is_found_where_it_is_spelled() {
             let line_start = document[..start + a].rfind('\n').map_or(0, |at| at + 1);
             let column = document[line_start..start + a].chars().count() + 1;
             let line = document[..start + a].split('\n').count();
-            assert_eq!((shown.line as usize, shown.column as usize, shown.span), (line, column, expected), "seed {seed}");
+            assert_eq!(
+                (shown.line as usize, shown.column as usize, shown.span),
+                (line, column, expected),
+                "seed {seed}"
+            );
             let is_marked = shown.render("document").contains('^');
             assert!(is_marked != shown.source.is_empty(), "seed {seed}: a fault is marked unless its line is empty");
             end = Some(expected.end);
@@ -216,9 +253,33 @@ fn the_generator_spells_in_every_way() {
         seen.push('\u{fffe}');
     }
     let ways = [
-        "\\b", "\\t", "\\n", "\\f", "\\r", "\\\"", "\\\\", "\\/", "\\e", "\\xA0", "\\u00e9", "\\U0001f600", "\\uD83D\\uDE00",
-        "\"\"\"\n", "\"\"\"\r\n", "'''\n", "\"\"\"\"\u{fffe}", "\"\"\"\"\"\u{fffe}", "''''\u{fffe}", "'''''\u{fffe}", "\\\n\\\n",
-        "\\\r\n\\", "\\\n\u{a0}", "\\ \n", "\\\t \r\n", "\\\n\u{2003}", "\\\n\"\"\"\u{fffe}",
+        "\\b",
+        "\\t",
+        "\\n",
+        "\\f",
+        "\\r",
+        "\\\"",
+        "\\\\",
+        "\\/",
+        "\\e",
+        "\\xA0",
+        "\\u00e9",
+        "\\U0001f600",
+        "\\uD83D\\uDE00",
+        "\"\"\"\n",
+        "\"\"\"\r\n",
+        "'''\n",
+        "\"\"\"\"\u{fffe}",
+        "\"\"\"\"\"\u{fffe}",
+        "''''\u{fffe}",
+        "'''''\u{fffe}",
+        "\\\n\\\n",
+        "\\\r\n\\",
+        "\\\n\u{a0}",
+        "\\ \n",
+        "\\\t \r\n",
+        "\\\n\u{2003}",
+        "\\\n\"\"\"\u{fffe}",
     ];
     let missing: Vec<&str> = ways.into_iter().filter(|way| !seen.contains(way)).collect();
     assert!(missing.is_empty(), "never spelled: {missing:?}");
@@ -238,7 +299,9 @@ fn continued_lines_in_a_row_and_a_no_break_space_are_read() {
 /// A value that the literal does not say is nowhere in particular: a planted disagreement.
 #[test]
 fn what_disagrees_has_the_whole_literals_place() {
-    for (value, raw) in [("ab", "\"\\x61c\""), ("ab", "\"\\x61\""), ("a", "\"\\x61b\""), ("é", "\"\\q\""), ("a", "\"\\u00")] {
+    for (value, raw) in
+        [("ab", "\"\\x61c\""), ("ab", "\"\\x61\""), ("a", "\"\\x61b\""), ("é", "\"\\q\""), ("a", "\"\\u00")]
+    {
         let spelling = Spelling::of(value, raw, 10);
         let whole = Span { start: 10, end: 10 + raw.len() as u32 };
         assert_eq!(spelling.span(0, 1, value.len()), whole, "{value:?} in {raw:?}");

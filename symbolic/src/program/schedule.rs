@@ -54,9 +54,9 @@ impl Sums {
 }
 
 /// Units of work that an instruction takes until it is in its place.
-const EMISSION: usize = 6;
+const EMISSION: usize = 3;
 /// The same for counting what it costs, spills above all.
-const COST: usize = 4;
+const COST: usize = 2;
 
 /// The loop nest for sums over the pixels of `domain`.
 pub(crate) fn sums(

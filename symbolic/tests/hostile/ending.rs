@@ -2,19 +2,13 @@
 
 use isophote_symbolic::{Diagnostics, Lowering, Method, Model, Summand, ValueKind};
 
-use crate::documents::Hostile;
-
-/// What stops it, if anything does; reading alone, then all that follows.
-pub fn read(hostile: &Hostile) -> Result<Model, Diagnostics> {
-    if hostile.is_json { Model::from_json(&hostile.text) } else { Model::from_toml(&hostile.text) }
-}
-
 /// Derives and lowers all that a fit asks for, and holds it as one who fits does.
 pub fn derive(model: &Model) -> Result<(), Diagnostics> {
     let lowerings = [false, true].map(|drop_saturated| Lowering { fma: true, drop_saturated });
     let mut held = Vec::new();
     for Summand { model, .. } in model.summands() {
-        for stage in model.stages() {
+        let own = (0..model.stages().len()).filter(|stage| model.first_alike(*stage) == *stage);
+        for stage in own.map(|stage| &model.stages()[stage]) {
             held.push(model.objective(&stage.parameters, stage.method)?);
         }
         if let Some(last) = model.stages().last().filter(|last| last.method == Method::Newton) {
@@ -23,6 +17,7 @@ pub fn derive(model: &Model) -> Result<(), Diagnostics> {
         held.push(model.value_objective(ValueKind::Entry)?);
         held.push(model.value_objective(ValueKind::Full)?);
     }
-    let programs: Result<Vec<_>, _> = held.iter().flat_map(|of| lowerings.map(|lowering| of.program(lowering))).collect();
+    let programs: Result<Vec<_>, _> =
+        held.iter().flat_map(|of| lowerings.map(|lowering| of.program(lowering))).collect();
     programs.map(drop)
 }

@@ -127,8 +127,13 @@ impl Compiled {
     /// When a kernel cannot be made, or parameters of the last stage can never be told apart.
     pub fn report(&self, clock_ns: &dyn Fn() -> u64) -> Result<CheckReport, CompileFailure> {
         let model = self.model();
-        let mut stages = Vec::new();
-        for stage in model.stages() {
+        let mut stages: Vec<StageCost> = Vec::new();
+        for (index, stage) in model.stages().iter().enumerate() {
+            let alike = model.first_alike(index);
+            if alike < index {
+                stages.push(stages[alike].clone());
+                continue;
+            }
             let begin_ns = clock_ns();
             let objective = model.objective(&stage.parameters, stage.method).map_err(CompileFailure::Model)?;
             let program = objective.program(lowering(Control::Plain)).map_err(CompileFailure::Model)?;

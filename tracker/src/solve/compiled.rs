@@ -189,8 +189,12 @@ impl Compiled {
         layout: &Layout,
     ) -> Result<Loops, CompileFailure> {
         // A last stage with a Gauss–Newton Hessian serves the covariance as well.
-        let last = Job::Stage(self.model.stages().len().saturating_sub(1));
-        let job = if self.parts.iter().any(|part| part.job == job) { job } else { last };
+        let last = self.model.stages().len().saturating_sub(1);
+        let job = match job {
+            Job::Stage(stage) => Job::Stage(self.model.first_alike(stage)),
+            job if self.parts.iter().any(|part| part.job == job) => job,
+            _ => Job::Stage(self.model.first_alike(last)),
+        };
         let mut loops = Loops { seen: Vec::new(), clipped: Vec::new() };
         for (index, part) in self.parts.iter().enumerate().filter(|(_, part)| part.job == job) {
             match part.is_clipped {
@@ -264,8 +268,8 @@ fn all<T: Send + Sync>(
 
 /// Every job of a model, for each of its summands.
 fn parts(model: &Model, workers: &dyn Workers) -> Result<Vec<Part>, CompileFailure> {
-    let stages = model.stages().iter().enumerate();
-    let mut jobs: Vec<Job> = stages.map(|(index, _)| Job::Stage(index)).collect();
+    let stages = (0..model.stages().len()).filter(|stage| model.first_alike(*stage) == *stage);
+    let mut jobs: Vec<Job> = stages.map(Job::Stage).collect();
     if model.stages().last().is_some_and(|last| curvature(last.method) == Curvature::Full) {
         jobs.push(Job::Covariance);
     }
