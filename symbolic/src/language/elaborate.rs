@@ -119,6 +119,7 @@ const STEP: usize = 3;
 pub(crate) const REMEMBERED: usize = 1 << 18;
 
 /// What all formulas of a document share.
+#[derive(Default)]
 pub(crate) struct Workings {
     /// A limit is met and told: nothing more is worked out.
     exhausted: bool,
@@ -130,18 +131,6 @@ pub(crate) struct Workings {
     spellings: Spellings,
     /// Some names could not be read: one that nothing declares is silent.
     pub lacks_names: bool,
-}
-
-impl Default for Workings {
-    fn default() -> Workings {
-        Workings {
-            exhausted: false,
-            results: HashMap::new(),
-            remembered: 0,
-            spellings: Spellings::default(),
-            lacks_names: false,
-        }
-    }
 }
 
 /// A name that is known in one place only: an argument, or the index of a sum.
