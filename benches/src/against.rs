@@ -1,8 +1,10 @@
 //! The kernels of the thesis' spot against the same loops made ahead of time, and against those that one has without isophote.
 
+use isophote_export::PixelType;
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, PixelType, Precision, Program, Sink};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
 
+use crate::bodies::{over_pixels_of, plain_program};
 use crate::contenders::{self, Function, Way};
 use crate::foreign::{Compiled, Picture};
 use crate::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
@@ -61,7 +63,7 @@ fn cases(model: &Model) -> Vec<Case> {
         let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
         let jit = kernel(model, subset, PixelFormat::F32, false);
         let optimised = jit.program().clone();
-        let plain = model.plain_program(&ids, Method::Newton, Part::Both).unwrap().over_pixels_of(&optimised);
+        let plain = over_pixels_of(&plain_program(model, &ids, Method::Newton, Part::Both).unwrap(), &optimised);
         let unfused = Lowering { fma: false, drop_saturated: false };
         let for_c = model.objective(&ids, Method::Newton).unwrap().program(unfused).unwrap();
         Case { name, title, jit, optimised, for_c, plain }

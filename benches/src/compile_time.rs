@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, has_fma};
-use isophote_server::Threads;
+use isophote_machine::Threads;
 use isophote_symbolic::{Lowering, Model, Precision};
 use isophote_tracker::{Compiled, InTurn, Workers};
 

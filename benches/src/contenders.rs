@@ -7,7 +7,8 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use isophote_symbolic::{ExportOptions, Language, Model, PixelType, Precision, Program, Sink};
+use isophote_export::{ExportOptions, Language, PixelType};
+use isophote_symbolic::{Model, Precision, Program, Sink};
 
 /// A way to compile.
 #[derive(Clone, Debug)]
@@ -122,7 +123,8 @@ pub fn source(model: &Model, way: &Way, functions: &[Function<'_>]) -> String {
             name: Some(function.name.clone()),
             ..ExportOptions::new(way.language, 1)
         };
-        let exported = model.export(function.program, &options).unwrap_or_else(|error| panic!("{}: {error}", way.name));
+        let exported = isophote_export::export(model, function.program, &options)
+            .unwrap_or_else(|error| panic!("{}: {error}", way.name));
         let Sink::Sums { outputs, .. } = function.program.sink() else { panic!("{} sums nothing", function.name) };
         let (name, inputs, outputs) = (&function.name, function.program.inputs().len(), outputs.len());
         match way.language {

@@ -3,8 +3,9 @@
 //! What comes in: models. What goes out: Markdown, the same on every machine, because nothing in it is measured: programs
 //! are walked and their operations counted.
 
-use isophote_symbolic::{BodyFlops, Form, Lowering, Method, Model, ParameterId};
+use isophote_symbolic::{Form, Lowering, Method, Model, ParameterId};
 
+use crate::bodies::{BodyFlops, body_flops};
 use crate::{shipped, text};
 
 /// One row of the thesis' Table 6.1.
@@ -45,7 +46,7 @@ fn subset(model: &Model, names: &str) -> Vec<ParameterId> {
 impl Row {
     /// Ours, in five ways.
     pub fn ours(&self, thesis_spot: &Model) -> BodyFlops {
-        thesis_spot.body_flops(&subset(thesis_spot, self.subset), Method::Newton).unwrap()
+        body_flops(thesis_spot, &subset(thesis_spot, self.subset), Method::Newton).unwrap()
     }
 }
 

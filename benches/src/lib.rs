@@ -7,6 +7,7 @@
 pub mod accuracy;
 pub mod against;
 pub mod appendix;
+pub mod bodies;
 pub mod colour;
 pub mod compile_time;
 pub mod contenders;

@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use isophote_symbolic::BodyFlops;
-
+use crate::bodies::BodyFlops;
 use crate::counts::{Row, in_columns};
 use crate::figure;
 

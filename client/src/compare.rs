@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isophote_capture::{Captured, FrameSource, Recording};
-use isophote_server::Threads;
+use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::tune::figures;
 use isophote_tracker::{Camera, Compiled, Estimate, TrackError, TrackState, Tracker, TrackerOptions};
@@ -84,7 +84,7 @@ fn followed(args: &CompareArgs, file: String, model: &Arc<Model>, camera: &Camer
     let is_csv = recording.csv_channels().map_err(other)?.is_some();
     let precision = if is_csv { Precision::F64 } else { Precision::F32 };
     let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads)
-        .map_err(|failure| Failure::model(&file, &isophote_server::explain::diagnostics(&failure)))?;
+        .map_err(|failure| Failure::model(&file, &isophote_wire::explain::diagnostics(&failure)))?;
     let compiled = Arc::new(compiled);
     let new = || {
         let options = TrackerOptions { precision, camera: camera.clone(), ..TrackerOptions::default() };

@@ -8,11 +8,12 @@ use std::sync::Arc;
 use isophote_capture::encode::encode_png_rgb;
 use isophote_capture::{Captured, FrameSource, Recording};
 use isophote_jit::Window;
-use isophote_server::{Threads, wire};
+use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{
     Camera, Compiled, Estimate, ExposureGoal, Intrinsics, Pose, Target, TrackState, Tracker, TrackerOptions, contours,
 };
+use isophote_wire as wire;
 
 use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
@@ -106,7 +107,7 @@ fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<T
         ..TrackerOptions::default()
     };
     let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads).map_err(|failure| {
-        Failure::model(&args.model.display().to_string(), &isophote_server::explain::diagnostics(&failure))
+        Failure::model(&args.model.display().to_string(), &isophote_wire::explain::diagnostics(&failure))
     })?;
     Tracker::new(Arc::new(compiled), options).map_err(|error| Failure::Usage(error.to_string()))
 }

@@ -4,11 +4,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isophote_server::Threads;
-use isophote_server::explain::{self, ExplainError};
-use isophote_server::wire::{ModelReport, StageReport};
+use isophote_machine::{Threads, monotonic_ns};
 use isophote_symbolic::{Diagnostics, Form, LIMITS, Model, Precision, Proof};
 use isophote_tracker::Compiled;
+use isophote_wire::explain::{self, ExplainError};
+use isophote_wire::{ModelReport, StageReport};
 
 use crate::failure::Failure;
 
@@ -50,7 +50,7 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = read(&args.model)?;
     let refused = |diagnostics: &Diagnostics| Failure::model(&args.model.display().to_string(), diagnostics);
     let report = Compiled::with_cache(model, Precision::F32, Arc::default(), &Threads)
-        .and_then(|compiled| explain::report(&compiled));
+        .and_then(|compiled| compiled.report(&monotonic_ns));
     let report = report.map_err(|error| refused(&explain::diagnostics(&error)))?;
     warn(&args.model, &report);
     let text = if args.json { json(&report)? } else { table(&report) };
@@ -66,7 +66,7 @@ pub fn warn(path: &Path, report: &ModelReport) {
 pub fn explain(args: &ExplainArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = read(&args.model)?;
     let names: Vec<&str> = args.parameters.iter().map(|name| name.trim()).filter(|name| !name.is_empty()).collect();
-    let explained = explain::explain(&model, Some(&names), Some(&args.method), &args.show);
+    let explained = explain::explain(&model, Some(&names), Some(&args.method), &args.show, &monotonic_ns);
     let explained = explained.map_err(|error| match error {
         ExplainError::Question(message) => Failure::Usage(message),
         ExplainError::Model(diagnostics) => Failure::model(&args.model.display().to_string(), &diagnostics),

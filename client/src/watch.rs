@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use isophote_server::wire::{Estimate, TrackState};
+use isophote_wire::{Estimate, TrackState};
 
 use crate::failure::Failure;
 use crate::http::{self, Service, ServiceArgs, segment};

@@ -5,16 +5,15 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use isophote_jit::KernelCache;
+use isophote_machine::Threads;
 use isophote_symbolic::{Diagnostics, Model, Precision};
 use isophote_tracker::Compiled;
+use isophote_wire::{ModelItem, ModelView, model_id};
 
-use crate::explain::compile_problem;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::store::{Store, StoreError, Stored};
-use crate::threads::Threads;
-use crate::wire::{ModelItem, ModelView, model_id};
 
 /// How a document was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -80,8 +79,7 @@ impl Entry {
         if let Some(programs) = &lock()[slot] {
             return Ok(Arc::new(programs.share()));
         }
-        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), &Threads);
-        let programs = programs.map_err(compile_problem)?;
+        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), &Threads)?;
         let kernels = Arc::new(programs.share());
         lock()[slot] = Some(programs);
         Ok(kernels)

@@ -6,11 +6,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
+use isophote_machine::monotonic_ns;
 use isophote_symbolic::Precision;
+use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
 use tokio::sync::oneshot;
 
 use crate::compiler::Compiler;
-use crate::explain;
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::name::Name;
@@ -19,7 +20,6 @@ use crate::registry::{Entry, Expected, Media, Registry};
 use crate::session::{Session, SourceOf, Swapped};
 use crate::source::{self, Source};
 use crate::store::StoreError;
-use crate::wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
 
 /// The service without its network.
 pub struct Service {
@@ -114,7 +114,7 @@ impl Service {
     pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(Entry, ModelAnswer), Problem> {
         let model = media.model(text).map_err(Problem::wrong_document)?;
         let entry = Entry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
-        let report = explain::report(&*entry.kernels(Precision::F32)?).map_err(explain::compile_problem)?;
+        let report = entry.kernels(Precision::F32)?.report(&monotonic_ns)?;
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
     }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use isophote_server::Threads;
+use isophote_machine::Threads;
 use isophote_symbolic::{Method, Model, Precision};
 use isophote_tracker::tune::{
     Bench, Convexity, Goal, Grid, Offset, Run, Schedule, Subset, figures, newton_of_each, schedules, subsets,
@@ -140,7 +140,7 @@ fn compiled(path: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<
 }
 
 fn refused(path: &Path, failure: &CompileFailure) -> Failure {
-    Failure::model(&path.display().to_string(), &isophote_server::explain::diagnostics(failure))
+    Failure::model(&path.display().to_string(), &isophote_wire::explain::diagnostics(failure))
 }
 
 fn no_kernel(error: CompileFailure) -> Failure {

@@ -3,16 +3,16 @@
 use std::sync::{Arc, PoisonError};
 
 use isophote_capture::Exposure;
+use isophote_machine::monotonic_ns;
 use isophote_tracker::{ControllerOptions, ExposureController, Tracker};
+use isophote_wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 use super::Shared;
 use super::inbox::{Delivery, Event, SourceEnd};
 use super::swap::{Active, Swap, Swapped};
-use crate::clock::monotonic_ns;
 use crate::hub::End;
 use crate::problem::Problem;
 use crate::source::Source;
-use crate::wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 /// What the thread owns.
 pub struct Fitter {

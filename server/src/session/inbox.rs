@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use isophote_capture::Captured;
+use isophote_wire::Estimate;
 use tokio::sync::oneshot;
 
 use super::swap::Swap;
-use crate::wire::Estimate;
 
 /// One frame on its way to the sessions that share its source.
 pub struct Delivery {

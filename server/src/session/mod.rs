@@ -12,17 +12,16 @@ use std::thread::JoinHandle;
 use isophote_tracker::{Camera, TrackError, Tracker};
 use tokio::sync::oneshot;
 
-use crate::clock::{elapsed_ms, monotonic_ns};
-use crate::explain::compile_problem;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::Entry;
 use crate::source::{Shape, Source};
-use crate::threads::Threads;
-use crate::wire::{SessionDocument, SessionState, SessionView};
 use fit::{Fitter, Light};
 use inbox::Inbox;
+use isophote_machine::Threads;
+use isophote_machine::{elapsed_ms, monotonic_ns};
+use isophote_wire::{SessionDocument, SessionState, SessionView};
 use status::Status;
 pub use swap::Swapped;
 use swap::{Active, Swap};
@@ -73,7 +72,7 @@ impl Session {
         camera.saturation = camera.saturation.or(source.source.shape().saturation);
         let compiled = entry.kernels(document.options.precision)?;
         if let Some(format) = source.source.shape().format {
-            compiled.warm(format, &Threads).map_err(compile_problem)?;
+            compiled.warm(format, &Threads)?;
         }
         let options = swap::options(&document, &camera, &entry.model, false);
         let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
@@ -162,7 +161,7 @@ impl Session {
         let start_ns = monotonic_ns();
         let compiled = entry.kernels(self.document.options.precision)?;
         if let Some(format) = shape.format {
-            compiled.warm(format, &Threads).map_err(compile_problem)?;
+            compiled.warm(format, &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
         let options = swap::options(&self.document, &self.camera, &entry.model, true);

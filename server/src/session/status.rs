@@ -3,10 +3,10 @@
 use std::collections::VecDeque;
 
 use isophote_tracker::Frame;
+use isophote_wire::SessionState;
 
 use super::swap::Active;
 use crate::source::Shape;
-use crate::wire::SessionState;
 
 /// Estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;

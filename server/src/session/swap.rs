@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 use isophote_tracker::{Camera, Compiled, MotionOptions, PredictOptions, TrackerOptions};
+use isophote_wire::{PredictDocument, SessionDocument, Window};
 use tokio::sync::oneshot;
 
 use crate::registry::Entry;
-use crate::wire::{PredictDocument, SessionDocument, Window};
 
 /// A model that fits, or will.
 #[derive(Clone)]

@@ -4,9 +4,9 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use isophote_capture::{Camera, CameraState};
+use isophote_wire::SourceState;
 
 use super::{Source, State, Worker};
-use crate::wire::SourceState;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
 const LOOK: Duration = Duration::from_millis(200);

@@ -20,11 +20,11 @@ use isophote_capture::camera::CameraStatus;
 use isophote_capture::{Camera, Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
 
-use crate::clock::monotonic_ns;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
-use crate::wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
+use isophote_machine::monotonic_ns;
+use isophote_wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
 pub use open::{Opened, camera_problem, open, pixel_format};
 use schedule::Schedule;
 

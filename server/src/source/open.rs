@@ -10,13 +10,13 @@ use isophote_capture::{
 };
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
+use isophote_wire::{
+    CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
+};
 
 use super::{Producer, Shape};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::{
-    CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
-};
 
 /// A source that is ready to start.
 pub struct Opened {

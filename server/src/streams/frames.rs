@@ -8,13 +8,13 @@ use std::time::Instant;
 
 use axum::extract::ws::{Message, WebSocket};
 use isophote_tracker::Frame;
+use isophote_wire::Estimate;
 
 use super::pushed::{Pushed, Waiting, gone};
 use super::websocket::{close, refuse, send};
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::Estimate;
 
 type Decoding = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use isophote_capture::Captured;
 use isophote_tracker::{Frame, Plane};
+use isophote_wire::{Estimate, PushedDocument, SourceDocument};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -12,7 +13,6 @@ use crate::problem::Problem;
 use crate::session::Session;
 use crate::session::inbox::{Inbox, Reply};
 use crate::source::{Source, pixel_format};
-use crate::wire::{Estimate, PushedDocument, SourceDocument};
 
 /// What a PNG file begins with.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
@@ -140,7 +140,7 @@ fn decode(document: &PushedDocument, media: Media, bytes: Vec<u8>) -> Result<Fra
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::wire::PushedFormat;
+    use isophote_wire::PushedFormat;
 
     /// A frame of 4 × 3 pixels has 24 bytes.
     #[test]

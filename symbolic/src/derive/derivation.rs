@@ -9,16 +9,38 @@ use std::collections::{BTreeMap, BTreeSet};
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::absorb::{absorb, absorb_numbers};
-use crate::derive::bodies::Part;
 use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
 use crate::derive::likelihood::Shape;
 use crate::derive::monomial::{Polynomial, Splitter, whole_output};
 use crate::derive::rank::{Combination, dependent};
+use crate::derive::schedule;
+use crate::derive::sums::{Output, Sums, Term};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Cost;
-use crate::program::schedule::{self, Output, Sums, Term};
+
+/// Which derivatives a loop sums.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Part {
+    /// The gradient.
+    Gradient,
+    /// The upper triangle of the Hessian.
+    Hessian,
+    /// Both, in one loop.
+    Both,
+}
+
+impl Part {
+    /// The gradient is part of it.
+    pub fn has_gradient(self) -> bool {
+        self != Part::Hessian
+    }
+    /// The Hessian is part of it.
+    pub fn has_hessian(self) -> bool {
+        self != Part::Gradient
+    }
+}
 
 /// What is differentiated: the same for every choice.
 #[derive(Clone, Copy)]

@@ -20,20 +20,22 @@ id!(/// A node of the graph.
 
 /// A number that can be hashed; never NaN from user text, −0 is 0.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
-pub(crate) struct Bits(u64);
+pub struct Bits(u64);
 
 impl Bits {
-    pub fn new(value: f64) -> Bits {
+    pub(crate) fn new(value: f64) -> Bits {
         Bits((value + 0.0).to_bits())
     }
+    /// The number.
     pub fn get(self) -> f64 {
         f64::from_bits(self.0)
     }
 }
 
-/// An expression. Sums and products are built by [`Graph::sum`] and [`Graph::product`] only.
+/// An expression. Sums and products are built by the graph's own constructors only.
 #[derive(Clone, PartialEq, Eq, Hash, Debug)]
-pub(crate) enum Node {
+#[allow(missing_docs)]
+pub enum Node {
     Number(Bits),
     Input(Input),
     Coordinate(CoordinateId),

@@ -7,17 +7,18 @@
 //! every entry. Gauss–Newton keeps Σ Q_lm l_u l_v with Q from ∂²F/∂r² alone.
 
 use crate::derive::absorb::gather;
-use crate::derive::bodies::Part;
-use crate::derive::derivation::{Cuts, Derivation, Target};
+use crate::derive::derivation::{Cuts, Derivation, Part, Target};
+use crate::derive::expressions::Expressions;
 use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::likelihood::Saturated;
 use crate::derive::monomial::whole_output;
+use crate::derive::schedule;
 use crate::derive::search;
+use crate::derive::sums::{Output, Sums};
 use crate::language::budget::Budget;
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Lowering, Method, Model};
-use crate::program::schedule::{self, Output, Sums};
 use crate::program::{Comparison, Cost, Input, Level, ParameterId, Program};
 use crate::proof::{Claim, Errors, Form, Proof, is_small_f32};
 
@@ -61,7 +62,7 @@ pub struct Objective {
     /// The program that was proved: that of [`CHECKED`].
     checked: Option<Program>,
     origin: Origin,
-    pub(crate) forms: Vec<(String, NodeId)>,
+    forms: Vec<(String, NodeId)>,
 }
 
 /// How a program is lowered for its check; others differ in contraction and in the pixels that they leave out.
@@ -127,13 +128,20 @@ impl Objective {
         Ok(self.origin.checked(&graph, program)?.cost())
     }
 
-    pub(crate) fn graph(&self) -> &Graph {
-        &self.graph
+    /// What [`Self::outputs`] and [`Self::forms`] are made of.
+    pub fn expressions(&self) -> Expressions<'_> {
+        Expressions::of(&self.graph)
     }
-    pub(crate) fn sums(&self) -> &Sums {
-        &self.sums
+    /// What is summed, by output: F, its gradient, its upper Hessian row by row.
+    pub fn outputs(&self) -> &[Output] {
+        &self.sums.outputs
     }
-    pub(crate) fn names(&self) -> &crate::program::Names {
+    /// The costly pixel values L and Q that a factored derivation multiplies, with their letters.
+    pub fn forms(&self) -> &[(String, NodeId)] {
+        &self.forms
+    }
+    /// What the model calls everything.
+    pub fn names(&self) -> &crate::program::Names {
         &self.names
     }
 
@@ -263,7 +271,7 @@ impl<'a> Setting<'a> {
         let shape = model.formulas.shape();
         let target = Target { parameters, names: &names, residual, variance, shape, newton, part };
         let derived = match form {
-            Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
+            Form::Unfactored => Derivation::new(graph.copied(), &target, &Cuts::default())
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
             _ => search::fewest_flops(graph, &target, form == Form::Factored),
         };

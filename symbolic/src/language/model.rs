@@ -5,13 +5,11 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::derive::bodies::Part;
 use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::likelihood::{Loss, Saturated, Shape};
-use crate::derive::objective::{Objective, Prediction, ValueKind};
 use crate::language::budget::Budget;
 use crate::language::diagnostic::{Diagnostics, Span};
-use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
+use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId};
 
 /// An unknown of the fit.
 #[derive(Clone, PartialEq, Debug)]
@@ -418,35 +416,13 @@ impl Model {
         self.formulas.domain.is_none_or(|domain| self.at_place(domain, place, parameters, constants) == 1.0)
     }
 
-    /// F, its gradient and its Hessian for a subset of the parameters.
-    pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
-        Objective::derive(self, subset, method)
-    }
-    /// Gradient or Hessian in a loop of its own, to compare with the joint loop; it is not checked against the formulas.
-    pub fn part_objective(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Objective, Diagnostics> {
-        Objective::part(self, subset, method, part)
-    }
-    /// F alone.
-    pub fn value_objective(&self, kind: ValueKind) -> Result<Objective, Diagnostics> {
-        Objective::value(self, kind)
-    }
-    /// The program that adds the intensity (the entry of the model's first observation) to a plane, at coordinates plus
-    /// their shifts.
-    pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
-        crate::derive::objective::rendering(self, lowering)
-    }
-
-    /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
-    pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-        crate::derive::objective::prediction(self, what, lowering)
-    }
-
     /// What a derivation may cost.
     pub(crate) fn budget(&self) -> Budget {
         self.budget.clone().unwrap_or_else(|| Budget::after(self.reading))
     }
 
-    pub(crate) fn names(&self, outputs: Vec<String>) -> Names {
+    /// What its programs call everything.
+    pub fn names(&self, outputs: Vec<String>) -> Names {
         Names {
             coordinates: self.coordinates.clone(),
             channels: self.channels.clone(),

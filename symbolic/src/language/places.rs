@@ -33,12 +33,17 @@ pub(crate) fn places(root: &Entry) -> Places {
 }
 
 impl Model {
+    /// The bytes of the document at `span`, as the user wrote them. `None` beyond the document.
+    pub fn words(&self, span: Span) -> Option<&str> {
+        self.text.get(span.start as usize..span.end as usize)
+    }
+
     /// The key of the formula at `span` (`definitions.s`), and the bytes themselves as the user wrote them. `None` for
     /// bytes that are no part of one string of the document.
     pub fn quote(&self, span: Span) -> Option<(&str, &str)> {
         let at = self.places.partition_point(|(place, _)| place.start <= span.start).checked_sub(1)?;
         let (place, key) = &self.places[at];
-        let text = self.text.get(span.start as usize..span.end as usize)?;
+        let text = self.words(span)?;
         (span.end <= place.end).then_some((key.as_str(), text))
     }
 }

@@ -39,6 +39,18 @@ impl Program {
         program.check().map(|()| program)
     }
 
+    /// A program from parts whose instructions stand in any order of levels, operands first: they are put in order, and what
+    /// nothing reads is left out.
+    ///
+    /// # Errors
+    /// A sentence when they are no program.
+    pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, String> {
+        let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
+        let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
+        crate::program::peephole::improve(&mut program, false);
+        program.check().map(|()| program)
+    }
+
     /// Nothing, or what is wrong with the program; only a bug could be.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! `Program`: the loop nest that a kernel runs, in SSA form with dense ids.
 //!
-//! What comes in: instructions from [`crate::program::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
+//! What comes in: instructions from [`crate::derive::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
 //! meaning and that the JIT turns into machine code. It never knows a pixel's memory layout.
 //!
 //! ```text
@@ -19,8 +19,6 @@ pub mod interpreter;
 pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
-pub(crate) mod schedule;
-pub(crate) mod steps;
 
 use crate::language::diagnostic::Span;
 use crate::program::function::{Function1, Function2};

@@ -160,7 +160,7 @@ fn arrange(program: &mut Program) {
 }
 
 /// The operation with its operands renamed.
-pub(crate) fn renamed(op: Op, at: &dyn Fn(Value) -> Value) -> Op {
+pub fn renamed(op: Op, at: &dyn Fn(Value) -> Value) -> Op {
     match op {
         Op::Const(_) | Op::Input(_) | Op::Outer(_) | Op::Channel(_) => op,
         Op::RowTotal(_) | Op::RowCount | Op::PassTotal(_) | Op::PassCount => op,

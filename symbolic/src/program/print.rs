@@ -1,7 +1,6 @@
 //! The text form of a [`Program`], to read and to keep as an expected file.
 
-use crate::notation::text::sign;
-use crate::program::{Input, Level, Op, Program, Sink, Value};
+use crate::program::{Comparison, Input, Level, Op, Program, Sink, Value};
 
 impl std::fmt::Display for Program {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -43,6 +42,18 @@ impl std::fmt::Display for Program {
     }
 }
 
+impl Comparison {
+    /// Its sign in the formula language.
+    pub fn sign(self) -> &'static str {
+        match self {
+            Comparison::Lt => "<",
+            Comparison::Le => "<=",
+            Comparison::Eq => "==",
+            Comparison::Ne => "!=",
+        }
+    }
+}
+
 impl Program {
     /// What `value` is computed from, as in the program's text: `fma(v1, v2, v3)`.
     pub fn operation_text(&self, value: Value) -> String {
@@ -80,7 +91,7 @@ fn operation(program: &Program, op: Op) -> String {
         Op::Mul(a, b) => format!("v{} * v{}", a.0, b.0),
         Op::Div(a, b) => format!("v{} / v{}", a.0, b.0),
         Op::Fma(a, b, c) => format!("fma(v{}, v{}, v{})", a.0, b.0, c.0),
-        Op::Compare(c, a, b) => format!("v{} {} v{}", a.0, sign(c), b.0),
+        Op::Compare(c, a, b) => format!("v{} {} v{}", a.0, c.sign(), b.0),
         Op::And(a, b) => format!("v{} and v{}", a.0, b.0),
         Op::Or(a, b) => format!("v{} or v{}", a.0, b.0),
         Op::Not(a) => format!("not v{}", a.0),

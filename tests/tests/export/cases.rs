@@ -1,9 +1,9 @@
 //! What is exported: a program of a shipped model, how it is to be written, and the pixels that it runs over.
 
+use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
 use isophote_symbolic::{
-    Bindings, Estimator, ExportOptions, Language, Lowering, Method, Model, Op, ParameterId, PixelType, Precision,
-    Program, Sink, Start,
+    Bindings, Estimator, Lowering, Method, Model, Op, ParameterId, Precision, Program, Sink, Start,
 };
 use isophote_tests::repository;
 
@@ -151,7 +151,7 @@ impl Case {
             name: Some(self.name.clone()),
             ..ExportOptions::new(language, 0)
         };
-        let text = self.model.export(&self.program, &options).unwrap();
+        let text = isophote_export::export(&self.model, &self.program, &options).unwrap();
         self.planted.map_or(text.clone(), |(from, to)| text.replacen(from, to, 1))
     }
 

@@ -5,13 +5,36 @@ use toml::de::{DeTable, DeValue};
 use crate::{expect_none, files};
 
 /// A crate of the workspace and the crates of the workspace that it may use.
-const MAY_USE: [(&str, &[&str]); 8] = [
+const MAY_USE: [(&str, &[&str]); 10] = [
     ("isophote-symbolic", &[]),
     ("isophote-jit", &["isophote-symbolic"]),
     ("isophote-tracker", &["isophote-symbolic", "isophote-jit"]),
     ("isophote-capture", &["isophote-symbolic", "isophote-jit", "isophote-tracker"]),
-    ("isophote-server", &["isophote-symbolic", "isophote-jit", "isophote-tracker", "isophote-capture"]),
-    ("isophote", &["isophote-symbolic", "isophote-jit", "isophote-tracker", "isophote-capture", "isophote-server"]),
+    ("isophote-machine", &["isophote-tracker"]),
+    ("isophote-wire", &["isophote-symbolic", "isophote-jit", "isophote-tracker", "isophote-capture"]),
+    (
+        "isophote-server",
+        &[
+            "isophote-symbolic",
+            "isophote-jit",
+            "isophote-tracker",
+            "isophote-capture",
+            "isophote-machine",
+            "isophote-wire",
+        ],
+    ),
+    (
+        "isophote",
+        &[
+            "isophote-symbolic",
+            "isophote-jit",
+            "isophote-tracker",
+            "isophote-capture",
+            "isophote-machine",
+            "isophote-wire",
+            "isophote-server",
+        ],
+    ),
     ("isophote-tests", &["*"]),
     ("isophote-benches", &["*"]),
 ];
