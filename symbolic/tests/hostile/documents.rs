@@ -293,7 +293,7 @@ pub fn all() -> Vec<Hostile> {
     add(
         "functions in sums in functions",
         document(1, &functions(10, "sin(x*t)", |f| format!("sum({f}(t + i*x)*{f}(t), i, 0, 30)")), "f9(p0)"),
-        limit,
+        Honest,
     );
     let wide = format!("[{}]", (0..256).map(|i| format!("x^{}*p0", i % 60)).collect::<Vec<_>>().join(","));
     add("dot products of 256", document(1, &[("v".into(), wide.clone())], "(v' * v)^60 + p0"), Honest);
