@@ -12,8 +12,8 @@ use std::collections::HashMap;
 
 use isophote_symbolic::{
     AccumulatorId, Bits, ChannelId, Comparison, CoordinateId, Diagnostics, Expressions, Input, InputId, Instruction,
-    Level, Lowering, Method, Model, Node, NodeId, Op, ParameterId, Part, PixelSet, Program, ProgramParts, Sink,
-    TotalId, Value, renamed,
+    Level, Lowering, Method, Model, Node, NodeId, Op, Opcode, ParameterId, Part, PixelSet, Program, ProgramParts, Sink,
+    TotalId, Value,
 };
 
 /// Flops per pixel, accumulation included and F left out, in the four columns of the thesis' Table 6.1. Plain counts are
@@ -80,17 +80,17 @@ pub fn over_pixels_of(program: &Program, other: &Program) -> Program {
     let first = instructions.len() as u32;
     let moved = |v: Value| Value(v.0 + first);
     for instruction in other.instructions() {
-        let op = match renamed(instruction.op, &moved) {
-            Op::Input(input) => {
+        let op = match instruction.op.code {
+            Opcode::Input(input) => {
                 let wanted = other.inputs()[input.index()];
                 let known = inputs.iter().position(|input| *input == wanted);
                 let index = known.unwrap_or_else(|| {
                     inputs.push(wanted);
                     inputs.len() - 1
                 });
-                Op::Input(InputId(index as u32))
+                Opcode::Input(InputId(index as u32)).of([])
             }
-            op => op,
+            _ => instruction.op.renamed(moved),
         };
         instructions.push(Instruction { op, ..*instruction });
     }
@@ -124,8 +124,7 @@ struct Body<'g> {
     expressions: Expressions<'g>,
     instructions: Vec<Instruction>,
     inputs: Vec<Input>,
-    /// By the operation as text, which has what a hash needs.
-    known: HashMap<String, Value>,
+    known: HashMap<Op, Value>,
     values: HashMap<NodeId, Value>,
 }
 
@@ -151,8 +150,8 @@ impl<'g> Body<'g> {
             let id = accumulators.len() as u32;
             let value = self.values[node];
             accumulators.push(self.as_pixel(value));
-            totals.push(self.emit(Op::RowTotal(AccumulatorId(id)), Level::RowEnd));
-            outputs.push(self.emit(Op::PassTotal(TotalId(id)), Level::PassEnd));
+            totals.push(self.emit(Opcode::RowTotal(AccumulatorId(id)).of([])));
+            outputs.push(self.emit(Opcode::PassTotal(TotalId(id)).of([])));
         }
         Sink::Sums { accumulators, totals, outputs }
     }
@@ -162,27 +161,23 @@ impl<'g> Body<'g> {
         if self.instructions[value.index()].level == Level::Pixel {
             return value;
         }
-        let pixel = self.emit(Op::Channel(ChannelId(0)), Level::Pixel);
-        let either = self.at_operands(Op::Compare(Comparison::Eq, pixel, pixel));
-        self.at_operands(Op::Select(either, value, value))
+        let pixel = self.emit(Opcode::Channel(ChannelId(0)).of([]));
+        let either = self.emit(Opcode::Compare(Comparison::Eq).of([pixel, pixel]));
+        self.emit(Opcode::Select.of([either, value, value]))
     }
 
-    fn emit(&mut self, op: Op, level: Level) -> Value {
+    fn emit(&mut self, op: Op) -> Value {
         let next = Value(self.instructions.len() as u32);
-        let value = *self.known.entry(format!("{op:?}")).or_insert(next);
+        let value = *self.known.entry(op).or_insert(next);
         if value == next {
+            let level = op.level(|v| self.instructions[v.index()].level);
             self.instructions.push(Instruction { op, level, span: None });
         }
         value
     }
 
-    fn at_operands(&mut self, op: Op) -> Value {
-        let level = op.operands().map(|v| self.instructions[v.index()].level).max().unwrap_or(Level::Pass);
-        self.emit(op, level)
-    }
-
     fn number(&mut self, value: f64) -> Value {
-        self.emit(Op::Const(value), Level::Pass)
+        self.emit(Opcode::number(value).of([]))
     }
 
     fn node(&mut self, id: NodeId) -> Value {
@@ -195,27 +190,27 @@ impl<'g> Body<'g> {
                     self.inputs.push(*input);
                     self.inputs.len() - 1
                 });
-                return self.emit(Op::Input(InputId(index as u32)), Level::Pass);
+                return self.emit(Opcode::Input(InputId(index as u32)).of([]));
             }
             Node::Coordinate(CoordinateId(0)) => {
                 let zero = self.number(0.0);
-                return self.emit(Op::Offset(zero), Level::Pixel);
+                return self.emit(Opcode::Offset.of([zero]));
             }
-            Node::Coordinate(c) => return self.emit(Op::Outer(*c), Level::Row),
-            Node::Channel(c) => return self.emit(Op::Channel(*c), Level::Pixel),
+            Node::Coordinate(c) => return self.emit(Opcode::Outer(*c).of([])),
+            Node::Channel(c) => return self.emit(Opcode::Channel(*c).of([])),
             Node::Sum(constant, terms) => return self.sum(constant.get(), terms),
             Node::Product(factors) => return self.product(factors),
-            Node::Sqrt(a) => Op::Sqrt(at(a)),
-            Node::Abs(a) => Op::Abs(at(a)),
-            Node::Call1(f, a) => Op::Call1(*f, at(a)),
-            Node::Call2(f, a, b) => Op::Call2(*f, at(a), at(b)),
-            Node::Compare(c, a, b) => Op::Compare(*c, at(a), at(b)),
-            Node::And(a, b) => Op::And(at(a), at(b)),
-            Node::Or(a, b) => Op::Or(at(a), at(b)),
-            Node::Not(a) => Op::Not(at(a)),
-            Node::Select(c, a, b) => Op::Select(at(c), at(a), at(b)),
+            Node::Sqrt(a) => Opcode::Sqrt.of([at(a)]),
+            Node::Abs(a) => Opcode::Abs.of([at(a)]),
+            Node::Call1(f, a) => Opcode::Call1(*f).of([at(a)]),
+            Node::Call2(f, a, b) => Opcode::Call2(*f).of([at(a), at(b)]),
+            Node::Compare(c, a, b) => Opcode::Compare(*c).of([at(a), at(b)]),
+            Node::And(a, b) => Opcode::And.of([at(a), at(b)]),
+            Node::Or(a, b) => Opcode::Or.of([at(a), at(b)]),
+            Node::Not(a) => Opcode::Not.of([at(a)]),
+            Node::Select(c, a, b) => Opcode::Select.of([at(c), at(a), at(b)]),
         };
-        self.at_operands(op)
+        self.emit(op)
     }
 
     /// Coefficients of ±1 cost nothing; x plus what is known earlier is one operation, as it is in every program.
@@ -229,7 +224,7 @@ impl<'g> Body<'g> {
                 .map(|(_, term)| *term)
                 .partition(|(n, _)| self.expressions.level(*n) < Level::Pixel);
             let early = self.terms(constant, &early, None);
-            let offset = self.emit(Op::Offset(early), Level::Pixel);
+            let offset = self.emit(Opcode::Offset.of([early]));
             return self.terms(0.0, &late, Some(offset));
         }
         self.terms(constant, terms, None)
@@ -245,13 +240,13 @@ impl<'g> Body<'g> {
             let coefficient = coefficient.get();
             if coefficient.abs() != 1.0 {
                 let number = self.number(coefficient.abs());
-                term = self.at_operands(Op::Mul(number, term));
+                term = self.emit(Opcode::Mul.of([number, term]));
             }
             total = Some(match (total, coefficient < 0.0) {
                 (None, false) => term,
-                (None, true) => self.at_operands(Op::Neg(term)),
-                (Some(sum), false) => self.at_operands(Op::Add(sum, term)),
-                (Some(sum), true) => self.at_operands(Op::Sub(sum, term)),
+                (None, true) => self.emit(Opcode::Neg.of([term])),
+                (Some(sum), false) => self.emit(Opcode::Add.of([sum, term])),
+                (Some(sum), true) => self.emit(Opcode::Sub.of([sum, term])),
             });
         }
         total.unwrap_or_else(|| self.number(0.0))
@@ -263,10 +258,10 @@ impl<'g> Body<'g> {
             let power = self.power(self.values[node], exponent.unsigned_abs());
             let side = if *exponent > 0 { &mut over } else { &mut under };
             let before: Option<Value> = *side;
-            *side = Some(before.map_or(power, |product| self.at_operands(Op::Mul(product, power))));
+            *side = Some(before.map_or(power, |product| self.emit(Opcode::Mul.of([product, power]))));
         }
         let over = over.unwrap_or_else(|| self.number(1.0));
-        under.map_or(over, |under| self.at_operands(Op::Div(over, under)))
+        under.map_or(over, |under| self.emit(Opcode::Div.of([over, under])))
     }
 
     /// By squares, which other powers of the same base share.
@@ -275,11 +270,11 @@ impl<'g> Body<'g> {
         let mut rest = exponent;
         while rest > 0 {
             if rest & 1 == 1 {
-                result = Some(result.map_or(square, |product| self.at_operands(Op::Mul(product, square))));
+                result = Some(result.map_or(square, |product| self.emit(Opcode::Mul.of([product, square]))));
             }
             rest >>= 1;
             if rest > 0 {
-                square = self.at_operands(Op::Mul(square, square));
+                square = self.emit(Opcode::Mul.of([square, square]));
             }
         }
         result.unwrap_or(base)

@@ -3,7 +3,7 @@
 use cranelift_codegen::control::ControlPlane;
 use cranelift_codegen::ir::Function;
 use cranelift_codegen::{CompiledCode, Context, verify_function};
-use isophote_symbolic::{Op, Program, Sink};
+use isophote_symbolic::{Opcode, Program, Sink};
 
 use crate::addresses::{Extent, addresses};
 use crate::audit;
@@ -81,22 +81,21 @@ pub(crate) fn translate(
 
 /// What the lowering takes for granted.
 fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
-    let reads = |op: &Op| matches!(op, Op::Channel(_));
-    let any = program.instructions().iter().any(|i| reads(&i.op));
+    let any = program.instructions().iter().any(|i| matches!(i.op.code, Opcode::Channel(_)));
     let (channels, formats) = (program.channels(), options.formats.len());
     let renders = matches!(program.sink(), Sink::Plane(_));
     if formats != channels && (any || !renders || formats != 0) {
         return Err(CompileError::Formats { channels, formats });
     }
     if renders && any {
-        return Err(CompileError::Malformed("a program that renders reads a channel".into()));
+        return Err(CompileError::RendersPixels);
     }
     // Elementary functions of a fused program multiply and add with one rounding, too.
-    let fused = program.is_fused() || program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..)));
+    let fused = program.is_fused() || program.instructions().iter().any(|i| i.op.code == Opcode::Fma);
     if fused && !processor.has_fma() {
         return Err(CompileError::NoFma);
     }
-    program.check().map_err(CompileError::Malformed)
+    program.check().map_err(CompileError::from)
 }
 
 #[cfg(test)]

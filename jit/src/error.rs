@@ -22,7 +22,10 @@ pub enum CompileError {
     },
     /// The instructions are not a program.
     #[error("malformed program: {0}")]
-    Malformed(String),
+    Malformed(#[from] isophote_symbolic::Malformed),
+    /// A program that renders has no planes to read.
+    #[error("a program that renders reads a channel")]
+    RendersPixels,
     /// The processor or operating system is not supported.
     #[error("no native code on this machine: {0}")]
     Host(String),

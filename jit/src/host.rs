@@ -74,7 +74,7 @@ fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, S
 }
 
 impl Processor {
-    /// Whether it multiplies and adds with one rounding. Only then may a program with `Op::Fma` be compiled for it.
+    /// Whether it multiplies and adds with one rounding. Only then may a program with `Opcode::Fma` be compiled for it.
     pub fn has_fma(self) -> bool {
         match isa(self, Allocator::Backtracking) {
             Ok(isa) if cfg!(target_arch = "x86_64") => has_all(&isa.isa_flags(), &["has_fma", "has_avx"]),

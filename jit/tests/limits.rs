@@ -6,8 +6,8 @@ mod common;
 use common::{Image, agree_with};
 use isophote_jit::{CompileError, Kernel, KernelOptions, LIMITS, PixelFormat, RunError, Slices, Window};
 use isophote_symbolic::{
-    AccumulatorId, Bindings, CoordinateId, Instruction, Level, Op, PixelSet, Precision, Program, ProgramParts, Sink,
-    TotalId, Value,
+    AccumulatorId, Bindings, CoordinateId, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts,
+    Sink, TotalId, Value,
 };
 
 /// Sums `rows` different row values over the pixels; each has a place on the stack.
@@ -17,17 +17,17 @@ fn wide(rows: usize, channels: u32) -> Program {
         instructions.push(Instruction { op, level, span: None });
         Value(instructions.len() as u32 - 1)
     };
-    let y = push(Level::Row, Op::Outer(CoordinateId(1)));
+    let y = push(Level::Row, Opcode::Outer(CoordinateId(1)).of([]));
     let mut values = vec![y];
     for _ in 1..rows {
-        values.push(push(Level::Row, Op::Add(*values.last().unwrap(), y)));
+        values.push(push(Level::Row, Opcode::Add.of([*values.last().unwrap(), y])));
     }
-    let mut sum = push(Level::Pixel, Op::Const(0.0));
+    let mut sum = push(Level::Pixel, Opcode::number(0.0).of([]));
     for value in values {
-        sum = push(Level::Pixel, Op::Add(sum, value));
+        sum = push(Level::Pixel, Opcode::Add.of([sum, value]));
     }
-    let row = push(Level::RowEnd, Op::RowTotal(AccumulatorId(0)));
-    let total = push(Level::PassEnd, Op::PassTotal(TotalId(0)));
+    let row = push(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([]));
+    let total = push(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([]));
     let sink = Sink::Sums { accumulators: vec![sum], totals: vec![row], outputs: vec![total] };
     let (inputs, pixel_set) = (Vec::new(), PixelSet { bounds: None, mask: None, saturated: None });
     let parts = ProgramParts { coordinates: 2, channels, inputs, instructions, pixel_set, sink, fused: false };

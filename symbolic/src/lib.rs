@@ -33,9 +33,8 @@ pub use language::limits::{LIMITS, Limits};
 pub use language::model::{
     Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Roles, Saturated, Stage, Start, Summand,
 };
-pub use program::check::ProgramParts;
+pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::function::{Function1, Function2};
-pub use program::peephole::renamed;
 pub use program::*;
 #[doc(hidden)]
 pub use proof::ulps;

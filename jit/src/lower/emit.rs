@@ -209,7 +209,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
 
     /// A pass, row, row-end or pass-end value as f64 (or a truth value), read by `level`.
     pub fn scalar(&mut self, value: Value, level: Level) -> ir::Value {
-        if let Op::Const(number) = self.plan.program.instruction(value).op {
+        if let Some(number) = self.plan.program.instruction(value).op.constant() {
             return self.constant(number);
         }
         if self.plan.program.instruction(value).level == level

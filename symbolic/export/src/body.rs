@@ -5,7 +5,7 @@
 
 use std::collections::BTreeSet;
 
-use isophote_symbolic::{CoordinateId, Level, Op, Precision, Program, Sink, Span, Value};
+use isophote_symbolic::{CoordinateId, Level, Op, Opcode, Precision, Program, Sink, Span, Value};
 
 use crate::header::comment;
 use crate::names::Words;
@@ -64,43 +64,22 @@ impl<'a> Statements<'a> {
         self.level(value) < Level::Pixel
             && self.source.options.precision == Precision::F32
             && !self.truths[value.index()]
-            && !matches!(self.program().instruction(value).op, Op::Const(_))
+            && self.program().instruction(value).op.constant().is_none()
     }
 
-    /// A value as it is read at a level; a truth value as a truth value.
+    /// A value as it is read at a level.
     pub fn read(&self, value: Value, level: Level) -> String {
-        if let Op::Const(x) = self.program().instruction(value).op {
+        if let Some(x) = self.program().instruction(value).op.constant() {
             return self.spelling(level).literal(x);
         }
         let word = &self.words.values[value.index()];
         if level == Level::Pixel && self.is_rounded(value) { format!("{word}_f") } else { word.clone() }
     }
 
-    /// A value as a number.
-    pub fn read_number(&self, value: Value, level: Level) -> String {
-        let text = self.read(value, level);
-        if self.truths[value.index()] { self.spelling(level).of_truth(&text) } else { text }
-    }
-
-    fn operands(&self, op: Op, level: Level) -> impl Fn(Value) -> String + '_ {
-        let select = match op {
-            Op::Select(c, ..) => Some(c),
-            _ => None,
-        };
-        let wants_truth = matches!(op, Op::And(..) | Op::Or(..) | Op::Not(_));
-        let both = match op {
-            Op::Select(_, a, b) => self.truths[a.index()] && self.truths[b.index()],
-            _ => false,
-        };
-        move |v| {
-            if wants_truth || select == Some(v) || both { self.read(v, level) } else { self.read_number(v, level) }
-        }
-    }
-
     /// The values that are written at a level.
     pub fn at(&self, level: Level) -> impl Iterator<Item = (Value, Op, Option<Span>)> + '_ {
         self.program().instructions().iter().enumerate().filter_map(move |(i, x)| {
-            let written = x.level == level && self.live[i] && !matches!(x.op, Op::Const(_));
+            let written = x.level == level && self.live[i] && x.op.constant().is_none();
             written.then_some((Value(i as u32), x.op, x.span))
         })
     }
@@ -110,13 +89,13 @@ impl<'a> Statements<'a> {
         let rust = self.source.options.language == Language::Rust;
         let double = |text: &str| if rust { format!("{text} as f64") } else { format!("(double){text}") };
         let outer = |c: CoordinateId| ["column", "row", "slice", "volume"][c.index()];
-        Some(match op {
-            Op::Input(i) => format!("inputs[{}]", i.index()),
-            Op::Outer(c) => double(&format!("(window.first[{}] + {})", c.index(), outer(c))),
-            Op::RowTotal(a) => self.spelling(Level::Pixel).widened(&format!("sum{}", a.index())),
-            Op::RowCount => double("row_pixels"),
-            Op::PassTotal(t) => format!("total{}", t.index()),
-            Op::PassCount => double("pixels"),
+        Some(match op.code {
+            Opcode::Input(i) => format!("inputs[{}]", i.index()),
+            Opcode::Outer(c) => double(&format!("(window.first[{}] + {})", c.index(), outer(c))),
+            Opcode::RowTotal(a) => self.spelling(Level::Pixel).widened(&format!("sum{}", a.index())),
+            Opcode::RowCount => double("row_pixels"),
+            Opcode::PassTotal(t) => format!("total{}", t.index()),
+            Opcode::PassCount => double("pixels"),
             _ => return None,
         })
     }
@@ -129,7 +108,7 @@ impl<'a> Statements<'a> {
                 self.show(span, &mut shown, &mut lines);
             }
             let spelling = self.spelling(level);
-            let expression = self.leaf(op).unwrap_or_else(|| spelling.operation(op, &self.operands(op, level)));
+            let expression = self.leaf(op).unwrap_or_else(|| spelling.operation(op, &|v| self.read(v, level)));
             lines.push(spelling.declare(&self.words.values[value.index()], self.truths[value.index()], &expression));
         }
         lines
@@ -153,7 +132,7 @@ impl<'a> Statements<'a> {
     /// The values of outer levels that the pixel loop reads, numbers written in place left out.
     pub fn read_by_pixels(&self) -> BTreeSet<Value> {
         let mut read: BTreeSet<Value> = BTreeSet::new();
-        for (_, op, _) in self.at(Level::Pixel).filter(|(_, op, _)| !matches!(op, Op::Offset(_))) {
+        for (_, op, _) in self.at(Level::Pixel).filter(|(_, op, _)| op.code != Opcode::Offset) {
             read.extend(op.operands());
         }
         match self.program().sink() {
@@ -162,15 +141,15 @@ impl<'a> Statements<'a> {
         }
         let set = self.program().pixel_set();
         read.extend(set.mask.into_iter().chain(set.saturated));
-        let constant = |v: &Value| matches!(self.program().instruction(*v).op, Op::Const(_));
+        let constant = |v: &Value| self.program().instruction(*v).op.constant().is_some();
         read.retain(|v| self.level(*v) < Level::Pixel && !constant(v));
         read
     }
 
     /// The offsets, with the value that each is from x.
     pub fn offsets(&self) -> Vec<(Value, Value)> {
-        let offset = |(value, op, _)| match op {
-            Op::Offset(c) => Some((value, c)),
+        let offset = |(value, op, _): (Value, Op, _)| match op.parts() {
+            (Opcode::Offset, &[c]) => Some((value, c)),
             _ => None,
         };
         self.at(Level::Pixel).filter_map(offset).collect()
@@ -210,15 +189,15 @@ impl<'a> Statements<'a> {
         for (value, op, span) in self.at(Level::Pixel) {
             self.show(span, &mut shown, &mut body.pixel);
             let word = &self.words.values[value.index()];
-            let expression = match op {
-                Op::Offset(_) => format!("{word}_at + {word}_part"),
-                Op::Channel(c) => {
+            let expression = match op.code {
+                Opcode::Offset => format!("{word}_at + {word}_part"),
+                Opcode::Channel(c) => {
                     let row = format!("{}_row", self.words.planes[c.index()]);
                     let stride = format!("{}.strides[0]", self.words.planes[c.index()]);
                     let place = if self.source.options.packed { "i".into() } else { format!("i * {stride}") };
                     spelling.pixel(&format!("{row}[{place}]"), self.source.options.pixels[c.index()])
                 }
-                op => spelling.operation(op, &self.operands(op, Level::Pixel)),
+                _ => spelling.operation(op, &|v| self.read(v, Level::Pixel)),
             };
             body.pixel.push(spelling.declare(word, self.truths[value.index()], &expression));
         }
@@ -227,7 +206,7 @@ impl<'a> Statements<'a> {
 
     /// What a sum is after a pixel.
     pub fn added(&self, i: usize, value: Value) -> String {
-        let read = |v: Value| self.read_number(v, Level::Pixel);
+        let read = |v: Value| self.read(v, Level::Pixel);
         let sum = format!("sum{i}");
         match self.contractions[i] {
             None => format!("{sum} += {};", read(value)),
@@ -235,7 +214,7 @@ impl<'a> Statements<'a> {
             Some((a, b)) => {
                 let third = Value(u32::MAX);
                 let spelled = |v: Value| if v == third { sum.clone() } else { read(v) };
-                format!("{sum} = {};", self.spelling(Level::Pixel).operation(Op::Fma(a, b, third), &spelled))
+                format!("{sum} = {};", self.spelling(Level::Pixel).operation(Opcode::Fma.of([a, b, third]), &spelled))
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use isophote_symbolic::{Level, Op, Sink};
+use isophote_symbolic::{Level, Opcode, Sink};
 
 use crate::body::{Body, Statements};
 use crate::header;
@@ -80,7 +80,12 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
     file.line(&head);
     file.open("{");
     checks(file, source, statements);
-    if !program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op, Op::Input(_))) {
+    if !program
+        .instructions()
+        .iter()
+        .zip(&statements.live)
+        .any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_)))
+    {
         file.line("(void)inputs;");
     }
     file.line("uint64_t pixels = 0, saturated = 0;");
@@ -100,7 +105,7 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
     file.lines(&body.pass_end);
     if let Sink::Sums { outputs, .. } = program.sink() {
         for (i, value) in outputs.iter().enumerate() {
-            file.line(&format!("sums->outputs[{i}] = {};", statements.read_number(*value, Level::PassEnd)));
+            file.line(&format!("sums->outputs[{i}] = {};", statements.read(*value, Level::PassEnd)));
         }
     }
     file.line("sums->pixels = pixels;");
@@ -143,8 +148,9 @@ fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: 
         file.line("if (start > end) continue;");
     }
     file.line("const size_t count = end - start + 1;");
-    let reads =
-        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op, Op::Channel(id) if id.index() == c));
+    let reads = |c: usize| {
+        statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c))
+    };
     for (c, plane) in statements.words.planes.iter().enumerate().filter(|(c, _)| reads(*c)) {
         let first = if source.options.packed {
             "window.first[0] + start"
@@ -192,10 +198,13 @@ fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: 
     file.close("}");
     file.line("pixels += row_pixels;");
     file.line("/* row end */");
-    file.lines(&body.row_end);
     if let Sink::Sums { totals, .. } = program.sink() {
+        if counted {
+            file.line("if (row_pixels == 0) continue;");
+        }
+        file.lines(&body.row_end);
         for (i, value) in totals.iter().enumerate() {
-            file.line(&format!("total{i} += {};", statements.read_number(*value, Level::RowEnd)));
+            file.line(&format!("total{i} += {};", statements.read(*value, Level::RowEnd)));
         }
     }
 }
@@ -224,9 +233,7 @@ fn pixel_end(file: &mut File, statements: &Statements<'_>) {
                 file.line(&statements.added(i, *value));
             }
         }
-        Sink::Plane(value) => {
-            file.line(&format!("out_row[i] += (float){};", statements.read_number(*value, Level::Pixel)))
-        }
+        Sink::Plane(value) => file.line(&format!("out_row[i] += (float){};", statements.read(*value, Level::Pixel))),
     }
     (0..open).for_each(|_| file.close("}"));
 }

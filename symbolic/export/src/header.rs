@@ -1,6 +1,6 @@
 //! What an exported file says of itself: where it comes from, what goes in and out, in which order and units.
 
-use isophote_symbolic::{Input, Op, Precision, Sink};
+use isophote_symbolic::{Input, Precision, Sink};
 
 use crate::options::Source;
 
@@ -66,7 +66,7 @@ fn arithmetic(source: &Source<'_>) -> Vec<String> {
         Precision::F32 => "f32 a pixel; f64 for rows and passes",
         Precision::F64 => "f64 throughout",
     };
-    let calls = program.instructions().iter().any(|x| matches!(x.op, Op::Call1(..) | Op::Call2(..)));
+    let calls = program.instructions().iter().any(|x| x.op.is_call());
     let calls = if calls { ", but for elementary functions, which are the platform's" } else { "" };
     vec![
         format!(

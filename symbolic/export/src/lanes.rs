@@ -1,7 +1,7 @@
 //! The pixel loop with vectors: groups of pixels as they fit, then one with what is left, in which the lanes behind the row's
 //! last pixel take no part. Rows and passes are those of one lane.
 
-use isophote_symbolic::{Level, Op, Sink, Value};
+use isophote_symbolic::{Level, Op, Opcode, Sink, Value};
 
 use crate::body::{Body, Statements};
 use crate::lines::File;
@@ -82,16 +82,11 @@ impl Lanes<'_> {
     /// A value as the pixel loop reads it.
     fn read(&self, value: Value) -> String {
         let instruction = self.source.program.instruction(value);
-        match instruction.op {
-            Op::Const(x) => self.vectors.splat(&self.statements.spelling(Level::Pixel).literal(x)),
-            _ if instruction.level == Level::Pixel => self.word(value).to_string(),
+        match instruction.op.constant() {
+            Some(x) => self.vectors.splat(&self.statements.spelling(Level::Pixel).literal(x)),
+            None if instruction.level == Level::Pixel => self.word(value).to_string(),
             _ => format!("{}_v", self.word(value)),
         }
-    }
-
-    fn read_number(&self, value: Value) -> String {
-        let text = self.read(value);
-        if self.is_truth(value) { self.vectors.number_of(&text) } else { text }
     }
 
     /// What the loop reads of outer levels, in every lane.
@@ -113,19 +108,13 @@ impl Lanes<'_> {
         let (mut lines, mut shown) = (Vec::new(), None);
         for (value, op, span) in self.statements.at(Level::Pixel) {
             let word = self.word(value);
-            let expression = match op {
-                Op::Channel(_) => continue,
-                Op::Offset(_) => {
+            let expression = match op.code {
+                Opcode::Channel(_) => continue,
+                Opcode::Offset => {
                     self.vectors.call("add_ps", &[&format!("{word}_at"), &self.vectors.splat(&format!("{word}_part"))])
                 }
-                op => {
-                    let of_truths = matches!(op, Op::And(..) | Op::Or(..) | Op::Not(_));
-                    let condition = if let Op::Select(c, ..) = op { Some(c) } else { None };
-                    let read = |v: Value| {
-                        let as_truth = of_truths || condition == Some(v) || self.is_truth(value) && condition.is_some();
-                        if as_truth { self.read(v) } else { self.read_number(v) }
-                    };
-                    let spelled = self.vectors.operation(op, self.is_truth(value), &read);
+                _ => {
+                    let spelled = self.vectors.operation(op, self.is_truth(value), &|v| self.read(v));
                     spelled.ok_or(ExportError::NotInLanes("elementary functions"))?
                 }
             };
@@ -137,7 +126,9 @@ impl Lanes<'_> {
 
     /// The channels that are read, each with its plane.
     fn channels(&self) -> Vec<(Value, usize)> {
-        let channel = |(value, op, _)| if let Op::Channel(c) = op { Some((value, c.index())) } else { None };
+        let channel = |(value, op, _): (Value, Op, _)| {
+            if let Opcode::Channel(c) = op.code { Some((value, c.index())) } else { None }
+        };
         self.statements.at(Level::Pixel).filter_map(channel).collect()
     }
 
@@ -242,9 +233,9 @@ impl Lanes<'_> {
         for (i, value) in accumulators.iter().enumerate() {
             let sum = format!("sum{i}");
             let added = match self.statements.contractions[i] {
-                None => self.vectors.add_where(used.as_deref(), &sum, &self.read_number(*value)),
+                None => self.vectors.add_where(used.as_deref(), &sum, &self.read(*value)),
                 Some((a, b)) => {
-                    let [a, b] = [a, b].map(|v| self.read_number(v));
+                    let [a, b] = [a, b].map(|v| self.read(v));
                     self.vectors.add_product_where(used.as_deref(), &sum, [&a, &b])
                 }
             };

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use isophote_symbolic::{Input, Op, Program};
+use isophote_symbolic::{Input, Op, Opcode, Program};
 
 /// Words that a value cannot have: of C, of Rust, of C's headers, and those that the exported function uses itself.
 const TAKEN: &str = "auto break case char const continue default do double else enum extern float for goto if inline int long \
@@ -77,10 +77,10 @@ impl Words {
         let coordinates: Vec<String> = names.coordinates.iter().map(|name| take(worded(name))).collect();
         let mut seen = BTreeSet::new();
         let value = |(i, op): (usize, Op)| {
-            let word = match op {
-                Op::Input(input) => Some(inputs[input.index()].clone()),
-                Op::Outer(c) => Some(coordinates[c.index()].clone()),
-                Op::Channel(c) => Some(channels[c.index()].clone()),
+            let word = match op.code {
+                Opcode::Input(input) => Some(inputs[input.index()].clone()),
+                Opcode::Outer(c) => Some(coordinates[c.index()].clone()),
+                Opcode::Channel(c) => Some(channels[c.index()].clone()),
                 _ => None,
             };
             // A program may hold the same leaf twice; the second one gets a number.

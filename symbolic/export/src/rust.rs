@@ -1,6 +1,6 @@
 //! The file around the statements, in Rust.
 
-use isophote_symbolic::{Function1, Level, Op, Precision, Sink};
+use isophote_symbolic::{Function1, Level, Op, Opcode, Precision, Sink};
 
 use crate::body::{Body, Statements};
 use crate::header;
@@ -91,7 +91,7 @@ pub(super) fn nearest_and_erf(file: &mut File, statements: &Statements<'_>) {
         file.close("}");
         file.line("");
     }
-    let calls_erf = |op: Op| matches!(op, Op::Call1(Function1::Erf, _));
+    let calls_erf = |op: Op| op.code == Opcode::Call1(Function1::Erf);
     if statements.program().instructions().iter().zip(&statements.live).any(|(x, live)| *live && calls_erf(x.op)) {
         file.line("/// erf: a series of terms of one sign near 0, a continued fraction of erfc beyond.");
         file.open("fn erf(x: f64) -> f64 {");
@@ -127,8 +127,11 @@ pub(super) fn open(file: &mut File, source: &Source<'_>, statements: &Statements
     file.open(&format!("pub fn {}(", source.name));
     planes.for_each(|(word, pixel)| file.line(&format!("{word}: Plane<'_, {}>,", pixel.name())));
     file.line("window: Window,");
-    let reads =
-        program.instructions().iter().zip(&statements.live).any(|(x, live)| *live && matches!(x.op, Op::Input(_)));
+    let reads = program
+        .instructions()
+        .iter()
+        .zip(&statements.live)
+        .any(|(x, live)| *live && matches!(x.op.code, Opcode::Input(_)));
     file.line(&format!("{}inputs: &[f64; {}],", if reads { "" } else { "_" }, program.inputs().len()));
     if let Sink::Plane(_) = program.sink() {
         file.line("out: &mut [f32],");
@@ -177,17 +180,20 @@ pub(super) fn passes(
     inner(file);
     file.line("pixels += row_pixels as u64;");
     file.line("// row end");
-    file.lines(&body.row_end);
     if let Sink::Sums { totals, .. } = program.sink() {
+        if program.pixel_set().mask.is_some() || program.pixel_set().saturated.is_some() {
+            leave_unless(file, "row_pixels > 0");
+        }
+        file.lines(&body.row_end);
         for (i, value) in totals.iter().enumerate() {
-            file.line(&format!("total{i} += {};", statements.read_number(*value, Level::RowEnd)));
+            file.line(&format!("total{i} += {};", statements.read(*value, Level::RowEnd)));
         }
     }
     loops.iter().for_each(|_| file.close("}"));
     file.line("// pass end");
     file.lines(&body.pass_end);
     if let Sink::Sums { outputs, .. } = program.sink() {
-        let values: Vec<String> = outputs.iter().map(|v| statements.read_number(*v, Level::PassEnd)).collect();
+        let values: Vec<String> = outputs.iter().map(|v| statements.read(*v, Level::PassEnd)).collect();
         file.line(&format!("let outputs = [{}];", values.join(", ")));
         file.line("Some(Sums { outputs, pixels, saturated })");
     } else {
@@ -244,8 +250,9 @@ pub(super) fn place(source: &Source<'_>, plane: &str) -> String {
 
 /// The planes that the pixel loop reads.
 pub(super) fn planes_read<'s>(statements: &'s Statements<'_>) -> impl Iterator<Item = (usize, &'s String)> {
-    let reads =
-        |c: usize| statements.at(Level::Pixel).any(|(_, op, _)| matches!(op, Op::Channel(id) if id.index() == c));
+    let reads = |c: usize| {
+        statements.at(Level::Pixel).any(|(_, op, _)| matches!(op.code, Opcode::Channel(id) if id.index() == c))
+    };
     statements.words.planes.iter().enumerate().filter(move |(c, _)| reads(*c))
 }
 
@@ -305,7 +312,7 @@ fn pixel_loop(file: &mut File, source: &Source<'_>, statements: &Statements<'_>,
         }
         Sink::Plane(value) => {
             let narrow = if source.options.precision == Precision::F64 { " as f32" } else { "" };
-            file.line(&format!("out_row[i] += {}{narrow};", statements.read_number(*value, Level::Pixel)));
+            file.line(&format!("out_row[i] += {}{narrow};", statements.read(*value, Level::Pixel)));
         }
     }
     (0..depth).for_each(|_| file.close("}"));

@@ -1,6 +1,6 @@
-//! How each language spells an operation on single numbers: one table.
+//! How each language spells numbers, functions, and what the table of operations leaves to the place.
 
-use isophote_symbolic::{Comparison, Function1, Function2, Op, Precision, Value};
+use isophote_symbolic::{Function1, Function2, Op, Opcode, Precision, Value, spelled};
 
 use crate::options::{Language, PixelType};
 
@@ -62,14 +62,6 @@ impl Spelling {
         }
     }
 
-    /// A truth value as 0 or 1.
-    pub fn of_truth(self, name: &str) -> String {
-        match self.language {
-            Language::C => format!("({}){name}", self.number()),
-            Language::Rust => format!("{}::from(u8::from({name}))", self.number()),
-        }
-    }
-
     /// A number of the place as f64.
     pub fn widened(self, name: &str) -> String {
         match (self.language, self.real) {
@@ -91,53 +83,30 @@ impl Spelling {
 
     /// An operation that reads values; `a` gives their spelling.
     pub fn operation(self, op: Op, a: &dyn Fn(Value) -> String) -> String {
-        let call1 = |c: &str, rust: &str, x: Value| match (self.language, self.real) {
-            (Language::C, Precision::F32) => format!("{c}f({})", a(x)),
-            (Language::C, Precision::F64) => format!("{c}({})", a(x)),
-            (Language::Rust, _) => format!("{}.{rust}()", self.receiver(&a(x))),
-        };
-        match op {
-            Op::Neg(x) if is_number(&a(x)) => format!("-({})", a(x)),
-            Op::Neg(x) => format!("-{}", a(x)),
-            Op::Abs(x) => call1("fabs", "abs", x),
-            Op::Sqrt(x) => call1("sqrt", "sqrt", x),
-            Op::Add(x, y) => format!("{} + {}", a(x), a(y)),
-            Op::Sub(x, y) => format!("{} - {}", a(x), a(y)),
-            Op::Mul(x, y) => format!("{} * {}", a(x), a(y)),
-            Op::Div(x, y) => format!("{} / {}", a(x), a(y)),
-            Op::Fma(x, y, z) => match (self.language, self.real) {
-                (Language::C, Precision::F32) => format!("fmaf({}, {}, {})", a(x), a(y), a(z)),
-                (Language::C, Precision::F64) => format!("fma({}, {}, {})", a(x), a(y), a(z)),
-                (Language::Rust, _) => format!("{}.mul_add({}, {})", self.receiver(&a(x)), a(y), a(z)),
-            },
-            Op::Compare(c, x, y) => {
-                let sign = match c {
-                    Comparison::Lt => "<",
-                    Comparison::Le => "<=",
-                    Comparison::Eq => "==",
-                    Comparison::Ne => "!=",
-                };
-                format!("{} {sign} {}", a(x), a(y))
+        match op.parts() {
+            (Opcode::Call1(f), &[x]) => self.elementary(f, &a(x)),
+            (Opcode::Call2(f), &[x, y]) => self.elementary2(f, &a(x), &a(y)),
+            (code, operands) => {
+                let row = code.row();
+                let text = if self.language == Language::C { row.c } else { row.rust };
+                spelled(text, |mark| match (mark, code) {
+                    ('f', _) if self.real == Precision::F32 => "f".into(),
+                    ('f', _) => String::new(),
+                    ('s', _) => self.receiver(&a(operands[0])),
+                    ('_', Opcode::Compare(comparison)) => comparison.sign().into(),
+                    // Only a leaf holds something else, and leaves are written where their values come from.
+                    (mark, _) => operands[mark as usize - '0' as usize..].first().map_or_else(String::new, |v| a(*v)),
+                })
             }
-            Op::And(x, y) => format!("{} && {}", a(x), a(y)),
-            Op::Or(x, y) => format!("{} || {}", a(x), a(y)),
-            Op::Not(x) => format!("!{}", a(x)),
-            Op::Select(c, x, y) => match self.language {
-                Language::C => format!("{} ? {} : {}", a(c), a(x), a(y)),
-                Language::Rust => format!("if {} {{ {} }} else {{ {} }}", a(c), a(x), a(y)),
-            },
-            Op::Call1(f, x) => self.elementary(f, &a(x)),
-            Op::Call2(f, x, y) => self.elementary2(f, &a(x), &a(y)),
-            // Leaves are written where their values come from.
-            _ => unreachable!("a leaf reads no values"),
         }
     }
 
-    /// What a method is called on: a literal says its type.
+    /// What a method is called on, or a sign stands before: a literal is in brackets and says its type where it can.
     fn receiver(self, text: &str) -> String {
-        match is_number(text) {
-            true => format!("({text}_{})", self.number()),
-            false => text.to_string(),
+        match (is_number(text), self.language) {
+            (true, Language::C) => format!("({text})"),
+            (true, Language::Rust) => format!("({text}_{})", self.number()),
+            (false, _) => text.to_string(),
         }
     }
 
@@ -172,4 +141,34 @@ impl Spelling {
 
 fn is_number(text: &str) -> bool {
     text.starts_with(|c: char| c.is_ascii_digit() || c == '-')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_operation_has_a_spelling_in_every_language() {
+        let operand = |v: Value| ["a", "b", "c"][v.index()].to_string();
+        for code in Opcode::every() {
+            let op = match code.row().operands.len() {
+                1 => code.of([Value(0)]),
+                2 => code.of([Value(0), Value(1)]),
+                3 => code.of([Value(0), Value(1), Value(2)]),
+                _ => continue, // a leaf is written where its value comes from
+            };
+            // The language has no words for what only a likelihood needs, nor for the inner coordinate.
+            let has_no_word = matches!(code, Opcode::Offset | Opcode::Call1(Function1::LogTail | Function1::Hazard));
+            for (language, real) in [
+                (Language::C, Precision::F32),
+                (Language::C, Precision::F64),
+                (Language::Rust, Precision::F32),
+                (Language::Rust, Precision::F64),
+            ] {
+                let text = Spelling { language, real }.operation(op, &operand);
+                let is_whole = op.operands().all(|v| text.contains(&operand(v))) && !text.contains('$');
+                assert!(is_whole || has_no_word, "{code:?} in {language:?}: `{text}`");
+            }
+        }
+    }
 }

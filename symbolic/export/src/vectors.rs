@@ -2,7 +2,7 @@
 //!
 //! Truth values are vectors of all ones or all zeros; with 16 lanes they are bits of a mask.
 
-use isophote_symbolic::{Comparison, Op, Value};
+use isophote_symbolic::{Comparison, Op, Opcode, Value};
 
 use crate::options::PixelType;
 
@@ -43,15 +43,6 @@ impl Vectors {
             4 => format!("_mm_castsi128_ps(_mm_set1_epi32(-i32::from({truth})))"),
             8 => format!("_mm256_castsi256_ps(_mm256_set1_epi32(-i32::from({truth})))"),
             _ => format!("if {truth} {{ u16::MAX }} else {{ 0 }}"),
-        }
-    }
-
-    /// Lanes of a truth value as 1 and 0.
-    pub fn number_of(self, truth: &str) -> String {
-        let one = self.splat("1.0");
-        match self.has_masks() {
-            true => format!("_mm512_maskz_mov_ps({truth}, {one})"),
-            false => self.call("and_ps", &[truth, &one]),
         }
     }
 
@@ -129,29 +120,28 @@ impl Vectors {
     /// An operation that reads values; `a` gives their spelling. `truths`: a choice is between truth values. `None` for what
     /// is not written with vectors.
     pub fn operation(self, op: Op, truths: bool, a: &dyn Fn(Value) -> String) -> Option<String> {
-        let of = |name: &str, values: &[Value]| {
-            let spelled: Vec<String> = values.iter().map(|v| a(*v)).collect();
-            self.call(name, &spelled.iter().map(String::as_str).collect::<Vec<_>>())
-        };
+        let (code, operands) = op.parts();
+        let spelled: Vec<String> = operands.iter().map(|v| a(*v)).collect();
+        let texts: Vec<&str> = spelled.iter().map(String::as_str).collect();
         let sign = self.splat("-0.0");
-        Some(match op {
-            Op::Neg(x) => self.call("xor_ps", &[&a(x), &sign]),
-            Op::Abs(x) => self.call("andnot_ps", &[&sign, &a(x)]),
-            Op::Sqrt(x) => of("sqrt_ps", &[x]),
-            Op::Add(x, y) => of("add_ps", &[x, y]),
-            Op::Sub(x, y) => of("sub_ps", &[x, y]),
-            Op::Mul(x, y) => of("mul_ps", &[x, y]),
-            Op::Div(x, y) => of("div_ps", &[x, y]),
-            Op::Fma(x, y, z) => of("fmadd_ps", &[x, y, z]),
-            Op::Compare(comparison, x, y) => self.compare(comparison, &a(x), &a(y)),
-            Op::And(x, y) => self.both(&a(x), &a(y)),
-            Op::Or(x, y) if self.has_masks() => format!("{} | {}", a(x), a(y)),
-            Op::Or(x, y) => of("or_ps", &[x, y]),
-            Op::Not(x) => self.not(&a(x)),
-            Op::Select(c, x, y) => match (self.has_masks(), truths) {
-                (true, true) => format!("({0} & {1}) | (!{0} & {2})", a(c), a(x), a(y)),
-                (true, false) => format!("_mm512_mask_blend_ps({}, {}, {})", a(c), a(y), a(x)),
-                (false, _) => of("blendv_ps", &[y, x, c]),
+        Some(match (code, &texts[..]) {
+            (Opcode::Neg, [x]) => self.call("xor_ps", &[x, &sign]),
+            (Opcode::Abs, [x]) => self.call("andnot_ps", &[&sign, x]),
+            (Opcode::Sqrt, x) => self.call("sqrt_ps", x),
+            (Opcode::Add, both) => self.call("add_ps", both),
+            (Opcode::Sub, both) => self.call("sub_ps", both),
+            (Opcode::Mul, both) => self.call("mul_ps", both),
+            (Opcode::Div, both) => self.call("div_ps", both),
+            (Opcode::Fma, all) => self.call("fmadd_ps", all),
+            (Opcode::Compare(comparison), [x, y]) => self.compare(comparison, x, y),
+            (Opcode::And, [x, y]) => self.both(x, y),
+            (Opcode::Or, [x, y]) if self.has_masks() => format!("{x} | {y}"),
+            (Opcode::Or, both) => self.call("or_ps", both),
+            (Opcode::Not, [x]) => self.not(x),
+            (Opcode::Select, [c, x, y]) => match (self.has_masks(), truths) {
+                (true, true) => format!("({c} & {x}) | (!{c} & {y})"),
+                (true, false) => format!("_mm512_mask_blend_ps({c}, {y}, {x})"),
+                (false, _) => self.call("blendv_ps", &[y, x, c]),
             },
             _ => return None,
         })

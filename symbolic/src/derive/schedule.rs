@@ -10,8 +10,8 @@ use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::{
-    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId,
-    Value,
+    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink,
+    TotalId, Value,
 };
 
 /// The loop nest for sums over the pixels of `domain`.
@@ -45,13 +45,13 @@ pub(crate) fn sums(
         let mut sum: Option<Value> = None;
         for term in &output.terms {
             let pass_total = match (term.row, term.pixel) {
-                (None, None) => builder.emit(Op::PassCount, Level::PassEnd),
+                (None, None) => builder.emit(Opcode::PassCount.of([])),
                 (row, pixel) => {
                     let row_sum = builder.row_sum(pixel, sums.shift.as_ref(), &accumulator);
                     let total = match row {
                         Some(row) => {
                             let row = builder.lower(row);
-                            builder.emit(Op::Mul(row, row_sum), Level::RowEnd)
+                            builder.emit(Opcode::Mul.of([row, row_sum]))
                         }
                         None => row_sum,
                     };
@@ -59,21 +59,21 @@ pub(crate) fn sums(
                         totals.push(total);
                         totals.len() - 1
                     });
-                    builder.emit(Op::PassTotal(TotalId(id as u32)), Level::PassEnd)
+                    builder.emit(Opcode::PassTotal(TotalId(id as u32)).of([]))
                 }
             };
             let part = if builder.graph.value_of(term.coefficient) == Some(1.0) {
                 pass_total
             } else {
                 let coefficient = builder.lower(term.coefficient);
-                builder.emit(Op::Mul(coefficient, pass_total), Level::PassEnd)
+                builder.emit(Opcode::Mul.of([coefficient, pass_total]))
             };
             sum = Some(match sum {
                 None => part,
-                Some(so_far) => builder.emit(Op::Add(so_far, part), Level::PassEnd),
+                Some(so_far) => builder.emit(Opcode::Add.of([so_far, part])),
             });
         }
-        outputs.push(sum.unwrap_or_else(|| builder.emit(Op::Const(0.0), Level::Pass)));
+        outputs.push(sum.unwrap_or_else(|| builder.emit(Opcode::number(0.0).of([]))));
     }
     builder.finish(set, Sink::Sums { accumulators, totals, outputs }, lowering, names)
 }
@@ -105,32 +105,11 @@ pub(crate) struct Builder<'g> {
     pub graph: &'g mut Graph,
     pub instructions: Vec<Instruction>,
     inputs: Vec<Input>,
-    known: FxHashMap<(OpKey, Level), Value>,
+    known: FxHashMap<Op, Value>,
     pub values: FxHashMap<NodeId, Value>,
     /// Products that are needed anyway: others are built upon them.
     pub wanted: FxHashSet<NodeId>,
     span: Option<Span>,
-}
-
-/// An operation that can be hashed.
-type OpKey = (std::mem::Discriminant<Op>, u64, [u32; 3]);
-
-fn key(op: &Op) -> OpKey {
-    let mut list = [u32::MAX; 3];
-    op.operands().zip(&mut list).for_each(|(v, slot)| *slot = v.0);
-    let extra = match *op {
-        Op::Const(value) => value.to_bits(),
-        Op::Input(i) => u64::from(i.0),
-        Op::Outer(c) => u64::from(c.0),
-        Op::Channel(c) => u64::from(c.0),
-        Op::Compare(c, ..) => c as u64,
-        Op::Call1(f, _) => f as u64,
-        Op::Call2(f, ..) => f as u64,
-        Op::RowTotal(a) => u64::from(a.0),
-        Op::PassTotal(t) => u64::from(t.0),
-        _ => 0,
-    };
-    (std::mem::discriminant(op), extra, list)
 }
 
 impl<'g> Builder<'g> {
@@ -146,21 +125,16 @@ impl<'g> Builder<'g> {
         }
     }
 
-    fn emit(&mut self, op: Op, level: Level) -> Value {
-        let key = (key(&op), level);
-        if let Some(value) = self.known.get(&key) {
+    /// The value of an operation, at the level that its operands know or that has it.
+    fn emit(&mut self, op: Op) -> Value {
+        if let Some(value) = self.known.get(&op) {
             return *value;
         }
+        let level = op.level(|v| self.instructions[v.index()].level);
         let value = Value(self.instructions.len() as u32);
         self.instructions.push(Instruction { op, level, span: self.span });
-        self.known.insert(key, value);
+        self.known.insert(op, value);
         value
-    }
-
-    /// At the level that its operands know.
-    fn emit_at_operands(&mut self, op: Op) -> Value {
-        let level = op.operands().map(|v| self.instructions[v.index()].level).max().unwrap_or(Level::Pass);
-        self.emit(op, level)
     }
 
     pub fn input(&mut self, input: Input) -> Value {
@@ -168,7 +142,7 @@ impl<'g> Builder<'g> {
             self.inputs.push(input);
             self.inputs.len() - 1
         });
-        self.emit(Op::Input(InputId(at as u32)), Level::Pass)
+        self.emit(Opcode::Input(InputId(at as u32)).of([]))
     }
 
     /// The row's total of a pixel value: of what is summed, or made from such totals by the shift.
@@ -179,8 +153,8 @@ impl<'g> Builder<'g> {
         accumulator: &dyn Fn(NodeId) -> AccumulatorId,
     ) -> Value {
         let total = |builder: &mut Self, part: Option<NodeId>| match part {
-            Some(part) => builder.emit(Op::RowTotal(accumulator(part)), Level::RowEnd),
-            None => builder.emit(Op::RowCount, Level::RowEnd),
+            Some(part) => builder.emit(Opcode::RowTotal(accumulator(part)).of([])),
+            None => builder.emit(Opcode::RowCount.of([])),
         };
         let (Some(pixel), Some(shift)) = (pixel, shift) else { return total(self, pixel) };
         // Σ_j C(k, j) e^(k−j) U_j by Horner's rule.
@@ -192,11 +166,11 @@ impl<'g> Builder<'g> {
             binomial *= (power + 1 - j) as f64 / j as f64;
             let mut value = total(self, part);
             if binomial != 1.0 {
-                let number = self.emit(Op::Const(binomial), Level::Pass);
-                value = self.emit(Op::Mul(number, value), Level::RowEnd);
+                let number = self.emit(Opcode::number(binomial).of([]));
+                value = self.emit(Opcode::Mul.of([number, value]));
             }
-            let lower = self.emit(Op::Mul(distance, sum), Level::RowEnd);
-            sum = self.emit(Op::Add(lower, value), Level::RowEnd);
+            let lower = self.emit(Opcode::Mul.of([distance, sum]));
+            sum = self.emit(Opcode::Add.of([lower, value]));
         }
         sum
     }
@@ -207,10 +181,10 @@ impl<'g> Builder<'g> {
         if self.instructions[value.index()].level == Level::Pixel {
             return value;
         }
-        let zero = self.emit(Op::Const(0.0), Level::Pass);
-        let x = self.emit(Op::Offset(zero), Level::Pixel);
-        let always = self.emit(Op::Compare(Comparison::Eq, x, x), Level::Pixel);
-        self.emit(Op::Select(always, value, value), Level::Pixel)
+        let zero = self.emit(Opcode::number(0.0).of([]));
+        let x = self.emit(Opcode::Offset.of([zero]));
+        let always = self.emit(Opcode::Compare(Comparison::Eq).of([x, x]));
+        self.emit(Opcode::Select.of([always, value, value]))
     }
 
     /// The pixel values of the accumulators: small monomials first, so that larger ones find them.
@@ -230,11 +204,11 @@ impl<'g> Builder<'g> {
         for id in self.graph.reachable(pixels) {
             let Node::Channel(channel) = *self.graph.node(id) else { continue };
             let limit = self.input(Input::Saturation(channel));
-            let pixel = self.emit(Op::Channel(channel), Level::Pixel);
-            let at_limit = self.emit(Op::Compare(Comparison::Le, limit, pixel), Level::Pixel);
+            let pixel = self.emit(Opcode::Channel(channel).of([]));
+            let at_limit = self.emit(Opcode::Compare(Comparison::Le).of([limit, pixel]));
             found = Some(match found {
                 None => at_limit,
-                Some(before) => self.emit(Op::Or(before, at_limit), Level::Pixel),
+                Some(before) => self.emit(Opcode::Or.of([before, at_limit])),
             });
         }
         found
@@ -268,27 +242,17 @@ impl<'g> Builder<'g> {
         let at = |n: &NodeId| self.values[n];
         let op = match step {
             Step::Leaf(op) => *op,
-            Step::Offset(a) => {
-                let op = Op::Offset(at(a));
-                return self.emit(op, Level::Pixel);
-            }
-            Step::Unary(make, a) => make(at(a)),
-            Step::Binary(make, a, b) => make(at(a), at(b)),
+            Step::Of(code, operands) => match operands[..] {
+                [a] => code.of([at(&a)]),
+                [a, b] => code.of([at(&a), at(&b)]),
+                _ => code.of([at(&operands[0]), at(&operands[1]), at(&operands[2])]),
+            },
             Step::MulAdd(a, b, c) => {
-                let (product, c) = (Op::Mul(at(a), at(b)), at(c));
-                let product = self.emit_at_operands(product);
-                Op::Add(product, c)
+                let (product, c) = (Opcode::Mul.of([at(a), at(b)]), at(c));
+                Opcode::Add.of([self.emit(product), c])
             }
-            Step::Call1(f, a) => Op::Call1(*f, at(a)),
-            Step::Call2(f, a, b) => Op::Call2(*f, at(a), at(b)),
-            Step::Compare(c, a, b) => Op::Compare(*c, at(a), at(b)),
-            Step::Select(c, a, b) => Op::Select(at(c), at(a), at(b)),
         };
-        match op {
-            Op::Outer(_) => self.emit(op, Level::Row),
-            Op::Channel(_) => self.emit(op, Level::Pixel),
-            _ => self.emit_at_operands(op),
-        }
+        self.emit(op)
     }
 
     fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Program {

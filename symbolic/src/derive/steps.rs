@@ -3,30 +3,26 @@
 
 use crate::derive::schedule::Builder;
 use crate::language::graph::{Bits, Graph, Node, NodeId};
-use crate::program::function::{Function1, Function2};
-use crate::program::{ChannelId, Comparison, CoordinateId, Level, Op, Value};
+use crate::program::{CoordinateId, Level, Op, Opcode};
 
 /// How one node is computed from others.
 pub(crate) enum Step {
     Leaf(Op),
-    Offset(NodeId),
-    Unary(fn(Value) -> Op, NodeId),
-    Binary(fn(Value, Value) -> Op, NodeId, NodeId),
+    Of(Opcode, Vec<NodeId>),
     /// a · b + c
     MulAdd(NodeId, NodeId, NodeId),
-    Call1(Function1, NodeId),
-    Call2(Function2, NodeId, NodeId),
-    Compare(Comparison, NodeId, NodeId),
-    Select(NodeId, NodeId, NodeId),
 }
 
 impl Step {
+    fn of<const N: usize>(code: Opcode, operands: [NodeId; N]) -> Step {
+        Step::Of(code, operands.to_vec())
+    }
+
     pub fn operands(&self) -> Vec<NodeId> {
-        match *self {
+        match self {
             Step::Leaf(_) => vec![],
-            Step::Offset(a) | Step::Unary(_, a) | Step::Call1(_, a) => vec![a],
-            Step::Binary(_, a, b) | Step::Call2(_, a, b) | Step::Compare(_, a, b) => vec![a, b],
-            Step::MulAdd(a, b, c) | Step::Select(a, b, c) => vec![a, b, c],
+            Step::Of(_, operands) => operands.clone(),
+            Step::MulAdd(a, b, c) => vec![*a, *b, *c],
         }
     }
 }
@@ -34,25 +30,25 @@ impl Step {
 impl Builder<'_> {
     pub fn step(&mut self, node: NodeId) -> Step {
         match self.graph.node(node).clone() {
-            Node::Number(bits) => Step::Leaf(Op::Const(bits.get())),
+            Node::Number(bits) => Step::Leaf(Opcode::number(bits.get()).of([])),
             Node::Input(input) => {
                 let value = self.input(input);
                 Step::Leaf(self.instructions[value.index()].op)
             }
-            Node::Coordinate(CoordinateId(0)) => Step::Offset(self.graph.number(0.0)),
-            Node::Coordinate(c) => Step::Leaf(Op::Outer(c)),
-            Node::Channel(c) => Step::Leaf(Op::Channel(ChannelId(c.0))),
+            Node::Coordinate(CoordinateId(0)) => Step::of(Opcode::Offset, [self.graph.number(0.0)]),
+            Node::Coordinate(c) => Step::Leaf(Opcode::Outer(c).of([])),
+            Node::Channel(c) => Step::Leaf(Opcode::Channel(c).of([])),
             Node::Sum(constant, terms) => self.sum(constant.get(), &terms),
             Node::Product(factors) => self.product(node, &factors),
-            Node::Sqrt(a) => Step::Unary(Op::Sqrt, a),
-            Node::Abs(a) => Step::Unary(Op::Abs, a),
-            Node::Call1(f, a) => Step::Call1(f, a),
-            Node::Call2(f, a, b) => Step::Call2(f, a, b),
-            Node::Compare(c, a, b) => Step::Compare(c, a, b),
-            Node::And(a, b) => Step::Binary(Op::And, a, b),
-            Node::Or(a, b) => Step::Binary(Op::Or, a, b),
-            Node::Not(a) => Step::Unary(Op::Not, a),
-            Node::Select(c, a, b) => Step::Select(c, a, b),
+            Node::Sqrt(a) => Step::of(Opcode::Sqrt, [a]),
+            Node::Abs(a) => Step::of(Opcode::Abs, [a]),
+            Node::Call1(f, a) => Step::of(Opcode::Call1(f), [a]),
+            Node::Call2(f, a, b) => Step::of(Opcode::Call2(f), [a, b]),
+            Node::Compare(c, a, b) => Step::of(Opcode::Compare(c), [a, b]),
+            Node::And(a, b) => Step::of(Opcode::And, [a, b]),
+            Node::Or(a, b) => Step::of(Opcode::Or, [a, b]),
+            Node::Not(a) => Step::of(Opcode::Not, [a]),
+            Node::Select(c, a, b) => Step::of(Opcode::Select, [c, a, b]),
         }
     }
 
@@ -68,12 +64,12 @@ impl Builder<'_> {
         {
             let rest = rest.unwrap_or_else(|| self.graph.number(0.0));
             if coefficient == 1.0 {
-                return Step::Offset(rest);
+                return Step::of(Opcode::Offset, [rest]);
             }
             // c − x = −(x − c)
             let rest = self.graph.scale(-1.0, rest);
             let flipped = self.graph.sum(0.0, [(node, 1.0), (rest, 1.0)]);
-            return Step::Unary(Op::Neg, flipped);
+            return Step::of(Opcode::Neg, [flipped]);
         }
         if let Some(rest) = rest {
             if let [(node, coefficient)] = high[..] {
@@ -102,7 +98,7 @@ impl Builder<'_> {
                 let (inside, outside) = self.divide(&high, factor);
                 let inside = self.graph.sum(0.0, inside);
                 if outside.is_empty() {
-                    return Step::Binary(Op::Mul, inside, factor);
+                    return Step::of(Opcode::Mul, [inside, factor]);
                 }
                 let outside = self.graph.sum(0.0, outside);
                 Step::MulAdd(inside, factor, outside)
@@ -114,10 +110,10 @@ impl Builder<'_> {
     /// coefficient · node + rest, as a · b + rest where the node is a product.
     fn term_plus(&mut self, node: NodeId, coefficient: f64, rest: NodeId) -> Step {
         if coefficient == 1.0 && !self.is_plain_product(node) {
-            return Step::Binary(Op::Add, node, rest);
+            return Step::of(Opcode::Add, [node, rest]);
         }
         if coefficient == -1.0 && !self.is_plain_product(node) {
-            return Step::Binary(Op::Sub, rest, node);
+            return Step::of(Opcode::Sub, [rest, node]);
         }
         match self.two_factors(node, coefficient) {
             Some((a, b)) => Step::MulAdd(a, b, rest),
@@ -151,22 +147,27 @@ impl Builder<'_> {
             return None;
         }
         match self.product(node, &factors) {
-            Step::Binary(_, a, b) if coefficient == 1.0 && !factors.iter().any(|(_, e)| *e < 0) => Some((a, b)),
+            Step::Of(_, factors_of) if coefficient == 1.0 && !factors.iter().any(|(_, e)| *e < 0) => {
+                match factors_of[..] {
+                    [a, b] => Some((a, b)),
+                    _ => None,
+                }
+            }
             _ => None,
         }
     }
 
     fn scaled(&mut self, node: NodeId, coefficient: f64) -> Step {
         if coefficient == -1.0 {
-            return Step::Unary(Op::Neg, node);
+            return Step::of(Opcode::Neg, [node]);
         }
         if coefficient != 1.0
             && let Some((a, b)) = self.two_factors(node, coefficient)
         {
-            return Step::Binary(Op::Mul, a, b);
+            return Step::of(Opcode::Mul, [a, b]);
         }
         let coefficient = self.graph.number(coefficient);
-        Step::Binary(Op::Mul, coefficient, node)
+        Step::of(Opcode::Mul, [coefficient, node])
     }
 
     /// The factor at `level` that most of the terms share, at least two of them.
@@ -229,7 +230,7 @@ impl Builder<'_> {
         if all_negative && coefficient == 1.0 {
             let others: Vec<_> = others.into_iter().map(|(n, c)| (n, -c)).collect();
             let others = self.graph.sum(0.0, others);
-            return Step::Binary(Op::Sub, node, others);
+            return Step::of(Opcode::Sub, [node, others]);
         }
         let others = self.graph.sum(0.0, others);
         self.term_plus(node, coefficient, others)
@@ -240,20 +241,20 @@ impl Builder<'_> {
         let (high, low): (Vec<_>, Vec<_>) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
         if !low.is_empty() {
             let (low, high) = (self.graph.product(1.0, low), self.graph.product(1.0, high));
-            return Step::Binary(Op::Mul, low, high);
+            return Step::of(Opcode::Mul, [low, high]);
         }
         if let [(base, exponent)] = high[..] {
             let one = self.graph.number(1.0);
             return match exponent {
-                -1 => Step::Binary(Op::Div, one, base),
+                -1 => Step::of(Opcode::Div, [one, base]),
                 e if e < 0 => {
                     let reciprocal = self.graph.product(1.0, [(base, -1)]);
                     let (a, b) = self.halves(reciprocal, -e);
-                    Step::Binary(Op::Mul, a, b)
+                    Step::of(Opcode::Mul, [a, b])
                 }
                 e => {
                     let (a, b) = self.halves(base, e);
-                    Step::Binary(Op::Mul, a, b)
+                    Step::of(Opcode::Mul, [a, b])
                 }
             };
         }
@@ -280,7 +281,7 @@ impl Builder<'_> {
                 one_less(self.graph, last)
             }
         };
-        Step::Binary(Op::Mul, smaller, factor)
+        Step::of(Opcode::Mul, [smaller, factor])
     }
 
     /// base^exponent as a product of two powers.

@@ -337,7 +337,7 @@ impl Claim<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::program::{Input, Op, ParameterId, Sink, Value};
+    use crate::program::{Input, Opcode, ParameterId, Sink, Value};
     use crate::{Lowering, Method};
 
     const SPOT: &str = r#"
@@ -405,13 +405,13 @@ domain = "s <= 1"
             let (mut changed, mut text) = (false, String::new());
             let verdict = passes(profile, method, |program| {
                 let op = &mut program.instructions[i].op;
-                let new = match *op {
-                    Op::Add(a, b) => Op::Sub(a, b),
-                    Op::Sub(a, b) => Op::Add(a, b),
-                    Op::Mul(a, b) if a != b => Op::Mul(a, a),
-                    Op::Fma(a, b, c) if a != b => Op::Fma(a, a, c),
-                    Op::Neg(a) => Op::Add(a, a),
-                    other => other,
+                let new = match op.parts() {
+                    (Opcode::Add, &[a, b]) => Opcode::Sub.of([a, b]),
+                    (Opcode::Sub, &[a, b]) => Opcode::Add.of([a, b]),
+                    (Opcode::Mul, &[a, b]) if a != b => Opcode::Mul.of([a, a]),
+                    (Opcode::Fma, &[a, b, c]) if a != b => Opcode::Fma.of([a, a, c]),
+                    (Opcode::Neg, &[a]) => Opcode::Add.of([a, a]),
+                    _ => *op,
                 };
                 changed = new != *op;
                 *op = new;

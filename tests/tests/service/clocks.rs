@@ -10,6 +10,8 @@ const FRAMES: u32 = 24;
 const PERIOD_S: f64 = 0.05;
 /// px/s.
 const VELOCITY: [f64; 2] = [16.0, 7.0];
+/// A tracker's velocity may be so far off; with another clock it would be off by a third and more.
+const VELOCITY_PX_S: f64 = 1.5;
 
 fn frame(number: u32) -> Vec<u8> {
     let t = f64::from(number) * PERIOD_S;
@@ -34,7 +36,7 @@ fn check(name: &str, estimate: &Value) {
     let time_s = estimate["time_s"].as_f64().unwrap_or_else(|| panic!("{name} has a clock: {estimate}"));
     assert!((time_s - frame as f64 * PERIOD_S).abs() < 1e-9, "{name}: frame {frame} at {time_s} s");
     let velocity = velocity(estimate);
-    let is_right = (0..2).all(|axis| (velocity[axis] - VELOCITY[axis]).abs() < 0.05 * VELOCITY[axis]);
+    let is_right = (0..2).all(|axis| (velocity[axis] - VELOCITY[axis]).abs() < VELOCITY_PX_S);
     assert!(is_right, "{name}: {velocity:?} px/s, it is {VELOCITY:?}");
 }
 
@@ -65,8 +67,14 @@ fn velocities_are_per_second_of_the_recording_however_fast_it_is_played() {
     let service = Running::start();
     let of = |name: &str, rate_hz: f64, pace: &str| json!({"kind": "recording", "path": folder.0.join(name), "rate_hz": rate_hz, "pace": pace});
     for name in ["told", "run.y4m"] {
+        let mut first = None;
         for (rate_hz, pace) in [(0.0, "fit"), (100.0, "fit"), (20.0, "realtime"), (50.0, "realtime")] {
-            check(&format!("{name} at {rate_hz} Hz, pace {pace}"), &last(&service, of(name, rate_hz, pace)));
+            let estimate = last(&service, of(name, rate_hz, pace));
+            check(&format!("{name} at {rate_hz} Hz, pace {pace}"), &estimate);
+            // Where no frame is lost it is the same to the last digit.
+            let velocity = velocity(&estimate);
+            let first = *first.get_or_insert(velocity);
+            assert!(pace == "realtime" || velocity == first, "{name} at {rate_hz} Hz: {velocity:?}, before {first:?}");
         }
     }
     // Pictures that say nothing of their times were taken at the source's rate, …
@@ -96,7 +104,7 @@ fn a_synthetic_source_has_the_clock_of_its_motion() {
         assert!((time_s - frame as f64 / 60.0).abs() < 1e-9, "pace {pace}: frame {frame} at {time_s} s");
         if time_s < 1.9 {
             let velocity = velocity(&estimate);
-            assert!((0..2).all(|axis| (velocity[axis] - VELOCITY[axis]).abs() < 0.05 * VELOCITY[axis]), "{velocity:?}");
+            assert!((0..2).all(|axis| (velocity[axis] - VELOCITY[axis]).abs() < VELOCITY_PX_S), "{velocity:?}");
         }
     }
 }

@@ -87,6 +87,10 @@ const WORSE: f64 = 1.5;
 pub(crate) const QUANTISATION: f64 = 1.0 / 12.0;
 /// Radius over the length of a step that strayed.
 const STRAYED: f64 = 0.25;
+/// How far aside of a start without derivatives a stage begins: this share of each parameter, …
+const ASIDE: f64 = 1.0 / 1024.0;
+/// … and this where the parameter is 0.
+const ASIDE_OF_ZERO: f64 = 1e-6;
 /// Halvings of a step that breaks a bound or a constraint.
 const HALVINGS: usize = 40;
 /// Steps down the gradient by which F is held against its derivatives, each an eighth of the one before, …
@@ -207,7 +211,36 @@ enum Descent {
 }
 
 /// Runs a stage; `point` ends at the last accepted point (see [`Ending`]).
+///
+/// Where F is known at the start but its derivatives are not finite, the stage begins a little aside: a start in round
+/// numbers may put a pixel on the very rim of the domain, where a root has no slope.
 pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
+    let report = run_from(problem, rules, point);
+    let never_began = report.ending == Ending::NonFinite && report.passes <= 1;
+    if !never_began || !problem.value(point, point).is_ok_and(f64::is_finite) {
+        return report;
+    }
+    let Some(mut aside) = [-1.0, 1.0].into_iter().map(|sign| aside(point, rules, sign)).find(|p| problem.allowed(p))
+    else {
+        return report;
+    };
+    let report = run_from(problem, rules, &mut aside);
+    if report.ending != Ending::NonFinite {
+        point.copy_from_slice(&aside);
+    }
+    report
+}
+
+/// Beside `point`, to one side of it.
+fn aside(point: &[f64], rules: &Rules, sign: f64) -> Vec<f64> {
+    let mut aside = point.to_vec();
+    for i in &rules.free {
+        aside[*i] += sign * if aside[*i] == 0.0 { ASIDE_OF_ZERO } else { ASIDE * aside[*i].abs() };
+    }
+    aside
+}
+
+fn run_from<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
     let mut walk = Walk {
         problem,
         rules,

@@ -342,3 +342,16 @@ fn a_pass_that_cannot_be_had_ends_the_stage_where_it_is() {
         assert!(rosenbrock(&point, 0).0.powi(2) + rosenbrock(&point, 1).0.powi(2) <= 24.2 + 1e-9, "{point:?}");
     }
 }
+
+#[test]
+fn a_start_without_derivatives_is_left_aside() {
+    // At 3 exactly F is known, but a root has no slope there.
+    let f = |u: &[f64], i: usize| {
+        let slope = if u[0] == 3.0 { f64::INFINITY } else { 1.0 };
+        (u[0] - 1.0 - 1e-3 * (i as f64 - 4.0), vec![slope], vec![0.0])
+    };
+    let mut problem = Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+    let mut point = vec![3.0];
+    assert_eq!(run(&mut problem, &rules(1, 9), &mut point).ending, Ending::SmallStep);
+    assert!((point[0] - 1.0).abs() < 1e-3, "{point:?}");
+}
