@@ -5,7 +5,9 @@ use crate::program::{Instruction, Level, Op, Program, Sink, Value};
 /// Improves the instructions in place and sorts them by level.
 pub(crate) fn improve(program: &mut Program, fma: bool) {
     let mut uses = count_uses(program);
-    for i in 0..program.instructions.len() {
+    // What nothing reads has no part in the counts.
+    let live = live(program);
+    for i in (0..program.instructions.len()).filter(|i| live[*i]) {
         let Instruction { op, level, .. } = program.instructions[i];
         let (make, a, b): (fn(Value, Value) -> Op, Value, Value) = match op {
             Op::Mul(a, b) => (Op::Mul, a, b),
@@ -52,7 +54,7 @@ pub(crate) fn improve(program: &mut Program, fma: bool) {
 /// c − x·y and x·y − c as FMA of a negated operand (a sign costs no flop).
 fn contract_differences(program: &mut Program) {
     let uses = count_uses(program);
-    let mut negated: Vec<(usize, Instruction)> = Vec::new();
+    let mut negated: Vec<Instruction> = Vec::new();
     let count = program.instructions.len();
     for i in 0..count {
         let Instruction { op: Op::Sub(a, b), level: Level::Pixel, span } = program.instructions[i] else { continue };
@@ -60,23 +62,20 @@ fn contract_differences(program: &mut Program) {
             Instruction { op: Op::Mul(x, y), level: Level::Pixel, .. } if uses[v.index()] == 1 => Some((x, y)),
             _ => None,
         };
-        let (x, y, c, turned) = match (product(b), product(a)) {
-            (Some((x, y)), _) => (x, y, a, x),
-            (None, Some((x, y))) => (x, y, b, b),
+        let level = |v: Value| program.instructions[v.index()].level;
+        let value = Value((count + negated.len()) as u32);
+        // c may be a factor as well: which operand is turned is a matter of place, not of which value it is.
+        let (turned, contracted) = match (product(b), product(a)) {
+            // The sign goes to the factor known earliest.
+            (Some((x, y)), _) if level(y) < level(x) => (y, Op::Fma(x, value, a)),
+            (Some((x, y)), _) => (x, Op::Fma(value, y, a)),
+            (None, Some((x, y))) => (b, Op::Fma(x, y, value)),
             _ => continue,
         };
-        // The sign goes to the factor known earliest.
-        let level = |v: Value| program.instructions[v.index()].level;
-        let turned = if turned == x && level(y) < level(x) { y } else { turned };
-        let value = Value((count + negated.len()) as u32);
-        negated.push((i, Instruction { op: Op::Neg(turned), level: level(turned), span }));
-        program.instructions[i].op = if turned == c {
-            Op::Fma(x, y, value)
-        } else {
-            Op::Fma(if turned == x { value } else { x }, if turned == y && turned != x { value } else { y }, c)
-        };
+        negated.push(Instruction { op: Op::Neg(turned), level: level(turned), span });
+        program.instructions[i].op = contracted;
     }
-    program.instructions.extend(negated.into_iter().map(|(_, instruction)| instruction));
+    program.instructions.extend(negated);
 }
 
 fn is_one(program: &Program, value: Value) -> bool {

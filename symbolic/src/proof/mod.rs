@@ -15,6 +15,8 @@ pub(crate) mod evaluate;
 pub(crate) mod hyper;
 pub(crate) mod modular;
 pub(crate) mod points;
+#[cfg(test)]
+mod rewrites_tests;
 pub(crate) mod weighed;
 
 use serde::{Deserialize, Serialize};
