@@ -4,8 +4,8 @@
 //! [`Args`]. Blocks, in the order of execution:
 //! ```text
 //! entry ─► head ─► pair ─► row ─► full ⟲ ─► partial ─► row end ─► next ─► row (the second of two), head …, pass end
-//!                          │        └──────◄──┘                    │
-//!                          └── no pixels ──────────────────────────┘
+//!                          │        └──────◄──┘        │           │
+//!                          └── no pixels ──────────────┴───────────┘
 //! ```
 //! `pair` prepares two rows, those behind the two that are worked on next, so that the processor has both to do at once.
 //! `full` takes groups all of whose pixels take part. `partial` takes the others: the last group of a row, always, and
@@ -264,14 +264,18 @@ impl Nest<'_, '_> {
             Some(unused) => self.emit.b.ins().isub(count, unused),
             None => count,
         };
-        self.emit.count = Some(used);
-        self.emit.sums = done.sums.clone();
-        self.emit.level(Level::RowEnd);
-        let pixels = self.emit.b.ins().iadd(pixels, used);
         let saturated = match done.saturated {
             Some(dropped) => self.emit.b.ins().iadd(saturated, dropped),
             None => saturated,
         };
+        if self.emit.plan.is_masked() {
+            // What a row without pixels knows may be NaN, which no product with an empty sum makes 0.
+            self.emit.go_on_if(used, next, &[pixels.into(), saturated.into()]);
+        }
+        self.emit.count = Some(used);
+        self.emit.sums = done.sums.clone();
+        self.emit.level(Level::RowEnd);
+        let pixels = self.emit.b.ins().iadd(pixels, used);
         self.emit.b.ins().jump(next, &[pixels.into(), saturated.into()]);
     }
 

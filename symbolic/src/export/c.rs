@@ -190,8 +190,11 @@ fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: 
     file.close("}");
     file.line("pixels += row_pixels;");
     file.line("/* row end */");
-    file.lines(&body.row_end);
     if let Sink::Sums { totals, .. } = program.sink() {
+        if counted {
+            file.line("if (row_pixels == 0) continue;");
+        }
+        file.lines(&body.row_end);
         for (i, value) in totals.iter().enumerate() {
             file.line(&format!("total{i} += {};", statements.read_number(*value, Level::RowEnd)));
         }

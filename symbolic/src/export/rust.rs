@@ -176,8 +176,11 @@ pub(super) fn passes(
     inner(file);
     file.line("pixels += row_pixels as u64;");
     file.line("// row end");
-    file.lines(&body.row_end);
     if let Sink::Sums { totals, .. } = program.sink() {
+        if program.pixel_set().mask.is_some() || program.pixel_set().saturated.is_some() {
+            leave_unless(file, "row_pixels > 0");
+        }
+        file.lines(&body.row_end);
         for (i, value) in totals.iter().enumerate() {
             file.line(&format!("total{i} += {};", statements.read_number(*value, Level::RowEnd)));
         }

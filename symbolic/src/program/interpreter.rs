@@ -351,6 +351,9 @@ fn run_lanes<T: Lane, const L: usize>(
                 }
             }
         }
+        if used_in_row == 0 {
+            continue;
+        }
         outcome.pixels += used_in_row;
         // The upper half of the lanes is added to the lower one until one is left.
         let row_total = |lanes: &[T; L]| {
