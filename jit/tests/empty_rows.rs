@@ -75,13 +75,8 @@ fn rows_of_saturated_pixels_add_nothing() {
     let image = Image::new(PixelFormat::U8, [31, 23], 1, [0, 0], |_, _, y| if inside(y) { 100.0 } else { 255.0 });
     for lowering in lowerings().into_iter().filter(|lowering| lowering.drop_saturated) {
         for (name, program) in programs(&model, lowering).into_iter().skip(2) {
-            let bindings = Bindings {
-                parameters: &VALUES,
-                entry: &VALUES,
-                constants: &[8.0],
-                saturation: &[250.0],
-                shift: &[],
-            };
+            let bindings =
+                Bindings { parameters: &VALUES, entry: &VALUES, constants: &[8.0], saturation: &[250.0], shift: &[] };
             let outcome = agree(&program, Precision::F32, &bindings, &image, Window::whole(31, 23), &name);
             assert_eq!((outcome.pixels, outcome.saturated), (31 * 15, 31 * 8), "{name}");
             assert!(outcome.outputs.iter().all(|x| x.is_finite()), "{name}: {:?}", outcome.outputs);

@@ -21,6 +21,7 @@ use crate::program::{
     AccumulatorId, ChannelId, Comparison, CoordinateId, Input, InputId, Instruction, Level, Op, ParameterId, PixelSet,
     Program, Sink, TotalId, Value,
 };
+use crate::proof::draft::Draft;
 
 /// Which derivatives a loop sums.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -102,7 +103,8 @@ impl Model {
         };
         // Orders the instructions by level; without FMA it finds nothing else to do.
         crate::program::peephole::improve(&mut program, false);
-        origin.checked(&graph, program)
+        // It is made to be counted and compared with.
+        origin.checked(&graph, Draft::new(program)).map(Draft::unproved)
     }
 }
 

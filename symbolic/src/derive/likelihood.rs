@@ -55,6 +55,11 @@ fn bend(c: f64) -> (f64, f64) {
 }
 
 impl Shape {
+    /// True when F is put together of pieces.
+    pub fn is_conditional(self) -> bool {
+        self != Shape::Seen(Loss::Squares)
+    }
+
     /// True when F has ln σ² as well.
     pub fn has_logarithm(self) -> bool {
         matches!(self, Shape::Seen(_))

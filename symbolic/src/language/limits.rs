@@ -41,6 +41,8 @@ pub struct Limits {
     pub nodes: usize,
     /// Operands looked at while the graph grows, by one derivation.
     pub work: usize,
+    /// Operations of the check that all programs of a document are held against its formulas in.
+    pub proof: usize,
     /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
     /// Faults that are told of one document.
@@ -68,6 +70,7 @@ pub const LIMITS: Limits = Limits {
     steps: 262_144,
     nodes: 32_768,
     work: 500_000,
+    proof: 40_000_000,
     instructions: 8192,
     diagnostics: 64,
 };

@@ -13,6 +13,7 @@ use crate::program::{
     AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, PixelSet, Program, Sink, TotalId,
     Value,
 };
+use crate::proof::draft::Draft;
 
 /// coefficient · Σ_rows (row · Σ_pixels pixel); an absent row factor is 1, an absent pixel value counts pixels.
 #[derive(Clone, Debug)]
@@ -54,13 +55,7 @@ impl Sums {
 }
 
 /// The loop nest for sums over the pixels of `domain`.
-pub(crate) fn sums(
-    graph: &mut Graph,
-    sums: &Sums,
-    domain: Option<NodeId>,
-    lowering: Lowering,
-    names: Names,
-) -> Program {
+pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lowering: Lowering, names: Names) -> Draft {
     let mut builder = Builder::new(graph);
     let pixels = sums.summed(builder.graph);
     builder.wanted.extend(pixels.iter().copied());
@@ -127,7 +122,7 @@ pub(crate) fn pixel_cost(graph: &mut Graph, pixels: &[NodeId], lowering: Lowerin
 }
 
 /// The loop nest that adds `value` to a plane.
-pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Program {
+pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Draft {
     let mut builder = Builder::new(graph);
     let value = builder.pixel_value(value);
     builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names)
@@ -330,7 +325,7 @@ impl<'g> Builder<'g> {
         }
     }
 
-    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Program {
+    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Draft {
         let mut program = Program {
             coordinates: names.coordinates.len() as u32,
             channels: names.channels.len() as u32,
@@ -342,6 +337,6 @@ impl<'g> Builder<'g> {
             fused: lowering.fma,
         };
         crate::program::peephole::improve(&mut program, lowering.fma);
-        program
+        Draft::new(program)
     }
 }
