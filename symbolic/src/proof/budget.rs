@@ -14,8 +14,8 @@ use crate::proof::CONDITIONAL_POINTS;
 
 /// Pixels at which all is worked out once: in exact arithmetic, in f64, and over the window.
 const ONCE: usize = 18;
-/// Pixels that each further point of a condition adds: in exact arithmetic, and far off.
-const FURTHER: usize = 10;
+/// Pixels that each further point of a condition adds: in exact arithmetic, far off, and about a threshold.
+const FURTHER: usize = 12;
 
 /// Operations of a document's checks with so many points for conditions.
 struct Plan {

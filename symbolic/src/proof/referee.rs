@@ -183,12 +183,15 @@ impl Referee {
     fn beside(&self) -> &[Known<f64, Weighed>] {
         self.beside.get_or_init(|| {
             let (model, subject) = (&self.subject.model, &self.subject);
-            let mut point = plausible(model, centre(model, BESIDE), &mut Random(0));
-            point.columns.truncate(2);
-            point.rows.truncate(1);
-            subject.show_threshold(&mut point);
-            let sums = subject.direct(&point.map(Weighed::from), |_, _| true);
-            is_finite(&sums).then_some(Known { point, sums }).into_iter().collect()
+            let at = |seed| {
+                let mut point = plausible(model, centre(model, BESIDE), &mut Random(seed));
+                point.columns.truncate(2);
+                point.rows.truncate(1);
+                subject.show_threshold(&mut point);
+                let sums = subject.direct(&point.map(Weighed::from), |_, _| true);
+                is_finite(&sums).then_some(Known { point, sums })
+            };
+            (0..if self.is_conditional { self.points } else { 1 }).filter_map(at).collect()
         })
     }
 
