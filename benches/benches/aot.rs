@@ -3,23 +3,27 @@
 //! writes docs/speed.md and its figure. It needs `cc` and `rustc`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
-use isophote_benches::{against, compile_time, page, speed, windows};
+use isophote_benches::page;
+use isophote_benches::speed::{
+    against, compile_time, tables,
+    windows::{self, Domain},
+};
 
 fn main() {
     if std::env::args().any(|argument| argument == compile_time::COLD) {
         println!("{}", compile_time::cold_here());
         return;
     }
-    let measured = speed::Measured {
+    let measured = tables::Measured {
         races: against::races(),
         thesis: against::thesis(),
-        covered: windows::widths(true),
-        ellipse: windows::widths(false),
+        covered: windows::widths(Domain::Covering),
+        ellipse: windows::widths(Domain::Inscribed),
         formats: windows::formats(),
         warm: compile_time::warm(),
         cold: compile_time::cold(),
     };
-    let (text, svg) = (speed::text(&measured), speed::svg(&measured));
+    let (text, svg) = (tables::text(&measured), tables::svg(&measured));
     println!("{text}");
     if std::env::var_os("UPDATE_EXPECT").is_some() {
         page::write_to("speed.md", "speed", &text);

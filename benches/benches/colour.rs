@@ -2,7 +2,8 @@
 //! raw channels. The same frames come in every run; with `UPDATE_EXPECT=1` the table of docs/colour.md is written.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
-use isophote_benches::{colour, page};
+use isophote_benches::accuracy::colour;
+use isophote_benches::page;
 
 /// Frames of a row.
 const FRAMES: usize = 1000;

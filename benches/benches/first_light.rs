@@ -5,10 +5,10 @@
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use isophote_benches::frame::{HEIGHT, WIDTH, bytes, picture, truth};
+use isophote_benches::speed::frame::{HEIGHT, WIDTH, bytes, picture, truth};
 use isophote_benches::text;
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
-use isophote_server::Threads;
+use isophote_machine::Threads;
 use isophote_symbolic::{Bindings, Estimator, Lowering, Method, Model, Precision, Start};
 use isophote_tracker::{Compiled, Frame, Plane, Tracker, TrackerOptions};
 

@@ -7,7 +7,9 @@
 use std::hint::black_box;
 use std::process::ExitCode;
 
-use isophote_benches::{counts, page, shipped, text, time};
+use isophote_benches::flops::{counts, page};
+use isophote_benches::page::provenance;
+use isophote_benches::{shipped, text, time};
 use isophote_symbolic::{Lowering, Method, Model, Objective, ParameterId};
 
 const RUNS: usize = 200;
@@ -25,7 +27,7 @@ fn milliseconds(f: impl FnMut()) -> String {
 fn times() -> String {
     let mut table = format!(
         "{}\n\n| from | to | ms: median (min – max) of {RUNS} runs |\n|---|---|---|\n",
-        page::provenance("flops", &["../symbolic", "../models"])
+        provenance("flops", &["../symbolic", "../models"])
     );
     let thesis = text("thesis-spot");
     let all = |text: &str| {

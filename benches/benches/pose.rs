@@ -2,10 +2,10 @@
 //! the Cramér–Rao bound. With `UPDATE_EXPECT=1` it writes docs/pose-accuracy.md anew.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
+use isophote_benches::accuracy::pose::cell::{CELLS, Documents, run};
+use isophote_benches::accuracy::pose::table::{branches, consistency, errors};
+use isophote_benches::accuracy::pose::thesis;
 use isophote_benches::page;
-use isophote_benches::pose::cell::{CELLS, Documents, run};
-use isophote_benches::pose::table::{branches, consistency, errors};
-use isophote_benches::pose::thesis;
 
 /// Frames of a cell.
 const FRAMES: usize = 200;

@@ -2,8 +2,8 @@
 //! a set that is not there is skipped with a line. With `UPDATE_EXPECT=1` it writes docs/real.md when all are there.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
+use isophote_benches::accuracy::real::{beam, board, frames};
 use isophote_benches::page;
-use isophote_benches::real::{beam, board, frames};
 
 /// Measures one set of photographs.
 type Table = fn() -> String;

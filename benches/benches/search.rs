@@ -3,8 +3,9 @@
 //! well the confidence holds. With `UPDATE_EXPECT=1` it writes docs/confidence.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
-use isophote_benches::scene::height;
-use isophote_benches::{page, search};
+use isophote_benches::accuracy::search;
+use isophote_benches::accuracy::search::scene::height;
+use isophote_benches::page;
 
 fn main() {
     let frames = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(1000);

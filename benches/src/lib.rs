@@ -1,28 +1,16 @@
 //! What the benchmarks share; they stand in `benches/`.
 //!
-//! What comes in: shipped models and frames made here. What goes out: tables on standard output, and those of
-//! [docs/flops.md](../../docs/flops.md), whose counts a test compares with the page, and of [docs/speed.md](../../docs/speed.md).
+//! What comes in: shipped models and frames made here. What goes out: tables on standard output, and those of pages of docs/.
+//! Three rooms that import nothing of each other: [`flops`] counts, [`speed`] takes the time, [`accuracy`] says how right answers
+//! are. [`bodies`] makes the loops that the first two compare, [`page`] and [`plot`] are what they write with.
 #![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
 
 pub mod accuracy;
-pub mod against;
-pub mod appendix;
-pub mod colour;
-pub mod compile_time;
-pub mod contenders;
-pub mod counts;
-pub mod figure;
-pub mod foreign;
-pub mod frame;
+pub mod bodies;
+pub mod flops;
 pub mod page;
-#[allow(missing_docs)] // fields of tables
-pub mod pose;
-pub mod race;
-pub mod real;
-pub mod scene;
-pub mod search;
+pub mod plot;
 pub mod speed;
-pub mod windows;
 
 use std::time::Instant;
 

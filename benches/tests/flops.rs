@@ -1,7 +1,7 @@
 //! The counts in docs/flops.md and its figure are those of the programs.
 //! `UPDATE_EXPECT=1 cargo test -p isophote-benches --test flops` writes them anew, `cargo bench` with the same the times too.
 
-use isophote_benches::{counts, page};
+use isophote_benches::flops::{counts, page};
 
 #[test]
 fn counts_of_the_page_are_those_of_the_programs() {

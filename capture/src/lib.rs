@@ -1,7 +1,7 @@
 //! Where frames come from.
 //!
 //! In: a path ([`Recording`]), a model with numbers ([`Synthetic`]), bytes of an image ([`decode()`]), or a device
-//! ([`Camera`]).
+//! ([`LiveCamera`]).
 //! Out: [`Captured`] frames in capture order, through one door, [`FrameSource`]; a camera has its own, since it waits, stalls,
 //! is lost and comes back.
 //! But for the camera it never waits and never looks at a clock: pace is kept by whoever owns the source (the server's
@@ -9,28 +9,27 @@
 //! and no socket.
 //!
 //! ```text
-//! PNG, JPEG ─────────────► decode ─┐
-//! TIFF, FITS, Y4M, MCAP ──► pages ─┴─► stack ─┐
-//! CSV ────────────────────► table ────────────┼─► Recording ─┐
-//! truth.jsonl ────────────────────────────────┘              ├─► FrameSource ─► Frame (tracker)
-//! Model ─► sampling ─► light ─► noise ─► Synthetic ──────────┘
-//! V4L2 ─► camera ─► pixels ─► Camera ──────────────────────────────────────────► Frame
+//! files (one a format) ─► paged ─► stack ─┐
+//! truth.jsonl ─► clock ───────────────────┴─► Recording ──┐
+//! Model ─► sampling ─► light ─► noise ─► Synthetic ───────┴─► FrameSource ─► Frame
+//! V4L2 ─► camera ─► pixels ─► LiveCamera ──────────────────────────────────► Frame
 //! ```
 
 pub mod camera;
+mod clock;
 pub mod decode;
 pub mod encode;
 mod exposure;
-mod fits;
+mod files;
 mod levels;
 pub mod light;
 pub mod limits;
-mod mcap;
-mod motion;
+mod movement;
 mod moving;
 mod noise;
 mod order;
-mod pages;
+mod paged;
+mod picture;
 pub mod pixels;
 mod planes;
 pub mod recording;
@@ -39,16 +38,14 @@ pub mod source;
 pub mod spec;
 mod stack;
 pub mod synthetic;
-mod table;
-mod tiff;
 mod truth;
 mod wake;
-mod y4m;
 
-pub use camera::{Camera, CameraError, CameraSpec, CameraState};
+pub use camera::{CameraError, CameraSpec, CameraState, LiveCamera};
 pub use decode::decode;
 pub use encode::{encode_png, encode_png_planes};
 pub use exposure::Exposure;
+pub use files::tiff::encode_tiff;
 pub use light::Light;
 pub use limits::LIMITS;
 pub use moving::Moving;
@@ -57,5 +54,4 @@ pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
 pub use spec::{Pace, SyntheticError, SyntheticSpec};
 pub use synthetic::Synthetic;
-pub use tiff::encode_tiff;
 pub use wake::Wake;

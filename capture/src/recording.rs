@@ -7,12 +7,14 @@ use std::sync::Arc;
 
 use isophote_frame::Frame;
 
+use crate::clock::{Clock, Stamp};
+use crate::files::csv::Table;
+use crate::files::format_of;
 use crate::limits::LIMITS;
-use crate::pages::{Paged, Place, Reader};
+use crate::paged::{Address, OpenFile, Paged};
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::stack::{Kind, Node, entries, picture_size, pictures_of, read};
-use crate::table::Table;
-use crate::truth;
+use crate::stack::{Node, entries, picture_size, pictures_of, read};
+use crate::truth::{self, Truth};
 
 /// Files that are frames, in natural name order, decoded one at a time.
 ///
@@ -28,8 +30,9 @@ pub struct Recording {
     next: usize,
     sequence: u64,
     channels: Option<Vec<String>>,
-    truth: BTreeMap<String, BTreeMap<String, f64>>,
-    reader: Reader,
+    truth: BTreeMap<String, Truth>,
+    clock: Clock,
+    file: OpenFile,
 }
 
 impl Recording {
@@ -42,30 +45,46 @@ impl Recording {
     /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
     /// A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
-        let place = Place::of(path.as_ref());
-        let path = place.path.clone();
+        let address = Address::of(path.as_ref());
+        let path = address.path.clone();
         let about = std::fs::metadata(&path).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: path.clone() },
             _ => SourceError::Unreadable { path: path.clone(), reason },
         })?;
         if !about.is_dir() {
-            Kind::of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
+            format_of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
             0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Node::of_entry))?, true),
-            0..=2 => (pictures([Node::of_file(place)])?, false),
-            _ => stacks(place, dimensions)?,
+            0..=2 => (pictures([Node::of_file(address)])?, false),
+            _ => stacks(address, dimensions)?,
         };
         // The truth stands beside the frames.
         let folder = if is_folder && about.is_dir() { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
-        Ok(Recording { path, frames, next: 0, sequence: 0, channels: None, truth, reader: Reader::default() })
+        Ok(Recording {
+            path,
+            frames,
+            next: 0,
+            sequence: 0,
+            channels: None,
+            truth,
+            clock: Clock::default(),
+            file: OpenFile::default(),
+        })
     }
 
     /// Fits every frame's planes to the channels of a model: one channel takes the image's only plane or the Rec. 601 luma
     /// of a colour image; three take r, g, b in this order; a CSV file gives the columns of these names.
     pub fn for_channels(mut self, channels: &[String]) -> Recording {
         self.channels = Some(channels.to_vec());
+        self
+    }
+
+    /// Frames a second, for frames of which neither their file nor `truth.jsonl` says when they were taken. Without, they have
+    /// no time.
+    pub fn at_rate(mut self, rate_hz: f64) -> Recording {
+        self.clock.rate_hz = (rate_hz > 0.0 && rate_hz.is_finite()).then_some(rate_hz);
         self
     }
 
@@ -86,25 +105,25 @@ impl Recording {
 
     /// The columns that the first file's header names; `None` when it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
-        let path = self.frames[0].path();
-        match Kind::of(path).filter(|_| !path.is_dir()) {
-            Some(Kind::Csv) => Ok(Some(Table::parse(path, &read(path)?)?.names)),
+        match &self.frames[0] {
+            Node::Table(path) => Ok(Some(Table::parse(path, &read(path)?)?.names)),
             _ => Ok(None),
         }
     }
 
-    /// Starts over with the first file; frames go on being counted.
+    /// Starts over with the first file; frames go on being counted, and so does the time.
     pub fn rewind(&mut self) {
         self.next = 0;
+        self.clock.rewind();
     }
 
     fn load(&mut self, node: &Node) -> Result<Frame, SourceError> {
         let path = node.path();
-        if node.dimensions() == 1 {
+        if let Node::Table(path) = node {
             let table = Table::parse(path, &read(path)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
-        let frame = node.load(&mut self.reader)?;
+        let frame = node.load(&mut self.file)?;
         match &self.channels {
             Some(channels) => fitted(path, frame, channels),
             None => Ok(frame),
@@ -118,9 +137,14 @@ impl FrameSource for Recording {
         self.next += 1;
         let sequence = self.sequence;
         self.sequence += 1;
-        let frame = self.load(&node)?.with_sequence(sequence);
+        let frame = self.load(&node);
         let file = node.name();
-        let truth = self.truth.get(&file).cloned();
+        let truth = self.truth.get(&file);
+        let told = truth.and_then(|truth| truth.t_s).map(Stamp::Seconds);
+        // A frame that cannot be read takes its time all the same.
+        let time_s = self.clock.time_s(told.or_else(|| node.stamp(&self.file)));
+        let frame = frame?.with_sequence(sequence).with_time_s(time_s);
+        let truth = truth.map(|truth| truth.parameters.clone());
         Ok(Some(Captured { frame, file: Some(file).filter(|name| !name.is_empty()), truth }))
     }
 
@@ -130,8 +154,8 @@ impl FrameSource for Recording {
 
     fn size(&self) -> Option<Vec<usize>> {
         let node = &self.frames[0];
-        if node.dimensions() == 1 {
-            return Some(vec![Table::parse(node.path(), &read(node.path()).ok()?).ok()?.columns[0].len()]);
+        if let Node::Table(path) = node {
+            return Some(vec![Table::parse(path, &read(path).ok()?).ok()?.columns[0].len()]);
         }
         Some([&picture_size(node.first())?[..], &node.outer().ok()?].concat())
     }
@@ -181,9 +205,9 @@ fn add(frames: &mut Vec<Node>, file: &Arc<Paged>, pages: Range<usize>) -> Result
 }
 
 /// One frame, or all that a folder holds; whether it is the latter.
-fn stacks(place: Place, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
-    let path = place.path.clone();
-    let node = Node::of_path(place, dimensions - 1)?;
+fn stacks(address: Address, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
+    let path = address.path.clone();
+    let node = Node::of_path(address, dimensions - 1)?;
     let wanted = match dimensions {
         3 => "a TIFF of several pages, a folder of pictures, or a folder of such stacks",
         _ => "a folder of TIFFs of several pages, a folder of folders of pictures, or a folder of such folders",

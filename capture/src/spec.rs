@@ -206,13 +206,14 @@ pub(crate) fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
 /// Parameters and constants of the first frame, motion apart.
 pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), SyntheticError> {
     let model = &spec.model;
-    let dark = model
-        .parameters()
-        .iter()
+    let mut parameters = model.parameters().iter();
+    let is_dark = parameters
         .any(|p| matches!(p.start, Start::Estimator(Estimator::Amplitude)) && p.max.is_some_and(|max| max <= 0.0));
+    // Of 255 DN: the ground, and the target above it.
+    let brightness = if is_dark { [200.0, -150.0] } else { [20.0, 150.0] };
     let start = |start: &Start| match start {
         Start::Number(number) => *number,
-        Start::Estimator(estimator) => typical(*estimator, spec, dark),
+        Start::Estimator(estimator) => typical(*estimator, spec, brightness),
     };
     let mut parameters: Vec<f64> = model.parameters().iter().map(|p| start(&p.start)).collect();
     let mut constants: Vec<f64> = model.constants().iter().map(|c| c.value).collect();
@@ -231,7 +232,7 @@ pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), Synt
 }
 
 /// What an estimator would find in an ordinary frame.
-fn typical(estimator: Estimator, spec: &SyntheticSpec, dark: bool) -> f64 {
+fn typical(estimator: Estimator, spec: &SyntheticSpec, [ground, target]: [f64; 2]) -> f64 {
     let scale = spec.width as f64 / 640.0;
     let level = spec.saturation / 255.0;
     let sides = [spec.width, spec.height, spec.depth, spec.length].map(|side| side as f64);
@@ -245,8 +246,8 @@ fn typical(estimator: Estimator, spec: &SyntheticSpec, dark: bool) -> f64 {
         }
         Estimator::Extent(axis, _) => ([60.0, 42.0, 42.0, 42.0][axis] * scale).powi(-2),
         Estimator::Size(_) => 40.0 * scale,
-        Estimator::Background => level * if dark { 200.0 } else { 20.0 },
-        Estimator::Amplitude => level * if dark { -150.0 } else { 150.0 },
+        Estimator::Background => level * ground,
+        Estimator::Amplitude => level * target,
         // A target on the axis, a metre away, seen from the front.
         Estimator::Position(2) => 1000.0,
         Estimator::Position(_) | Estimator::Orientation(_) => 0.0,

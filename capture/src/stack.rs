@@ -10,41 +10,21 @@ use std::sync::Arc;
 
 use isophote_frame::{Buffer, Frame, Plane};
 
-use crate::decode::{self, Picture};
+use crate::clock::Stamp;
+use crate::files::{Beside, Content, format_of};
 use crate::limits::LIMITS;
 use crate::order::natural;
-use crate::pages::{Format, Paged, Place, Reader};
+use crate::paged::{Address, OpenFile, Paged};
+use crate::picture::{DecodeError, Picture};
 use crate::source::SourceError;
-
-/// What a file's name says that it is.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
-    Image,
-    Paged(Format),
-    Csv,
-}
-
-impl Kind {
-    pub fn of(path: &Path) -> Option<Kind> {
-        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-        match extension.as_str() {
-            "png" | "jpg" | "jpeg" => Some(Kind::Image),
-            "tif" | "tiff" => Some(Kind::Paged(Format::Tiff)),
-            // `.fits.fz` is refused with the word what to do.
-            "fits" | "fit" | "fts" | "fz" => Some(Kind::Paged(Format::Fits)),
-            "y4m" => Some(Kind::Paged(Format::Y4m)),
-            "mcap" => Some(Kind::Paged(Format::Mcap)),
-            "csv" => Some(Kind::Csv),
-            _ => None,
-        }
-    }
-}
 
 /// Pictures, and how they lie on each other.
 #[derive(Clone, Debug)]
 pub(crate) enum Node {
-    /// A PNG, JPEG or CSV file.
-    File(PathBuf),
+    /// A file of one picture.
+    Image(PathBuf),
+    /// A file of columns.
+    Table(PathBuf),
     /// One page of a file of pages, from 0.
     Page(Arc<Paged>, usize),
     /// Some pages of a file behind each other: all of them, or those of one volume.
@@ -55,9 +35,14 @@ pub(crate) enum Node {
 
 impl Node {
     /// A file; one of pages by their number.
-    pub fn of_file(place: Place) -> Result<Node, SourceError> {
-        let Some(Kind::Paged(format)) = Kind::of(&place.path) else { return Ok(Node::File(place.path)) };
-        let file = Arc::new(Paged::of(place, format)?);
+    pub fn of_file(address: Address) -> Result<Node, SourceError> {
+        let path = &address.path;
+        let format = format_of(path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
+        let file = match format.content {
+            Content::Picture { .. } => return Ok(Node::Image(address.path)),
+            Content::Table => return Ok(Node::Table(address.path)),
+            Content::Pages { .. } => Arc::new(Paged::of(address, format)?),
+        };
         let all = 0..file.pages;
         Ok(match file.volume {
             _ if file.pages == 1 => Node::Page(file, 0),
@@ -80,11 +65,11 @@ impl Node {
     }
 
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
-    pub fn of_path(place: Place, levels: usize) -> Result<Node, SourceError> {
-        if !place.path.is_dir() {
-            return Node::of_file(place);
+    pub fn of_path(address: Address, levels: usize) -> Result<Node, SourceError> {
+        if !address.path.is_dir() {
+            return Node::of_file(address);
         }
-        let path = &place.path;
+        let path = &address.path;
         let entries = entries(path)?;
         let files = pictures_of(entries.iter().filter(|path| path.is_file()).cloned().collect());
         let nodes = match files.is_empty() {
@@ -106,8 +91,8 @@ impl Node {
     /// How many dimensions its pixels have.
     pub fn dimensions(&self) -> usize {
         match self {
-            Node::File(path) if Kind::of(path) == Some(Kind::Csv) => 1,
-            Node::File(_) | Node::Page(..) => 2,
+            Node::Table(_) => 1,
+            Node::Image(_) | Node::Page(..) => 2,
             Node::Pages(..) => 3,
             Node::Folder(_, nodes) => 1 + nodes.first().map_or(0, Node::dimensions),
         }
@@ -116,8 +101,8 @@ impl Node {
     /// For people.
     pub fn what(&self) -> String {
         match self {
-            Node::File(path) if Kind::of(path) == Some(Kind::Csv) => "a table".into(),
-            Node::File(_) | Node::Page(..) => "one picture".into(),
+            Node::Table(_) => "a table".into(),
+            Node::Image(_) | Node::Page(..) => "one picture".into(),
             Node::Pages(file, _) => file.what(),
             Node::Folder(path, nodes) => match (nodes.len(), nodes.first()) {
                 (_, Some(Node::Pages(file, _))) if file.path == *path => file.what(),
@@ -131,7 +116,7 @@ impl Node {
 
     pub fn path(&self) -> &Path {
         match self {
-            Node::File(path) | Node::Folder(path, _) => path,
+            Node::Image(path) | Node::Table(path) | Node::Folder(path, _) => path,
             Node::Page(file, _) | Node::Pages(file, _) => &file.path,
         }
     }
@@ -156,7 +141,7 @@ impl Node {
     /// Pixels beyond x and y: nothing for a picture, slices, or slices and volumes.
     pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
         match self {
-            Node::File(_) | Node::Page(..) => Ok(Vec::new()),
+            Node::Image(_) | Node::Table(_) | Node::Page(..) => Ok(Vec::new()),
             Node::Pages(_, range) => Ok(vec![range.len()]),
             Node::Folder(_, nodes) => {
                 let mut size = nodes.first().map_or(Ok(Vec::new()), Node::outer)?;
@@ -173,8 +158,18 @@ impl Node {
         }
     }
 
+    /// When its first picture was taken, where the file tells; `reader` has just read it.
+    pub fn stamp(&self, reader: &OpenFile) -> Option<Stamp> {
+        match self {
+            Node::Image(_) | Node::Table(_) => None,
+            Node::Page(file, page) => reader.stamp(file, *page),
+            Node::Pages(file, range) => reader.stamp(file, range.start),
+            Node::Folder(_, nodes) => nodes.first()?.stamp(reader),
+        }
+    }
+
     /// The pixels of all its pictures as one frame.
-    pub fn load(&self, reader: &mut Reader) -> Result<Frame, SourceError> {
+    pub fn load(&self, reader: &mut OpenFile) -> Result<Frame, SourceError> {
         let outer = self.outer()?;
         let mut stack = Stack { slices: outer.iter().product(), outer, picture: None, name: String::new() };
         stack.add(self, reader)?;
@@ -199,16 +194,19 @@ struct Stack {
 }
 
 impl Stack {
-    fn add(&mut self, node: &Node, reader: &mut Reader) -> Result<(), SourceError> {
+    fn add(&mut self, node: &Node, reader: &mut OpenFile) -> Result<(), SourceError> {
         match node {
             Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, reader)),
             Node::Pages(file, range) => {
                 range.clone().try_for_each(|page| self.add(&Node::Page(file.clone(), page), reader))
             }
-            Node::File(path) => {
-                let picture = decode::picture(&read(path)?).map_err(|error| error.about(path))?;
-                self.push(node, picture)
+            Node::Image(path) => {
+                let Some(Content::Picture { picture, .. }) = format_of(path).map(|format| &format.content) else {
+                    return Err(DecodeError::UnknownKind.about(path));
+                };
+                self.push(node, picture(&read(path)?).map_err(|error| error.about(path))?)
             }
+            Node::Table(path) => Err(DecodeError::UnknownKind.about(path)),
             Node::Page(file, number) => self.push(node, reader.picture(file, *number)?),
         }
     }
@@ -243,10 +241,13 @@ impl Stack {
 /// The size of a file's first picture.
 pub(crate) fn picture_size(node: &Node) -> Option<[usize; 2]> {
     match node {
-        Node::File(path) => decode::size(&read(path).ok()?).ok(),
+        Node::Image(path) => match format_of(path)?.content {
+            Content::Picture { size, .. } => size(&read(path).ok()?).ok(),
+            Content::Pages { .. } | Content::Table => None,
+        },
         Node::Page(file, page) => file.size(*page),
         Node::Pages(file, range) => file.size(range.start),
-        Node::Folder(..) => None,
+        Node::Table(_) | Node::Folder(..) => None,
     }
 }
 
@@ -257,7 +258,7 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        if Kind::of(&path).is_none() && !path.is_dir() {
+        if format_of(&path).is_none() && !path.is_dir() {
             continue;
         }
         if found.len() == LIMITS.files {
@@ -269,17 +270,11 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     Ok(found.into_iter().map(|(_, path)| path).collect())
 }
 
-/// The files of a folder that are its pictures. Those of formats that hold a whole recording, or that have to be unpacked
-/// first, count where there are no others: beside pictures they are something else.
+/// The files of a folder that are its pictures: none where there are tables only.
 pub(crate) fn pictures_of(mut files: Vec<PathBuf>) -> Vec<PathBuf> {
-    let is_whole = |path: &PathBuf| {
-        let packed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("fz"));
-        packed || matches!(Kind::of(path), Some(Kind::Paged(Format::Y4m | Format::Mcap)))
-    };
-    files.retain(|path| Kind::of(path).is_some_and(|kind| kind != Kind::Csv));
-    if !files.iter().all(is_whole) {
-        files.retain(|path| !is_whole(path));
-    }
+    let beside = |path: &PathBuf| format_of(path).map_or(Beside::Tables, |format| format.beside);
+    let first = files.iter().map(beside).min().unwrap_or(Beside::Tables);
+    files.retain(|path| first != Beside::Tables && beside(path) == first);
     files
 }
 

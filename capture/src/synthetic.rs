@@ -9,7 +9,7 @@ use crate::exposure::Exposure;
 use crate::light::defocus::Blur;
 use crate::light::shine::Shine;
 use crate::light::{self, Light};
-use crate::motion::{Motion, MotionFault};
+use crate::movement::{Movement, MovementFault};
 use crate::moving::Law;
 use crate::noise::{ReadOut, Sensor};
 use crate::planes::of_channels;
@@ -32,7 +32,7 @@ pub struct Synthetic {
     /// One a channel, and its read-out.
     scenes: Vec<Scene>,
     read_outs: Vec<ReadOut>,
-    motion: Motion,
+    motion: Movement,
     light: Light<Law>,
     own_exposure: Law,
     gain: Law,
@@ -61,9 +61,9 @@ impl Synthetic {
             })
         };
         let scenes = models.iter().map(scene).collect::<Result<Vec<_>, _>>()?;
-        let motion = Motion::parse(&spec.model, &spec.motion).map_err(|fault| match fault {
-            MotionFault::UnknownName(name) => unknown(&spec.model, "parameter", name),
-            MotionFault::Formula { name, diagnostics } => SyntheticError::Motion { name, diagnostics },
+        let motion = Movement::parse(&spec.model, &spec.motion).map_err(|fault| match fault {
+            MovementFault::UnknownName(name) => unknown(&spec.model, "parameter", name),
+            MovementFault::Formula { name, diagnostics } => SyntheticError::Motion { name, diagnostics },
         })?;
         let (parameters, constants) = numbers(&spec)?;
         let light = light::read(&spec.light).map_err(wrong_light)?;
@@ -247,7 +247,8 @@ impl FrameSource for Synthetic {
         }
         let made = Frame::new(&self.size, planes)
             .map_err(|error| SourceError::Synthetic { frame, reason: error.to_string() })?;
-        Ok(Some(Captured { frame: made.with_sequence(frame), file: None, truth: Some(truth) }))
+        let made = made.with_sequence(frame).with_time_s(Some(self.t_s(frame))).with_largest(self.spec.saturation);
+        Ok(Some(Captured { frame: made, file: None, truth: Some(truth) }))
     }
 
     fn description(&self) -> String {

@@ -1,4 +1,4 @@
-//! `truth.jsonl` beside a rendered recording: which parameters each file was made from.
+//! `truth.jsonl` beside a rendered recording: which parameters each file was made from, and for which time.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,10 +14,20 @@ pub(crate) const FILE: &str = "truth.jsonl";
 struct Line {
     file: String,
     parameters: BTreeMap<String, f64>,
+    t: Option<f64>,
 }
 
-/// Parameters by file name. A folder without the file has no truth, which is no fault.
-pub(crate) fn read(folder: &Path) -> Result<BTreeMap<String, BTreeMap<String, f64>>, SourceError> {
+/// What is known of one frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Truth {
+    /// What it was made from.
+    pub parameters: BTreeMap<String, f64>,
+    /// When, s.
+    pub t_s: Option<f64>,
+}
+
+/// What is known of frames, by file name. A folder without the file has no truth, which is no fault.
+pub(crate) fn read(folder: &Path) -> Result<BTreeMap<String, Truth>, SourceError> {
     let path = folder.join(FILE);
     let text = match std::fs::read_to_string(&path) {
         Ok(text) => text,
@@ -31,7 +41,7 @@ pub(crate) fn read(folder: &Path) -> Result<BTreeMap<String, BTreeMap<String, f6
             line: i as u64 + 1,
             reason: format!("not a line of truth ({error}); `isophote render` writes such files"),
         })?;
-        truth.insert(line.file, line.parameters);
+        truth.insert(line.file, Truth { parameters: line.parameters, t_s: line.t });
     }
     Ok(truth)
 }

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_capture::{FrameSource, Recording};
+use isophote_capture::FrameSource;
 use isophote_symbolic::Model;
-use isophote_tracker::{Camera, Mixing, MixingError, MixingMeasurement};
+use isophote_tracker::{Mixing, MixingError, MixingMeasurement};
 use serde::Serialize;
 
 use crate::failure::Failure;
-use crate::fit::{camera, with_deviation};
-use crate::{model_files, output};
+use crate::output::with_deviation;
+use crate::{model_files, offline, output};
 
 /// Measure how much of each light every channel reads, from frames that show one light at a time, or several apart
 #[derive(Clone, Debug, clap::Args)]
@@ -52,13 +52,12 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
         let file = args.model.display();
         return Err(Failure::Usage(format!("{file} has one channel, {}: there is nothing to mix", channels.join(""))));
     }
-    let other = |error: isophote_capture::SourceError| Failure::Other(error.to_string());
-    let mut recording = Recording::open(&args.frames).map_err(other)?.for_channels(channels);
-    let camera = args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?;
+    let mut recording = offline::recording(&args.frames, &model)?;
+    let camera = offline::camera(args.camera.as_deref())?;
     let mut measurement = MixingMeasurement::new(channels.len(), camera.saturation);
     let refused =
         |error: MixingError| Failure::Other(format!("{}: {}", args.frames.display(), reason(&error, channels)));
-    while let Some(captured) = recording.next().map_err(other)? {
+    while let Some(captured) = recording.next().map_err(Failure::other)? {
         measurement.add(&captured.frame).map_err(refused)?;
     }
     let mixing = measurement.finish().map_err(refused)?;
@@ -71,10 +70,8 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
         constants: &constants,
     };
     if let Some(path) = &args.out {
-        let failed =
-            |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
-        let text = serde_json::to_string_pretty(&answer).map_err(|error| failed(&error))?;
-        std::fs::write(path, text + "\n").map_err(|error| failed(&error))?;
+        let text = serde_json::to_string_pretty(&answer).map_err(Failure::other)? + "\n";
+        output::file(path, text.as_bytes())?;
     }
     if args.json {
         return output::json(out, &answer);

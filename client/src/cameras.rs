@@ -4,7 +4,7 @@
 use std::io::Write;
 
 use isophote_capture::camera::{self, ControlValue, ControlValues};
-use isophote_server::wire::{CameraInfo, ControlsAnswer, Items};
+use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 
 use crate::arguments::Values;
 use crate::failure::Failure;
@@ -86,7 +86,7 @@ fn print(camera: &CameraInfo, out: &mut dyn Write) -> Result<(), Failure> {
     if !others.is_empty() {
         writeln!(out, "formats that are not read here: {}", others.join(" ")).map_err(Failure::output)?;
     }
-    let row = |control: &isophote_server::wire::ControlInfo| {
+    let row = |control: &isophote_wire::ControlInfo| {
         let meaning = control.value.and_then(|value| control.items.get(&value)).cloned();
         vec![
             control.name.clone(),

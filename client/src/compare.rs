@@ -2,19 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use isophote_capture::{Captured, FrameSource, Recording};
-use isophote_server::Threads;
-use isophote_symbolic::{Model, Precision};
+use isophote_capture::{Captured, FrameSource};
+use isophote_symbolic::Model;
 use isophote_tracker::tune::figures;
-use isophote_tracker::{Camera, Compiled, Estimate, TrackError, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Camera, Estimate, TrackState, TrackerOptions};
 use serde::Serialize;
 
 use crate::failure::Failure;
-use crate::fit::{camera, other};
+use crate::offline::{self, Run};
 use crate::scatter::{Dot, Scatter};
 use crate::{model_files, output};
 
@@ -63,12 +62,12 @@ struct Row {
 
 /// `isophote compare`.
 pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let camera = args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?;
+    let camera = offline::camera(args.camera.as_deref())?;
     let models = args.models.iter().map(|path| model_files::read(path)).collect::<Result<Vec<_>, _>>()?;
     let mut rows = Vec::new();
     for (path, model) in args.models.iter().zip(&models) {
         eprintln!("compare: {}", path.display());
-        rows.push(followed(args, path.display().to_string(), model, &camera)?);
+        rows.push(followed(args, path, model, &camera)?);
     }
     match args.json {
         true => rows.iter().try_for_each(|row| output::json(out, row))?,
@@ -78,24 +77,15 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Follows the target through all frames.
-fn followed(args: &CompareArgs, file: String, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
-    let recording = Recording::of_dimensions(&args.frames, model.coordinates().len()).map_err(other)?;
-    let mut recording = recording.for_channels(model.channels());
-    let is_csv = recording.csv_channels().map_err(other)?.is_some();
-    let precision = if is_csv { Precision::F64 } else { Precision::F32 };
-    let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads)
-        .map_err(|failure| Failure::model(&file, &isophote_server::explain::diagnostics(&failure)))?;
-    let compiled = Arc::new(compiled);
-    let new = || {
-        let options = TrackerOptions { precision, camera: camera.clone(), ..TrackerOptions::default() };
-        Tracker::new(compiled.clone(), options).map_err(|error: TrackError| Failure::Usage(error.to_string()))
-    };
-    let mut tracker = new()?;
+fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
+    let options = TrackerOptions { camera: camera.clone(), ..TrackerOptions::default() };
+    let mut run = Run::open(document, model, &args.frames, None, options)?;
+    let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    while let Some(Captured { frame, truth, .. }) = recording.next().map_err(other)? {
+    while let Some(Captured { frame, truth, .. }) = run.recording.next().map_err(Failure::other)? {
         if places.is_empty() {
             // Kernels are compiled when they are first needed: not while the clock runs.
-            new()?.track(&frame);
+            run.tracker()?.track(&frame);
         }
         let begin = Instant::now();
         let estimate = tracker.track(&frame);
@@ -110,7 +100,7 @@ fn followed(args: &CompareArgs, file: String, model: &Arc<Model>, camera: &Camer
     let tracked = places.iter().flatten().count();
     Ok(Row {
         model: model.name().to_string(),
-        file,
+        file: document.display().to_string(),
         frames: places.len(),
         tracked,
         failures: places.len() - tracked,
@@ -170,7 +160,7 @@ fn significant(value: f64) -> String {
 }
 
 /// Over the time the first of these that some model has: the error, the stillness, χ².
-fn plot(path: &std::path::Path, rows: &[Row]) -> Result<(), Failure> {
+fn plot(path: &Path, rows: &[Row]) -> Result<(), Failure> {
     type Figure = (&'static str, fn(&Row) -> Option<f64>);
     let figures: [Figure; 3] = [
         ("RMSE of the centre, px", |row| row.rmse_px),
@@ -189,5 +179,5 @@ fn plot(path: &std::path::Path, rows: &[Row]) -> Result<(), Failure> {
     let Some(svg) = svg else {
         return Err(Failure::Other("there is nothing to plot: no model tracked anything".into()));
     };
-    std::fs::write(path, svg).map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))
+    output::file(path, svg.as_bytes())
 }

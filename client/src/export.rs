@@ -3,9 +3,10 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_server::explain::ExplainError;
-use isophote_server::export::{self, Question};
-use isophote_symbolic::{ExportOptions, Language, Lowering, PixelType};
+use isophote_export::{ExportOptions, Language, PixelType};
+use isophote_symbolic::{Lowering, Model};
+use isophote_wire::Exported;
+use isophote_wire::explain::{self, ExplainError};
 
 use crate::arguments::PrecisionArgument;
 use crate::failure::Failure;
@@ -107,21 +108,38 @@ pub fn run(args: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
         lanes,
         name: args.name.clone(),
     };
-    // Vectors are written for processors that have fused multiply-adds.
-    let lowering = Lowering { fma: args.fma || lanes > 1, drop_saturated: args.saturation.is_some() };
-    let question = Question { subset: Some(&names), method: Some(&args.method), lowering };
-    let exported = export::export(&model, question, &options).map_err(|error| match error {
-        ExplainError::Question(message) => Failure::Usage(message),
-        ExplainError::Model(diagnostics) => Failure::model(&args.model.display().to_string(), &diagnostics),
-        other => Failure::Other(other.to_string()),
-    })?;
+    let exported = exported(&model, args, &names, &options)
+        .map_err(|error| Failure::unexplained(&args.model.display().to_string(), error))?;
     if let Some(path) = &args.out {
-        let unwritten = |error| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
-        std::fs::write(path, &exported.text).map_err(unwritten)?;
+        output::file(path, exported.text.as_bytes())?;
     }
     match (args.json, &args.out) {
         (true, _) => output::json(out, &exported),
         (false, None) => out.write_all(exported.text.as_bytes()).map_err(Failure::output),
         (false, Some(_)) => Ok(()),
     }
+}
+
+/// Gradient and Hessian for a subset of the parameters as source text.
+fn exported(
+    model: &Model,
+    args: &ExportArgs,
+    names: &[&str],
+    options: &ExportOptions,
+) -> Result<Exported, ExplainError> {
+    // Vectors are written for processors that have fused multiply-adds.
+    let lowering = Lowering { fma: args.fma || options.lanes > 1, drop_saturated: args.saturation.is_some() };
+    let subset = explain::subset(model, Some(names))?;
+    let method = explain::named_method(&args.method)?;
+    let program = model.objective(&subset, method)?.program(lowering)?;
+    let text =
+        isophote_export::export(model, &program, options).map_err(|error| ExplainError::Question(error.to_string()))?;
+    Ok(Exported {
+        model: model.name().to_string(),
+        digest: model.digest().to_string(),
+        parameters: subset.iter().map(|id| model.parameters()[id.index()].name.clone()).collect(),
+        method,
+        language: options.language.name().to_string(),
+        text,
+    })
 }

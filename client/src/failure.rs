@@ -1,6 +1,7 @@
 //! How a command fails: the sentence to read and the exit status to branch on.
 
 use isophote_symbolic::Diagnostics;
+use isophote_wire::explain::ExplainError;
 
 /// Why a command did not do what was asked for. `main` writes the message to standard error and exits with the status.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +31,20 @@ impl Failure {
     pub fn model(name: &str, diagnostics: &Diagnostics) -> Failure {
         let rendered: Vec<String> = diagnostics.iter().map(|d| d.render(name)).collect();
         Failure::Model(rendered.join("\n").trim_end().to_string())
+    }
+
+    /// What is wrong with the question, the document `name`, or us.
+    pub fn unexplained(name: &str, error: ExplainError) -> Failure {
+        match error {
+            ExplainError::Question(message) => Failure::Usage(message),
+            ExplainError::Model(diagnostics) => Failure::model(name, &diagnostics),
+            ExplainError::Kernel(_) => Failure::other(error),
+        }
+    }
+
+    /// An error of a crate below, in its own words.
+    pub fn other(error: impl std::fmt::Display) -> Failure {
+        Failure::Other(error.to_string())
     }
 
     /// A failure of writing results; a reader that has gone away (`isophote fit … | head`) is one as well.

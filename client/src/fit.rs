@@ -3,21 +3,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use isophote_capture::encode::encode_png_rgb;
-use isophote_capture::{Captured, FrameSource, Recording};
+use isophote_capture::{Captured, FrameSource};
 use isophote_jit::Window;
-use isophote_server::{Threads, wire};
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{
-    Camera, Compiled, Estimate, ExposureGoal, Intrinsics, Pose, Target, TrackState, Tracker, TrackerOptions, contours,
-};
+use isophote_tracker::{Estimate, ExposureGoal, Pose, TrackState, TrackerOptions, contours};
+use isophote_wire as wire;
 
 use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
-use crate::model_files;
-use crate::overlay;
+use crate::output::with_deviation;
+use crate::{model_files, offline, output, overlay};
 
 /// Fit a model to every frame of a folder or file: one line a frame
 #[derive(Clone, Debug, clap::Args)]
@@ -63,25 +60,28 @@ pub struct FitArgs {
 pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     check_overlay(args, &model)?;
-    let recording = Recording::of_dimensions(&args.frames, model.coordinates().len()).map_err(other)?;
-    let mut recording = recording.for_channels(model.channels());
-    let is_csv = recording.csv_channels().map_err(other)?.is_some();
-    let precision = args.precision.map_or(if is_csv { Precision::F64 } else { Precision::F32 }, Precision::from);
-    let mut tracker = tracker(args, &model, precision)?;
-    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, recording.path())).transpose()?;
+    let precision = args.precision.map(Precision::from);
+    let mut run = offline::Run::open(&args.model, &model, &args.frames, precision, options(args)?)?;
+    let mut tracker = run.tracker()?;
+    let frames = run.recording.path();
+    let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, frames)).transpose()?;
     let model_id = wire::model_id(model.name(), model.digest());
     let window = args.window.map(|window| window.0);
-    while let Some(captured) = recording.next().map_err(other)? {
+    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
         check_frame(args, &model, &captured, window)?;
         let start = std::time::Instant::now();
         let estimate = tracker.track(&captured.frame);
         let fit_us = start.elapsed().as_micros() as u64;
         let mut line = wire::Estimate::new(&model, &model_id, captured.frame.sequence, &estimate);
         line.file = captured.file.clone();
+        line.time_s = captured.frame.time_s;
         line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
         line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
-        let text =
-            if args.json { serde_json::to_string(&line).map_err(other)? } else { columns(&model, &line, &estimate) };
+        let text = if args.json {
+            serde_json::to_string(&line).map_err(Failure::other)?
+        } else {
+            columns(&model, &line, &estimate)
+        };
         writeln!(out, "{text}").map_err(Failure::output)?;
         if let Some(overlays) = &mut overlays {
             overlays.write(&model, &captured, &estimate, window)?;
@@ -90,53 +90,16 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     Ok(())
 }
 
-pub(crate) fn other(error: impl std::fmt::Display) -> Failure {
-    Failure::Other(error.to_string())
-}
-
-fn tracker(args: &FitArgs, model: &Arc<Model>, precision: Precision) -> Result<Tracker, Failure> {
-    let options = TrackerOptions {
-        precision,
+fn options(args: &FitArgs) -> Result<TrackerOptions, Failure> {
+    Ok(TrackerOptions {
         window: args.window.map(|window| window.0),
         start: Numbers::merged(&args.start).map_err(Failure::Usage)?,
         constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
-        camera: args.camera.as_deref().map_or_else(|| Ok(Camera::default()), camera)?,
-        target: args.target.as_deref().map(target).transpose()?,
+        camera: offline::camera(args.camera.as_deref())?,
+        target: args.target.as_deref().map(offline::target).transpose()?,
         exposure: Some(ExposureGoal::Centre),
         ..TrackerOptions::default()
-    };
-    let compiled = Compiled::with_cache(model.clone(), precision, Arc::default(), &Threads).map_err(|failure| {
-        Failure::model(&args.model.display().to_string(), &isophote_server::explain::diagnostics(&failure))
-    })?;
-    Tracker::new(Arc::new(compiled), options).map_err(|error| Failure::Usage(error.to_string()))
-}
-
-/// JSON begins with a brace; everything else is taken for a calibration file.
-pub(crate) fn camera(path: &Path) -> Result<Camera, Failure> {
-    let text = read(path)?;
-    if text.trim_start().starts_with('{') {
-        return json(path, &text, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})");
-    }
-    let intrinsics = Intrinsics::from_opencv_yaml(&text)
-        .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))?;
-    Ok(Camera { intrinsics: Some(intrinsics), ..Camera::default() })
-}
-
-fn target(path: &Path) -> Result<Target, Failure> {
-    json(
-        path,
-        &read(path)?,
-        "a target document (JSON, e.g. {\"spots\":[{\"name\":\"red\",\"position_mm\":[0,80,0],\"radius_mm\":30}]})",
-    )
-}
-
-fn read(path: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(path)
-        .map_err(|error| Failure::Usage(format!("{}: cannot be read: {error}", path.display())))
-}
-
-fn json<T: serde::de::DeserializeOwned>(path: &Path, text: &str, wanted: &str) -> Result<T, Failure> {
-    serde_json::from_str(text).map_err(|error| Failure::Usage(format!("{}: not {wanted}: {error}", path.display())))
+    })
 }
 
 /// Said before anything is fitted.
@@ -214,24 +177,6 @@ fn pose_columns(pose: &Pose) -> String {
     format!("{text} turned {turned} °{also}")
 }
 
-/// A number to two digits of its standard deviation; to six digits where that is not known.
-pub(crate) fn with_deviation(value: f64, deviation: Option<f64>) -> String {
-    let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
-    let exponent = deviation.log10().floor() as i32;
-    let decimals = if value.abs() < 0.1 { -4..=4 } else { -9..=4 };
-    if decimals.contains(&exponent) && value.abs() < 1e9 {
-        let digits = (1 - exponent).max(0) as usize;
-        return format!("{value:.digits$} ± {deviation:.digits$}");
-    }
-    let digits = (value.abs().log10().floor() as i32 - exponent + 1).clamp(1, 12) as usize;
-    format!("{value:.digits$e} ± {deviation:.1e}")
-}
-
-fn shortest(value: f64) -> String {
-    let magnitude = value.abs();
-    if magnitude == 0.0 || (1e-3..1e6).contains(&magnitude) { format!("{value:.4}") } else { format!("{value:.5e}") }
-}
-
 /// The folder of pictures.
 struct Overlays {
     folder: PathBuf,
@@ -268,10 +213,8 @@ impl Overlays {
         let picture = overlay::draw(&plane, part, overlay::white(&plane), contours.as_deref());
         let name = self.name(captured);
         let path = self.folder.join(name);
-        let failed =
-            |error: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be written: {error}", path.display()));
-        let png = encode_png_rgb(picture.width, picture.height, &picture.rgb).map_err(|error| failed(&error))?;
-        std::fs::write(&path, png).map_err(|error| failed(&error))
+        let png = encode_png_rgb(picture.width, picture.height, &picture.rgb).map_err(Failure::other)?;
+        output::file(&path, &png)
     }
 
     /// The frame's file name with `.png`; its number where that name is taken (a.jpg beside a.png).
@@ -284,29 +227,5 @@ impl Overlays {
         }
         self.written.insert(name.clone());
         name
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::with_deviation;
-
-    #[test]
-    fn numbers_show_two_digits_of_their_deviation() {
-        let cases = [
-            (321.33712, Some(0.01034), "321.337 ± 0.010"),
-            (150.0, Some(2.5), "150.0 ± 2.5"),
-            (1500.4, Some(25.0), "1500 ± 25"),
-            (2.7712e-4, Some(1.5e-7), "2.7712e-4 ± 1.5e-7"),
-            (2.199943, Some(9.2e-5), "2.199943 ± 0.000092"),
-            (0.150007, Some(1.8e-5), "0.150007 ± 0.000018"),
-            (1.5, Some(2e-12), "1.500000000000e0 ± 2.0e-12"),
-            (-0.5, None, "-0.5000"),
-            (2.5e-4, None, "2.50000e-4"),
-            (1.0, Some(f64::NAN), "1.0000"),
-        ];
-        for (value, deviation, expected) in cases {
-            assert_eq!(with_deviation(value, deviation), expected);
-        }
     }
 }

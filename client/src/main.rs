@@ -14,6 +14,7 @@ mod fit;
 mod http;
 mod model_files;
 mod models;
+mod offline;
 mod output;
 mod overlay;
 mod render;

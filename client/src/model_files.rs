@@ -4,13 +4,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isophote_server::Threads;
-use isophote_server::explain::{self, ExplainError};
-use isophote_server::wire::{ModelReport, StageReport};
-use isophote_symbolic::{Diagnostics, Form, LIMITS, Model, Precision, Proof};
-use isophote_tracker::Compiled;
+use isophote_machine::monotonic_ns;
+use isophote_symbolic::{Form, LIMITS, Model, Precision, Proof};
+use isophote_wire::explain;
+use isophote_wire::{ModelReport, StageReport};
 
 use crate::failure::Failure;
+use crate::offline;
 
 /// Parse, differentiate, compile and report; nothing is fitted
 #[derive(Clone, Debug, clap::Args)]
@@ -48,10 +48,8 @@ pub struct ExplainArgs {
 /// `isophote model check`.
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = read(&args.model)?;
-    let refused = |diagnostics: &Diagnostics| Failure::model(&args.model.display().to_string(), diagnostics);
-    let report = Compiled::with_cache(model, Precision::F32, Arc::default(), &Threads)
-        .and_then(|compiled| explain::report(&compiled));
-    let report = report.map_err(|error| refused(&explain::diagnostics(&error)))?;
+    let report = offline::compile(&args.model, model, Precision::F32)?.report(&monotonic_ns);
+    let report = report.map_err(|failure| offline::refused(&args.model, &failure))?;
     warn(&args.model, &report);
     let text = if args.json { json(&report)? } else { table(&report) };
     writeln!(out, "{text}").map_err(Failure::output)
@@ -66,12 +64,8 @@ pub fn warn(path: &Path, report: &ModelReport) {
 pub fn explain(args: &ExplainArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = read(&args.model)?;
     let names: Vec<&str> = args.parameters.iter().map(|name| name.trim()).filter(|name| !name.is_empty()).collect();
-    let explained = explain::explain(&model, Some(&names), Some(&args.method), &args.show);
-    let explained = explained.map_err(|error| match error {
-        ExplainError::Question(message) => Failure::Usage(message),
-        ExplainError::Model(diagnostics) => Failure::model(&args.model.display().to_string(), &diagnostics),
-        other => Failure::Other(other.to_string()),
-    })?;
+    let explained = explain::explain(&model, Some(&names), Some(&args.method), &args.show, &monotonic_ns);
+    let explained = explained.map_err(|error| Failure::unexplained(&args.model.display().to_string(), error))?;
     let text = match args.json {
         true => json(&explained)?,
         false => format!("{}\n\n{}", figures(&explained.stage), explained.text.trim_end()),

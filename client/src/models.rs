@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_server::wire::{Items, ModelAnswer, ModelItem};
+use isophote_wire::{Items, ModelAnswer, ModelItem};
 
 use crate::failure::Failure;
 use crate::http::{self, Refusal, Service, ServiceArgs, segment};

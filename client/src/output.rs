@@ -1,6 +1,7 @@
 //! Results on standard output: the one printer of all commands. Progress and messages go to standard error.
 
 use std::io::{self, ErrorKind, StdoutLock, Write};
+use std::path::Path;
 
 use serde::Serialize;
 
@@ -61,6 +62,30 @@ pub fn table(out: &mut dyn Write, head: &[&str], rows: &[Vec<String>]) -> Result
     rows.iter().try_for_each(|row| line(&mut row.iter().map(String::as_str)))
 }
 
+/// Writes a file.
+pub fn file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    std::fs::write(path, bytes)
+        .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))
+}
+
+/// A number to two digits of its standard deviation; to six digits where that is not known.
+pub fn with_deviation(value: f64, deviation: Option<f64>) -> String {
+    let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
+    let exponent = deviation.log10().floor() as i32;
+    let decimals = if value.abs() < 0.1 { -4..=4 } else { -9..=4 };
+    if decimals.contains(&exponent) && value.abs() < 1e9 {
+        let digits = (1 - exponent).max(0) as usize;
+        return format!("{value:.digits$} ± {deviation:.digits$}");
+    }
+    let digits = (value.abs().log10().floor() as i32 - exponent + 1).clamp(1, 12) as usize;
+    format!("{value:.digits$e} ± {deviation:.1e}")
+}
+
+fn shortest(value: f64) -> String {
+    let magnitude = value.abs();
+    if magnitude == 0.0 || (1e-3..1e6).contains(&magnitude) { format!("{value:.4}") } else { format!("{value:.5e}") }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -71,5 +96,24 @@ mod tests {
         let mut out = Vec::new();
         table(&mut out, &["NAME", "V"], &[vec!["a".into(), "10".into()], vec!["länger".into(), "2".into()]]).unwrap();
         assert_eq!(String::from_utf8(out).unwrap(), "NAME    V\na       10\nlänger  2\n");
+    }
+
+    #[test]
+    fn numbers_show_two_digits_of_their_deviation() {
+        let cases = [
+            (321.33712, Some(0.01034), "321.337 ± 0.010"),
+            (150.0, Some(2.5), "150.0 ± 2.5"),
+            (1500.4, Some(25.0), "1500 ± 25"),
+            (2.7712e-4, Some(1.5e-7), "2.7712e-4 ± 1.5e-7"),
+            (2.199943, Some(9.2e-5), "2.199943 ± 0.000092"),
+            (0.150007, Some(1.8e-5), "0.150007 ± 0.000018"),
+            (1.5, Some(2e-12), "1.500000000000e0 ± 2.0e-12"),
+            (-0.5, None, "-0.5000"),
+            (2.5e-4, None, "2.50000e-4"),
+            (1.0, Some(f64::NAN), "1.0000"),
+        ];
+        for (value, deviation, expected) in cases {
+            assert_eq!(with_deviation(value, deviation), expected);
+        }
     }
 }

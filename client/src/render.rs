@@ -76,6 +76,8 @@ pub struct RenderArgs {
 struct Truth<'a> {
     frame: u64,
     file: &'a str,
+    /// s since the first frame.
+    t: Option<f64>,
     parameters: &'a std::collections::BTreeMap<String, f64>,
 }
 
@@ -116,7 +118,7 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         let captured = camera.next().map_err(|error| Failure::Other(error.to_string()))?;
         let Some(Captured { frame, truth: Some(parameters), .. }) = captured else { break };
         let file = write(&args.out, number, &frame)?;
-        let line = Truth { frame: number, file: &file, parameters: &parameters };
+        let line = Truth { frame: number, file: &file, t: frame.time_s, parameters: &parameters };
         let line = serde_json::to_string(&line).map_err(|error| failed(&truth_path, &error))?;
         writeln!(truth, "{line}").map_err(|error| failed(&truth_path, &error))?;
         if args.json {

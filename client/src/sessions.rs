@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_server::wire::{Items, SessionView, SwapAnswer, SwapDocument};
+use isophote_wire::{Items, SessionView, SwapAnswer, SwapDocument};
 use serde_json::{Map, Value, json};
 
 use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};

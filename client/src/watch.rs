@@ -2,10 +2,11 @@
 
 use std::io::Write;
 
-use isophote_server::wire::{Estimate, TrackState};
+use isophote_wire::{Estimate, TrackState};
 
 use crate::failure::Failure;
 use crate::http::{self, Service, ServiceArgs, segment};
+use crate::output;
 
 /// Messages under way at most: a slow terminal gets the newest estimates, not old ones.
 const CREDIT: u32 = 8;
@@ -53,7 +54,7 @@ fn line(estimate: &Estimate) -> String {
         for (index, name) in estimate.order.iter().enumerate() {
             let Some(value) = estimate.parameters.get(name) else { continue };
             let variance = estimate.covariance.as_ref().and_then(|rows| rows.get(index)?.get(index).copied());
-            text += &format!("  {name} {}", crate::fit::with_deviation(value, variance.map(f64::sqrt)));
+            text += &format!("  {name} {}", output::with_deviation(value, variance.map(f64::sqrt)));
         }
     }
     if let Some(timing) = estimate.timing_us {

@@ -64,6 +64,10 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
         assert_eq!((&fit["state"], &fit["ending"]), (&Value::from("tracking"), &Value::from("small-step")));
         assert_eq!((&fit["frame"], &fit["file"]), (&truth["frame"], &truth["file"]));
         assert_eq!(fit["truth"], truth["parameters"]);
+        assert_eq!(
+            (fit["time_s"].as_f64(), &fit["time_s"]),
+            (Some(fit["frame"].as_f64().unwrap() / 60.0), &truth["t"])
+        );
         for name in ["bx", "by"] {
             let error = fit["parameters"][name].as_f64().unwrap() - truth["parameters"][name].as_f64().unwrap();
             assert!(error.abs() < 0.01, "{name} is {error} px off");

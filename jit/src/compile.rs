@@ -3,27 +3,50 @@
 use cranelift_codegen::control::ControlPlane;
 use cranelift_codegen::ir::Function;
 use cranelift_codegen::{CompiledCode, Context, verify_function};
-use isophote_symbolic::Program;
+use isophote_symbolic::{Opcode, Program, Sink};
 
 use crate::addresses::{Extent, addresses};
 use crate::audit;
 use crate::error::CompileError;
 use crate::host::{self, Allocator, Processor};
-use crate::kernel::KernelOptions;
+use crate::limits::{LIMITS, Limits};
 use crate::lower::lower;
+use crate::options::KernelOptions;
 
-/// Machine code that needs nothing filled in.
+/// Machine code that needs nothing filled in, within [`LIMITS`].
 pub(crate) struct Native {
     pub bytes: Vec<u8>,
     pub alignment: u64,
+    /// Bytes of stack that a call takes.
+    pub frame_bytes: usize,
 }
 
-/// Machine code of a program that [`check`](crate::kernel::check) has passed.
+/// Machine code of a program.
 pub(crate) fn native(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     let (function, allocator) = audited(program, options, processor)?;
     let mut context = Context::for_function(function);
     let compiled = translate(&mut context, processor, allocator)?;
-    Ok(Native { bytes: compiled.code_buffer().to_vec(), alignment: u64::from(compiled.buffer.alignment) })
+    let bytes = compiled.code_buffer().to_vec();
+    let frame_bytes = frame_bytes(compiled)?;
+    within(LIMITS, bytes.len(), frame_bytes)?;
+    Ok(Native { bytes, alignment: u64::from(compiled.buffer.alignment), frame_bytes })
+}
+
+/// Spilled values, the record, saved registers, and the return address with the caller's frame pointer.
+fn frame_bytes(compiled: &CompiledCode) -> Result<usize, CompileError> {
+    let unknown = || CompileError::Compiler("it does not say how much stack a call takes".into());
+    let layout = compiled.buffer.frame_layout().ok_or_else(unknown)?;
+    Ok(layout.frame_to_fp_offset as usize + 2 * size_of::<usize>())
+}
+
+fn within(limits: Limits, code_bytes: usize, frame_bytes: usize) -> Result<(), CompileError> {
+    if code_bytes > limits.code_bytes {
+        return Err(CompileError::CodeTooLarge { bytes: code_bytes });
+    }
+    if frame_bytes > limits.frame_bytes {
+        return Err(CompileError::FrameTooLarge { bytes: frame_bytes });
+    }
+    Ok(())
 }
 
 /// The program in the compiler's own form, and which register allocator it gets.
@@ -32,6 +55,7 @@ pub(crate) fn audited(
     options: &KernelOptions,
     processor: Processor,
 ) -> Result<(Function, Allocator), CompileError> {
+    check(program, options, processor)?;
     let isa = host::isa(processor, Allocator::Backtracking)?;
     let function = lower(program, options, &*isa);
     verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
@@ -53,4 +77,38 @@ pub(crate) fn translate(
         .map_err(|error| CompileError::Compiler(format!("{:?}", error.inner)))?;
     audit::relocations(compiled.buffer.relocs()).map_err(CompileError::Audit)?;
     Ok(compiled)
+}
+
+/// What the lowering takes for granted.
+fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
+    let any = program.instructions().iter().any(|i| matches!(i.op.code, Opcode::Channel(_)));
+    let (channels, formats) = (program.channels(), options.formats.len());
+    let renders = matches!(program.sink(), Sink::Plane(_));
+    if formats != channels && (any || !renders || formats != 0) {
+        return Err(CompileError::Formats { channels, formats });
+    }
+    if renders && any {
+        return Err(CompileError::RendersPixels);
+    }
+    // Elementary functions of a fused program multiply and add with one rounding, too.
+    let fused = program.is_fused() || program.instructions().iter().any(|i| i.op.code == Opcode::Fma);
+    if fused && !processor.has_fma() {
+        return Err(CompileError::NoFma);
+    }
+    program.check().map_err(CompileError::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_hold_to_the_byte() {
+        let Limits { code_bytes, frame_bytes } = LIMITS;
+        assert_eq!(within(LIMITS, code_bytes - 1, frame_bytes - 1), Ok(()));
+        assert_eq!(within(LIMITS, code_bytes, frame_bytes), Ok(()));
+        let (code, frame) = (code_bytes + 1, frame_bytes + 1);
+        assert_eq!(within(LIMITS, code, frame_bytes), Err(CompileError::CodeTooLarge { bytes: code }));
+        assert_eq!(within(LIMITS, code_bytes, frame), Err(CompileError::FrameTooLarge { bytes: frame }));
+    }
 }

@@ -2,10 +2,11 @@
 
 use thiserror::Error;
 
-use crate::kernel::Kernel;
+use crate::limits::LIMITS;
 use crate::plane::{PixelFormat, Window};
 
-/// Why there is no kernel. All but `NoFma` and `NoCodeMemory` are bugs or a machine that is not supported.
+/// Why there is no kernel. All but `NoFma`, the two that say `TooLarge` and `NoCodeMemory` are bugs or a machine that is not
+/// supported.
 #[derive(Clone, PartialEq, Eq, Debug, Error)]
 pub enum CompileError {
     /// The program multiplies and adds with one rounding, which this processor does not offer.
@@ -21,7 +22,10 @@ pub enum CompileError {
     },
     /// The instructions are not a program.
     #[error("malformed program: {0}")]
-    Malformed(String),
+    Malformed(#[from] isophote_symbolic::Malformed),
+    /// A program that renders has no planes to read.
+    #[error("a program that renders reads a channel")]
+    RendersPixels,
     /// The processor or operating system is not supported.
     #[error("no native code on this machine: {0}")]
     Host(String),
@@ -31,10 +35,16 @@ pub enum CompileError {
     /// The compiler refused it.
     #[error("the compiler failed: {0}")]
     Compiler(String),
-    /// More than [`Kernel::CODE_BYTES_MAX`].
-    #[error("{bytes} bytes of machine code, {} are allowed", Kernel::CODE_BYTES_MAX)]
-    TooLarge {
+    /// The program is too large: more than [`Limits::code_bytes`](crate::Limits::code_bytes).
+    #[error("{bytes} bytes of machine code, {} are allowed", LIMITS.code_bytes)]
+    CodeTooLarge {
         /// Of machine code.
+        bytes: usize,
+    },
+    /// The program is too large: more than [`Limits::frame_bytes`](crate::Limits::frame_bytes).
+    #[error("{bytes} bytes of stack for a call, {} are allowed", LIMITS.frame_bytes)]
+    FrameTooLarge {
+        /// Of stack.
         bytes: usize,
     },
     /// The operating system gave no executable memory.

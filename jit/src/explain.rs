@@ -11,7 +11,7 @@ use isophote_symbolic::{Program, Span, Value};
 use crate::compile::{audited, translate};
 use crate::error::CompileError;
 use crate::host::Processor;
-use crate::kernel::{KernelOptions, check};
+use crate::options::KernelOptions;
 
 /// One line of text.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -38,7 +38,6 @@ pub struct Explained {
 /// # Errors
 /// Those of [`crate::Kernel::compile`].
 pub fn explain(program: &Program, options: &KernelOptions) -> Result<Explained, CompileError> {
-    check(program, options, Processor::Host)?;
     let (function, allocator) = audited(program, options, Processor::Host)?;
     let clif = function.display().to_string();
     let mut context = Context::for_function(function);

@@ -74,18 +74,19 @@ fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, S
 }
 
 impl Processor {
-    /// Whether it multiplies and adds with one rounding. Only then may a program with `Op::Fma` be compiled for it.
+    /// Whether it multiplies and adds with one rounding. Only then may a program with `Opcode::Fma` be compiled for it.
     pub fn has_fma(self) -> bool {
         match isa(self, Allocator::Backtracking) {
-            Ok(isa) if cfg!(target_arch = "x86_64") => isa
-                .isa_flags()
-                .iter()
-                .filter(|flag| flag.name == "has_fma" || flag.name == "has_avx")
-                .all(|flag| flag.as_bool() == Some(true)),
+            Ok(isa) if cfg!(target_arch = "x86_64") => has_all(&isa.isa_flags(), &["has_fma", "has_avx"]),
             Ok(_) => true,
             Err(_) => false,
         }
     }
+}
+
+/// A flag that the compiler does not know by this name is one that the processor does not have.
+fn has_all(flags: &[settings::Value], names: &[&str]) -> bool {
+    names.iter().all(|name| flags.iter().any(|flag| flag.name == *name && flag.as_bool() == Some(true)))
 }
 
 /// Whether this machine's processor multiplies and adds with one rounding.
@@ -107,5 +108,26 @@ mod tests {
             assert!(has.len() > 5 && has.iter().all(|(_, has)| *has == Some(false)), "{has:?}");
         }
         assert!(!Processor::Baseline.has_fma());
+    }
+
+    #[test]
+    fn a_flag_of_another_name_is_not_there() {
+        let isa = isa(Processor::Host, Allocator::Backtracking).unwrap();
+        let flags = isa.isa_flags();
+        let there: Vec<&str> = flags.iter().filter(|flag| flag.as_bool() == Some(true)).map(|flag| flag.name).collect();
+        assert!(has_all(&flags, &there) && has_all(&flags, &[]));
+        assert!(!has_all(&flags, &["has_fused"]) && !has_all(&[], &["has_fma"]));
+        assert!(flags.iter().any(|flag| flag.name == "has_fma") && flags.iter().any(|flag| flag.name == "has_avx"));
+    }
+
+    /// A frame of many pages must not step over the page that guards the stack's end.
+    #[test]
+    fn large_frames_touch_their_pages_one_by_one() {
+        for allocator in [Allocator::Backtracking, Allocator::SinglePass] {
+            let isa = isa(Processor::Host, allocator).unwrap();
+            let flags = isa.flags();
+            assert!(flags.enable_probestack() && flags.probestack_strategy() == settings::ProbestackStrategy::Inline);
+            assert!(1 << flags.probestack_size_log2() <= 4096);
+        }
     }
 }

@@ -1,24 +1,14 @@
 //! `Kernel`: a program as native code, ready to run over the pixels of a window.
 
-use isophote_symbolic::{Bindings, Op, Precision, Program, Sink};
+use isophote_symbolic::{Bindings, Program, Sink};
 use smallvec::SmallVec;
 
 use crate::compile;
 use crate::error::{CompileError, RunError};
 use crate::host::Processor;
-use crate::plane::{PixelFormat, PlaneView, Region, Window};
-use crate::runner::{Code, Shape};
-
-/// What a kernel is compiled for besides its program.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub struct KernelOptions {
-    /// The arithmetic of the pixel loop.
-    pub precision: Precision,
-    /// How the pixels of each channel are stored; may be empty for a program that renders.
-    pub formats: Vec<PixelFormat>,
-    /// The pixels of a row follow each other without gaps, in every plane.
-    pub packed: bool,
-}
+use crate::options::KernelOptions;
+use crate::plane::{PlaneView, Region, Window};
+use crate::runner::{CallShape, Code};
 
 /// What a pass hands back.
 #[derive(Clone, PartialEq, Debug, Default)]
@@ -36,13 +26,11 @@ pub struct Sums {
 pub struct Kernel {
     program: Program,
     options: KernelOptions,
+    frame_bytes: usize,
     code: Code,
 }
 
 impl Kernel {
-    /// The most machine code that a kernel may have.
-    pub const CODE_BYTES_MAX: usize = 1 << 20;
-
     /// Compiles a program.
     pub fn compile(program: &Program, options: &KernelOptions) -> Result<Kernel, CompileError> {
         Kernel::compile_for(Processor::Host, program, options)
@@ -54,12 +42,8 @@ impl Kernel {
         program: &Program,
         options: &KernelOptions,
     ) -> Result<Kernel, CompileError> {
-        check(program, options, processor)?;
         let compiled = compile::native(program, options, processor)?;
-        if compiled.bytes.len() > Self::CODE_BYTES_MAX {
-            return Err(CompileError::TooLarge { bytes: compiled.bytes.len() });
-        }
-        let shape = Shape {
+        let shape = CallShape {
             inputs: program.inputs().len(),
             outputs: program.sink().outputs().len(),
             formats: options.formats.clone(),
@@ -68,7 +52,7 @@ impl Kernel {
             lanes: options.precision.lanes(),
         };
         let code = Code::load(&compiled, shape).map_err(CompileError::NoCodeMemory)?;
-        Ok(Kernel { program: program.clone(), options: options.clone(), code })
+        Ok(Kernel { program: program.clone(), options: options.clone(), frame_bytes: compiled.frame_bytes, code })
     }
 
     /// The program that it computes.
@@ -78,6 +62,10 @@ impl Kernel {
     /// What it was compiled for.
     pub fn options(&self) -> &KernelOptions {
         &self.options
+    }
+    /// Bytes of stack that a call takes.
+    pub fn frame_bytes(&self) -> usize {
+        self.frame_bytes
     }
     /// The size of its machine code, constants included.
     pub fn code_bytes(&self) -> usize {
@@ -97,12 +85,8 @@ impl Kernel {
     /// Adds the program's value to every pixel of `plane`, which holds the pixels of `window` row by row.
     pub fn render(&self, bindings: &Bindings<'_>, window: Window, plane: &mut [f32]) -> Result<(), RunError> {
         let Sink::Plane(_) = self.program.sink() else { return Err(RunError::Sink { renders: false }) };
-        let size = [PlaneView::SIDE_MAX; 4];
-        let rows = window.size()[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n));
-        if window.clipped_to(size) != Some(window) || rows > PlaneView::SIDE_MAX {
-            return Err(RunError::Window { window, size });
-        }
         self.check_slices(window)?;
+        check_unbound(window)?;
         if window.pixels() != plane.len() {
             return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
         }
@@ -126,6 +110,9 @@ impl Kernel {
             return Err(RunError::Planes { channels: formats.len(), planes: planes.len() });
         }
         self.check_slices(window)?;
+        if planes.is_empty() {
+            check_unbound(window)?;
+        }
         let mut regions = SmallVec::new();
         for (channel, (plane, expected)) in planes.iter().zip(formats).enumerate() {
             if plane.format() != *expected {
@@ -140,22 +127,12 @@ impl Kernel {
     }
 }
 
-/// What [`compile::native`] takes for granted.
-pub(crate) fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
-    let reads = |op: &Op| matches!(op, Op::Channel(_));
-    let any = program.instructions().iter().any(|i| reads(&i.op));
-    let (channels, formats) = (program.channels(), options.formats.len());
-    let renders = matches!(program.sink(), Sink::Plane(_));
-    if formats != channels && (any || !renders || formats != 0) {
-        return Err(CompileError::Formats { channels, formats });
+/// A window that no plane bounds.
+fn check_unbound(window: Window) -> Result<(), RunError> {
+    let size = [PlaneView::SIDE_MAX; 4];
+    let rows = window.size()[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n));
+    match window.clipped_to(size) == Some(window) && rows <= PlaneView::SIDE_MAX {
+        true => Ok(()),
+        false => Err(RunError::Window { window, size }),
     }
-    if renders && any {
-        return Err(CompileError::Malformed("a program that renders reads a channel".into()));
-    }
-    // Elementary functions of a fused program multiply and add with one rounding, too.
-    let fused = program.is_fused() || program.instructions().iter().any(|i| matches!(i.op, Op::Fma(..)));
-    if fused && !processor.has_fma() {
-        return Err(CompileError::NoFma);
-    }
-    program.check().map_err(CompileError::Malformed)
 }

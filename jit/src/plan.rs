@@ -5,7 +5,7 @@
 //! the record, so that nothing but the loop's own vectors is alive across the loop: register allocation stays short and
 //! linear, and x64 reads an operand in memory for free.
 
-use isophote_symbolic::{Instruction, Level, Op, PixelSet, Program, Sink, Value};
+use isophote_symbolic::{Instruction, Level, Opcode, PixelSet, Program, Sink, Value};
 
 /// Which part of the record.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -28,7 +28,7 @@ pub(crate) struct Slot {
 /// Where the pixel loop finds the inner coordinate plus a row value.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Offset {
-    /// The `Op::Offset`.
+    /// The `Opcode::Offset`.
     pub value: Value,
     /// The row value that is added.
     pub term: Value,
@@ -134,7 +134,7 @@ impl<'a> Plan<'a> {
         let mut pairs = vec![None; count];
         for (reader, value) in scalar_reads(program) {
             let Instruction { level, op, .. } = *program.instruction(value);
-            let constant = matches!(op, Op::Const(_));
+            let constant = op.constant().is_some();
             if reader == Level::Row {
                 if level == Level::Pass && !constant && pairs[value.index()].is_none() {
                     pairs[value.index()] = Some(record.vector(Area::Pass));
@@ -146,7 +146,7 @@ impl<'a> Plan<'a> {
 
         let mut reads = vec![0_usize; count];
         let instructions = pixels.iter().map(|v| program.instruction(*v));
-        let operands = instructions.filter(|i| !matches!(i.op, Op::Offset(_))).flat_map(|i| i.op.operands());
+        let operands = instructions.filter(|i| i.op.code != Opcode::Offset).flat_map(|i| i.op.operands());
         for value in operands.chain(sinks(program)) {
             if program.instruction(value).level != Level::Pixel {
                 reads[value.index()] += 1;
@@ -163,7 +163,7 @@ impl<'a> Plan<'a> {
             let products = accumulators.iter().zip(&contractions).filter(|(_, factors)| factors.is_some());
             products.for_each(|(v, _)| is_contracted[v.index()] = true);
         }
-        let calls = pixels.iter().any(|v| matches!(program.instruction(*v).op, Op::Call1(..) | Op::Call2(..)));
+        let calls = pixels.iter().any(|v| program.instruction(*v).op.is_call());
         let busy = busy_registers(program, &pixels) + if calls { FUNCTION_REGISTERS } else { 0 };
         let mut free = REGISTERS.saturating_sub(busy);
         let mut settle = |record: &mut Record, area: Area| {
@@ -186,12 +186,12 @@ impl<'a> Plan<'a> {
         let mut offsets = Vec::new();
         let mut rows = vec![None; program.channels()];
         for value in &pixels {
-            match program.instruction(*value).op {
-                Op::Offset(term) => {
+            match program.instruction(*value).op.parts() {
+                (Opcode::Offset, &[term]) => {
                     let [first, fraction] = [record.vector(Area::Rows), record.vector(Area::Rows)];
                     offsets.push(Offset { value: *value, term, first, fraction });
                 }
-                Op::Channel(channel) => rows[channel.index()] = Some(record.scalar(Area::Rows)),
+                (Opcode::Channel(channel), _) => rows[channel.index()] = Some(record.scalar(Area::Rows)),
                 _ => {}
             }
         }
@@ -256,11 +256,12 @@ fn order(program: &Program) -> Vec<Value> {
 fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
     let mut reads = Vec::new();
     for instruction in program.instructions() {
-        match (instruction.level, instruction.op) {
-            (Level::Pixel, Op::Offset(c)) => reads.push((Level::Row, c)),
-            (Level::Pixel, _) => {}
-            (level, op) => reads.extend(op.operands().map(|v| (level, v))),
-        }
+        let level = match (instruction.level, instruction.op.code) {
+            (Level::Pixel, Opcode::Offset) => Level::Row,
+            (Level::Pixel, _) => continue,
+            (level, _) => level,
+        };
+        reads.extend(instruction.op.operands().map(|v| (level, v)));
     }
     if let Some((lo, hi)) = program.pixel_set().bounds {
         reads.extend([(Level::Row, lo), (Level::Row, hi)]);
@@ -292,6 +293,6 @@ fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
         let pixel = |v: &Value| program.instruction(*v).level == Level::Pixel;
         live -= ended.iter().filter(|v| pixel(v) && last_read[v.index()] <= at).count();
     }
-    let offsets = pixels.iter().filter(|v| matches!(program.instruction(**v).op, Op::Offset(_))).count();
+    let offsets = pixels.iter().filter(|v| program.instruction(**v).op.code == Opcode::Offset).count();
     most + offsets + 1
 }

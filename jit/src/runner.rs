@@ -16,7 +16,7 @@ use crate::plane::{Padded, PixelFormat, Region, Window};
 
 /// What the code expects of its arguments.
 #[derive(Debug)]
-pub(crate) struct Shape {
+pub(crate) struct CallShape {
     pub inputs: usize,
     pub outputs: usize,
     pub formats: Vec<PixelFormat>,
@@ -32,14 +32,14 @@ pub(crate) struct Counts {
     pub saturated: u64,
 }
 
-type Entry = unsafe extern "C" fn(*mut Args);
+type EntryPoint = unsafe extern "C" fn(*mut Args);
 
 /// Machine code in executable memory; both live and die together.
 pub(crate) struct Code {
     module: ManuallyDrop<JITModule>,
-    entry: Entry,
+    entry: EntryPoint,
     bytes: usize,
-    shape: Shape,
+    shape: CallShape,
 }
 
 // SAFETY: `Code` is read-only after `load`: `entry` points to memory that is executable and not writable, and the module is
@@ -62,7 +62,7 @@ impl Drop for Code {
 
 impl Code {
     /// Puts code into memory of its own, which is writable first and executable afterwards, never both.
-    pub fn load(native: &Native, shape: Shape) -> Result<Code, String> {
+    pub fn load(native: &Native, shape: CallShape) -> Result<Code, String> {
         let isa = host::isa(Processor::Host, Allocator::Backtracking).map_err(|e| e.to_string())?;
         let mut module = ManuallyDrop::new(JITModule::new(JITBuilder::with_isa(isa, default_libcall_names())));
         match define(&mut module, native) {
@@ -149,7 +149,7 @@ impl Code {
             pixels: 0,
             saturated: 0,
         };
-        // SAFETY: the code was lowered from a checked and audited program of this `Shape`: it reads `inputs`, writes
+        // SAFETY: the code was lowered from a checked and audited program of this `CallShape`: it reads `inputs`, writes
         // `outputs`, and reads or writes pixels of `window` only. No group reads or writes more, because no row is shorter
         // than a group: narrow ones are padded copies. The assertions above say that the slices are that long; each
         // `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies inside
@@ -164,14 +164,14 @@ fn plane_args(first: &[u8], strides: [usize; 4]) -> PlaneArgs {
     PlaneArgs { first: first.as_ptr(), row_stride, pixel_stride, slice_stride, volume_stride }
 }
 
-fn define(module: &mut JITModule, native: &Native) -> Result<Entry, String> {
+fn define(module: &mut JITModule, native: &Native) -> Result<EntryPoint, String> {
     let mut signature = module.make_signature();
     signature.params.push(AbiParam::new(types::I64));
     let id = module.declare_anonymous_function(&signature).map_err(|e| e.to_string())?;
     module.define_function_bytes(id, native.alignment, &native.bytes, &[]).map_err(|e| e.to_string())?;
     module.finalize_definitions().map_err(|e| e.to_string())?;
     let address = module.get_finalized_function(id);
-    // SAFETY: `address` is the first byte of `native`, whose only function has `Entry`'s signature (see `lower`), in
+    // SAFETY: `address` is the first byte of `native`, whose only function has `EntryPoint`'s signature (see `lower`), in
     // memory that is executable now; `Code` keeps the memory for as long as the pointer.
-    Ok(unsafe { std::mem::transmute::<*const u8, Entry>(address) })
+    Ok(unsafe { std::mem::transmute::<*const u8, EntryPoint>(address) })
 }

@@ -8,7 +8,7 @@ use std::sync::{Arc, Barrier};
 use common::{document, programs, shipped};
 use isophote_jit::{CompileError, KernelCache, KernelOptions, PixelFormat};
 use isophote_symbolic::{
-    Instruction, Level, Lowering, Op, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
+    Instruction, Level, Lowering, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
 };
 
 const PLAIN: Lowering = Lowering { fma: false, drop_saturated: false };
@@ -24,7 +24,10 @@ fn constant(number: f64) -> Program {
         coordinates: 2,
         channels: 1,
         inputs: Vec::new(),
-        instructions: vec![at(Level::Pass, Op::Const(number)), at(Level::PassEnd, Op::PassTotal(TotalId(0)))],
+        instructions: vec![
+            at(Level::Pass, Opcode::number(number).of([])),
+            at(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([])),
+        ],
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators: Vec::new(), totals: vec![Value(0)], outputs: vec![Value(0), Value(1)] },
         fused: false,
@@ -60,7 +63,9 @@ fn what_differs_in_one_bit_or_one_option_has_a_kernel_of_its_own() {
     for number in numbers {
         for precision in [Precision::F32, Precision::F64] {
             let kernel = cache.get_or_compile(&constant(number), &options(precision)).unwrap();
-            let Op::Const(of_kernel) = kernel.program().instruction(Value(0)).op else { panic!("another program") };
+            let Some(of_kernel) = kernel.program().instruction(Value(0)).op.constant() else {
+                panic!("another program")
+            };
             assert_eq!((of_kernel.to_bits(), kernel.options().precision), (number.to_bits(), precision));
         }
     }

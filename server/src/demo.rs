@@ -1,9 +1,10 @@
 //! `serve --demo`: a synthetic source and a running session, both named `demo`.
 
+use isophote_wire::{SessionDocument, SourceDocument};
+
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::service::Service;
-use crate::wire::{SessionDocument, SourceDocument};
 
 /// A spot that moves on an ellipse, as an ordinary camera sees it.
 const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "height": 480, "rate_hz": 30,

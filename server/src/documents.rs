@@ -143,7 +143,7 @@ fn offset(text: &str, line: usize, column: usize) -> u32 {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::wire::SessionDocument;
+    use isophote_wire::SessionDocument;
 
     fn fault(text: &str) -> Diagnostic {
         parse::<SessionDocument>(text).unwrap_err().diagnostics.remove(0)

@@ -4,11 +4,11 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use isophote_wire::Estimate;
 use tokio::sync::Notify;
 
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::Estimate;
 
 /// What a subscriber gets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]

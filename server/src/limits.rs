@@ -55,6 +55,11 @@ pub struct Limits {
     pub push_time: Duration,
     /// For a session's last fit, when it is stopped.
     pub fit_time: Duration,
+    /// For one frame's fits; then the estimate says that there was too much to do. The search for a pose of six alike spots is
+    /// the longest that there is.
+    pub frame_time: Duration,
+    /// A swap waits for a fit that has begun for so long; then the fit is given up.
+    pub swap_time: Duration,
 }
 
 /// The bounds in force.
@@ -84,4 +89,6 @@ pub const LIMITS: Limits = Limits {
     drain_time: Duration::from_secs(5),
     push_time: Duration::from_secs(10),
     fit_time: Duration::from_millis(500),
+    frame_time: Duration::from_secs(15),
+    swap_time: Duration::from_millis(100),
 };

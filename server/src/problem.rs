@@ -3,8 +3,9 @@
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use isophote_symbolic::{Diagnostic, Diagnostics};
-
-use crate::wire::ProblemDocument;
+use isophote_tracker::CompileFailure;
+use isophote_wire::ProblemDocument;
+use isophote_wire::explain::{self, ExplainError};
 
 /// An error with its status, a stable code, a sentence, and diagnostics where a document is wrong.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +96,23 @@ impl Problem {
             status: self.status.as_u16(),
             detail: self.detail.clone(),
             diagnostics: self.diagnostics.clone(),
+        }
+    }
+}
+
+/// The document asks for what cannot be compiled.
+impl From<CompileFailure> for Problem {
+    fn from(failure: CompileFailure) -> Problem {
+        Problem::wrong_document(explain::diagnostics(&failure))
+    }
+}
+
+impl From<ExplainError> for Problem {
+    fn from(error: ExplainError) -> Problem {
+        match error {
+            ExplainError::Question(_) => Problem::bad_request(error.to_string()),
+            ExplainError::Model(diagnostics) => Problem::wrong_document(diagnostics),
+            ExplainError::Kernel(_) => Problem::bug(error.to_string()),
         }
     }
 }

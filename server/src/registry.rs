@@ -5,16 +5,15 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use isophote_jit::KernelCache;
+use isophote_machine::Threads;
 use isophote_symbolic::{Diagnostics, Model, Precision};
 use isophote_tracker::Compiled;
+use isophote_wire::{ModelItem, ModelView, model_id};
 
-use crate::explain::compile_problem;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::store::{Store, StoreError, Stored};
-use crate::threads::Threads;
-use crate::wire::{ModelItem, ModelView, model_id};
 
 /// How a document was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -38,7 +37,7 @@ impl Media {
 }
 
 /// One document under one name.
-pub struct Entry {
+pub struct ModelEntry {
     /// The name in the registry.
     pub name: Name,
     /// Counts the documents put under this name.
@@ -53,11 +52,18 @@ pub struct Entry {
     programs: Mutex<[Option<Compiled>; 2]>,
 }
 
-impl Entry {
+impl ModelEntry {
     /// A document that has no kernels yet; they will be in `cache`.
-    pub fn new(name: Name, version: u64, model: Model, media: Media, text: &str, cache: Arc<KernelCache>) -> Entry {
+    pub fn new(
+        name: Name,
+        version: u64,
+        model: Model,
+        media: Media,
+        text: &str,
+        cache: Arc<KernelCache>,
+    ) -> ModelEntry {
         let (model, text) = (Arc::new(model), text.into());
-        Entry { name, version, model, media, text, cache, programs: Mutex::default() }
+        ModelEntry { name, version, model, media, text, cache, programs: Mutex::default() }
     }
 
     /// `name@sha256:…`.
@@ -80,8 +86,7 @@ impl Entry {
         if let Some(programs) = &lock()[slot] {
             return Ok(Arc::new(programs.share()));
         }
-        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), &Threads);
-        let programs = programs.map_err(compile_problem)?;
+        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), &Threads)?;
         let kernels = Arc::new(programs.share());
         lock()[slot] = Some(programs);
         Ok(kernels)
@@ -119,7 +124,7 @@ pub enum Expected {
 }
 
 impl Expected {
-    fn check(&self, name: &Name, present: Option<&Entry>) -> Result<(), Problem> {
+    fn check(&self, name: &Name, present: Option<&ModelEntry>) -> Result<(), Problem> {
         let is_right = match self {
             Expected::Anything => true,
             Expected::Something => present.is_some(),
@@ -143,7 +148,7 @@ impl Expected {
 pub struct Registry {
     /// The kernels of all models and sessions.
     cache: Arc<KernelCache>,
-    models: RwLock<BTreeMap<Name, Arc<Entry>>>,
+    models: RwLock<BTreeMap<Name, Arc<ModelEntry>>>,
     store: Option<Store>,
 }
 
@@ -186,7 +191,7 @@ impl Registry {
             match Model::from_toml(text) {
                 Ok(model) => {
                     if let Some(name) = Name::parse(model.name()) {
-                        let entry = Entry::new(name.clone(), 1, model, Media::Toml, text, cache.clone());
+                        let entry = ModelEntry::new(name.clone(), 1, model, Media::Toml, text, cache.clone());
                         models.insert(name, Arc::new(entry));
                     }
                 }
@@ -198,7 +203,7 @@ impl Registry {
             match stored.media.model(&stored.text) {
                 Ok(model) => {
                     let entry =
-                        Entry::new(name.clone(), stored.version, model, stored.media, &stored.text, cache.clone());
+                        ModelEntry::new(name.clone(), stored.version, model, stored.media, &stored.text, cache.clone());
                     models.insert(name, Arc::new(entry));
                 }
                 Err(faults) => report(&format!("the stored model `{name}`"), &faults),
@@ -213,13 +218,13 @@ impl Registry {
     }
 
     /// The document of that name.
-    pub fn get(&self, name: &str) -> Result<Arc<Entry>, Problem> {
+    pub fn get(&self, name: &str) -> Result<Arc<ModelEntry>, Problem> {
         let found = Name::parse(name).and_then(|name| self.read().get(&name).cloned());
         found.ok_or_else(|| Problem::unknown("model", name))
     }
 
     /// All documents, by name.
-    pub fn list(&self) -> Vec<Arc<Entry>> {
+    pub fn list(&self) -> Vec<Arc<ModelEntry>> {
         self.read().values().cloned().collect()
     }
 
@@ -234,7 +239,12 @@ impl Registry {
     }
 
     /// Puts a document whose kernels are made. True when the name is new. Only from the compile thread.
-    pub fn put(&self, name: &Name, expected: &Expected, mut entry: Entry) -> Result<(bool, Arc<Entry>), Problem> {
+    pub fn put(
+        &self,
+        name: &Name,
+        expected: &Expected,
+        mut entry: ModelEntry,
+    ) -> Result<(bool, Arc<ModelEntry>), Problem> {
         self.check(name, expected)?;
         let before = self.read().get(name).map(|entry| entry.version);
         entry.version = before.unwrap_or(0) + 1;
@@ -258,10 +268,10 @@ impl Registry {
         Ok(())
     }
 
-    fn read(&self) -> std::sync::RwLockReadGuard<'_, BTreeMap<Name, Arc<Entry>>> {
+    fn read(&self) -> std::sync::RwLockReadGuard<'_, BTreeMap<Name, Arc<ModelEntry>>> {
         self.models.read().unwrap_or_else(PoisonError::into_inner)
     }
-    fn write(&self) -> std::sync::RwLockWriteGuard<'_, BTreeMap<Name, Arc<Entry>>> {
+    fn write(&self) -> std::sync::RwLockWriteGuard<'_, BTreeMap<Name, Arc<ModelEntry>>> {
         self.models.write().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -280,7 +290,7 @@ mod tests {
     #[test]
     fn a_second_session_and_a_model_sent_again_compile_nothing() {
         let registry = Registry::open(None).unwrap();
-        let warm = |entry: &Entry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8, &Threads).unwrap();
+        let warm = |entry: &ModelEntry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8, &Threads).unwrap();
         let spot = registry.get("spot").unwrap();
         warm(&spot);
         let first = registry.cache().counts();
@@ -292,7 +302,7 @@ mod tests {
         warm(&spot);
         let text = format!("# the same again\n{}", spot.text);
         let model = Model::from_toml(&text).unwrap();
-        let again = Entry::new(spot.name.clone(), 2, model, Media::Toml, &text, registry.cache().clone());
+        let again = ModelEntry::new(spot.name.clone(), 2, model, Media::Toml, &text, registry.cache().clone());
         warm(&again);
         let last = registry.cache().counts();
         assert_eq!(last.misses, between.misses, "compiled again");

@@ -6,20 +6,20 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
+use isophote_machine::monotonic_ns;
 use isophote_symbolic::Precision;
+use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
 use tokio::sync::oneshot;
 
 use crate::compiler::Compiler;
-use crate::explain;
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::registry::{Entry, Expected, Media, Registry};
+use crate::registry::{Expected, Media, ModelEntry, Registry};
 use crate::session::{Session, SourceOf, Swapped};
 use crate::source::{self, Source};
 use crate::store::StoreError;
-use crate::wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
 
 /// The service without its network.
 pub struct Service {
@@ -111,10 +111,10 @@ impl Service {
     }
 
     /// Parses, compiles and reports a document; nothing is kept. Only from the compile thread.
-    pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(Entry, ModelAnswer), Problem> {
+    pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(ModelEntry, ModelAnswer), Problem> {
         let model = media.model(text).map_err(Problem::wrong_document)?;
-        let entry = Entry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
-        let report = explain::report(&*entry.kernels(Precision::F32)?).map_err(explain::compile_problem)?;
+        let entry = ModelEntry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
+        let report = entry.kernels(Precision::F32)?.report(&monotonic_ns)?;
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
     }
 
@@ -125,7 +125,7 @@ impl Service {
         expected: &Expected,
         media: Media,
         text: &str,
-    ) -> Result<(Put, Arc<Entry>, ModelAnswer), Problem> {
+    ) -> Result<(Put, Arc<ModelEntry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
         self.registry.check(name, expected)?;
         let (entry, mut answer) = self.check_model(name, media, text)?;
@@ -201,7 +201,7 @@ impl Service {
         Ok(Put::Replaced)
     }
 
-    fn session_of(&self, name: &Name, document: SessionDocument, entry: &Entry) -> Result<Session, Problem> {
+    fn session_of(&self, name: &Name, document: SessionDocument, entry: &ModelEntry) -> Result<Session, Problem> {
         let source = self.source_of(name, &document.source, entry)?;
         Session::start(name.as_str(), document, source.clone(), entry).inspect_err(|_| {
             if source.is_own {
@@ -210,7 +210,7 @@ impl Service {
         })
     }
 
-    fn source_of(&self, name: &Name, reference: &SourceReference, entry: &Entry) -> Result<SourceOf, Problem> {
+    fn source_of(&self, name: &Name, reference: &SourceReference, entry: &ModelEntry) -> Result<SourceOf, Problem> {
         match reference {
             SourceReference::Named(source) => Ok(SourceOf { source: self.source(source)?, is_own: false }),
             SourceReference::Own(document) => {

@@ -15,24 +15,27 @@
 #![forbid(unsafe_code)]
 
 mod derive;
-mod export;
 mod language;
-mod notation;
 mod program;
 mod proof;
 
-pub use derive::bodies::{BodyFlops, Part};
-pub use derive::likelihood::{Loss, Saturated};
-pub use derive::objective::{Objective, Prediction, ValueKind};
+pub use derive::derivatives::Derivatives;
+pub use derive::expressions::Expressions;
+pub use derive::objective::{Objective, Prediction};
 pub use derive::sample::Sample;
+pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
-pub use export::{ExportError, ExportOptions, Language, PixelType};
 pub use language::diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use language::formulas::Formula;
+pub use language::graph::{Bits, Node, NodeId};
 pub use language::limits::{LIMITS, Limits};
-pub use language::model::{Constant, Estimator, Lowering, Method, Model, Parameter, Roles, Stage, Start, Summand};
-pub use notation::explain::Show;
-pub use program::check::ProgramParts;
+pub use language::model::{
+    Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Roles, Saturated, Stage, Start, Summand,
+};
+pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::function::{Function1, Function2};
 pub use program::*;
+pub use proof::claim::{Part, ValueKind};
+#[doc(hidden)]
+pub use proof::ulps;
 pub use proof::{Form, Proof};

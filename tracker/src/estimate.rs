@@ -2,9 +2,9 @@
 
 use isophote_symbolic::ParameterId;
 
-use crate::solve::alternatives::Substitute;
 use serde::{Deserialize, Serialize};
 
+use crate::budget::Stop;
 use crate::exposure::ExposureAdvice;
 use crate::pose::Pose;
 
@@ -32,6 +32,14 @@ pub enum Ending {
     IterationLimit,
     /// No step however short lowers F within bounds and constraints. Parameters are the best point reached.
     NoDescent,
+    /// F does not fall along its own gradient: value and derivatives disagree, so nothing that a fit says can be believed.
+    /// Parameters are the point at which that was found.
+    NotDescending,
+    /// The frame's bound in work or time was reached before anything could be said. Parameters are the last known ones, and
+    /// what is remembered of the target is as it was.
+    Budget,
+    /// Nobody waited for the fit any longer. As for `Budget`.
+    Cancelled,
     /// Too few pixels are left in the domain. Parameters are the last point that had enough of them.
     DomainVanished,
     /// F or a derivative is NaN or infinite, or no kernel could run. Parameters are the last point where all was finite.
@@ -53,18 +61,35 @@ impl Ending {
         matches!(self, Ending::SmallStep | Ending::IterationLimit | Ending::NoDescent | Ending::Singular)
     }
 
+    /// True when the frame was not looked at to the end: it says nothing about the target.
+    pub fn is_unfinished(self) -> bool {
+        matches!(self, Ending::Budget | Ending::Cancelled)
+    }
+
     /// The name in documents, e.g. `small-step`.
     pub fn name(self) -> &'static str {
         match self {
             Ending::SmallStep => "small-step",
             Ending::IterationLimit => "iteration-limit",
             Ending::NoDescent => "no-descent",
+            Ending::NotDescending => "not-descending",
+            Ending::Budget => "budget",
+            Ending::Cancelled => "cancelled",
             Ending::DomainVanished => "domain-vanished",
             Ending::NonFinite => "non-finite",
             Ending::Singular => "singular",
             Ending::NoTarget => "no-target",
             Ending::WrongFrame => "wrong-frame",
             Ending::NoKernel => "no-kernel",
+        }
+    }
+}
+
+impl From<Stop> for Ending {
+    fn from(stop: Stop) -> Ending {
+        match stop {
+            Stop::Budget => Ending::Budget,
+            Stop::Cancelled => Ending::Cancelled,
         }
     }
 }
@@ -121,6 +146,17 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
+}
+
+/// What is different about a fit that was chosen over the plain one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Substitute {
+    /// Of the polynomial added to the background.
+    pub degree: u32,
+    /// Outliers did not count.
+    pub robust: bool,
+    /// Share of the domain that was left out as blind or hidden.
+    pub hidden: f64,
 }
 
 /// Where a target will be.

@@ -10,6 +10,7 @@
 //! ```
 //! It must never know a clock, a thread, a file or a socket: times come with the frame, timings are taken above.
 
+mod budget;
 mod camera;
 mod estimate;
 mod exposure;
@@ -18,13 +19,15 @@ mod options;
 mod picture;
 mod pose;
 mod report;
+mod scaled;
 mod sight;
 mod solve;
 mod track;
 pub mod tune;
 
+pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
-pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, TrackState};
+pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, Substitute, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use isophote_frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
@@ -32,9 +35,11 @@ pub use pose::{Alternative, Pose, Target, TargetError, TargetSpot, geometry};
 pub use report::{Bound, CheckReport, StageCost};
 pub use sight::contour::{Contour, contours};
 pub use sight::mixing::{Mixing, MixingError, MixingMeasurement};
-pub use solve::alternatives::Substitute;
-pub use solve::compiled::{CompileFailure, Compiled};
+pub use solve::alternatives::{Preparation, Preparing};
+pub use solve::compiled::Compiled;
+pub use solve::stage_kernels::{CompileFailure, StageKernels};
 pub use solve::workers::{InTurn, Workers};
 pub use track::evidence::Evidence;
 pub use track::search::Sighting;
-pub use track::tracker::{Carried, Tracker};
+pub use track::shared::Carried;
+pub use track::tracker::Tracker;

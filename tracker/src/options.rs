@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
+use crate::budget::WORK_MAX;
 use crate::camera::{Camera, Distortion, IntrinsicsError};
 use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, Target, TargetError};
+use crate::solve::alternatives::Preparing;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,12 +37,17 @@ pub struct TrackerOptions {
     pub exposure: Option<ExposureGoal>,
     /// What a search finds is taken for the target from this confidence on, 0 … 1.
     pub confidence_min: f64,
+    /// When alternatives to the model are prepared that frames ask for.
+    pub alternatives: Preparing,
+    /// A frame is left as it is after so much work; a unit is a pixel of one pass.
+    pub work_max: u64,
 }
 
 /// How targets move, and for how long one that is not seen is believed to go on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionOptions {
-    /// Standard deviation of the acceleration, px/s². Follows what is seen when absent.
+    /// Standard deviation of the acceleration, px/s² (mm/s² for a pose), another one every `period_s`. Learned from what is
+    /// seen when absent.
     pub acceleration_px_s2: Option<f64>,
     /// Time from frame to frame where frames carry no time, s.
     pub period_s: f64,
@@ -68,6 +75,8 @@ impl Default for TrackerOptions {
             predict: None,
             exposure: None,
             confidence_min: 0.0,
+            alternatives: Preparing::default(),
+            work_max: WORK_MAX,
         }
     }
 }
@@ -170,6 +179,11 @@ fn suggestion(nearest: &Option<String>) -> String {
 }
 
 impl MotionOptions {
+    /// The density of the acceleration as white noise, unit²/s³, where it is given.
+    pub(crate) fn density(&self) -> Option<f64> {
+        self.acceleration_px_s2.map(|deviation| deviation * deviation * self.period_s)
+    }
+
     fn check(&self) -> Result<(), TrackError> {
         let positive = |name, value: f64| match value > 0.0 && value.is_finite() {
             true => Ok(()),

@@ -8,7 +8,8 @@ use isophote_frame::{Frame, Plane};
 pub(crate) struct Noise(pub u64);
 
 impl Noise {
-    fn uniform(&mut self) -> f64 {
+    /// From 0 to 1.
+    pub fn uniform(&mut self) -> f64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
         self.0 ^= self.0 >> 27;

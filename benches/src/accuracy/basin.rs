@@ -8,11 +8,11 @@ use std::fmt::Write;
 use super::condition::{Condition, Task, condition, nothing};
 use super::document::Document;
 use super::light::shape;
-use super::plot::{Axis, Cell, Panel, svg};
 use super::run::{each, shot};
 use super::scene::Scene;
 use super::sensor::{FULL, Random};
 use super::trial::ask;
+use crate::plot::panel::{Axis, Cell, Panel, svg};
 
 /// Start radii, px.
 const RADII: [f64; 4] = [10.0, 17.0, 34.0, 68.0];

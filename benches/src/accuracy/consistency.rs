@@ -5,16 +5,9 @@
 
 use std::fmt::Write;
 
-use super::plot::{Axis, COLOURS, Panel, Series, Style, svg};
 use super::run::Measured;
-
-/// Shares of frames that should lie inside their ellipse.
-pub const SHARES: [f64; 7] = [0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99];
-
-/// Below which NEES that share of frames should lie.
-pub fn quantile(share: f64) -> f64 {
-    -2.0 * (1.0 - share).ln()
-}
+use super::summary::SHARES;
+use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
 /// Half the width of the band in which the mean of `count` frames lies in 95 of 100 runs: χ² of two degrees of freedom has
 /// variance 4.
@@ -62,7 +55,7 @@ pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
     let means = Panel {
         title: "Mean NEES of the centre, tracking".to_string(),
         x: Axis { name: String::new(), range: [-0.5, last], ticks, logarithmic: false },
-        y: Axis::new("eᵀC⁻¹e", [1.5, 4.0], &[1.5, 2.0, 2.5, 3.0, 3.5, 4.0], false),
+        y: Axis::linear("eᵀC⁻¹e", [1.5, 4.0], &[1.5, 2.0, 2.5, 3.0, 3.5, 4.0]),
         series: vec![
             Series { name: "all rows of the table".to_string(), colour: COLOURS[0], style: Style::Dots, points: dots },
             limit(1.8),
@@ -85,8 +78,8 @@ pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
     let ticks = [0.0, 20.0, 40.0, 60.0, 80.0, 100.0];
     let shares = Panel {
         title: "Share of frames inside their ellipse".to_string(),
-        x: Axis::new("should be, %", [0.0, 100.0], &ticks, false),
-        y: Axis::new("is, %", [0.0, 100.0], &ticks, false),
+        x: Axis::linear("should be, %", [0.0, 100.0], &ticks),
+        y: Axis::linear("is, %", [0.0, 100.0], &ticks),
         series: std::iter::once(ideal).chain(long.iter().enumerate().map(line)).collect(),
         cells: Vec::new(),
     };

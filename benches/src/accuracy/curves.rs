@@ -3,8 +3,9 @@
 use std::fmt::Write;
 
 use super::condition::{Condition, Glare, Task, condition, lamp, nothing};
-use super::plot::{Axis, COLOURS, Panel, Series, Style, svg};
 use super::run::{Documents, Measured, measure};
+use super::summary::Summary;
+use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
 /// One curve's points: how bad the light is, and what came of it.
 pub struct Curve {
@@ -62,9 +63,8 @@ pub fn occlusion(documents: &mut Documents, frames: usize) -> Curve {
 }
 
 /// RMSE/CRLB, or nothing where more than half of the frames failed.
-fn ratio(measured: &Measured, tracking: bool) -> f64 {
-    let summary = if tracking { &measured.tracking } else { &measured.cold };
-    if summary.failed > 0.5 { f64::NAN } else { summary.rmse_px / measured.bound_px }
+fn ratio(summary: &Summary, bound_px: f64) -> f64 {
+    if summary.failed > 0.5 { f64::NAN } else { summary.rmse_px / bound_px }
 }
 
 fn series(name: &str, colour: usize, style: Style, points: Vec<[f64; 2]>) -> Series {
@@ -73,21 +73,21 @@ fn series(name: &str, colour: usize, style: Style, points: Vec<[f64; 2]>) -> Ser
 
 /// RMSE/CRLB on a logarithmic axis.
 fn ratios() -> Axis {
-    Axis::new("RMSE/CRLB of the centre", [0.8, 200.0], &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0], true)
+    Axis::logarithmic("RMSE/CRLB of the centre", [0.8, 200.0], &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
 }
 
 /// The figure of saturation.
 pub fn saturation_figure(curve: &Curve) -> String {
     let along = |f: &dyn Fn(&Measured) -> f64| curve.points.iter().map(|(x, m)| [100.0 * x, f(m)]).collect::<Vec<_>>();
-    let x = Axis::new("% of the spot's area saturated", [0.0, 90.0], &[0.0, 10.0, 30.0, 45.0, 60.0, 75.0, 90.0], false);
+    let x = Axis::linear("% of the spot's area saturated", [0.0, 90.0], &[0.0, 10.0, 30.0, 45.0, 60.0, 75.0, 90.0]);
     let peers = vec![[0.0, 1.25], [10.0, 1.32], [30.0, 1.09], [60.0, 1.3]];
     let centre = Panel {
         title: "Centre".to_string(),
         x: x.clone(),
-        y: Axis::new("RMSE/CRLB", [0.9, 1.5], &[0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5], false),
+        y: Axis::linear("RMSE/CRLB", [0.9, 1.5], &[0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5]),
         series: vec![
-            series("isophote, tracking", 0, Style::Line, along(&|m| ratio(m, true))),
-            series("isophote, cold", 2, Style::Dots, along(&|m| ratio(m, false))),
+            series("isophote, tracking", 0, Style::Line, along(&|m| ratio(&m.tracking, m.bound_px))),
+            series("isophote, cold", 2, Style::Dots, along(&|m| ratio(&m.cold, m.bound_px))),
             series("best peer", 1, Style::Dots, peers),
         ],
         cells: Vec::new(),
@@ -96,7 +96,7 @@ pub fn saturation_figure(curve: &Curve) -> String {
     let worth = Panel {
         title: "Size and brightness: mean error, %".to_string(),
         x,
-        y: Axis::new("%", [-80.0, 40.0], &[-80.0, -60.0, -40.0, -20.0, 0.0, 20.0, 40.0], false),
+        y: Axis::linear("%", [-80.0, 40.0], &[-80.0, -60.0, -40.0, -20.0, 0.0, 20.0, 40.0]),
         series: vec![
             series("semi-axis", 0, Style::Line, along(&|m| 100.0 * m.tracking.size.mean)),
             series("brightness", 3, Style::Line, along(&|m| 100.0 * m.tracking.brightness.mean)),
@@ -110,7 +110,7 @@ pub fn saturation_figure(curve: &Curve) -> String {
 
 /// The figure of glare.
 pub fn glare_figure(curves: &[Curve]) -> String {
-    let x = Axis::new("height of the lobe, DN", [0.0, 200.0], &LOBES, false);
+    let x = Axis::linear("height of the lobe, DN", [0.0, 200.0], &LOBES);
     let each = |f: fn(&Measured) -> f64| -> Vec<Series> {
         let one = |(i, curve): (usize, &Curve)| {
             let points = curve.points.iter().map(|(x, m)| [*x, f(m)]).collect();
@@ -118,14 +118,14 @@ pub fn glare_figure(curves: &[Curve]) -> String {
         };
         curves.iter().enumerate().map(one).collect()
     };
-    let mut centre = each(|m| ratio(m, true));
+    let mut centre = each(|m| ratio(&m.tracking, m.bound_px));
     centre.push(series("best peer", 4, Style::Dots, vec![[140.0, 33.0]]));
     let panels = [
         Panel { title: "Centre, tracking".to_string(), x: x.clone(), y: ratios(), series: centre, cells: Vec::new() },
         Panel {
             title: "Brightness: mean error, %".to_string(),
             x,
-            y: Axis::new("%", [-2.0, 2.0], &[-2.0, -1.0, 0.0, 1.0, 2.0], false),
+            y: Axis::linear("%", [-2.0, 2.0], &[-2.0, -1.0, 0.0, 1.0, 2.0]),
             series: each(|m| 100.0 * m.tracking.brightness.mean),
             cells: Vec::new(),
         },
@@ -136,15 +136,15 @@ pub fn glare_figure(curves: &[Curve]) -> String {
 /// The figure of occlusion.
 pub fn occlusion_figure(curve: &Curve) -> String {
     let along = |f: &dyn Fn(&Measured) -> f64| curve.points.iter().map(|(x, m)| [100.0 * x, f(m)]).collect::<Vec<_>>();
-    let x = Axis::new("% of the spot's area hidden", [0.0, 50.0], &[0.0, 10.0, 20.0, 25.0, 35.0, 50.0], false);
+    let x = Axis::linear("% of the spot's area hidden", [0.0, 50.0], &[0.0, 10.0, 20.0, 25.0, 35.0, 50.0]);
     let panels = [
         Panel {
             title: "Centre".to_string(),
             x: x.clone(),
             y: ratios(),
             series: vec![
-                series("tracking", 0, Style::Line, along(&|m| ratio(m, true))),
-                series("cold", 2, Style::Line, along(&|m| ratio(m, false))),
+                series("tracking", 0, Style::Line, along(&|m| ratio(&m.tracking, m.bound_px))),
+                series("cold", 2, Style::Line, along(&|m| ratio(&m.cold, m.bound_px))),
                 series("best peer", 1, Style::Dots, vec![[25.0, 49.0]]),
             ],
             cells: Vec::new(),
@@ -152,7 +152,7 @@ pub fn occlusion_figure(curve: &Curve) -> String {
         Panel {
             title: "Failures, %".to_string(),
             x,
-            y: Axis::new("% of the frames", [0.0, 100.0], &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0], false),
+            y: Axis::linear("% of the frames", [0.0, 100.0], &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0]),
             series: vec![
                 series("tracking", 0, Style::Line, along(&|m| 100.0 * m.tracking.failed)),
                 series("cold", 2, Style::Line, along(&|m| 100.0 * m.cold.failed)),
@@ -171,20 +171,17 @@ pub fn table(what: &str, curves: &[&Curve]) -> String {
     );
     for curve in curves {
         for (value, m) in &curve.points {
-            let cell = |tracking: bool| {
-                let failed = if tracking { m.tracking.failed } else { m.cold.failed };
-                match ratio(m, tracking) {
-                    ratio if ratio.is_finite() => format!("{ratio:.2}, {:.1} %", 100.0 * failed),
-                    _ => format!("–, {:.1} %", 100.0 * failed),
-                }
+            let cell = |summary: &Summary| match ratio(summary, m.bound_px) {
+                ratio if ratio.is_finite() => format!("{ratio:.2}, {:.1} %", 100.0 * summary.failed),
+                _ => format!("–, {:.1} %", 100.0 * summary.failed),
             };
             writeln!(
                 text,
                 "| {value} | {} | {:.4} | {} | {} | {:+.3} | {:+.3} |",
                 curve.document,
                 m.bound_px,
-                cell(false),
-                cell(true),
+                cell(&m.cold),
+                cell(&m.tracking),
                 100.0 * m.tracking.size.mean,
                 100.0 * m.tracking.brightness.mean
             )

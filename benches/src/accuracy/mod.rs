@@ -9,19 +9,25 @@
 //! condition ─► scene ─► light ─► sensor ─► Frame ─► Tracker ─► trial ─► summary ─► table, figure
 //!              drawn      └────► bound (CRLB) ────────────────────────────┘
 //! ```
+//!
+//! Beside it stand the studies of poses, of colour, of searches and of photographs.
 
 pub mod basin;
 pub mod bound;
+pub mod colour;
 pub mod condition;
 pub mod consistency;
 pub mod curves;
 pub mod document;
 pub mod light;
 pub mod peers;
-pub mod plot;
+#[allow(missing_docs)] // fields of tables
+pub mod pose;
+pub mod real;
 pub mod report;
 pub mod run;
 pub mod scene;
+pub mod search;
 pub mod sensor;
 pub mod summary;
 pub mod table;

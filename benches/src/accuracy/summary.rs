@@ -1,7 +1,14 @@
 //! Many trials in few numbers.
 
-use super::consistency::{SHARES, quantile};
 use super::trial::{Outcome, Trial};
+
+/// Shares of frames that should lie inside their ellipse.
+pub const SHARES: [f64; 7] = [0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99];
+
+/// Below which NEES, χ² with two degrees of freedom, that share of frames should lie.
+fn quantile(share: f64) -> f64 {
+    -2.0 * (1.0 - share).ln()
+}
 
 /// Mean and standard deviation.
 #[derive(Clone, Copy, Debug)]

@@ -1,4 +1,4 @@
-//! `Camera`: one camera through all that may happen to it.
+//! `LiveCamera`: one camera through all that may happen to it.
 //!
 //! It rests (closed), streams, or is down. What ends a stream, whatever it is, closes the device; from then on the camera is
 //! looked for by identity and set up anew, as if for the first time. So there is one way up and one way down.
@@ -33,7 +33,7 @@ const STALL_INTERVALS: u32 = 8;
 const LOOPBACK: &str = "v4l2 loopback";
 
 /// A camera that is bound to one identity, format and size.
-pub struct Camera {
+pub struct LiveCamera {
     spec: CameraSpec,
     identity: Identity,
     /// Like it, but others: they were there together.
@@ -54,6 +54,8 @@ pub struct Camera {
     /// Frames lost since the last one.
     lost: u64,
     next_number: u64,
+    /// When the first frame was taken.
+    first_ns: Option<u64>,
     /// What was wrong with the last picture, if anything.
     damage: Option<String>,
     last_picture: Instant,
@@ -74,12 +76,12 @@ enum Link {
     },
 }
 
-impl Camera {
+impl LiveCamera {
     /// Finds the camera, chooses and tries the format, sets the controls, and closes it again: it rests.
     ///
     /// # Errors
     /// A camera that is not there, is in use, or does not have what the document wants.
-    pub fn open(spec: CameraSpec) -> Result<Camera, CameraError> {
+    pub fn open(spec: CameraSpec) -> Result<LiveCamera, CameraError> {
         let Found { node, path, identity, others, key } = device::named(&spec.device)?;
         let device = path.display().to_string();
         let plan = formats::choose(&node, &device, &spec.format, spec.colour)?;
@@ -102,7 +104,7 @@ impl Camera {
             reconnects: 0,
         };
         let format = Format { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0, bytes: 0 };
-        let mut camera = Camera {
+        let mut camera = LiveCamera {
             spec,
             identity,
             others,
@@ -119,6 +121,7 @@ impl Camera {
             applied: None,
             lost: 0,
             next_number: 0,
+            first_ns: None,
             damage: None,
             last_picture: Instant::now(),
             since: Instant::now(),
@@ -139,7 +142,7 @@ impl Camera {
         &self.status
     }
 
-    /// Ends a wait in [`Camera::next`] from another thread.
+    /// Ends a wait in [`LiveCamera::next`] from another thread.
     pub fn wake(&self) -> Wake {
         self.wake.clone()
     }
@@ -162,11 +165,6 @@ impl Camera {
     /// Of the frames' pixels.
     pub fn pixel_format(&self) -> isophote_jit::PixelFormat {
         self.plan.encoding.format()
-    }
-
-    /// Largest pixel value.
-    pub fn saturation(&self) -> f64 {
-        self.plan.encoding.saturation()
     }
 
     /// Closes the device.
@@ -320,7 +318,11 @@ impl Camera {
         }
         let number = self.next_number + std::mem::take(&mut self.lost);
         self.next_number = number + 1;
-        Captured { frame: frame.with_sequence(number), file: None, truth: None }
+        let time_s = frame.capture_ns.map(|now_ns| {
+            let first_ns = *self.first_ns.get_or_insert(now_ns);
+            now_ns.saturating_sub(first_ns) as f64 * 1e-9
+        });
+        Captured { frame: frame.with_sequence(number).with_time_s(time_s), file: None, truth: None }
     }
 
     fn look_at_the_time(&mut self) -> Option<Captured> {

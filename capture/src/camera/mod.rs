@@ -1,7 +1,7 @@
 //! Cameras behind V4L2.
 //!
 //! In: a device by path or identity, and what a document wants of it ([`CameraSpec`]). Out: frames, the newest there is
-//! ([`Camera::next`]), with the driver's time and a number whose gaps say what was lost; the cameras of the machine
+//! ([`LiveCamera::next`]), with the driver's time and a number whose gaps say what was lost; the cameras of the machine
 //! ([`cameras`]) and their controls ([`set_controls`]). It never knows who looks at the frames, has no thread, and waits
 //! no longer than it is told to.
 //!
@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 pub use controls::{ControlInfo, ControlKind, ControlValue, ControlValues, set_controls};
 pub use device::{CameraInfo, camera, cameras};
 pub use formats::{FormatInfo, FormatWanted, SizeInfo};
-pub use live::Camera;
+pub use live::LiveCamera;
 
 use crate::pixels::Colour;
 

@@ -3,7 +3,7 @@
 use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
 
-use super::encoding::Layout;
+use super::layout::Layout;
 use super::{Colour, PixelsError, jpeg, mosaic};
 
 /// `whole` has every byte of the picture and none behind it.

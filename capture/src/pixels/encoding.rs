@@ -3,25 +3,9 @@
 use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
 
+use super::layout::Layout;
 use super::{Colour, PixelsError, convert, jpeg};
 use crate::limits::LIMITS;
-
-/// How the pixels of a picture lie in a buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Layout {
-    /// One value for each pixel.
-    Grey,
-    /// Colour filters in front of a grey sensor; column and row of the red one among 2 × 2. Blue stands across from it.
-    Mosaic { red: [usize; 2] },
-    /// Luma and chroma take turns: byte `luma` of two is luma.
-    Packed { luma: usize },
-    /// A plane of luma; behind it chroma of 2 × 2 pixels each, in this number of planes.
-    Planar { chroma: usize },
-    /// Three bytes for each pixel; red is this one of them, blue the one across.
-    Rgb { red: usize },
-    /// A compressed picture.
-    Jpeg,
-}
 
 /// A pixel format of cameras that is read, with its V4L2 four-character code.
 ///
@@ -203,7 +187,8 @@ impl Encoding {
         }
         let expected = self.bytes_min(size, stride);
         let whole = bytes.get(..expected).ok_or(PixelsError::Short { expected, got: bytes.len() })?;
-        convert::frame(self.layout, self.format(), whole, size, stride, colour)
+        let frame = convert::frame(self.layout, self.format(), whole, size, stride, colour)?;
+        Ok(frame.with_largest(self.saturation()))
     }
 
     fn check_size(self, size: [usize; 2]) -> Result<(), PixelsError> {

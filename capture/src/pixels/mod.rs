@@ -8,6 +8,7 @@
 mod convert;
 mod encoding;
 pub(crate) mod jpeg;
+mod layout;
 mod mosaic;
 mod segments;
 

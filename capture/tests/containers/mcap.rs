@@ -43,6 +43,23 @@ fn chunk(packing: &str, unpacked_bytes: u64, checksum: u32, packed: &[u8]) -> Ve
     record(6, &[&head[..], &(packed.len() as u64).to_le_bytes(), packed].concat())
 }
 
+/// A sound file, from the crate's writer: channels by topic, schema and encoding; messages by channel and log time.
+fn written(options: mcap::WriteOptions, channels: &[[&str; 3]], messages: &[(usize, u64, &[u8])]) -> Vec<u8> {
+    let mut writer = options.compression(None).create(std::io::Cursor::new(Vec::new())).unwrap();
+    let add = |[topic, schema, encoding]: &[&str; 3]| {
+        let schema = writer.add_schema(schema, "any", b"").unwrap();
+        writer.add_channel(schema, topic, encoding, &Default::default()).unwrap()
+    };
+    let numbers: Vec<u16> = channels.iter().map(add).collect();
+    for (channel, log_time, payload) in messages {
+        let (channel_id, log_time) = (numbers[*channel], *log_time);
+        let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time, publish_time: 0 };
+        writer.write_to_known_channel(&header, payload).unwrap();
+    }
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
 fn message_index(channel: u16, entries: &[(u64, u64)]) -> Vec<u8> {
     let entries: Vec<u8> = entries.iter().flat_map(|(t, at)| [t.to_le_bytes(), at.to_le_bytes()].concat()).collect();
     record(7, &[&channel.to_le_bytes()[..], &counted(&entries)].concat())
@@ -184,10 +201,10 @@ fn every_kind_of_message_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kinds.mcap");
     for (schema, encoding, payload) in kinds() {
-        // In the file itself, and in a chunk without an index.
-        let records = [channel(1, "/image", schema, encoding), message(1, 5, &payload)].concat();
-        for bytes in [file(std::slice::from_ref(&records)), file(&[chunk("", records.len() as u64, 0, &records)])] {
-            std::fs::write(&path, bytes).unwrap();
+        // In the file itself, in a chunk, and in one without an index.
+        let options = || mcap::WriteOptions::new();
+        for options in [options().use_chunks(false), options(), options().emit_message_indexes(false)] {
+            std::fs::write(&path, written(options, &[["/image", schema, encoding]], &[(0, 5, &payload)])).unwrap();
             let mut recording = Recording::open(&path).unwrap();
             assert_eq!((recording.len(), recording.size()), (1, Some(vec![3, 2])), "{schema} {encoding}");
             let found = frames(&mut recording);
@@ -289,17 +306,15 @@ fn one_of_several_topics_is_named_behind_the_file() {
     let path = folder.path().join("two.mcap");
     let image =
         |value: u8| Fields::new("cdr").header().u32(1).u32(2).text("mono8").u8(0).u32(2).data(&[value; 2]).bytes;
-    let records = [
-        channel(1, "/left/image", "sensor_msgs/msg/Image", "cdr"),
-        channel(2, "/right/image", "sensor_msgs/msg/Image", "cdr"),
-        channel(3, "/imu", "sensor_msgs/msg/Imu", "cdr"),
-        channel(4, "/empty", "sensor_msgs/msg/Image", "cdr"),
-        message(1, 10, &image(1)),
-        message(2, 11, &image(2)),
-        message(3, 12, b"turned"),
-        message(1, 20, &image(3)),
+    let channels = [
+        ["/left/image", "sensor_msgs/msg/Image", "cdr"],
+        ["/right/image", "sensor_msgs/msg/Image", "cdr"],
+        ["/imu", "sensor_msgs/msg/Imu", "cdr"],
+        ["/empty", "sensor_msgs/msg/Image", "cdr"],
     ];
-    std::fs::write(&path, file(&records)).unwrap();
+    let messages: [(usize, u64, &[u8]); 4] =
+        [(0, 10, &image(1)), (1, 11, &image(2)), (2, 12, b"turned"), (0, 20, &image(3))];
+    std::fs::write(&path, written(mcap::WriteOptions::new(), &channels, &messages)).unwrap();
     let message = refusal(&path);
     let words = "several topics, /left/image, /right/image; name one behind the file: FILE.mcap#/left/image";
     assert!(message.contains("two.mcap") && message.contains(words), "{message}");
@@ -314,6 +329,23 @@ fn one_of_several_topics_is_named_behind_the_file() {
     assert!(message.contains("no images stand on the topic /imu; they do on /left/image, /right/image"), "{message}");
     let missing = refusal(&folder.path().join("none.mcap#/left/image"));
     assert!(missing.ends_with("none.mcap: no such file or folder"), "{missing}");
+}
+
+/// Log times are the clock, gaps and all; messages of one time come at one time.
+#[test]
+fn log_times_are_the_clock_of_the_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("gap.mcap");
+    let image = Fields::new("cdr").header().u32(1).u32(2).text("mono8").u8(0).u32(2).data(&[7; 2]).bytes;
+    let begin = 1_700_000_000_123_456_789;
+    let messages = [0, 20_000_000, 40_000_001, 3_040_000_001].map(|after| (0, begin + after, &image[..]));
+    let channels = [["/i", "sensor_msgs/msg/Image", "cdr"]];
+    std::fs::write(&path, written(mcap::WriteOptions::new(), &channels, &messages)).unwrap();
+    let mut recording = Recording::open(&path).unwrap().at_rate(30.0);
+    let mut times = || -> Vec<f64> {
+        std::iter::from_fn(|| recording.next().unwrap()).map(|captured| captured.frame.time_s.unwrap()).collect()
+    };
+    assert_eq!(times(), [0.0, 0.02, 0.040000001, 3.040000001]);
 }
 
 /// Pictures that stand in the file itself may be as large as any file; names are not, and messages list some of them.

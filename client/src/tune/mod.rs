@@ -8,22 +8,20 @@ mod rewrite;
 mod scenes;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 use std::time::Instant;
 
-use isophote_server::Threads;
 use isophote_symbolic::{Method, Model, Precision};
 use isophote_tracker::tune::{
     Bench, Convexity, Goal, Grid, Offset, Run, Schedule, Subset, figures, newton_of_each, schedules, subsets,
 };
-use isophote_tracker::{CompileFailure, Compiled, TrackerOptions};
+use isophote_tracker::{CompileFailure, TrackerOptions};
 
 use crate::failure::Failure;
-use crate::fit::other;
+use crate::offline::compile;
 use crate::{model_files, output};
 use rewrite::Document;
-use scenes::{Scene, Scenes, scenes};
+use scenes::{TrialFrame, TrialFrames, scenes};
 
 /// Find the schedule of stages that suits a model by trying many
 #[derive(Clone, Debug, clap::Args)]
@@ -67,14 +65,14 @@ const RATE_SLACK: f64 = 0.01;
 const TIME_SLACK: f64 = 0.05;
 
 /// A schedule and how its fits went.
-struct Candidate {
+struct TriedSchedule {
     schedule: Schedule,
     bench: Bench,
     runs: Vec<Run>,
     times_us: Vec<f64>,
 }
 
-impl Candidate {
+impl TriedSchedule {
     /// Share of fits that ended at the answer.
     fn rate(&self) -> f64 {
         self.runs.iter().filter(|run| run.reached).count() as f64 / self.runs.len().max(1) as f64
@@ -91,9 +89,9 @@ impl Candidate {
 }
 
 /// What was found.
-struct Found<'a> {
+struct Tuned<'a> {
     model: &'a Model,
-    candidates: Vec<Candidate>,
+    candidates: Vec<TriedSchedule>,
     chosen: usize,
     convexity: Vec<(Subset, Convexity)>,
     frames: usize,
@@ -103,10 +101,10 @@ struct Found<'a> {
 /// `isophote tune`.
 pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
-    let text = std::fs::read_to_string(&args.model).map_err(other)?;
+    let text = std::fs::read_to_string(&args.model).map_err(Failure::other)?;
     let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let source = Document { model: &model, text: &text, is_json };
-    let Scenes { scenes, options, lost } = scenes(args, &model)?;
+    let TrialFrames { scenes, options, lost } = scenes(args, &model)?;
     let mut candidates = candidates(args, &source, &options)?;
     let goals = goals(&candidates, &model, &scenes)?;
     let tries = goals.len() * LEVELS.len() * args.starts as usize;
@@ -115,13 +113,12 @@ pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let chosen = choose(&candidates);
     let (frames, lost) = (goals.len(), lost + scenes.len() - goals.len());
     let convexity = convexity(args, &source, &options, &goals)?;
-    let found = Found { model: &model, candidates, chosen, convexity, frames, lost };
+    let found = Tuned { model: &model, candidates, chosen, convexity, frames, lost };
     let stages = &found.candidates[chosen].schedule.stages;
     let document = source.rewritten((chosen > 0).then_some(&stages[..]), &report::sentences(&found));
     let document = document.ok_or_else(|| not_understood(args))?;
     if let Some(path) = &args.out {
-        std::fs::write(path, &document)
-            .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))?;
+        output::file(path, document.as_bytes())?;
     }
     match (args.json, &args.out) {
         (true, out_path) => output::json(out, &report::json(&found, out_path.is_none().then_some(document.as_str()))),
@@ -133,26 +130,16 @@ pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
 }
 
-/// Programs of a document's stages.
-fn compiled(path: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<Compiled>, Failure> {
-    let compiled = Compiled::with_cache(model, precision, Arc::default(), &Threads);
-    compiled.map(Arc::new).map_err(|failure| refused(path, &failure))
-}
-
-fn refused(path: &Path, failure: &CompileFailure) -> Failure {
-    Failure::model(&path.display().to_string(), &isophote_server::explain::diagnostics(failure))
-}
-
 fn no_kernel(error: CompileFailure) -> Failure {
     Failure::Other(error.to_string())
 }
 
-fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> Result<Vec<Candidate>, Failure> {
-    let bench = |schedule: Schedule| -> Result<Candidate, Failure> {
+fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> Result<Vec<TriedSchedule>, Failure> {
+    let bench = |schedule: Schedule| -> Result<TriedSchedule, Failure> {
         let changed = source.with_stages(&schedule.stages).ok_or_else(|| not_understood(args))?;
-        let compiled = compiled(&args.model, changed, options.precision)?;
+        let compiled = compile(&args.model, changed, options.precision)?;
         let bench = Bench::new(compiled, options.clone()).map_err(|error| Failure::Usage(error.to_string()))?;
-        Ok(Candidate { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
+        Ok(TriedSchedule { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
     };
     // The document's own comes first and must be there; what is too large to derive among the others is left out.
     let mut all = schedules(source.model).into_iter().map(bench);
@@ -161,9 +148,13 @@ fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> R
 }
 
 /// The answers, by one damped stage over all parameters from near them; frames without one are left out.
-fn goals<'a>(candidates: &[Candidate], model: &Model, scenes: &'a [Scene]) -> Result<Vec<(&'a Scene, Goal)>, Failure> {
+fn goals<'a>(
+    candidates: &[TriedSchedule],
+    model: &Model,
+    scenes: &'a [TrialFrame],
+) -> Result<Vec<(&'a TrialFrame, Goal)>, Failure> {
     let all = subsets(model).pop().map_or(0, |all| all.parameters.len());
-    let is_joint = |candidate: &&Candidate| {
+    let is_joint = |candidate: &&TriedSchedule| {
         let stages = &candidate.schedule.stages;
         stages.len() == 1 && stages[0].parameters.len() == all && stages[0].method == Method::LevenbergMarquardt
     };
@@ -181,7 +172,7 @@ fn goals<'a>(candidates: &[Candidate], model: &Model, scenes: &'a [Scene]) -> Re
 }
 
 /// All candidates from each start in turn, so that what slows the machine slows all of them.
-fn race(args: &TuneArgs, goals: &[(&Scene, Goal)], candidates: &mut [Candidate]) -> Result<(), Failure> {
+fn race(args: &TuneArgs, goals: &[(&TrialFrame, Goal)], candidates: &mut [TriedSchedule]) -> Result<(), Failure> {
     for (number, (scene, goal)) in goals.iter().enumerate() {
         eprintln!("tune: frame {} of {}", number + 1, goals.len());
         let frame = &scene.frame;
@@ -207,17 +198,17 @@ fn race(args: &TuneArgs, goals: &[(&Scene, Goal)], candidates: &mut [Candidate])
 }
 
 /// The fastest of those that end at the answer as often as any.
-fn choose(candidates: &[Candidate]) -> usize {
-    let best = candidates.iter().map(Candidate::rate).fold(0.0, f64::max);
-    let reliable = |candidate: &&Candidate| candidate.rate() >= best - RATE_SLACK;
-    let by_time = |a: &&Candidate, b: &&Candidate| a.time_us().total_cmp(&b.time_us());
+fn choose(candidates: &[TriedSchedule]) -> usize {
+    let best = candidates.iter().map(TriedSchedule::rate).fold(0.0, f64::max);
+    let reliable = |candidate: &&TriedSchedule| candidate.rate() >= best - RATE_SLACK;
+    let by_time = |a: &&TriedSchedule, b: &&TriedSchedule| a.time_us().total_cmp(&b.time_us());
     let Some(fastest) = candidates.iter().filter(reliable).min_by(by_time) else { return 0 };
     // What took the same steps from every start is the same computation, whatever the clock says.
-    let is_as_fast = |candidate: &Candidate| {
+    let is_as_fast = |candidate: &TriedSchedule| {
         let same_stages = candidate.schedule.stages.len() == fastest.schedule.stages.len();
         candidate.time_us() <= fastest.time_us() * (1.0 + TIME_SLACK) || same_stages && candidate.runs == fastest.runs
     };
-    let is_it = |candidate: &Candidate| reliable(&candidate) && is_as_fast(candidate);
+    let is_it = |candidate: &TriedSchedule| reliable(&candidate) && is_as_fast(candidate);
     candidates.iter().position(is_it).unwrap_or(0)
 }
 
@@ -226,12 +217,12 @@ fn convexity(
     args: &TuneArgs,
     source: &Document,
     options: &TrackerOptions,
-    goals: &[(&Scene, Goal)],
+    goals: &[(&TrialFrame, Goal)],
 ) -> Result<Vec<(Subset, Convexity)>, Failure> {
     let newton = source.with_stages(&newton_of_each(source.model)).ok_or_else(|| not_understood(args))?;
     let precision = Precision::F64;
     let options = TrackerOptions { precision, ..options.clone() };
-    let bench = Bench::new(compiled(&args.model, newton, precision)?, options)
+    let bench = Bench::new(compile(&args.model, newton, precision)?, options)
         .map_err(|error| Failure::Usage(error.to_string()))?;
     let offset = |centre_px: f64| Offset { centre_px, share: SHARE_OF_PX * centre_px };
     let mut found = Vec::new();

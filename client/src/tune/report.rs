@@ -7,7 +7,7 @@ use isophote_tracker::tune::{Convexity, Offset};
 use serde::Serialize;
 
 use super::rewrite::names;
-use super::{Candidate, Found, LEVELS};
+use super::{LEVELS, TriedSchedule, Tuned};
 use crate::failure::Failure;
 use crate::output;
 
@@ -22,14 +22,14 @@ pub struct Report<'a> {
     offsets: [Offset; LEVELS.len()],
     /// The schedule that was chosen.
     chosen: &'a str,
-    schedules: Vec<Row<'a>>,
+    schedules: Vec<ScheduleRow<'a>>,
     convexity: Vec<Convex<'a>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     document: Option<&'a str>,
 }
 
 #[derive(Serialize)]
-struct Row<'a> {
+struct ScheduleRow<'a> {
     name: &'a str,
     stages: Vec<StageRow<'a>>,
     fits: usize,
@@ -57,14 +57,14 @@ struct Convex<'a> {
 }
 
 /// The object of `--json`, with the document where no file takes it.
-pub fn json<'a>(found: &'a Found, document: Option<&'a str>) -> Report<'a> {
+pub fn json<'a>(found: &'a Tuned, document: Option<&'a str>) -> Report<'a> {
     let stage = |stage: &'a Stage| StageRow {
         parameters: names(found.model, stage),
         method: stage.method.name(),
         iterations: stage.iterations,
         tolerance: stage.tolerance,
     };
-    let row = |candidate: &'a Candidate| Row {
+    let row = |candidate: &'a TriedSchedule| ScheduleRow {
         name: &candidate.schedule.name,
         stages: candidate.schedule.stages.iter().map(stage).collect(),
         fits: candidate.runs.len(),
@@ -97,8 +97,8 @@ fn share(convexity: &Convexity) -> f64 {
 }
 
 /// Both tables.
-pub fn tables(out: &mut dyn Write, found: &Found) -> Result<(), Failure> {
-    let row = |(number, candidate): (usize, &Candidate)| {
+pub fn tables(out: &mut dyn Write, found: &Tuned) -> Result<(), Failure> {
+    let row = |(number, candidate): (usize, &TriedSchedule)| {
         vec![
             if number == found.chosen { "*" } else { "" }.to_string(),
             candidate.schedule.name.clone(),
@@ -135,9 +135,9 @@ fn distance(subset: &str, offset: Offset) -> String {
 }
 
 /// How the schedule was found.
-pub fn sentences(found: &Found) -> Vec<String> {
+pub fn sentences(found: &Tuned) -> Vec<String> {
     let (chosen, own) = (&found.candidates[found.chosen], &found.candidates[0]);
-    let said = |candidate: &Candidate| {
+    let said = |candidate: &TriedSchedule| {
         format!(
             "{:.1} % reached, {:.3} ms, {} iterations",
             100.0 * candidate.rate(),

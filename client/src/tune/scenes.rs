@@ -1,15 +1,15 @@
 //! The frames that schedules are tried on: those of a recording, or frames rendered from the model itself.
 
 use std::path::Path;
-
-use isophote_capture::{FrameSource, Recording, Synthetic, SyntheticError, SyntheticSpec};
-use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, Compiled, Frame, TrackState, Tracker, TrackerOptions};
 use std::sync::Arc;
+
+use isophote_capture::{FrameSource, Synthetic, SyntheticError, SyntheticSpec};
+use isophote_symbolic::Model;
+use isophote_tracker::{Camera, Frame, TrackState, TrackerOptions};
 
 use super::TuneArgs;
 use crate::failure::Failure;
-use crate::fit::other;
+use crate::offline::{self, Run};
 
 /// Frames of a recording that are kept, evenly spread over it.
 const FRAMES_MAX: usize = 16;
@@ -23,7 +23,7 @@ const SATURATION: f64 = 255.0;
 const PIXEL_SHARES: [f64; 2] = [0.618_033_988_75, 0.381_966_011_25];
 
 /// A frame, and a point near its answer.
-pub struct Scene {
+pub struct TrialFrame {
     /// Planes as the model's channels.
     pub frame: Frame,
     /// All parameters.
@@ -31,9 +31,9 @@ pub struct Scene {
 }
 
 /// What all fits look at.
-pub struct Scenes {
+pub struct TrialFrames {
     /// Never empty.
-    pub scenes: Vec<Scene>,
+    pub scenes: Vec<TrialFrame>,
     /// For the fits.
     pub options: TrackerOptions,
     /// Frames of the recording in which the target was not found.
@@ -41,16 +41,15 @@ pub struct Scenes {
 }
 
 /// Renders frames, or reads them and finds the target in each.
-pub fn scenes(args: &TuneArgs, model: &Arc<Model>) -> Result<Scenes, Failure> {
-    let camera = args.camera.as_deref().map(crate::fit::camera).transpose()?;
+pub fn scenes(args: &TuneArgs, model: &Arc<Model>) -> Result<TrialFrames, Failure> {
+    let camera = offline::camera(args.camera.as_deref())?;
     match &args.frames {
-        Some(path) => recorded(path, model, camera.unwrap_or_default(), &args.model),
+        Some(path) => recorded(path, model, camera, &args.model),
         None => rendered(args, model, camera),
     }
 }
 
-fn rendered(args: &TuneArgs, model: &Arc<Model>, camera: Option<Camera>) -> Result<Scenes, Failure> {
-    let given = camera.unwrap_or_default();
+fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialFrames, Failure> {
     let saturation = given.saturation.unwrap_or(SATURATION);
     let electrons_per_dn = given.electrons_per_dn.unwrap_or(FULL_WELL_E / saturation);
     let read_noise_e = given.read_noise_e.unwrap_or(READ_NOISE_E);
@@ -69,7 +68,7 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, camera: Option<Camera>) -> Resu
         }
         other => Failure::Usage(other.to_string()),
     };
-    let typical = Synthetic::new(spec.clone()).map_err(refused)?.truth(0).map_err(other)?;
+    let typical = Synthetic::new(spec.clone()).map_err(refused)?.truth(0).map_err(Failure::other)?;
     let mut scenes = Vec::new();
     for number in 0..RENDERED {
         let mut spec = SyntheticSpec { seed: args.seed.wrapping_add(number as u64), ..spec.clone() };
@@ -80,33 +79,29 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, camera: Option<Camera>) -> Resu
                 spec.set.insert(name.clone(), typical[name] + share);
             }
         }
-        let captured = Synthetic::new(spec).map_err(refused)?.next().map_err(other)?;
+        let captured = Synthetic::new(spec).map_err(refused)?.next().map_err(Failure::other)?;
         let captured = captured.ok_or_else(|| Failure::Other("the synthetic camera gave no frame".into()))?;
         let truth = captured.truth.unwrap_or_default();
         let start = model.parameters().iter().map(|parameter| truth[&parameter.name]).collect();
-        scenes.push(Scene { frame: captured.frame, start });
+        scenes.push(TrialFrame { frame: captured.frame, start });
     }
-    Ok(Scenes { scenes, options: TrackerOptions { camera, ..TrackerOptions::default() }, lost: 0 })
+    Ok(TrialFrames { scenes, options: TrackerOptions { camera, ..TrackerOptions::default() }, lost: 0 })
 }
 
-fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<Scenes, Failure> {
-    let recording = Recording::of_dimensions(path, model.coordinates().len()).map_err(other)?;
-    let mut recording = recording.for_channels(model.channels());
-    let is_csv = recording.csv_channels().map_err(other)?.is_some();
-    let precision = if is_csv { Precision::F64 } else { Precision::F32 };
-    let options = TrackerOptions { precision, camera, ..TrackerOptions::default() };
-    let compiled = super::compiled(document, model.clone(), precision)?;
-    let step = recording.len().div_ceil(FRAMES_MAX).max(1);
+fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<TrialFrames, Failure> {
+    let options = TrackerOptions { camera, ..TrackerOptions::default() };
+    let mut run = Run::open(document, model, path, None, options)?;
+    let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
     let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);
-    while let Some(captured) = recording.next().map_err(other)? {
+    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
         number += 1;
         if (number - 1) % step != 0 {
             continue;
         }
         let truth = captured.truth.as_ref();
         let known = model.parameters().iter().map(|p| truth.and_then(|truth| truth.get(&p.name).copied()));
-        match known.collect::<Option<Vec<f64>>>().or_else(|| found(&compiled, &options, &captured.frame)) {
-            Some(start) => scenes.push(Scene { frame: captured.frame, start }),
+        match known.collect::<Option<Vec<f64>>>().or_else(|| found(&run, &captured.frame)) {
+            Some(start) => scenes.push(TrialFrame { frame: captured.frame, start }),
             None => lost += 1,
         }
     }
@@ -118,11 +113,11 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
         );
         return Err(Failure::Other(message));
     }
-    Ok(Scenes { scenes, options, lost })
+    Ok(TrialFrames { scenes, options: run.options, lost })
 }
 
 /// By a search of its own for each frame.
-fn found(compiled: &Arc<Compiled>, options: &TrackerOptions, frame: &Frame) -> Option<Vec<f64>> {
-    let estimate = Tracker::new(compiled.clone(), options.clone()).ok()?.track(frame);
+fn found(run: &Run, frame: &Frame) -> Option<Vec<f64>> {
+    let estimate = run.tracker().ok()?.track(frame);
     (estimate.state == TrackState::Tracking).then_some(estimate.parameters)
 }

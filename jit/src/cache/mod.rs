@@ -15,7 +15,8 @@ use isophote_symbolic::{Program, Sink, Value};
 
 use self::key::Key;
 use crate::error::CompileError;
-use crate::kernel::{Kernel, KernelOptions};
+use crate::kernel::Kernel;
+use crate::options::KernelOptions;
 
 /// What a cache did and what it holds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]

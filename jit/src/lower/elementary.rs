@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
 use cranelift_codegen::ir::{self, BlockArg, InstBuilder, types};
 use isophote_symbolic::elementary::{self, Accuracy, Counter, Machine, Plain};
-use isophote_symbolic::{Function1, Function2, Op, Precision};
+use isophote_symbolic::{Function1, Function2, Opcode, Precision};
 
 use super::emit::{Emitter, Form};
 use crate::abi::Functions;
@@ -22,9 +22,9 @@ const INLINED_MAX: usize = 3000;
 pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
     let counter = Counter::new(plan.program.is_fused());
     let accuracy = accuracy(precision);
-    let mut halves = plan.pixels.iter().map(|v| match plan.program.instruction(*v).op {
-        Op::Call1(f, _) => elementary::call1(&counter, f, accuracy, ()),
-        Op::Call2(f, ..) => elementary::call2(&counter, f, accuracy, (), ()),
+    let mut halves = plan.pixels.iter().map(|v| match plan.program.instruction(*v).op.code {
+        Opcode::Call1(f) => elementary::call1(&counter, f, accuracy, ()),
+        Opcode::Call2(f) => elementary::call2(&counter, f, accuracy, (), ()),
         _ => {}
     });
     // An instruction of the program is a few dozen operations at most, so that the sum stays small.

@@ -10,7 +10,7 @@ use cranelift_frontend::FunctionBuilder;
 use isophote_symbolic::{Level, Op, Precision, Value};
 
 use super::elementary;
-use crate::kernel::KernelOptions;
+use crate::options::KernelOptions;
 use crate::plan::{Area, Plan, Slot};
 
 /// Byte offsets of [`crate::abi::Args`].
@@ -115,7 +115,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
         self.bases = Some([record, self.b.block_params(entry)[0]]);
     }
 
-    /// What is emitted from here on belongs to `value`, or to the loop itself; see [`crate::explain`].
+    /// What is emitted from here on belongs to `value`, or to the loop itself; so that `explain` can say so.
     pub fn speak_for(&mut self, value: Option<Value>) {
         let number = value.map_or(SourceLoc::default(), |value| SourceLoc::new(value.0));
         self.b.set_srcloc(number);
@@ -209,7 +209,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
 
     /// A pass, row, row-end or pass-end value as f64 (or a truth value), read by `level`.
     pub fn scalar(&mut self, value: Value, level: Level) -> ir::Value {
-        if let Op::Const(number) = self.plan.program.instruction(value).op {
+        if let Some(number) = self.plan.program.instruction(value).op.constant() {
             return self.constant(number);
         }
         if self.plan.program.instruction(value).level == level

@@ -2,7 +2,7 @@
 
 use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{self, Block, BlockArg, InstBuilder, types};
-use isophote_symbolic::{Level, Op, PixelSet, Precision, Sink, Value};
+use isophote_symbolic::{Level, Op, Opcode, PixelSet, Precision, Sink, Value};
 
 use super::emit::Emitter;
 use super::running::{Running, vector};
@@ -77,14 +77,15 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 continue;
             }
             self.emit.speak_for(Some(*value));
-            let result = match plan.program.instruction(*value).op {
-                Op::Offset(_) => {
+            let op = plan.program.instruction(*value).op;
+            let result = match op.code {
+                Opcode::Offset => {
                     let (t, next) = self.step(state.offsets[running], *value);
                     state.offsets[running] = next;
                     running += 1;
                     t
                 }
-                op => self.op(op),
+                _ => self.op(op),
             };
             self.emit.results[value.index()] = Some(result);
             match decided {
@@ -161,19 +162,18 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     fn op(&mut self, op: Op) -> ir::Value {
-        if let Op::Channel(channel) = op {
+        if let Opcode::Channel(channel) = op.code {
             return self.emit.channel(channel.index(), self.first);
         }
         let operands: Vec<ir::Value> = op.operands().map(|v| self.operand(v)).collect();
-        let at = |i: usize| operands[i];
         let emit = &mut *self.emit;
         if let Some(result) = emit.vector_arithmetic(op, &operands) {
             return result;
         }
-        match op {
-            Op::Const(x) => vector(emit, |_| x),
-            Op::Call1(f, _) => emit.function1(f, at(0)),
-            Op::Call2(f, ..) => emit.function2(f, at(0), at(1)),
+        match op.code {
+            Opcode::Const(x) => vector(emit, |_| x.get()),
+            Opcode::Call1(f) => emit.function1(f, operands[0]),
+            Opcode::Call2(f) => emit.function2(f, operands[0], operands[1]),
             _ => unreachable!("the check refuses scalar instructions at the pixel level"),
         }
     }

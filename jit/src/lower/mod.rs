@@ -29,7 +29,7 @@ use isophote_symbolic::{Level, Program};
 use self::emit::{Areas, Emitter, arg};
 use self::group::Group;
 use self::running::Running;
-use crate::kernel::KernelOptions;
+use crate::options::KernelOptions;
 use crate::plan::Plan;
 
 /// The loop nest of `program`, for `isa`'s calling convention.
@@ -46,7 +46,7 @@ pub(crate) fn lower(program: &Program, options: &KernelOptions, isa: &dyn Target
 
 /// Where a row is in the window: its numbers along the outer coordinates, as many as the program has, y at least.
 #[derive(Clone)]
-struct Place {
+struct RowPlace {
     /// y; y, z; or y, z, w.
     at: Vec<ir::Value>,
     /// How many rows came before it.
@@ -97,7 +97,7 @@ impl Nest<'_, '_> {
             (0..counters + 4).map(|_| self.emit.b.append_block_param(head, types::I64)).collect();
         let [pixels, saturated, current, ahead] = std::array::from_fn(|i| state[counters + i]);
         let totals = [pixels, saturated];
-        let place = Place { at: state[..outer].to_vec(), row: state[counters - 1] };
+        let place = RowPlace { at: state[..outer].to_vec(), row: state[counters - 1] };
         self.emit.b.switch_to_block(head);
         let rows = self.rows(outer);
         let last = self.emit.b.ins().iadd_imm_s(rows, 2);
@@ -135,7 +135,7 @@ impl Nest<'_, '_> {
         let one = self.emit.integer(1);
         self.emit.b.ins().jump(row, &[one.into(), counts[0].into(), counts[1].into()]);
         self.emit.b.switch_to_block(done);
-        let Place { mut at, row } = self.after(&second);
+        let RowPlace { mut at, row } = self.after(&second);
         if outer > 1 {
             at.push(row);
         }
@@ -167,7 +167,7 @@ impl Nest<'_, '_> {
     /// Prepares two rows: leaves their values, ranges, offsets and addresses in the record. It is done before the two rows
     /// above are worked on, so that the processor has both to do at once. Behind the last row, rows that do not exist are
     /// prepared; nothing reads them.
-    fn prepare(&mut self, places: [&Place; 2]) {
+    fn prepare(&mut self, places: [&RowPlace; 2]) {
         let mut outer = Vec::new();
         for (axis, field) in FIRST.iter().enumerate().take(places[0].at.len()) {
             let first = self.emit.arg(types::I64, *field);
@@ -201,7 +201,7 @@ impl Nest<'_, '_> {
 
     /// The numbers of the row that follows: y counts up, and each coordinate that has come to its end begins again and
     /// moves the next one on.
-    fn after(&mut self, place: &Place) -> Place {
+    fn after(&mut self, place: &RowPlace) -> RowPlace {
         let emit = &mut self.emit;
         let outer = place.at.len();
         let mut numbers = vec![emit.b.ins().iadd_imm_s(place.at[0], 1)];
@@ -214,7 +214,7 @@ impl Nest<'_, '_> {
             numbers.push(emit.b.ins().iadd(place.at[axis], carried));
         }
         let row = if outer > 1 { emit.b.ins().iadd_imm_s(place.row, 1) } else { numbers[0] };
-        Place { at: numbers, row }
+        RowPlace { at: numbers, row }
     }
 
     /// One row, which was prepared before; ends in a jump to `next` with the pass' pixel counts.

@@ -6,7 +6,7 @@
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, MemFlagsData, types};
 use isophote_symbolic::elementary::MAGIC;
-use isophote_symbolic::{Level, Op, Precision, Value};
+use isophote_symbolic::{Level, Op, Opcode, Precision, Value};
 
 use super::emit::{Emitter, Form, arg};
 use super::running::vector;
@@ -18,9 +18,9 @@ impl Emitter<'_, '_> {
     pub fn prepare(&mut self, outer: &[ir::Value]) {
         for (value, op) in self.instructions(Level::Row) {
             self.speak_for(Some(value));
-            let result = match op {
-                Op::Outer(coordinate) => outer[coordinate.index() - 1],
-                op => self.pair_op(op),
+            let result = match op.code {
+                Opcode::Outer(coordinate) => outer[coordinate.index() - 1],
+                _ => self.pair_op(op),
             };
             self.results[value.index()] = Some(result);
             if let Some(slot) = self.plan.scalars[value.index()] {
@@ -49,7 +49,7 @@ impl Emitter<'_, '_> {
     /// A pass or row value, for both rows.
     fn both(&mut self, value: Value) -> ir::Value {
         let program = self.plan.program;
-        if let Op::Const(number) = program.instruction(value).op {
+        if let Some(number) = program.instruction(value).op.constant() {
             return self.pair(number);
         }
         let kind = if program.is_truth(value) { types::I64X2 } else { types::F64X2 };
@@ -65,10 +65,10 @@ impl Emitter<'_, '_> {
         if let Some(result) = self.vector_arithmetic(op, &operands) {
             return result;
         }
-        match op {
-            Op::Const(x) => self.pair(x),
-            Op::Call1(f, _) => self.call_pair(Functions::scalar1(f), Form::Scalar1, &operands),
-            Op::Call2(f, ..) => self.call_pair(Functions::scalar2(f), Form::Scalar2, &operands),
+        match op.code {
+            Opcode::Const(x) => self.pair(x.get()),
+            Opcode::Call1(f) => self.call_pair(Functions::scalar1(f), Form::Scalar1, &operands),
+            Opcode::Call2(f) => self.call_pair(Functions::scalar2(f), Form::Scalar2, &operands),
             _ => unreachable!("the check refuses other instructions at the row level"),
         }
     }

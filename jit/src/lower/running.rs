@@ -8,7 +8,7 @@ use super::emit::Emitter;
 /// What one group hands to the next.
 #[derive(Clone)]
 pub(super) struct Running {
-    /// The running part of each `Op::Offset`, in the order of the plan.
+    /// The running part of each `Opcode::Offset`, in the order of the plan.
     pub offsets: Vec<ir::Value>,
     /// Accumulators that are held in registers, by number.
     pub sums: Vec<Option<ir::Value>>,

@@ -2,7 +2,7 @@
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, types};
-use isophote_symbolic::{Comparison, Level, Op, Precision, Sink, Value};
+use isophote_symbolic::{Comparison, Level, Op, Opcode, Precision, Sink, Value};
 
 use super::emit::{Emitter, Form, PIXELS, arg};
 use crate::abi::Functions;
@@ -32,8 +32,10 @@ impl<'p> Emitter<'_, 'p> {
         ends.iter().enumerate().for_each(|(i, value)| wanted[value.index()].push(i));
         for (value, op) in self.instructions(level) {
             self.speak_for(Some(value));
-            let result = match (op, base) {
-                (Op::Input(input), Some(inputs)) => self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32),
+            let result = match (op.code, base) {
+                (Opcode::Input(input), Some(inputs)) => {
+                    self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32)
+                }
                 _ => self.scalar_op(op, level),
             };
             self.results[value.index()] = Some(result);
@@ -88,19 +90,18 @@ impl<'p> Emitter<'_, 'p> {
         if let Some(result) = self.arithmetic(op, &operands) {
             return result;
         }
-        let at = |i: usize| operands[i];
-        match op {
-            Op::Const(x) => self.constant(x),
-            Op::Not(_) => self.b.ins().bxor_imm_s(at(0), 1),
-            Op::Select(..) => self.b.ins().select(at(0), at(1), at(2)),
-            Op::Call1(f, _) => self.call_scalar(Functions::scalar1(f), Form::Scalar1, &operands),
-            Op::Call2(f, ..) => self.call_scalar(Functions::scalar2(f), Form::Scalar2, &operands),
-            Op::RowTotal(accumulator) => self.row_total(accumulator.index()),
-            Op::PassTotal(total) => {
+        match op.code {
+            Opcode::Const(x) => self.constant(x.get()),
+            Opcode::Not => self.b.ins().bxor_imm_s(operands[0], 1),
+            Opcode::Select => self.b.ins().select(operands[0], operands[1], operands[2]),
+            Opcode::Call1(f) => self.call_scalar(Functions::scalar1(f), Form::Scalar1, &operands),
+            Opcode::Call2(f) => self.call_scalar(Functions::scalar2(f), Form::Scalar2, &operands),
+            Opcode::RowTotal(accumulator) => self.row_total(accumulator.index()),
+            Opcode::PassTotal(total) => {
                 let slot = self.plan.totals[total.index()];
                 self.load(types::F64, slot)
             }
-            Op::RowCount | Op::PassCount => {
+            Opcode::RowCount | Opcode::PassCount => {
                 let count = self.known(self.count);
                 self.b.ins().fcvt_from_sint(types::F64, count)
             }
@@ -108,36 +109,41 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    /// What is the same for single numbers and for vectors, truth values being what comparisons of them give.
+    /// What is the same for single numbers and for vectors, truth values being what comparisons of them give. `None` for
+    /// what reads no value, and for what differs: choices, negation, calls.
     pub fn arithmetic(&mut self, op: Op, operands: &[ir::Value]) -> Option<ir::Value> {
         let at = |i: usize| operands[i];
         let ins = self.b.ins();
-        Some(match op {
-            Op::Neg(_) => ins.fneg(at(0)),
-            Op::Abs(_) => ins.fabs(at(0)),
-            Op::Sqrt(_) => ins.sqrt(at(0)),
-            Op::Add(..) => ins.fadd(at(0), at(1)),
-            Op::Sub(..) => ins.fsub(at(0), at(1)),
-            Op::Mul(..) => ins.fmul(at(0), at(1)),
-            Op::Div(..) => ins.fdiv(at(0), at(1)),
-            Op::Fma(..) => ins.fma(at(0), at(1), at(2)),
-            Op::Compare(comparison, ..) => ins.fcmp(condition(comparison), at(0), at(1)),
-            Op::And(..) => ins.band(at(0), at(1)),
-            Op::Or(..) => ins.bor(at(0), at(1)),
-            _ => return None,
+        Some(match op.code {
+            Opcode::Neg => ins.fneg(at(0)),
+            Opcode::Abs => ins.fabs(at(0)),
+            Opcode::Sqrt => ins.sqrt(at(0)),
+            Opcode::Add => ins.fadd(at(0), at(1)),
+            Opcode::Sub => ins.fsub(at(0), at(1)),
+            Opcode::Mul => ins.fmul(at(0), at(1)),
+            Opcode::Div => ins.fdiv(at(0), at(1)),
+            Opcode::Fma => ins.fma(at(0), at(1), at(2)),
+            Opcode::Compare(comparison) => ins.fcmp(condition(comparison), at(0), at(1)),
+            Opcode::And => ins.band(at(0), at(1)),
+            Opcode::Or => ins.bor(at(0), at(1)),
+            Opcode::Not | Opcode::Select | Opcode::Call1(_) | Opcode::Call2(_) => return None,
+            Opcode::Const(_) | Opcode::Input(_) | Opcode::Outer(_) | Opcode::Offset | Opcode::Channel(_) => {
+                return None;
+            }
+            Opcode::RowTotal(_) | Opcode::RowCount | Opcode::PassTotal(_) | Opcode::PassCount => return None,
         })
     }
 
     /// The same of vectors alone, whose truth values are masks: choices and negation too.
     pub fn vector_arithmetic(&mut self, op: Op, operands: &[ir::Value]) -> Option<ir::Value> {
-        match op {
-            Op::Not(_) => Some(self.b.ins().bnot(operands[0])),
-            Op::Select(..) => {
+        match op.code {
+            Opcode::Not => Some(self.b.ins().bnot(operands[0])),
+            Opcode::Select => {
                 let kind = self.b.func.dfg.value_type(operands[1]);
                 let condition = self.cast(kind, operands[0]);
                 Some(self.b.ins().bitselect(condition, operands[1], operands[2]))
             }
-            op => self.arithmetic(op, operands),
+            _ => self.arithmetic(op, operands),
         }
     }
 
@@ -145,12 +151,11 @@ impl<'p> Emitter<'_, 'p> {
     pub fn commuted(&self, op: Op, level: Level) -> Op {
         let fetched = |v: Value| {
             let instruction = self.plan.program.instruction(v);
-            instruction.level != level || matches!(instruction.op, Op::Const(_))
+            instruction.level != level || instruction.op.constant().is_some()
         };
-        match op {
-            Op::Add(a, b) if fetched(a) && !fetched(b) => Op::Add(b, a),
-            Op::Mul(a, b) if fetched(a) && !fetched(b) => Op::Mul(b, a),
-            op => op,
+        match op.parts() {
+            (code @ (Opcode::Add | Opcode::Mul), &[a, b]) if fetched(a) && !fetched(b) => code.of([b, a]),
+            _ => op,
         }
     }
 

@@ -6,7 +6,8 @@ use super::{Image, Planes, Random, same};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, Window};
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
-    AccumulatorId, Bindings, Instruction, Level, Op, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, Bindings, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId,
+    Value,
 };
 
 /// Planes that a program is run on, each with a format and gaps of its own.
@@ -127,8 +128,8 @@ pub fn first_difference(program: &Program, precision: Precision, stage: &Stage, 
         let mut instructions = program.instructions()[..=i].to_vec();
         let (value, next) = (Value(i as u32), i as u32 + 1);
         let at = |level, op| Instruction { op, level, span: None };
-        instructions.push(at(Level::RowEnd, Op::RowTotal(AccumulatorId(0))));
-        instructions.push(at(Level::PassEnd, Op::PassTotal(TotalId(0))));
+        instructions.push(at(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([])));
+        instructions.push(at(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([])));
         let one = Program::from_parts(ProgramParts {
             coordinates: program.coordinates() as u32,
             channels: program.channels() as u32,

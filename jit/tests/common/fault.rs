@@ -3,7 +3,7 @@
 
 use super::Random;
 use isophote_symbolic::{
-    ChannelId, Comparison, CoordinateId, Instruction, Op, PixelSet, Program, ProgramParts, Sink, Value,
+    ChannelId, Comparison, CoordinateId, Instruction, Opcode, PixelSet, Program, ProgramParts, Sink, Value,
 };
 
 /// The program with one fault, and what it is; `None` where the choice has no fault to offer.
@@ -64,41 +64,36 @@ fn wrong_sums(sink: &mut Sink) -> Option<String> {
 }
 
 fn wrong_instruction(parts: &mut ProgramParts, at: usize, random: &mut Random) -> Option<String> {
+    use Opcode::*;
     let before = parts.instructions[at].op;
     let coin = random.below(2) == 0;
-    let after = match before {
-        Op::Add(a, b) if coin => Op::Sub(a, b),
-        Op::Add(a, b) => Op::Mul(a, b),
-        Op::Sub(a, b) if coin => Op::Sub(b, a),
-        Op::Sub(a, b) => Op::Add(a, b),
-        Op::Mul(a, b) if coin => Op::Add(a, b),
-        Op::Mul(a, b) => Op::Div(a, b),
-        Op::Div(a, b) if coin => Op::Div(b, a),
-        Op::Div(a, b) => Op::Mul(a, b),
-        Op::Fma(a, b, c) if coin => {
+    let after = match before.parts() {
+        (code @ (Sub | Div | Compare(Comparison::Lt | Comparison::Le)), &[a, b]) if coin => code.of([b, a]),
+        (Select, &[c, a, b]) => Select.of([c, b, a]),
+        (Fma, &[a, b, c]) if coin => {
             round_twice(parts, at, [a, b, c]);
             return Some(format!("v{at}: {before:?} rounded twice"));
         }
-        Op::Fma(a, b, c) => Op::Fma(a, c, b),
-        Op::Neg(a) => Op::Abs(a),
-        Op::Abs(a) => Op::Neg(a),
-        Op::Sqrt(a) => Op::Abs(a),
-        Op::Compare(Comparison::Lt, a, b) if coin => Op::Compare(Comparison::Lt, b, a),
-        Op::Compare(Comparison::Lt, a, b) => Op::Compare(Comparison::Le, a, b),
-        Op::Compare(Comparison::Le, a, b) if coin => Op::Compare(Comparison::Le, b, a),
-        Op::Compare(Comparison::Le, a, b) => Op::Compare(Comparison::Lt, a, b),
-        Op::Compare(Comparison::Eq, a, b) => Op::Compare(Comparison::Ne, a, b),
-        Op::Compare(Comparison::Ne, a, b) => Op::Compare(Comparison::Eq, a, b),
-        Op::And(a, b) => Op::Or(a, b),
-        Op::Or(a, b) => Op::And(a, b),
-        Op::Not(a) => Op::And(a, a),
-        Op::Select(c, a, b) => Op::Select(c, b, a),
-        Op::Const(x) => Op::Const(x.abs() + 1.0),
-        Op::Outer(c) if parts.coordinates > 2 => Op::Outer(CoordinateId(1 + c.0 % (parts.coordinates - 1))),
-        Op::Channel(c) if parts.channels > 1 => Op::Channel(ChannelId((c.0 + 1) % parts.channels)),
-        Op::RowCount => Op::Const(1.0),
-        Op::PassCount => Op::Const(1.0),
-        _ => return None,
+        (Fma, &[a, b, c]) => Fma.of([a, c, b]),
+        (Const(x), _) => Opcode::number(x.get().abs() + 1.0).of([]),
+        (Outer(c), _) if parts.coordinates > 2 => Outer(CoordinateId(1 + c.0 % (parts.coordinates - 1))).of([]),
+        (Channel(c), _) if parts.channels > 1 => Channel(ChannelId((c.0 + 1) % parts.channels)).of([]),
+        (RowCount | PassCount, _) => Opcode::number(1.0).of([]),
+        (code, operands) => {
+            // Another operation of the same kinds.
+            let row = |code: Opcode| (code.row().operands, code.row().result);
+            let others: Vec<Opcode> =
+                Opcode::every().into_iter().filter(|o| *o != code && row(*o) == row(code)).collect();
+            if operands.is_empty() || others.is_empty() {
+                return None;
+            }
+            let other = *random.pick(&others);
+            match *operands {
+                [a] => other.of([a]),
+                [a, b] => other.of([a, b]),
+                _ => return None,
+            }
+        }
     };
     parts.instructions[at].op = after;
     Some(format!("v{at}: {before:?} became {after:?}"))
@@ -108,11 +103,11 @@ fn wrong_instruction(parts: &mut ProgramParts, at: usize, random: &mut Random) -
 fn round_twice(parts: &mut ProgramParts, at: usize, [a, b, c]: [Value; 3]) {
     let moved = |value: Value| Value(value.0 + u32::from(value.index() >= at));
     for instruction in &mut parts.instructions[at..] {
-        instruction.op = with_operands(instruction.op, moved);
+        instruction.op = instruction.op.renamed(moved);
     }
     let Instruction { level, span, .. } = parts.instructions[at];
-    parts.instructions[at].op = Op::Add(Value(at as u32), c);
-    parts.instructions.insert(at, Instruction { op: Op::Mul(a, b), level, span });
+    parts.instructions[at].op = Opcode::Add.of([Value(at as u32), c]);
+    parts.instructions.insert(at, Instruction { op: Opcode::Mul.of([a, b]), level, span });
     let set = &mut parts.pixel_set;
     set.bounds = set.bounds.map(|(lo, hi)| (moved(lo), moved(hi)));
     (set.mask, set.saturated) = (set.mask.map(moved), set.saturated.map(moved));
@@ -121,27 +116,5 @@ fn round_twice(parts: &mut ProgramParts, at: usize, [a, b, c]: [Value; 3]) {
         Sink::Sums { accumulators, totals, outputs } => {
             [accumulators, totals, outputs].into_iter().flatten().for_each(|value| *value = moved(*value));
         }
-    }
-}
-
-fn with_operands(op: Op, to: impl Fn(Value) -> Value) -> Op {
-    match op {
-        Op::Offset(a) => Op::Offset(to(a)),
-        Op::Neg(a) => Op::Neg(to(a)),
-        Op::Abs(a) => Op::Abs(to(a)),
-        Op::Sqrt(a) => Op::Sqrt(to(a)),
-        Op::Add(a, b) => Op::Add(to(a), to(b)),
-        Op::Sub(a, b) => Op::Sub(to(a), to(b)),
-        Op::Mul(a, b) => Op::Mul(to(a), to(b)),
-        Op::Div(a, b) => Op::Div(to(a), to(b)),
-        Op::Fma(a, b, c) => Op::Fma(to(a), to(b), to(c)),
-        Op::Compare(comparison, a, b) => Op::Compare(comparison, to(a), to(b)),
-        Op::And(a, b) => Op::And(to(a), to(b)),
-        Op::Or(a, b) => Op::Or(to(a), to(b)),
-        Op::Not(a) => Op::Not(to(a)),
-        Op::Select(c, a, b) => Op::Select(to(c), to(a), to(b)),
-        Op::Call1(f, a) => Op::Call1(f, to(a)),
-        Op::Call2(f, a, b) => Op::Call2(f, to(a), to(b)),
-        op => op,
     }
 }

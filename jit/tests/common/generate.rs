@@ -4,9 +4,10 @@
 
 use super::Random;
 use isophote_symbolic::{
-    AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Function1, Function2, Input, InputId, Instruction,
-    Level, Op, ParameterId, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, ChannelId, ConstantId, CoordinateId, Input, InputId, Instruction, Kind, Level, Op, Opcode,
+    ParameterId, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
 };
+use std::mem::discriminant;
 
 /// What a program may hold.
 #[derive(Clone, Copy)]
@@ -57,56 +58,70 @@ impl Draft<'_> {
         let [coordinates, channels, inputs, accumulators, totals] = self.sizes;
         let number = if self.random.below(20) == 0 { self.random.special() } else { self.random.ordinary() };
         let mut below = |n: usize| self.random.below(n.max(1)) as u32;
-        match (level, below(4)) {
-            (_, 0) => Op::Const(number),
-            (Level::Pass, _) if inputs > 0 => Op::Input(InputId(below(inputs))),
-            (Level::Row, _) => Op::Outer(CoordinateId(1 + below(coordinates.max(2) - 1))),
-            (Level::Pixel, _) if channels > 0 => Op::Channel(ChannelId(below(channels))),
-            (Level::RowEnd, 1..=2) if accumulators > 0 => Op::RowTotal(AccumulatorId(below(accumulators))),
-            (Level::RowEnd, _) => Op::RowCount,
-            (Level::PassEnd, 1..=2) if totals > 0 => Op::PassTotal(TotalId(below(totals))),
-            (Level::PassEnd, _) => Op::PassCount,
-            _ => Op::Const(number),
+        let code = match (level, below(4)) {
+            (_, 0) => Opcode::number(number),
+            (Level::Pass, _) if inputs > 0 => Opcode::Input(InputId(below(inputs))),
+            (Level::Row, _) => Opcode::Outer(CoordinateId(1 + below(coordinates.max(2) - 1))),
+            (Level::Pixel, _) if channels > 0 => Opcode::Channel(ChannelId(below(channels))),
+            (Level::RowEnd, 1..=2) if accumulators > 0 => Opcode::RowTotal(AccumulatorId(below(accumulators))),
+            (Level::RowEnd, _) => Opcode::RowCount,
+            (Level::PassEnd, 1..=2) if totals > 0 => Opcode::PassTotal(TotalId(below(totals))),
+            (Level::PassEnd, _) => Opcode::PassCount,
+            _ => Opcode::number(number),
+        };
+        code.of([])
+    }
+
+    /// How often an operation is drawn: those that seldom end in a NaN are drawn more often.
+    fn weight(&self, code: Opcode) -> usize {
+        match code {
+            Opcode::Fma if !self.variety.fma => 0,
+            Opcode::Call1(_) | Opcode::Call2(_) if !self.variety.calls => 0,
+            Opcode::Add => 6,
+            Opcode::Sub | Opcode::Mul | Opcode::Fma | Opcode::Select | Opcode::Compare(_) => 3,
+            Opcode::Offset => 3,
+            _ => 1,
         }
     }
 
+    /// An operation that gives a number or a truth value at a level.
+    fn code(&mut self, level: Level, truth: bool) -> Opcode {
+        let gives = |kind: Kind| kind == Kind::Either || (kind == Kind::Truth) == truth;
+        let mut drawn: Vec<Vec<Opcode>> = Vec::new();
+        for code in Opcode::every() {
+            let row = code.row();
+            if row.operands.is_empty() || row.level.is_some_and(|only| only != level) || !gives(row.result) {
+                continue;
+            }
+            match drawn.last_mut().filter(|all| discriminant(&all[0]) == discriminant(&code)) {
+                Some(all) => all.push(code),
+                None => drawn.push(vec![code]),
+            }
+        }
+        let weighted: Vec<usize> = (0..drawn.len()).flat_map(|i| vec![i; self.weight(drawn[i][0])]).collect();
+        let all = &drawn[*self.random.pick(&weighted)];
+        *self.random.pick(all)
+    }
+
     fn instruction(&mut self, level: Level) {
-        let wants_truth = self.random.below(5) == 0;
-        let number = |draft: &mut Self| draft.value(level, false);
-        let (Some(a), Some(b), Some(c)) = (number(self), number(self), number(self)) else {
-            let leaf = self.leaf(level);
-            self.push(level, leaf, false);
-            return;
+        let truth = self.random.below(5) == 0;
+        let code = self.code(level, truth);
+        let mut operand = |kind: &Kind| match kind {
+            Kind::Number => self.value(level, false),
+            Kind::Truth => self.value(level, true),
+            Kind::Either => self.value(level, truth),
+            Kind::OfRow => self.value(Level::Row, false),
         };
-        let (p, q, r) = (self.value(level, true), self.value(level, true), self.value(level, true));
-        let kind = self.random.below(if wants_truth { 6 } else { 22 });
-        let (op, truth) = match (wants_truth, kind, p, q, r) {
-            (true, 3, Some(p), Some(q), _) => (Op::And(p, q), true),
-            (true, 4, Some(p), Some(q), _) => (Op::Or(p, q), true),
-            (true, 5, Some(p), Some(q), Some(r)) => (*self.random.pick(&[Op::Not(p), Op::Select(p, q, r)]), true),
-            (true, ..) => {
-                let all = [Comparison::Lt, Comparison::Le, Comparison::Eq, Comparison::Ne];
-                (Op::Compare(*self.random.pick(&all), a, b), true)
+        let operands: Option<Vec<Value>> = code.row().operands.iter().map(&mut operand).collect();
+        match operands.filter(|_| truth || self.random.below(22) > 3).as_deref() {
+            Some(&[a]) => self.push(level, code.of([a]), truth),
+            Some(&[a, b]) => self.push(level, code.of([a, b]), truth),
+            Some(&[a, b, c]) => self.push(level, code.of([a, b, c]), truth),
+            _ => {
+                let leaf = self.leaf(level);
+                self.push(level, leaf, false)
             }
-            (false, 0..=3, ..) => (self.leaf(level), false),
-            (false, 4 | 5, ..) if level == Level::Pixel => match self.value(Level::Row, false) {
-                Some(offset) => (Op::Offset(offset), false),
-                None => (Op::Neg(a), false),
-            },
-            (false, 6, ..) => (*self.random.pick(&[Op::Neg(a), Op::Abs(a)]), false),
-            (false, 7, ..) => (Op::Sqrt(a), false),
-            (false, 8, ..) => (Op::Div(a, b), false),
-            (false, 9 | 10, ..) => (Op::Sub(a, b), false),
-            (false, 11 | 12, ..) => (Op::Mul(a, b), false),
-            (false, 13 | 14, ..) if self.variety.fma => (Op::Fma(a, b, c), false),
-            (false, 15 | 16, Some(p), ..) => (Op::Select(p, a, b), false),
-            (false, 17, ..) if self.variety.calls => (Op::Call1(*self.random.pick(&Function1::EVERY), a), false),
-            (false, 18, ..) if self.variety.calls && self.random.below(3) == 0 => {
-                (Op::Call2(*self.random.pick(&Function2::ALL), a, b), false)
-            }
-            _ => (Op::Add(a, b), false),
         };
-        self.push(level, op, truth);
     }
 
     /// A few instructions of a level; at least one number that it can read.
@@ -154,13 +169,13 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
         let count = 1 + draft.random.below(8);
         draft.level(Level::RowEnd, count);
         let mut totals = draft.several(Level::RowEnd, 3);
-        let all = (0..draft.sizes[3] as u32).map(|i| Op::RowTotal(AccumulatorId(i)));
+        let all = (0..draft.sizes[3] as u32).map(|i| Opcode::RowTotal(AccumulatorId(i)).of([]));
         totals.extend(all.map(|op| draft.push(Level::RowEnd, op, false)));
         draft.sizes[4] = totals.len();
         let count = 1 + draft.random.below(8);
         draft.level(Level::PassEnd, count);
         let mut outputs = draft.several(Level::PassEnd, 5);
-        let all = (0..draft.sizes[4] as u32).map(|i| Op::PassTotal(TotalId(i)));
+        let all = (0..draft.sizes[4] as u32).map(|i| Opcode::PassTotal(TotalId(i)).of([]));
         outputs.extend(all.map(|op| draft.push(Level::PassEnd, op, false)));
         Sink::Sums { accumulators, totals, outputs }
     };

@@ -4,12 +4,12 @@ use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode};
 use isophote_capture::CameraError;
 use isophote_capture::camera::{self, ControlValues};
+use isophote_wire::{ControlsAnswer, Items};
 
 use super::{Answer, RawName, json, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 use crate::source::camera_problem;
-use crate::wire::{ControlsAnswer, Items};
 
 /// `GET /v1/cameras`
 pub async fn list() -> Answer {

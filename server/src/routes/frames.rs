@@ -1,10 +1,12 @@
 //! `POST /v1/sessions/{name}/frames`: one frame in, its estimate out. `GET` of the same: a WebSocket for many frames.
 
 use axum::body::Body;
-use axum::extract::State;
+use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
+use isophote_wire::FrameTime;
 
 use super::{Answer, App, RawName, json, raw, upgraded};
 use crate::documents::{media_type, read_body};
@@ -15,7 +17,17 @@ use crate::streams::frames;
 use crate::streams::pushed::{Media, Pushed};
 
 /// Waits for the fit of this very frame.
-pub async fn post(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn post(
+    State(app): State<App>,
+    name: RawName,
+    headers: HeaderMap,
+    query: Result<Query<FrameTime>, QueryRejection>,
+    body: Body,
+) -> Answer {
+    let Query(FrameTime { time_s }) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
+    if time_s.is_some_and(|time_s| !time_s.is_finite()) {
+        return Err(Problem::bad_request("time_s is not a finite number of seconds"));
+    }
     let pushed = Pushed::of(&*app.service.session(&raw(name)?)?)?;
     let media = match media_type(&headers).as_str() {
         "application/octet-stream" => Media::Raw,
@@ -23,7 +35,7 @@ pub async fn post(State(app): State<App>, name: RawName, headers: HeaderMap, bod
         _ => return Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream")),
     };
     let bytes = read_body(body, LIMITS.frame_bytes).await?;
-    let frame = pushed.decode(media, bytes).await?;
+    let frame = pushed.decode(media, bytes, time_s).await?;
     let estimate = pushed.push(frame)?.estimate().await?;
     json(StatusCode::OK, &*estimate)
 }

@@ -4,10 +4,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use axum::extract::State;
 use axum::http::StatusCode;
+use isophote_machine::monotonic_ns;
+use isophote_wire::{Health, Time};
 
 use super::{Answer, App, json};
-use crate::clock::monotonic_ns;
-use crate::wire::{Health, Time};
 
 /// `GET /livez`
 pub async fn livez() -> Answer {

@@ -5,6 +5,8 @@ use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use isophote_machine::monotonic_ns;
+use isophote_wire::{Items, explain};
 use serde::Deserialize;
 
 use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
@@ -12,8 +14,7 @@ use crate::documents::{media_type, read_body, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::registry::{Entry, Expected, Media};
-use crate::wire::Items;
+use crate::registry::{Expected, Media, ModelEntry};
 
 /// `PUT /v1/models/{name}`
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
@@ -85,10 +86,10 @@ pub async fn explain(
     let entry = app.service.registry.get(&raw(name)?)?;
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     let work = move || {
-        let subset = query.parameters.as_deref().map(crate::explain::split);
+        let subset = query.parameters.as_deref().map(explain::split);
         let show = query.show.as_deref().unwrap_or("derivative");
-        crate::explain::explain(&entry.model, subset.as_deref(), query.method.as_deref(), show)
-            .map_err(crate::explain::problem)
+        let method = query.method.as_deref();
+        explain::explain(&entry.model, subset.as_deref(), method, show, &monotonic_ns).map_err(Problem::from)
     };
     json(StatusCode::OK, &app.service.compiler.run(work).await?)
 }
@@ -116,7 +117,7 @@ fn expected(headers: &HeaderMap) -> Result<Expected, Problem> {
     }
 }
 
-fn tagged(mut response: Response, entry: &Entry) -> Response {
+fn tagged(mut response: Response, entry: &ModelEntry) -> Response {
     if let Ok(tag) = HeaderValue::from_str(&format!("\"{}\"", entry.tag())) {
         response.headers_mut().insert(header::ETAG, tag);
     }

@@ -4,11 +4,11 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
+use isophote_wire::{Items, SessionDocument, SwapDocument};
 
 use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
-use crate::wire::{Items, SessionDocument, SwapDocument};
 
 /// `PUT /v1/sessions/{name}`
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {

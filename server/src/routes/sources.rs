@@ -4,10 +4,10 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
+use isophote_wire::{Items, SourceDocument};
 
 use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
 use crate::documents::{place, read_json};
-use crate::wire::{Items, SourceDocument};
 
 /// `PUT /v1/sources/{name}`
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {

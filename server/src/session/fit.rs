@@ -1,18 +1,22 @@
-//! The fit thread: frames and swaps in, estimates out. Between two frames it takes a new model; during one, nothing.
+//! The fit thread: frames and swaps in, estimates out. Between two frames it takes a new model. A frame that takes too long is
+//! left as it is, and so is one that nobody wants any more: the session is stopped, or a swap has waited for long enough.
 
 use std::sync::{Arc, PoisonError};
+use std::time::Duration;
 
 use isophote_capture::Exposure;
-use isophote_tracker::{ControllerOptions, ExposureController, Tracker};
+use isophote_machine::monotonic_ns;
+use isophote_tracker::{ControllerOptions, Ending, ExposureController, Stop, Tracker};
+use isophote_wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 use super::Shared;
-use super::inbox::{Delivery, Event, SourceEnd};
+use super::beside::Beside;
+use super::inbox::{Delivery, Event, SourceEnd, Waiting};
 use super::swap::{Active, Swap, Swapped};
-use crate::clock::monotonic_ns;
 use crate::hub::End;
+use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::source::Source;
-use crate::wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 /// What the thread owns.
 pub struct Fitter {
@@ -25,20 +29,22 @@ pub struct Fitter {
     /// The model in `tracker`: the two change together, here only.
     pub active: Active,
     /// Sets the source's exposure, when the session asks for it.
-    pub light: Option<Light>,
+    pub knob: Option<ExposureKnob>,
+    /// Prepares what frames were fitted without.
+    pub beside: Beside,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
 }
 
 /// A controller and the knob that it turns.
-pub struct Light {
+pub struct ExposureKnob {
     controller: ExposureController,
     exposure: Exposure,
 }
 
-impl Light {
+impl ExposureKnob {
     /// What a session asks for; a problem when its source has no exposure to set.
-    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<Light>, Problem> {
+    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<ExposureKnob>, Problem> {
         if !options.exposure.control {
             return Ok(None);
         }
@@ -52,7 +58,7 @@ impl Light {
             SourceDocument::Recording(_) | SourceDocument::Pushed(_) => {}
         }
         options.range = exposure.range().unwrap_or(options.range);
-        Ok(Some(Light { controller: ExposureController::new(options), exposure }))
+        Ok(Some(ExposureKnob { controller: ExposureController::new(options), exposure }))
     }
 
     fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
@@ -63,7 +69,7 @@ impl Light {
     }
 }
 
-impl Drop for Light {
+impl Drop for ExposureKnob {
     /// Whoever comes after finds the light as it was.
     fn drop(&mut self) {
         if self.controller.factor() != 1.0 {
@@ -89,6 +95,7 @@ impl Fitter {
     fn swap(&mut self, swap: Swap) {
         let carried = self.tracker.swap(swap.compiled, swap.options);
         self.shared.hub.keep(&self.tracker.names());
+        self.beside.give_up();
         self.active = swap.active;
         let active_since_frame = self.next_frame.unwrap_or(0);
         {
@@ -103,10 +110,25 @@ impl Fitter {
     fn fit(&mut self, delivery: &Delivery) {
         let frame = &delivery.captured.frame;
         let start_ns = monotonic_ns();
-        let results = self.tracker.track_all(frame);
+        let inbox = &self.shared.inbox;
+        let watch = || {
+            let spent = Duration::from_nanos(monotonic_ns().saturating_sub(start_ns));
+            match inbox.waiting() {
+                Waiting::End => Some(Stop::Cancelled),
+                Waiting::Swap if spent > LIMITS.swap_time => Some(Stop::Cancelled),
+                Waiting::Swap | Waiting::Nothing => (spent > LIMITS.frame_time).then_some(Stop::Budget),
+            }
+        };
+        let results = self.tracker.track_all_while(frame, &watch);
         let end_ns = monotonic_ns();
-        if let (Some(light), Some(first)) = (&mut self.light, results.first()) {
-            light.follow(first);
+        if inbox.waiting() == Waiting::End && results.iter().any(|result| result.ending == Ending::Cancelled) {
+            return; // nobody asked for half a fit
+        }
+        if let Some(preparation) = self.tracker.wanted() {
+            self.beside.prepare(&self.name, preparation);
+        }
+        if let (Some(knob), Some(first)) = (&mut self.knob, results.first()) {
+            knob.follow(first);
         }
         let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
         self.next_frame = Some(frame.sequence + 1);
@@ -134,12 +156,14 @@ impl Fitter {
         let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, result);
         estimate.session = Some(self.name.clone());
         estimate.file = captured.file.clone();
-        estimate.capture_ns = frame.capture_ns;
+        let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
+        estimate.capture_ns = Some(capture_ns);
+        estimate.time_s = frame.time_s;
         estimate.publish_ns = Some(end_ns);
         estimate.truth =
             captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
         // Below 0 where a driver's stamp lies ahead of the clock.
-        let wait = frame.capture_ns.map(|capture_ns| (start_ns as i64 - capture_ns as i64) / 1000);
+        let wait = Some((start_ns as i64 - capture_ns as i64) / 1000);
         let fit = end_ns.saturating_sub(start_ns) / 1000;
         estimate.timing_us = Some(Timing { wait, fit });
         estimate

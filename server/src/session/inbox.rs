@@ -4,15 +4,17 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use isophote_capture::Captured;
+use isophote_wire::Estimate;
 use tokio::sync::oneshot;
 
 use super::swap::Swap;
-use crate::wire::Estimate;
 
 /// One frame on its way to the sessions that share its source.
 pub struct Delivery {
     /// The frame and what is known about it.
     pub captured: Captured,
+    /// When the source handed it on, CLOCK_MONOTONIC.
+    pub sent_ns: u64,
     /// Who pushed it and waits for its estimate.
     pub reply: Mutex<Option<Reply>>,
 }
@@ -44,6 +46,17 @@ pub enum Event {
     SourceEnded(SourceEnd),
     /// Leave.
     Closed,
+}
+
+/// What a fit that takes long holds up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Waiting {
+    /// Nothing but the next frame.
+    Nothing,
+    /// A new model.
+    Swap,
+    /// Whoever stops the session.
+    End,
 }
 
 /// The slot between source and fit thread: the newest frame wins.
@@ -112,6 +125,16 @@ impl Inbox {
         };
         self.changed.notify_all();
         drop((frame, swaps));
+    }
+
+    /// For the fit thread during a fit: what waits for it to end.
+    pub fn waiting(&self) -> Waiting {
+        let state = self.lock();
+        match (state.is_closed, state.swaps.is_empty()) {
+            (true, _) => Waiting::End,
+            (false, false) => Waiting::Swap,
+            (false, true) => Waiting::Nothing,
+        }
     }
 
     /// For the fit thread: what comes next. Calling it says that the last event is done with.

@@ -1,5 +1,6 @@
 //! A session: one named fit thread that follows one target in the frames of one source.
 
+mod beside;
 mod fit;
 pub mod inbox;
 mod status;
@@ -9,20 +10,20 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use isophote_tracker::{Camera, TrackError, Tracker};
+use isophote_tracker::{TrackError, Tracker};
 use tokio::sync::oneshot;
 
-use crate::clock::{elapsed_ms, monotonic_ns};
-use crate::explain::compile_problem;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::registry::Entry;
+use crate::registry::ModelEntry;
 use crate::source::{Shape, Source};
-use crate::threads::Threads;
-use crate::wire::{SessionDocument, SessionState, SessionView};
-use fit::{Fitter, Light};
+use beside::Beside;
+use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
+use isophote_machine::Threads;
+use isophote_machine::{elapsed_ms, monotonic_ns};
+use isophote_wire::{SessionDocument, SessionState, SessionView};
 use status::Status;
 pub use swap::Swapped;
 use swap::{Active, Swap};
@@ -55,7 +56,6 @@ pub struct SourceOf {
 pub struct Session {
     name: String,
     document: SessionDocument,
-    camera: Camera,
     source: SourceOf,
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -65,24 +65,34 @@ pub struct Session {
 
 impl Session {
     /// Compiles, checks, and starts the thread. Only from the compile thread.
-    pub fn start(name: &str, document: SessionDocument, source: SourceOf, entry: &Entry) -> Result<Session, Problem> {
+    pub fn start(
+        name: &str,
+        document: SessionDocument,
+        source: SourceOf,
+        entry: &ModelEntry,
+    ) -> Result<Session, Problem> {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
             .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
-        let mut camera = document.camera.clone();
-        camera.saturation = camera.saturation.or(source.source.shape().saturation);
         let compiled = entry.kernels(document.options.precision)?;
         if let Some(format) = source.source.shape().format {
-            compiled.warm(format, &Threads).map_err(compile_problem)?;
+            compiled.warm(format, &Threads)?;
         }
-        let options = swap::options(&document, &camera, &entry.model, false);
+        let options = swap::options(&document);
         let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
-        let light = Light::of(&document.options, &source.source)?;
-        let fitter =
-            Fitter { name: name.to_string(), shared: shared.clone(), tracker, active, light, next_frame: None };
+        let knob = ExposureKnob::of(&document.options, &source.source)?;
+        let fitter = Fitter {
+            name: name.to_string(),
+            shared: shared.clone(),
+            tracker,
+            active,
+            knob,
+            beside: Beside::default(),
+            next_frame: None,
+        };
         let (runs, running) = std::sync::mpsc::sync_channel::<()>(0);
         let run = move || {
             let _runs = runs;
@@ -94,7 +104,7 @@ impl Session {
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
         source.source.subscribe(&shared.inbox);
         let (thread, running) = (Mutex::new(Some(thread)), Mutex::new(running));
-        Ok(Session { name: name.to_string(), document, camera, source, shared, thread, running })
+        Ok(Session { name: name.to_string(), document, source, shared, thread, running })
     }
 
     /// Its estimates.
@@ -124,7 +134,7 @@ impl Session {
         let mut document = self.document.clone();
         let status = self.shared.status();
         document.model = status.active.name.clone();
-        let state = status.state(monotonic_ns(), self.source.source.is_steady());
+        let state = status.state(monotonic_ns(), &self.source.source);
         let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
         let trouble = self.source.source.trouble().filter(|_| !is_over);
         let (state, reason) = trouble.unwrap_or_else(|| (state, status.reason.clone()));
@@ -147,7 +157,7 @@ impl Session {
 
     /// Compiles a model and hands it to the fit thread, which takes it between two frames. Only from the compile thread,
     /// so that swaps are ordered. Answers the compile time and where the fit thread's answer will come.
-    pub fn begin_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    pub fn begin_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let before = std::mem::replace(&mut self.shared.status().requested_model, entry.name.to_string());
         let result = self.try_swap(entry);
         if result.is_err() {
@@ -156,16 +166,16 @@ impl Session {
         result
     }
 
-    fn try_swap(&self, entry: &Entry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    fn try_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
         check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
         let start_ns = monotonic_ns();
         let compiled = entry.kernels(self.document.options.precision)?;
         if let Some(format) = shape.format {
-            compiled.warm(format, &Threads).map_err(compile_problem)?;
+            compiled.warm(format, &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options(&self.document, &self.camera, &entry.model, true);
+        let options = swap::options_known(&self.document, &entry.model);
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
         Tracker::new(compiled.clone(), options.clone())
             .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
@@ -223,6 +233,14 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
             model.name()
         ));
     }
+    // Columns are found by name; any may be over.
+    if let Some(columns) = &shape.columns {
+        let missing = model.channels().iter().find(|channel| !columns.contains(channel));
+        return missing.map_or(Ok(()), |channel| {
+            let names = columns.join(", ");
+            Err(format!("no column is named `{channel}`, which the model `{}` reads; there are {names}", model.name()))
+        });
+    }
     if let Some(planes) = shape.planes.filter(|planes| *planes != channels && !(*planes == 3 && channels == 1)) {
         return Err(format!(
             "the model `{}` has {channels} channels, the source's frames have {planes} planes",
@@ -233,7 +251,7 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), St
 }
 
 /// The key of the option that a tracker refuses.
-fn wrong_options(document: &SessionDocument, entry: &Entry, error: &TrackError) -> Problem {
+fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant, error) {

@@ -3,10 +3,10 @@
 use std::collections::VecDeque;
 
 use isophote_tracker::Frame;
+use isophote_wire::SessionState;
 
 use super::swap::Active;
-use crate::source::Shape;
-use crate::wire::SessionState;
+use crate::source::{Shape, Source};
 
 /// Estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;
@@ -63,7 +63,7 @@ impl Status {
                 dimensions: Some(frame.size().len()),
                 planes: Some(frame.planes().len()),
                 format: frame.planes().first().map(|plane| plane.format),
-                saturation: None,
+                columns: frame.names().map(<[String]>::to_vec),
                 size: Some(frame.size().to_vec()),
             });
         }
@@ -75,13 +75,13 @@ impl Status {
         self.reason = Some(reason);
     }
 
-    /// What it does at the time `now_ns`.
-    pub fn state(&self, now_ns: u64, is_steady: bool) -> SessionState {
+    /// What it does at the time `now_ns`, with frames from that source.
+    pub fn state(&self, now_ns: u64, source: &Source) -> SessionState {
         let Some(last_ns) = self.times_ns.back() else { return self.ended.unwrap_or(SessionState::Starting) };
         let first_ns = self.times_ns.front().unwrap_or(last_ns);
         let period_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
         let is_late = now_ns.saturating_sub(*last_ns) > STALL_NS.max(STALL_PERIODS * period_ns);
-        let running = if is_steady && is_late { SessionState::Stalled } else { SessionState::Running };
+        let running = if source.is_steady() && is_late { SessionState::Stalled } else { SessionState::Running };
         self.ended.unwrap_or(running)
     }
 

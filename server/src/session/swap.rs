@@ -1,14 +1,13 @@
 //! A model on its way into a running session, and the answer when it is there.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use isophote_tracker::{Camera, Compiled, MotionOptions, PredictOptions, TrackerOptions};
+use isophote_tracker::{Compiled, MotionOptions, PredictOptions, Preparing, TrackerOptions, WORK_MAX};
+use isophote_wire::{PredictDocument, SessionDocument, Window};
 use tokio::sync::oneshot;
 
-use crate::registry::Entry;
-use crate::wire::{PredictDocument, SessionDocument, Window};
+use crate::registry::ModelEntry;
 
 /// A model that fits, or will.
 #[derive(Clone)]
@@ -23,7 +22,7 @@ pub struct Active {
 
 impl Active {
     /// The model of a registry's entry.
-    pub fn new(entry: &Entry) -> Active {
+    pub fn new(entry: &ModelEntry) -> Active {
         Active { name: entry.name.to_string(), id: entry.id().into(), model: entry.model.clone() }
     }
 }
@@ -51,18 +50,23 @@ pub struct Swapped {
     pub reset: Vec<String>,
 }
 
-/// The options of a session for a model. Constants and starting values that the model does not know are left out when
-/// `is_swap`: they belong to the model that ran before, and come back with it.
-pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_swap: bool) -> TrackerOptions {
-    let known = |names: &BTreeMap<String, f64>, has: &dyn Fn(&str) -> bool| {
-        names.iter().filter(|(name, _)| !is_swap || has(name)).map(|(name, value)| (name.clone(), *value)).collect()
-    };
+/// The options of a session for a model to which it is swapped. Constants and starting values that the model does not know are
+/// left out: they belong to the model that ran before, and come back with it.
+pub fn options_known(document: &SessionDocument, model: &Model) -> TrackerOptions {
+    let mut options = options(document);
+    options.start.retain(|name, _| model.parameter(name).is_some());
+    options.constants.retain(|name, _| model.constant(name).is_some());
+    options
+}
+
+/// The options of a session.
+pub fn options(document: &SessionDocument) -> TrackerOptions {
     TrackerOptions {
         precision: document.options.precision,
         window: document.window.map(jit_window),
-        start: known(&document.start, &|name| model.parameter(name).is_some()),
-        constants: known(&document.constants, &|name| model.constant(name).is_some()),
-        camera: camera.clone(),
+        start: document.start.clone(),
+        constants: document.constants.clone(),
+        camera: document.camera.clone(),
         target: document.target.clone(),
         targets: document.options.targets,
         motion: MotionOptions {
@@ -72,6 +76,8 @@ pub fn options(document: &SessionDocument, camera: &Camera, model: &Model, is_sw
         },
         confidence_min: document.options.confidence_min,
         exposure: Some(document.options.exposure.goal),
+        alternatives: Preparing::Beside,
+        work_max: WORK_MAX,
         predict: document
             .options
             .predict

@@ -3,10 +3,11 @@
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use isophote_capture::{Camera, CameraState};
+use isophote_capture::{CameraState, LiveCamera};
+use isophote_machine::monotonic_ns;
+use isophote_wire::SourceState;
 
 use super::{Source, State, Worker};
-use crate::wire::SourceState;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
 const LOOK: Duration = Duration::from_millis(200);
@@ -39,7 +40,7 @@ impl Source {
 
 impl Worker {
     /// Until the source stops.
-    pub(super) fn run_camera(&mut self, mut camera: Camera) {
+    pub(super) fn run_camera(&mut self, mut camera: LiveCamera) {
         loop {
             if !self.is_open() {
                 camera.rest();
@@ -49,7 +50,9 @@ impl Worker {
                 }
                 continue;
             }
-            if let Some(captured) = camera.next(LOOK) {
+            if let Some(mut captured) = camera.next(LOOK) {
+                // Some drivers do not say when.
+                captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
                 self.deliver(captured, None);
             }
             self.report(&camera);
@@ -66,7 +69,7 @@ impl Worker {
         is_wanted
     }
 
-    fn report(&self, camera: &Camera) {
+    fn report(&self, camera: &LiveCamera) {
         let (source_state, reason) = match camera.state() {
             CameraState::Resting => (SourceState::Idle, None),
             CameraState::Running => (SourceState::Running, None),

@@ -17,14 +17,14 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use isophote_capture::camera::CameraStatus;
-use isophote_capture::{Camera, Captured, Exposure, FrameSource, Wake};
+use isophote_capture::{Captured, Exposure, FrameSource, LiveCamera, Wake};
 use isophote_jit::PixelFormat;
 
-use crate::clock::monotonic_ns;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
-use crate::wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
+use isophote_machine::monotonic_ns;
+use isophote_wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
 pub use open::{Opened, camera_problem, open, pixel_format};
 use schedule::Schedule;
 
@@ -37,8 +37,8 @@ pub struct Shape {
     pub planes: Option<usize>,
     /// Of the pixels.
     pub format: Option<PixelFormat>,
-    /// Largest pixel value.
-    pub saturation: Option<f64>,
+    /// What the planes are called, where they are columns of a table.
+    pub columns: Option<Vec<String>>,
     /// px, inner first.
     pub size: Option<Vec<usize>>,
 }
@@ -50,7 +50,7 @@ pub enum Producer {
     /// Clients send them.
     Pushed,
     /// A camera sends them.
-    Camera(Box<Camera>),
+    Camera(Box<LiveCamera>),
 }
 
 /// A running source.
@@ -263,6 +263,8 @@ impl Worker {
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
             drop(state);
             self.wait_for_fits(); // every pushed frame is answered
+            let mut captured = captured;
+            captured.frame.capture_ns = Some(monotonic_ns());
             self.number(captured, Some(reply));
         }
     }
@@ -309,9 +311,8 @@ impl Worker {
         self.deliver(captured, reply);
     }
 
-    fn deliver(&mut self, mut captured: Captured, reply: Option<Reply>) {
-        captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
-        let delivery = Arc::new(Delivery { captured, reply: Mutex::new(reply) });
+    fn deliver(&mut self, captured: Captured, reply: Option<Reply>) {
+        let delivery = Arc::new(Delivery { captured, sent_ns: monotonic_ns(), reply: Mutex::new(reply) });
         let sessions = {
             let mut state = self.shared.lock();
             state.frames += 1;

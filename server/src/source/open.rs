@@ -5,18 +5,18 @@ use std::sync::Arc;
 
 use isophote_capture::camera::FormatWanted;
 use isophote_capture::{
-    Camera, CameraError, CameraSpec, Captured, FrameSource, Recording, SourceError, Synthetic, SyntheticError,
+    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, Recording, SourceError, Synthetic, SyntheticError,
     SyntheticSpec,
 };
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
+use isophote_wire::{
+    CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
+};
 
 use super::{Producer, Shape};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::{
-    CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
-};
 
 /// A source that is ready to start.
 pub struct Opened {
@@ -82,7 +82,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         dimensions: Some(model.coordinates().len()),
         planes: Some(model.channels().len()),
         format: Some(if document.bits <= 8 { PixelFormat::U8 } else { PixelFormat::U16 }),
-        saturation: Some(saturation),
+        columns: None,
         size: source.size(),
     };
     let producer = Producer::Frames(Box::new(source));
@@ -94,18 +94,16 @@ fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Mo
     let wrong = |error: SourceError| Problem::wrong_key("wrong-source", &format!("{prefix}path"), error.to_string());
     // Pictures are stacked when the model that looks at them has more than two coordinates.
     let dimensions = reader.map_or(2, |model| model.coordinates().len());
-    let mut recording = Recording::of_dimensions(Path::new(&document.path), dimensions).map_err(wrong)?;
-    // Columns of a table are picked by name; planes of images are left as they are, for each session to pick from.
-    let is_table = recording.csv_channels().map_err(wrong)?.is_some();
-    if let (true, Some(model)) = (is_table, reader) {
-        recording = recording.for_channels(model.channels());
-    }
+    let recording = Recording::of_dimensions(Path::new(&document.path), dimensions).map_err(wrong)?;
+    let recording = recording.at_rate(document.rate_hz);
+    // All planes and columns are left as they are, for each session to pick from.
+    let columns = recording.csv_channels().map_err(wrong)?;
     let size = recording.size();
     let shape = Shape {
-        dimensions: size.as_ref().map(Vec::len).or(is_table.then_some(1)),
+        dimensions: size.as_ref().map(Vec::len).or(columns.is_some().then_some(1)),
         planes: None,
         format: None,
-        saturation: None,
+        columns,
         size,
     };
     let source: Box<dyn FrameSource> = if document.repeat { Box::new(Loop(recording)) } else { Box::new(recording) };
@@ -119,7 +117,7 @@ fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Proble
         dimensions: Some(2),
         planes: None, // a PNG may have colour
         format: Some(format),
-        saturation: None,
+        columns: None,
         size: Some(vec![document.width, document.height]),
     };
     Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0 })
@@ -152,12 +150,12 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         colour: document.colour,
         controls: document.controls.clone(),
     };
-    let camera = Camera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
+    let camera = LiveCamera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
     let shape = Shape {
         dimensions: Some(2),
         planes: Some(camera.planes()),
         format: Some(camera.pixel_format()),
-        saturation: Some(camera.saturation()),
+        columns: None,
         size: Some(camera.size().to_vec()),
     };
     Ok(Opened { producer: Producer::Camera(Box::new(camera)), shape, pace: Pace::Realtime, rate_hz: 0.0 })

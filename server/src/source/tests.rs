@@ -7,10 +7,10 @@ use std::sync::Arc;
 use isophote_capture::{Captured, FrameSource, SourceError};
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
+use isophote_wire::{Pace, PushedDocument, PushedFormat, SourceDocument, SourceState};
 
 use super::{Opened, Producer, Shape, Source};
 use crate::session::inbox::{Event, Inbox, SourceEnd};
-use crate::wire::{Pace, PushedDocument, PushedFormat, SourceDocument, SourceState};
 
 /// So many frames, then `None` or a panic.
 struct Counted {

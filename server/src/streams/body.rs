@@ -7,11 +7,11 @@ use axum::body::{Body, Bytes};
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
+use isophote_wire::Estimate;
 use tokio::sync::mpsc;
 
 use crate::hub::{Next, Subscription};
 use crate::limits::LIMITS;
-use crate::wire::Estimate;
 
 /// How messages are set apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

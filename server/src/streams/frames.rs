@@ -1,5 +1,6 @@
 //! Frames over a WebSocket, `isophote.v1`: one binary message a frame, answered in order by one JSON text message, the
-//! estimate or a problem. While a frame is fitted the next ones are decoded; further ones wait in the client's socket.
+//! estimate or a problem. A text message, `{"time_s": 1.25}`, says when the frame after it was taken. While a frame is
+//! fitted the next ones are decoded; further ones wait in the client's socket.
 
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -8,13 +9,13 @@ use std::time::Instant;
 
 use axum::extract::ws::{Message, WebSocket};
 use isophote_tracker::Frame;
+use isophote_wire::{Estimate, FrameTime};
 
 use super::pushed::{Pushed, Waiting, gone};
 use super::websocket::{close, refuse, send};
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::wire::Estimate;
 
 type Decoding = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 
@@ -36,6 +37,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
     // One frame is decoded at a time, so that frames keep their order; then they wait for their fits.
     let mut decoding: Option<Decoding> = None;
     let mut waiting: VecDeque<Result<Waiting, Problem>> = VecDeque::new();
+    let mut next = FrameTime::default();
     loop {
         let has_room = decoding.is_none() && waiting.len() < LIMITS.pushed_window;
         let turn = tokio::select! {
@@ -74,13 +76,19 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                 heard = Instant::now();
                 match message {
                     Message::Binary(bytes) => {
-                        let pushed = pushed.clone();
+                        let (pushed, FrameTime { time_s }) = (pushed.clone(), std::mem::take(&mut next));
                         decoding = Some(Box::pin(async move {
                             let media = pushed.media(&bytes);
-                            pushed.decode(media, bytes.into()).await
+                            pushed.decode(media, bytes.into(), time_s).await
                         }));
                     }
-                    Message::Text(_) => return refuse(&mut socket, "messages are frames, each a binary one").await,
+                    Message::Text(text) => match serde_json::from_str(&text) {
+                        Ok(time) => next = time,
+                        Err(error) => {
+                            let reason = format!("frames are binary; text says when the next was taken: {error}");
+                            return refuse(&mut socket, &reason).await;
+                        }
+                    },
                     Message::Close(_) | Message::Ping(_) | Message::Pong(_) => {}
                 }
             }

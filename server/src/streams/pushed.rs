@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use isophote_capture::Captured;
+use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
+use isophote_wire::{Estimate, PushedDocument, SourceDocument};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -12,12 +14,6 @@ use crate::problem::Problem;
 use crate::session::Session;
 use crate::session::inbox::{Inbox, Reply};
 use crate::source::{Source, pixel_format};
-use crate::wire::{Estimate, PushedDocument, SourceDocument};
-
-/// What a PNG file begins with.
-const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
-/// What a JPEG file begins with.
-const JPEG: &[u8] = b"\xff\xd8\xff";
 
 /// What the bytes of a frame are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,11 +62,12 @@ impl Pushed {
         media(&self.document, bytes)
     }
 
-    /// Decodes on a thread where it may take its time.
-    pub async fn decode(&self, media: Media, bytes: Vec<u8>) -> Result<Frame, Problem> {
+    /// Decodes on a thread where it may take its time. `time_s` is the client's.
+    pub async fn decode(&self, media: Media, bytes: Vec<u8>, time_s: Option<f64>) -> Result<Frame, Problem> {
         let document = self.document.clone();
         let decoding = tokio::task::spawn_blocking(move || decode(&document, media, bytes));
-        decoding.await.map_err(|_| Problem::bug("decoding panicked"))?
+        let frame = decoding.await.map_err(|_| Problem::bug("decoding panicked"))??;
+        Ok(frame.with_time_s(time_s))
     }
 
     /// Hands a frame to the source; frames are fitted in the order of these calls.
@@ -103,7 +100,7 @@ pub fn gone() -> Problem {
 
 /// Pixels that begin like a JPEG are possible; the eight bytes of a PNG are not.
 fn media(document: &PushedDocument, bytes: &[u8]) -> Media {
-    let is_image = bytes.starts_with(PNG) || (bytes.starts_with(JPEG) && bytes.len() != raw_bytes(document));
+    let is_image = is_png(bytes) || (is_jpeg(bytes) && bytes.len() != raw_bytes(document));
     if is_image { Media::Image } else { Media::Raw }
 }
 
@@ -140,7 +137,7 @@ fn decode(document: &PushedDocument, media: Media, bytes: Vec<u8>) -> Result<Fra
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::wire::PushedFormat;
+    use isophote_wire::PushedFormat;
 
     /// A frame of 4 × 3 pixels has 24 bytes.
     #[test]

@@ -3,10 +3,10 @@
 use std::time::{Duration, Instant};
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use isophote_wire::CreditDocument;
 
 use crate::hub::{End, Mode, Next, Subscription};
 use crate::limits::LIMITS;
-use crate::wire::CreditDocument;
 
 /// How many more messages the client takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

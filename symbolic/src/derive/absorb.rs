@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use rustc_hash::FxHashMap;
 
-use crate::derive::graph::{Bits, Graph, Node, NodeId, content};
 use crate::derive::jet::Jet;
+use crate::language::graph::{Bits, Graph, Node, NodeId, content};
 use crate::program::Level;
 
 /// Takes invariant factors into sums that nothing else uses (v1 · (k1 + 2 k2 s) with both coefficients known per pass), so

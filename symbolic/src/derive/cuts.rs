@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::graph::{Graph, Node, NodeId, operands};
+use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::program::Level;
 
 /// Shared pixel nodes that the chain rule may treat as variables: used more than once or nonlinearly, not mere offsets,

@@ -9,15 +9,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::absorb::{absorb, absorb_numbers};
-use crate::derive::bodies::Part;
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
-use crate::derive::likelihood::Shape;
 use crate::derive::monomial::{Polynomial, Splitter, whole_output};
 use crate::derive::rank::{Combination, dependent};
+use crate::derive::schedule;
+use crate::derive::sums::{Output, Sums, Term};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::Cost;
-use crate::program::schedule::{self, Output, Sums, Term};
+use crate::proof::claim::Part;
+use crate::proof::likelihood::Shape;
 
 /// What is differentiated: the same for every choice.
 #[derive(Clone, Copy)]

@@ -3,13 +3,13 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::jet::jet;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{Comparison, CoordinateId, Level};
 
 /// Where a model holds: both must, when both are there.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Region {
+pub(crate) struct PixelRegion {
     /// Row values: lo ≤ x ≤ hi.
     pub bounds: Option<(NodeId, NodeId)>,
     /// A pixel truth value.
@@ -17,7 +17,7 @@ pub(crate) struct Region {
 }
 
 /// Takes a condition apart.
-pub(crate) fn region(graph: &mut Graph, condition: NodeId) -> Region {
+pub(crate) fn region(graph: &mut Graph, condition: NodeId) -> PixelRegion {
     let mut parts = Vec::new();
     let mut stack = vec![condition];
     while let Some(id) = stack.pop() {
@@ -26,7 +26,7 @@ pub(crate) fn region(graph: &mut Graph, condition: NodeId) -> Region {
             _ => parts.push(id),
         }
     }
-    let mut region = Region::default();
+    let mut region = PixelRegion::default();
     for part in parts {
         match bounds(graph, part) {
             Some((lo, hi)) => {

@@ -3,7 +3,7 @@
 //! What comes in: a model, the first entry of whose `observed` is meant ([`Model::summands`] has one model for each).
 //! What goes out: the channel that it is, and its prediction at a place. It never knows a picture.
 
-use crate::derive::graph::{Node, NodeId};
+use crate::language::graph::{Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{ChannelId, Input};
 

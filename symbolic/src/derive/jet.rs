@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rustc_hash::FxHashMap;
 
-use crate::derive::graph::{Graph, Node, NodeId, operands};
+use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::program::Comparison;
 use crate::program::function::{Function1, Function2};
 

@@ -8,63 +8,14 @@
 //!
 //! Gauss–Newton of a robust ρ uses the weight ρ′/(2r), which is never negative (iteratively reweighted least squares).
 
-use crate::derive::graph::{Graph, NodeId};
 use crate::derive::jet::{Jet, jet};
+use crate::language::graph::{Graph, NodeId};
+use crate::language::model::Loss;
 use crate::program::Comparison;
 use crate::program::function::Function1;
-use crate::proof::calculus::derivatives;
-use crate::proof::evaluate::Number;
-use crate::proof::hyper::Hyper;
-
-/// How residuals count.
-#[derive(Clone, Copy, PartialEq, Debug, Default)]
-pub enum Loss {
-    /// Their square.
-    #[default]
-    Squares,
-    /// Huber's: beyond c standard deviations linearly.
-    Huber(f64),
-    /// Tukey's biweight: beyond c standard deviations not at all.
-    Tukey(f64),
-}
-
-/// What becomes of a pixel at its channel's limit.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub enum Saturated {
-    /// It is left out.
-    #[default]
-    Dropped,
-    /// It is left out where it is predicted to be near the limit, whatever it shows.
-    Predicted,
-    /// It says that there was at least that much light.
-    Censored,
-}
-
-/// F of a pixel as a function of r and σ².
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub(crate) enum Shape {
-    /// Of a pixel below its limit.
-    Seen(Loss),
-    /// Of a pixel at its limit.
-    Clipped(Loss),
-}
-
-/// −2 ln Q(c) and its slope: what a tail is continued with beyond c.
-fn bend(c: f64) -> (f64, f64) {
-    (-2.0 * Function1::LogTail.value(c), 2.0 * Function1::Hazard.value(c))
-}
+use crate::proof::likelihood::{Shape, bend};
 
 impl Shape {
-    /// True when F is put together of pieces.
-    pub fn is_conditional(self) -> bool {
-        self != Shape::Seen(Loss::Squares)
-    }
-
-    /// True when F has ln σ² as well.
-    pub fn has_logarithm(self) -> bool {
-        matches!(self, Shape::Seen(_))
-    }
-
     /// F without ln σ².
     pub fn value(self, graph: &mut Graph, residual: NodeId, variance: Option<NodeId>) -> NodeId {
         let factors = [(residual, 2)].into_iter().chain(variance.map(|v| (v, -1)));
@@ -128,78 +79,6 @@ impl Shape {
         own.first.insert(residual, graph.product(2.0, factors(&[(weight, 1), (residual, 1)])));
         own.second.insert((residual, residual), graph.product(2.0, factors(&[(weight, 1)])));
         (total, own)
-    }
-
-    /// F, gradient and upper Hessian of one pixel value, in any arithmetic: of Newton's method, …
-    #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
-    pub fn newton<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>) -> Hyper<N> {
-        let square = variance.map_or_else(|| residual.power(2), |v| residual.power(2).mul(&v.power(-1)));
-        let f = match self {
-            Shape::Seen(Loss::Squares) => square,
-            Shape::Seen(Loss::Tukey(c)) if square.value < N::from(c * c) => {
-                let rest = Hyper::fixed(N::from(1.0)).add(&square.scaled(-1.0 / (c * c)));
-                Hyper::fixed(N::from(c * c / 3.0)).add(&rest.power(3).scaled(-c * c / 3.0))
-            }
-            Shape::Seen(Loss::Tukey(c)) => Hyper::fixed(N::from(c * c / 3.0)),
-            Shape::Seen(Loss::Huber(c)) if square.value < N::from(c * c) => square,
-            Shape::Seen(Loss::Huber(c)) => Hyper::fixed(N::from(-c * c)).add(&square.sqrt().scaled(2.0 * c)),
-            Shape::Clipped(loss) => {
-                let z = variance.map_or_else(|| residual.clone(), |v| residual.mul(&v.sqrt().power(-1)));
-                match loss {
-                    Loss::Tukey(c) if z.value >= N::from(c) => Hyper::fixed(N::from(bend(c).0)),
-                    Loss::Huber(c) if z.value >= N::from(c) => {
-                        let (value, slope) = bend(c);
-                        Hyper::fixed(N::from(value - slope * c)).add(&z.scaled(slope))
-                    }
-                    _ => z.unary(derivatives(Function1::LogTail, z.value)).scaled(-2.0),
-                }
-            }
-        };
-        match variance {
-            Some(v) if self.has_logarithm() => f.add(&v.unary(derivatives(Function1::Log, v.value))),
-            _ => f,
-        }
-    }
-
-    /// … and F, L and Q, of Gauss–Newton.
-    #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
-    pub fn direct<N: Number>(self, residual: N, variance: Option<N>) -> [N; 3] {
-        let (one, two, four) = (N::from(1.0), N::from(2.0), N::from(4.0));
-        let weight = variance.map_or(one, |v| one / v);
-        let square = residual * residual * weight;
-        let weighed = |value: N, w: N| [value, two * w * residual * weight, two * w * weight];
-        match self {
-            Shape::Seen(Loss::Squares) => weighed(square, one),
-            Shape::Seen(Loss::Tukey(c)) if square < N::from(c * c) => {
-                let third = N::from(c * c / 3.0);
-                let rest = one - N::from(1.0 / (c * c)) * square;
-                weighed(third - third * (rest * rest * rest), rest * rest)
-            }
-            Shape::Seen(Loss::Tukey(c)) => weighed(N::from(c * c / 3.0), N::from(0.0)),
-            Shape::Seen(Loss::Huber(c)) if square < N::from(c * c) => weighed(square, one),
-            Shape::Seen(Loss::Huber(c)) => {
-                let root = square.sqrt();
-                weighed(N::from(2.0 * c) * root - N::from(c * c), N::from(c) / root)
-            }
-            Shape::Clipped(loss) => {
-                let deviation = variance.map_or(one, |v| v.sqrt());
-                let z = residual / deviation;
-                let zero = N::from(0.0);
-                match loss {
-                    Loss::Tukey(c) if z >= N::from(c) => [N::from(bend(c).0), zero, zero],
-                    Loss::Huber(c) if z >= N::from(c) => {
-                        let (value, slope) = bend(c);
-                        [N::from(value - slope * c) + N::from(slope) * z, N::from(slope) / deviation, zero]
-                    }
-                    _ => {
-                        let hazard = z.call1(Function1::Hazard);
-                        let log = z.call1(Function1::LogTail);
-                        let slope = two * hazard / deviation;
-                        [-(two * log), slope, four * hazard * (hazard - z) * weight / two]
-                    }
-                }
-            }
-        }
     }
 }
 

@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::derive::sums::{Output, Term};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
-use crate::program::schedule::{Output, Term};
 
 /// A product of powers: of pixel values (summed over the row) and of row values (applied to the row's total).
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]

@@ -9,30 +9,22 @@
 use std::sync::Arc;
 
 use crate::derive::absorb::gather;
-use crate::derive::bodies::Part;
 use crate::derive::derivation::{Cuts, Derivation, Target};
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::Saturated;
+use crate::derive::expressions::Expressions;
 use crate::derive::monomial::whole_output;
+use crate::derive::schedule;
 use crate::derive::search;
+use crate::derive::sums::{Output, Sums};
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::model::{Lowering, Method, Model};
-use crate::program::schedule::{self, Output, Sums};
+use crate::language::model::{Lowering, Method, Model, Saturated};
 use crate::program::{ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
+use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
-use crate::proof::referee::{Claim, Referee, Subject};
+use crate::proof::referee::{Referee, Subject};
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
-
-/// What a value objective sums.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum ValueKind {
-    /// Σ r²/σ², σ² held at the entry parameters: what a pass' steps are compared by. One output, F.
-    Entry,
-    /// Σ r²/σ² + ln σ² at the parameters themselves, for the report. Two outputs: F, and Σ r²/σ².
-    Full,
-}
 
 /// Predicted to be within so many standard deviations of the limit is near it.
 const NEAR_LIMIT: f64 = 3.0;
@@ -64,7 +56,7 @@ pub struct Objective {
     /// What its programs are held against.
     referee: Arc<Referee>,
     origin: Origin,
-    pub(crate) forms: Vec<(String, NodeId)>,
+    forms: Vec<(String, NodeId)>,
 }
 
 /// How a program is lowered for its check; others differ in contraction and in the pixels that they leave out.
@@ -169,13 +161,20 @@ impl Objective {
         Ok(self.origin.checked(&graph, draft)?.cost())
     }
 
-    pub(crate) fn graph(&self) -> &Graph {
-        &self.graph
+    /// What [`Self::outputs`] and [`Self::forms`] are made of.
+    pub fn expressions(&self) -> Expressions<'_> {
+        Expressions::of(&self.graph)
     }
-    pub(crate) fn sums(&self) -> &Sums {
-        &self.sums
+    /// What is summed, by output: F, its gradient, its upper Hessian row by row.
+    pub fn outputs(&self) -> &[Output] {
+        &self.sums.outputs
     }
-    pub(crate) fn names(&self) -> &crate::program::Names {
+    /// The costly pixel values L and Q that a factored derivation multiplies, with their letters.
+    pub fn forms(&self) -> &[(String, NodeId)] {
+        &self.forms
+    }
+    /// What the model calls everything.
+    pub fn names(&self) -> &crate::program::Names {
         &self.names
     }
 

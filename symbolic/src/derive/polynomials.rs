@@ -4,7 +4,7 @@
 use rustc_hash::FxHashMap;
 
 use crate::derive::absorb::shared_factor;
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
 
 /// The highest power that is written out.
@@ -27,7 +27,7 @@ pub(crate) fn collected(graph: &mut Graph, root: NodeId, variable: NodeId) -> No
             }
             None => {
                 // A largest polynomial below this node is written down now.
-                let below: Vec<NodeId> = crate::derive::graph::operands(graph.node(id)).collect();
+                let below: Vec<NodeId> = crate::language::graph::operands(graph.node(id)).collect();
                 for operand in below {
                     if let (Some(list), false) = (coefficients.get(&operand), map.contains_key(&operand)) {
                         let node = written(graph, operand, variable, &list.clone());

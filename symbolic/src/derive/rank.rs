@@ -7,7 +7,7 @@
 //! coefficients that depend on the row the rank is lower still, but such sums cancel: polynomials in a column's number. So
 //! do sums over the branches of a condition, where one is all of a value at some points; these are left as they are.)
 
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::proof::hyper::{Evaluator, Order};
 use crate::proof::modular::Modular;
 use crate::proof::points::Random;
@@ -84,25 +84,5 @@ fn insert(reduced: &mut Vec<(usize, Vec<Modular>)>, mut row: Vec<Modular>) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::program::function::Function1;
-    use crate::program::{ChannelId, CoordinateId};
-
-    #[test]
-    fn combinations_are_found_with_their_coefficients() {
-        let mut graph = Graph::default();
-        let x = graph.coordinate(CoordinateId(0));
-        let phi = graph.channel(ChannelId(0));
-        let t = graph.call1(Function1::Tanh, x);
-        let square = graph.product(1.0, [(t, 2)]);
-        let slope = graph.sum(1.0, [(square, -1.0)]);
-        let mixed = graph.product(1.0, [(t, 1), (phi, 1)]);
-        let sum = graph.sum(0.0, [(mixed, 0.3), (t, -2.5)]);
-        let found = dependent(&graph, &[t, square, mixed, slope, sum, phi]);
-        let expected =
-            vec![(slope, vec![(None, 1.0), (Some(square), -1.0)]), (sum, vec![(Some(t), -2.5), (Some(mixed), 0.3)])];
-        assert_eq!(found, expected);
-        assert!(dependent(&graph, &[t, mixed, phi, x]).is_empty());
-    }
-}
+#[path = "rank_tests.rs"]
+mod tests;

@@ -8,13 +8,14 @@ use std::collections::BTreeSet;
 use crate::derive::absorb::gather;
 use crate::derive::cuts::cut_candidates;
 use crate::derive::derivation::{Cuts, Derivation, Layout, Target, reduced};
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::polynomials::collected;
+use crate::derive::schedule::pixel_cost;
 use crate::derive::square::completed;
+use crate::derive::sums::Sums;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Cost;
-use crate::program::schedule::{Sums, pixel_cost};
 
 /// Derivations tried at most.
 const DERIVATIONS: usize = 32;

@@ -9,43 +9,13 @@ use std::collections::BTreeSet;
 use rustc_hash::FxHashMap;
 
 use crate::derive::domain::parabola;
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::monomial::Splitter;
-use crate::program::schedule::Sums;
+use crate::derive::sums::{Shift, Sums};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level};
 
 /// Sums that are looked at.
 const SUMS: usize = 16;
-
-/// Row totals over d from totals over u = d − e.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub(crate) struct Shift {
-    /// d, a pixel value that is the column plus a row value.
-    offset: NodeId,
-    /// u, another.
-    centred: NodeId,
-    /// e, a row value.
-    pub distance: NodeId,
-}
-
-impl Shift {
-    /// The pixel values whose totals make that of dᵏ · n: uʲ · n for j = 0 … k; `None` stands for the value 1.
-    pub fn parts(&self, graph: &mut Graph, pixel: NodeId) -> Vec<Option<NodeId>> {
-        let factors = match graph.node(pixel) {
-            _ if pixel == self.offset => vec![(pixel, 1)],
-            Node::Product(factors) => factors.to_vec(),
-            _ => return vec![Some(pixel)],
-        };
-        let power = factors.iter().find(|(n, e)| *n == self.offset && *e > 0).map_or(0, |(_, e)| *e);
-        let rest: Vec<_> = factors.into_iter().filter(|(n, e)| *n != self.offset || *e < 0).collect();
-        (0..=power)
-            .map(|j| {
-                let value = graph.product(1.0, rest.iter().copied().chain([(self.centred, j)]));
-                graph.value_of(value).is_none().then_some(value)
-            })
-            .collect()
-    }
-}
 
 /// The sums with their first parabola over the column completed; nothing when there is none.
 pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
@@ -70,7 +40,7 @@ pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
     let whole = graph.product(0.5, [(parabola.curvature, 1), (square, 1)]);
     let is_offset = |n: &NodeId| match graph.node(*n) {
         Node::Sum(_, terms) => {
-            terms.contains(&(x, crate::derive::graph::Bits::new(1.0)))
+            terms.contains(&(x, crate::language::graph::Bits::new(1.0)))
                 && terms.iter().all(|(n, _)| *n == x || graph.level(*n) < Level::Pixel)
         }
         _ => false,

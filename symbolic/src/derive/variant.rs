@@ -3,9 +3,10 @@
 //! What comes in: a checked model. What goes out: a model with the same parameters and constants and a few more, and with one
 //! stage that frees those of the last stage and the new ones. It never knows a picture.
 
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Saturated};
-use crate::language::model::{Constant, Formulas, Method, Model, Observation, Parameter, Stage, Start};
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::{
+    Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage, Start,
+};
 use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
 use crate::proof::hyper::{Evaluator, Order};
 use crate::proof::points::{NEAR, Random, centre, plausible};

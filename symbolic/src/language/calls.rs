@@ -4,11 +4,11 @@ mod series;
 
 use std::rc::Rc;
 
-use crate::derive::graph::NodeId;
 use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{
     Binding, Elaborator, Function, Local, Matrix, Poison, Shape, Worked, fault, shape_of,
 };
+use crate::language::graph::NodeId;
 use crate::language::limits::LIMITS;
 use crate::language::parser::Expr;
 use crate::program::Comparison;

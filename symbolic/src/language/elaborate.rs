@@ -11,12 +11,12 @@ mod unknown;
 use std::collections::{BTreeMap, HashMap};
 use std::rc::Rc;
 
-use crate::derive::graph::{Graph, NodeId};
 use crate::language::diagnostic::{Span, quoted};
 use crate::language::document::Text;
+use crate::language::graph::{Graph, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::parser::{Expr, Fault, Kind};
-use crate::program::function::Function1;
+use crate::language::words::is_reserved;
 use cache::Cache;
 pub(crate) use cache::Task;
 
@@ -97,19 +97,6 @@ pub(crate) enum Binding {
     Function(Rc<Function>),
     /// A definition that failed or stands in a cycle: its fault is already told.
     Poisoned,
-}
-
-/// Names that the language keeps for itself, besides the functions of one argument.
-pub(crate) const RESERVED: [&str; 13] =
-    ["and", "or", "not", "if", "piecewise", "sum", "product", "min", "max", "abs", "sqrt", "pi", "atan2"];
-
-pub(crate) fn is_reserved(name: &str) -> bool {
-    RESERVED.contains(&name) || Function1::named(name).is_some()
-}
-
-/// True of the language's own functions.
-pub(crate) fn is_function(name: &str) -> bool {
-    is_reserved(name) && !matches!(name, "and" | "or" | "not" | "pi")
 }
 
 /// What all formulas of a document share.

@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::language::diagnostic::{Diagnostics, quoted};
 use crate::language::document::{Entry, Item, Key, Text, to_json};
 use crate::language::elaborate::{Binding, Elaborator, Function, Matrix, Workings, fault};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::parser::{Expr, Kind, parse};
 use crate::language::reader::Faults;

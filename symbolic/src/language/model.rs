@@ -5,12 +5,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::derive::bodies::Part;
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Saturated, Shape};
-use crate::derive::objective::{Objective, Prediction, ValueKind};
-use crate::language::diagnostic::{Diagnostics, Span};
-use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId, Program};
+use crate::language::diagnostic::Span;
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId};
 
 /// An unknown of the fit.
 #[derive(Clone, PartialEq, Debug)]
@@ -178,6 +175,30 @@ impl Method {
     }
 }
 
+/// How residuals count.
+#[derive(Clone, Copy, PartialEq, Debug, Default)]
+pub enum Loss {
+    /// Their square.
+    #[default]
+    Squares,
+    /// Huber's: beyond c standard deviations linearly.
+    Huber(f64),
+    /// Tukey's biweight: beyond c standard deviations not at all.
+    Tukey(f64),
+}
+
+/// What becomes of a pixel at its channel's limit.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Saturated {
+    /// It is left out.
+    #[default]
+    Dropped,
+    /// It is left out where it is predicted to be near the limit, whatever it shows.
+    Predicted,
+    /// It says that there was at least that much light.
+    Censored,
+}
+
 /// One step of the schedule.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Stage {
@@ -232,11 +253,6 @@ pub(crate) struct Observation {
 }
 
 impl Formulas {
-    /// What F is of a residual.
-    pub fn shape(&self) -> Shape {
-        if self.clipped.is_some() { Shape::Clipped(self.loss) } else { Shape::Seen(self.loss) }
-    }
-
     /// The same for another entry of `observed`.
     pub fn of_entry(&self, Observation { observed, intensity, shown, noise }: Observation) -> Formulas {
         let entries = vec![Observation { observed, intensity, shown, noise }];
@@ -272,14 +288,6 @@ pub struct Model {
 }
 
 impl Model {
-    /// Reads a TOML document; on failure every fault that was found.
-    pub fn from_toml(text: &str) -> Result<Model, Diagnostics> {
-        crate::language::reader::read(text, crate::language::document::read_toml(text)?)
-    }
-    /// Reads a JSON document; on failure every fault that was found.
-    pub fn from_json(text: &str) -> Result<Model, Diagnostics> {
-        crate::language::reader::read(text, crate::language::document::read_json(text)?)
-    }
     /// Its name.
     pub fn name(&self) -> &str {
         &self.name
@@ -408,30 +416,8 @@ impl Model {
         self.formulas.domain.is_none_or(|domain| self.at_place(domain, place, parameters, constants) == 1.0)
     }
 
-    /// F, its gradient and its Hessian for a subset of the parameters.
-    pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
-        Objective::derive(self, subset, method)
-    }
-    /// Gradient or Hessian in a loop of its own, to compare with the joint loop; it is not checked against the formulas.
-    pub fn part_objective(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Objective, Diagnostics> {
-        Objective::part(self, subset, method, part)
-    }
-    /// F alone.
-    pub fn value_objective(&self, kind: ValueKind) -> Result<Objective, Diagnostics> {
-        Objective::value(self, kind)
-    }
-    /// The program that adds the intensity (the entry of the model's first observation) to a plane, at coordinates plus
-    /// their shifts.
-    pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
-        crate::derive::objective::rendering(self, lowering)
-    }
-
-    /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
-    pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-        crate::derive::objective::prediction(self, what, lowering)
-    }
-
-    pub(crate) fn names(&self, outputs: Vec<String>) -> Names {
+    /// What its programs call everything.
+    pub fn names(&self, outputs: Vec<String>) -> Names {
         Names {
             coordinates: self.coordinates.clone(),
             channels: self.channels.clone(),

@@ -33,38 +33,21 @@ pub(crate) fn places(root: &Entry) -> Places {
 }
 
 impl Model {
+    /// The bytes of the document at `span`, as the user wrote them. `None` beyond the document.
+    pub fn words(&self, span: Span) -> Option<&str> {
+        self.text.get(span.start as usize..span.end as usize)
+    }
+
     /// The key of the formula at `span` (`definitions.s`), and the bytes themselves as the user wrote them. `None` for
     /// bytes that are no part of one string of the document.
     pub fn quote(&self, span: Span) -> Option<(&str, &str)> {
         let at = self.places.partition_point(|(place, _)| place.start <= span.start).checked_sub(1)?;
         let (place, key) = &self.places[at];
-        let text = self.text.get(span.start as usize..span.end as usize)?;
+        let text = self.words(span)?;
         (span.end <= place.end).then_some((key.as_str(), text))
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const TOML: &str = "name = \"flat\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n\
-                        v0 = { start = 0.0 }\n[definitions]\ns = \"v0 * x\"\n[model]\nintensity = \"s + y\"\n";
-    const JSON: &str = r#"{"name": "flat", "coordinates": ["x", "y"], "channels": ["phi"],
-        "parameters": {"v0": {"start": 0.0}}, "definitions": {"s": "v0 * x"}, "model": {"intensity": "s + y"}}"#;
-
-    #[test]
-    fn bytes_of_a_formula_have_its_key() -> Result<(), crate::Diagnostics> {
-        for (model, text) in [(Model::from_toml(TOML)?, TOML), (Model::from_json(JSON)?, JSON)] {
-            let span = |words: &str| {
-                let start = text.find(words).map_or(0, |at| at as u32);
-                Span { start, end: start + words.len() as u32 }
-            };
-            assert_eq!(model.quote(span("v0 * x")), Some(("definitions.s", "v0 * x")));
-            assert_eq!(model.quote(span("s + y")), Some(("model.intensity", "s + y")));
-            assert_eq!(model.quote(span("y\"]")).map(|(key, _)| key), None, "beyond the string");
-            assert_eq!(model.quote(Span { start: 0, end: 1 }), None);
-            assert_eq!(model.quote(Span { start: 1 << 20, end: 1 << 21 }), None, "beyond the document");
-        }
-        Ok(())
-    }
-}
+#[path = "places_tests.rs"]
+mod tests;

@@ -10,11 +10,11 @@ use std::collections::BTreeMap;
 
 use sha2::{Digest, Sha256};
 
-use crate::derive::graph::Graph;
 use crate::language::diagnostic::{Diagnostics, Span, nearest_name, quoted};
-use crate::language::document::{Entry, Item, Key, to_json};
+use crate::language::document::{Entry, Item, Key, read_json, read_toml, to_json};
 use crate::language::elaborate::{Binding, Matrix};
 use crate::language::formulas::{Definition, FormulaReader};
+use crate::language::graph::Graph;
 use crate::language::limits::LIMITS;
 use crate::language::model::{Constant, Estimator, Model, Parameter, Start};
 use crate::program::{ChannelId, ConstantId, CoordinateId, Input, ParameterId};
@@ -28,8 +28,19 @@ const TOP: [&str; 9] =
     ["name", "description", "coordinates", "channels", "parameters", "roles", "definitions", "model", "constants"];
 const MODEL: [&str; 8] = ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature"];
 
+impl Model {
+    /// Reads a TOML document; on failure every fault that was found.
+    pub fn from_toml(text: &str) -> Result<Model, Diagnostics> {
+        read(text, read_toml(text)?)
+    }
+    /// Reads a JSON document; on failure every fault that was found.
+    pub fn from_json(text: &str) -> Result<Model, Diagnostics> {
+        read(text, read_json(text)?)
+    }
+}
+
 /// Checks a document.
-pub(crate) fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Diagnostics> {
+fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Diagnostics> {
     let mut faults = Faults::after(text, of_syntax);
     let Some(top) = faults.table("", &root).map(<[_]>::to_vec) else { return Err(faults.finish()) };
     let mut keys = TOP.to_vec();

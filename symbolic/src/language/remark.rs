@@ -3,8 +3,8 @@
 //! What comes in: a model, a parameter and what is to be said about it. What goes out: a [`Diagnostic`] at the parameter's
 //! place in the document. It never knows what led to the remark.
 
-use crate::derive::graph::{Node, NodeId};
 use crate::language::diagnostic::{Diagnostic, Severity};
+use crate::language::graph::{Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{Input, ParameterId};
 
@@ -54,26 +54,5 @@ impl Model {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::*;
-
-    const TOML: &str = "name = \"line\"\ncoordinates = [\"i\"]\nchannels = [\"y\", \"x\"]\n[parameters]\n\
-                        a = { start = 1.0 }\nb = { start = 1.0 }\nc = { start = 1.0 }\n[model]\nobserved = \"y\"\n\
-                        intensity = \"a * x\"\nconstraint = [\"b > 0\"]\n[[stages]]\nparameters = [\"a\", \"b\"]\n";
-
-    #[test]
-    fn a_remark_stands_where_the_stage_frees_the_parameter() {
-        let model = Model::from_toml(TOML).unwrap();
-        let [a, b, c] = ["a", "b", "c"].map(|name| model.parameter(name).unwrap());
-        let freed = model.remark(Severity::Warning, "some-code", (Some(0), b), "a sentence");
-        assert_eq!((freed.key.as_str(), freed.severity), ("stages[0].parameters", Severity::Warning));
-        assert!(TOML[freed.span.start as usize..freed.span.end as usize].contains('b'), "{freed:?}");
-        assert_eq!((freed.line, freed.source.as_str()), (13, "parameters = [\"a\", \"b\"]"));
-        let declared = model.remark(Severity::Error, "some-code", (Some(0), c), "a sentence");
-        assert_eq!((declared.key.as_str(), declared.line), ("parameters.c", 7));
-        assert_eq!([a, b, c].map(|p| model.reads(p)), [true, true, false]);
-        assert!(model.needs_a_frame());
-        assert!(!Model::from_toml(&TOML.replace("a * x", "a * i")).unwrap().needs_a_frame());
-    }
-}
+#[path = "remark_tests.rs"]
+mod tests;

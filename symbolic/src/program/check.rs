@@ -5,8 +5,73 @@
 //! Checked: operands come first and are readable at their reader's level; each operation stands at a level that has it;
 //! numbers and truth values are not mixed up; every index (input, channel, accumulator, total, coordinate) exists.
 
+use thiserror::Error;
+
 use crate::language::limits::LIMITS;
-use crate::program::{Input, Instruction, Level, Names, Op, PixelSet, Program, Sink, Value};
+use crate::program::{Input, Instruction, Kind, Level, Names, Op, Opcode, PixelSet, Program, Sink, Value};
+
+/// What is wrong with a program, and where.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]
+pub enum Malformed {
+    /// More than a program can have.
+    #[error("{0} coordinates are more than {max}", max = LIMITS.coordinates)]
+    Coordinates(usize),
+    /// An instruction.
+    #[error("v{}, {op:?} at {level:?}: {broken}", value.0)]
+    Instruction {
+        /// Its value.
+        value: Value,
+        /// What it does.
+        op: Op,
+        /// Where it stands.
+        level: Level,
+        /// The rule that it breaks.
+        broken: Rule,
+    },
+    /// What is done with a value.
+    #[error("{reader:?} reads v{}: {broken}", value.0)]
+    Reader {
+        /// Who reads it.
+        reader: Reader,
+        /// Which.
+        value: Value,
+        /// The rule that it breaks.
+        broken: Rule,
+    },
+}
+
+/// A rule of programs, as it sounds when it is broken.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]
+pub enum Rule {
+    /// Operands come first.
+    #[error("it does not exist, or comes later")]
+    Order,
+    /// A value is read where it is known.
+    #[error("it is not known at this level")]
+    Known,
+    /// An operation stands where the table has it.
+    #[error("this level does not have it")]
+    Place,
+    /// An input, a channel, an accumulator, a total, a coordinate exists.
+    #[error("the index does not exist")]
+    Index,
+    /// Numbers are numbers, and truth values are truth values.
+    #[error("numbers and truth values are mixed up")]
+    Kind,
+}
+
+/// What reads a value besides instructions; sums by their position.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[allow(missing_docs)]
+pub enum Reader {
+    Bound,
+    Mask,
+    Saturation,
+    Plane,
+    Accumulator(usize),
+    Total(usize),
+    Output(usize),
+}
 
 /// A program that was not derived from a document.
 #[derive(Clone, PartialEq, Debug)]
@@ -31,121 +96,112 @@ impl Program {
     /// A program from its parts, without names.
     ///
     /// # Errors
-    /// A sentence when they are no program.
-    pub fn from_parts(parts: ProgramParts) -> Result<Program, String> {
+    /// When they are no program.
+    pub fn from_parts(parts: ProgramParts) -> Result<Program, Malformed> {
         let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
         let names = Names::default();
         let program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
         program.check().map(|()| program)
     }
 
+    /// A program from parts whose instructions stand in any order of levels, operands first: they are put in order, and what
+    /// nothing reads is left out.
+    ///
+    /// # Errors
+    /// When they are no program.
+    pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
+        let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
+        let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
+        crate::program::peephole::improve(&mut program, false);
+        program.check().map(|()| program)
+    }
+
     /// Nothing, or what is wrong with the program; only a bug could be.
     ///
     /// # Errors
-    /// A sentence.
-    pub fn check(&self) -> Result<(), String> {
-        Parts {
-            instructions: &self.instructions,
-            pixel_set: self.pixel_set,
-            sink: &self.sink,
-            inputs: self.inputs.len(),
-            channels: self.channels(),
-            coordinates: self.coordinates(),
+    /// The first rule that is broken, and by what.
+    pub fn check(&self) -> Result<(), Malformed> {
+        if self.coordinates() > LIMITS.coordinates {
+            return Err(Malformed::Coordinates(self.coordinates()));
         }
-        .check()
-    }
-}
-
-/// The parts of a program.
-struct Parts<'a> {
-    instructions: &'a [Instruction],
-    pixel_set: PixelSet,
-    sink: &'a Sink,
-    inputs: usize,
-    channels: usize,
-    coordinates: usize,
-}
-
-impl Parts<'_> {
-    fn check(&self) -> Result<(), String> {
-        if self.coordinates > LIMITS.coordinates {
-            return Err(format!("{} coordinates are more than {}", self.coordinates, LIMITS.coordinates));
+        let mut kinds = Vec::with_capacity(self.instructions.len());
+        for (at, Instruction { op, level, .. }) in self.instructions.iter().enumerate() {
+            let wrong = |broken| Malformed::Instruction { value: Value(at as u32), op: *op, level: *level, broken };
+            kinds.push(self.kind(*op, *level, &kinds).map_err(wrong)?);
         }
-        let mut truths = Vec::with_capacity(self.instructions.len());
-        for (at, instruction) in self.instructions.iter().enumerate() {
-            let truth = self.instruction(at, instruction, &truths)?;
-            truths.push(truth);
-        }
-        let reads = |v: Value, level: Level, truth: bool, what: &str| {
-            let given = truths.get(v.index()).ok_or(format!("{what} {v:?} does not exist"))?;
-            let from = self.instructions[v.index()].level;
-            match *given == truth && readable(from, level) {
-                true => Ok(()),
-                false => Err(format!("{what} {v:?} has the wrong kind or level")),
-            }
+        let reads = |reader: Reader, value: Value, level: Level, kind: Kind| {
+            let found = self.read(value, level, &kinds);
+            let broken = match found {
+                Ok(found) if found == kind => return Ok(()),
+                Ok(_) => Rule::Kind,
+                Err(broken) => broken,
+            };
+            Err(Malformed::Reader { reader, value, broken })
         };
-        if let Some((lo, hi)) = self.pixel_set.bounds {
-            reads(lo, Level::Row, false, "bound")?;
-            reads(hi, Level::Row, false, "bound")?;
+        let PixelSet { bounds, mask, saturated } = self.pixel_set;
+        for bound in bounds.into_iter().flat_map(|(lo, hi)| [lo, hi]) {
+            reads(Reader::Bound, bound, Level::Row, Kind::Number)?;
         }
-        self.pixel_set.mask.map_or(Ok(()), |v| reads(v, Level::Pixel, true, "mask"))?;
-        self.pixel_set.saturated.map_or(Ok(()), |v| reads(v, Level::Pixel, true, "saturation"))?;
-        match self.sink {
-            Sink::Plane(v) => reads(*v, Level::Pixel, false, "plane")?,
+        mask.map_or(Ok(()), |v| reads(Reader::Mask, v, Level::Pixel, Kind::Truth))?;
+        saturated.map_or(Ok(()), |v| reads(Reader::Saturation, v, Level::Pixel, Kind::Truth))?;
+        match &self.sink {
+            Sink::Plane(v) => reads(Reader::Plane, *v, Level::Pixel, Kind::Number),
             Sink::Sums { accumulators, totals, outputs } => {
-                accumulators.iter().try_for_each(|v| reads(*v, Level::Pixel, false, "accumulator"))?;
-                totals.iter().try_for_each(|v| reads(*v, Level::RowEnd, false, "total"))?;
-                outputs.iter().try_for_each(|v| reads(*v, Level::PassEnd, false, "output"))?;
+                let all = |list: &[Value], reader: fn(usize) -> Reader, level| {
+                    list.iter().enumerate().try_for_each(|(i, v)| reads(reader(i), *v, level, Kind::Number))
+                };
+                all(accumulators, Reader::Accumulator, Level::Pixel)?;
+                all(totals, Reader::Total, Level::RowEnd)?;
+                all(outputs, Reader::Output, Level::PassEnd)
             }
         }
-        Ok(())
     }
 
-    /// Whether the result is a truth value.
-    fn instruction(&self, at: usize, instruction: &Instruction, truths: &[bool]) -> Result<bool, String> {
-        let Instruction { op, level, .. } = *instruction;
-        let wrong = |what: &str| Err(format!("instruction {at}, {op:?} at {level:?}: {what}"));
-        let mut kinds = Vec::with_capacity(3);
-        for operand in op.operands() {
-            let Some(truth) = truths.get(operand.index()) else { return wrong("an operand comes later") };
-            let from = self.instructions[operand.index()].level;
-            let reader = if matches!(op, Op::Offset(_)) { Level::Row } else { level };
-            if !readable(from, reader) {
-                return wrong("an operand is not known at this level");
+    /// What a value is, for a reader at `level`.
+    fn read(&self, value: Value, level: Level, kinds: &[Kind]) -> Result<Kind, Rule> {
+        let kind = kinds.get(value.index()).ok_or(Rule::Order)?;
+        let is_known = readable(self.instructions[value.index()].level, level);
+        if is_known { Ok(*kind) } else { Err(Rule::Known) }
+    }
+
+    /// What an operation gives, number or truth value; `kinds` are those of the values before it.
+    fn kind(&self, op: Op, level: Level, kinds: &[Kind]) -> Result<Kind, Rule> {
+        let row = op.code.row();
+        let mut either = None;
+        for (operand, wanted) in op.operands().zip(row.operands) {
+            let reader = if *wanted == Kind::OfRow { Level::Row } else { level };
+            let given = self.read(operand, reader, kinds)?;
+            let wanted = match wanted {
+                Kind::OfRow => Kind::Number,
+                Kind::Either => *either.get_or_insert(given),
+                wanted => *wanted,
+            };
+            if given != wanted {
+                return Err(Rule::Kind);
             }
-            kinds.push(*truth);
         }
-        let (accumulators, totals) = match self.sink {
+        if row.level.is_some_and(|only| only != level) {
+            return Err(Rule::Place);
+        }
+        if !self.has(op.code) {
+            return Err(Rule::Index);
+        }
+        Ok(either.filter(|_| row.result == Kind::Either).unwrap_or(row.result))
+    }
+
+    /// Whether what the opcode names exists.
+    fn has(&self, code: Opcode) -> bool {
+        let (accumulators, totals) = match &self.sink {
             Sink::Sums { accumulators, totals, .. } => (accumulators.len(), totals.len()),
             Sink::Plane(_) => (0, 0),
         };
-        let placed = match op {
-            Op::Input(_) => level == Level::Pass,
-            Op::Outer(_) => level == Level::Row,
-            Op::Offset(_) | Op::Channel(_) => level == Level::Pixel,
-            Op::RowTotal(_) | Op::RowCount => level == Level::RowEnd,
-            Op::PassTotal(_) | Op::PassCount => level == Level::PassEnd,
+        match code {
+            Opcode::Input(input) => input.index() < self.inputs.len(),
+            Opcode::Outer(coordinate) => (1..self.coordinates().max(2)).contains(&coordinate.index()),
+            Opcode::Channel(channel) => channel.index() < self.channels(),
+            Opcode::RowTotal(accumulator) => accumulator.index() < accumulators,
+            Opcode::PassTotal(total) => total.index() < totals,
             _ => true,
-        };
-        let exists = match op {
-            Op::Input(input) => input.index() < self.inputs,
-            Op::Outer(coordinate) => (1..self.coordinates.max(2)).contains(&coordinate.index()),
-            Op::Channel(channel) => channel.index() < self.channels,
-            Op::RowTotal(accumulator) => accumulator.index() < accumulators,
-            Op::PassTotal(total) => total.index() < totals,
-            _ => true,
-        };
-        let (result, fits) = match op {
-            Op::Compare(..) => (true, !kinds.contains(&true)),
-            Op::And(..) | Op::Or(..) | Op::Not(_) => (true, !kinds.contains(&false)),
-            Op::Select(..) => (kinds[1], kinds[0] && kinds[1] == kinds[2]),
-            _ => (false, !kinds.contains(&true)),
-        };
-        match (placed, exists, fits) {
-            (false, ..) => wrong("this level does not have it"),
-            (_, false, _) => wrong("the index does not exist"),
-            (.., false) => wrong("numbers and truth values are mixed up"),
-            _ => Ok(result),
         }
     }
 }
@@ -161,26 +217,28 @@ fn readable(from: Level, at: Level) -> bool {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, TotalId};
+    use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, ParameterId, TotalId};
 
-    fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet) -> Result<(), String> {
-        let instructions: Vec<Instruction> =
-            ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
-        Parts { instructions: &instructions, pixel_set, sink: &sink, inputs: 1, channels: 1, coordinates: 2 }.check()
+    fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet, coordinates: u32) -> Result<(), Malformed> {
+        let instructions = ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
+        let inputs = vec![Input::Parameter(ParameterId(0))];
+        let parts = ProgramParts { coordinates, channels: 1, inputs, instructions, pixel_set, sink, fused: false };
+        Program::from_parts(parts).map(|_| ())
     }
+
+    const LESS: Opcode = Opcode::Compare(Comparison::Lt);
 
     fn good() -> (Vec<(Level, Op)>, Sink) {
         let ops = vec![
-            (Level::Pass, Op::Input(InputId(0))),
-            (Level::Row, Op::Outer(CoordinateId(1))),
-            (Level::Pixel, Op::Channel(ChannelId(0))),
-            (Level::Pixel, Op::Offset(Value(1))),
-            (Level::Pixel, Op::Compare(Comparison::Lt, Value(2), Value(3))),
-            (Level::Pixel, Op::Select(Value(4), Value(2), Value(0))),
-            (Level::RowEnd, Op::RowTotal(AccumulatorId(0))),
-            (Level::PassEnd, Op::PassTotal(TotalId(0))),
+            (Level::Pass, Opcode::Input(InputId(0)).of([])),
+            (Level::Row, Opcode::Outer(CoordinateId(1)).of([])),
+            (Level::Pixel, Opcode::Channel(ChannelId(0)).of([])),
+            (Level::Pixel, Opcode::Offset.of([Value(1)])),
+            (Level::Pixel, LESS.of([Value(2), Value(3)])),
+            (Level::Pixel, Opcode::Select.of([Value(4), Value(2), Value(0)])),
+            (Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([])),
+            (Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([])),
         ];
         (ops, Sink::Sums { accumulators: vec![Value(5)], totals: vec![Value(6)], outputs: vec![Value(7)] })
     }
@@ -188,41 +246,44 @@ mod tests {
     #[test]
     fn a_sound_program_passes() {
         let (ops, sink) = good();
-        assert_eq!(verdict(&ops, sink, PixelSet { mask: Some(Value(4)), ..PixelSet::default() }), Ok(()));
+        assert_eq!(verdict(&ops, sink, PixelSet { mask: Some(Value(4)), ..PixelSet::default() }, 2), Ok(()));
     }
 
     #[test]
     fn planted_faults_are_caught() {
-        let faults: [(usize, (Level, Op), &str); 8] = [
-            (0, (Level::Pass, Op::Input(InputId(1))), "does not exist"),
-            (0, (Level::Row, Op::Input(InputId(0))), "does not have it"),
-            (1, (Level::Row, Op::Outer(CoordinateId(2))), "does not exist"),
-            (2, (Level::Pixel, Op::Channel(ChannelId(1))), "does not exist"),
-            (3, (Level::Pixel, Op::Offset(Value(2))), "not known at this level"),
-            (4, (Level::Pixel, Op::Compare(Comparison::Lt, Value(2), Value(4))), "comes later"),
-            (5, (Level::Pixel, Op::Select(Value(2), Value(2), Value(0))), "mixed up"),
-            (6, (Level::RowEnd, Op::Neg(Value(5))), "not known at this level"),
+        let faults: [(usize, (Level, Op), Rule); 10] = [
+            (0, (Level::Pass, Opcode::Input(InputId(1)).of([])), Rule::Index),
+            (0, (Level::Row, Opcode::Input(InputId(0)).of([])), Rule::Place),
+            (1, (Level::Row, Opcode::Outer(CoordinateId(2)).of([])), Rule::Index),
+            (2, (Level::Pixel, Opcode::Channel(ChannelId(1)).of([])), Rule::Index),
+            (3, (Level::Pixel, Opcode::Offset.of([Value(2)])), Rule::Known),
+            (4, (Level::Pixel, LESS.of([Value(2), Value(4)])), Rule::Order),
+            (4, (Level::Pixel, LESS.of([Value(2)])), Rule::Order),
+            (5, (Level::Pixel, Opcode::Select.of([Value(2), Value(2), Value(0)])), Rule::Kind),
+            (5, (Level::Pixel, Opcode::Select.of([Value(4), Value(2), Value(4)])), Rule::Kind),
+            (6, (Level::RowEnd, Opcode::Neg.of([Value(5)])), Rule::Known),
         ];
-        for (at, planted, message) in faults {
+        for (at, (level, op), broken) in faults {
             let (mut ops, sink) = good();
-            ops[at] = planted;
-            let error = verdict(&ops, sink, PixelSet::default()).unwrap_err();
-            assert!(error.contains(message), "{error} instead of {message}");
+            ops[at] = (level, op);
+            let wrong = Malformed::Instruction { value: Value(at as u32), op, level, broken };
+            assert_eq!(verdict(&ops, sink, PixelSet::default(), 2), Err(wrong));
         }
+    }
+
+    #[test]
+    fn wrong_readers_are_caught() {
         let (ops, sink) = good();
-        let instructions: Vec<Instruction> =
-            ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
-        let five = Parts {
-            instructions: &instructions,
-            pixel_set: PixelSet::default(),
-            sink: &sink,
-            inputs: 1,
-            channels: 1,
-            coordinates: 5,
-        };
-        assert!(five.check().unwrap_err().contains("5 coordinates"));
-        let (ops, _) = good();
-        let sink = Sink::Sums { accumulators: vec![Value(4)], totals: vec![], outputs: vec![] };
-        assert!(verdict(&ops[..6], sink, PixelSet::default()).unwrap_err().contains("wrong kind"));
+        let set = |mask| PixelSet { mask: Some(mask), ..PixelSet::default() };
+        let wrong = |reader, value, broken| Err(Malformed::Reader { reader, value, broken });
+        assert_eq!(verdict(&ops, sink.clone(), PixelSet::default(), 5), Err(Malformed::Coordinates(5)));
+        assert_eq!(verdict(&ops, sink.clone(), set(Value(2)), 2), wrong(Reader::Mask, Value(2), Rule::Kind));
+        assert_eq!(verdict(&ops, sink.clone(), set(Value(9)), 2), wrong(Reader::Mask, Value(9), Rule::Order));
+        assert_eq!(verdict(&ops, sink, set(Value(6)), 2), wrong(Reader::Mask, Value(6), Rule::Known));
+        let sink = Sink::Sums { accumulators: vec![Value(5), Value(4)], totals: vec![], outputs: vec![] };
+        assert_eq!(
+            verdict(&ops[..6], sink, PixelSet::default(), 2),
+            wrong(Reader::Accumulator(1), Value(4), Rule::Kind)
+        );
     }
 }

@@ -1,9 +1,6 @@
-//! Elementary functions: the one table of their names and values.
+//! Elementary functions: the one table of their names.
 //!
-//! What comes in: a number. What goes out: the value that interpreter and native code share bit for bit. The algorithms
-//! are in [`crate::program::elementary`]; lanes of f32 compute in f64 and round once.
-
-use crate::program::elementary::{self, Accuracy, Plain};
+//! Their values, which interpreter and native code share bit for bit, are in [`crate::program::elementary`].
 
 /// Functions of one argument.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -76,17 +73,6 @@ impl Function1 {
     pub fn named(name: &str) -> Option<Function1> {
         Function1::ALL.into_iter().find(|f| f.name() == name)
     }
-
-    /// The value in f64, as every level but the pixel's computes it: no operation is fused.
-    pub fn value(self, x: f64) -> f64 {
-        self.value_with(Plain { fused: false }, Accuracy::Double, x)
-    }
-
-    /// The value on a machine. Of [`Accuracy::Single`] it means something for arguments that are f32, once it is rounded
-    /// to f32.
-    pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64) -> f64 {
-        elementary::call1(&machine, self, accuracy, x)
-    }
 }
 
 impl Function2 {
@@ -99,15 +85,5 @@ impl Function2 {
             Function2::Atan2 => "atan2",
             Function2::Pow => "pow",
         }
-    }
-
-    /// The value in f64, as [`Function1::value`] has it.
-    pub fn value(self, x: f64, y: f64) -> f64 {
-        self.value_with(Plain { fused: false }, Accuracy::Double, x, y)
-    }
-
-    /// The value on a machine, see [`Function1::value_with`].
-    pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64, y: f64) -> f64 {
-        elementary::call2(&machine, self, accuracy, x, y)
     }
 }

@@ -1,6 +1,6 @@
 //! `Program`: the loop nest that a kernel runs, in SSA form with dense ids.
 //!
-//! What comes in: instructions from [`crate::program::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
+//! What comes in: instructions from [`crate::derive::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
 //! meaning and that the JIT turns into machine code. It never knows a pixel's memory layout.
 //!
 //! ```text
@@ -12,18 +12,23 @@
 //! ```
 //! A pixel instruction that reads a pass or row value reads it rounded to the lane type.
 
+pub(crate) mod arithmetic;
 pub(crate) mod check;
 pub mod elementary;
 pub(crate) mod function;
 pub mod interpreter;
+pub(crate) mod op;
+#[cfg(test)]
+mod op_tests;
 pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
-pub(crate) mod schedule;
-pub(crate) mod steps;
+pub(crate) mod walk;
+
+pub(crate) use arithmetic::holds;
+pub use op::{Kind, Literal, Op, Opcode, Row, spelled};
 
 use crate::language::diagnostic::Span;
-use crate::program::function::{Function1, Function2};
 
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident) => {
@@ -96,90 +101,6 @@ pub enum Comparison {
     Eq,
     /// ≠
     Ne,
-}
-
-/// One operation. Operands are earlier values; numbers unless said otherwise.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub enum Op {
-    /// A number.
-    Const(f64),
-    /// One of [`Program::inputs`]; pass.
-    Input(InputId),
-    /// A coordinate of an outer loop (never 0); row.
-    Outer(CoordinateId),
-    /// The inner coordinate plus a pass or row value `c`; pixel. With `n = nearest(-c)` in f64 (ties to even, see
-    /// [`crate::program::interpreter::nearest`]), `fraction = lane(c + n)` and `t = lane(x_first - n) + [0, 1, …]`, where `x_first` is the
-    /// first pixel of the row's range, the value is `t + fraction`; after each group `t += LANES`. So rounding of `c`
-    /// to f32 costs nothing.
-    Offset(Value),
-    /// The pixel of a raw plane, converted to the lane type; pixel.
-    Channel(ChannelId),
-    /// -a (flips the sign bit).
-    Neg(Value),
-    /// |a| (clears the sign bit).
-    Abs(Value),
-    /// √a.
-    Sqrt(Value),
-    /// a + b.
-    Add(Value, Value),
-    /// a − b.
-    Sub(Value, Value),
-    /// a · b.
-    Mul(Value, Value),
-    /// a / b.
-    Div(Value, Value),
-    /// a · b + c, rounded once.
-    Fma(Value, Value, Value),
-    /// A truth value from two numbers.
-    Compare(Comparison, Value, Value),
-    /// Truth values.
-    And(Value, Value),
-    /// Truth values.
-    Or(Value, Value),
-    /// A truth value.
-    Not(Value),
-    /// `c ? a : b`; `c` is a truth value.
-    Select(Value, Value, Value),
-    /// An elementary function.
-    Call1(Function1, Value),
-    /// An elementary function of two arguments.
-    Call2(Function2, Value, Value),
-    /// The row's total of an accumulator; row end.
-    RowTotal(AccumulatorId),
-    /// How many pixels the row contributed; row end.
-    RowCount,
-    /// The pass' total; pass end.
-    PassTotal(TotalId),
-    /// How many pixels the pass used; pass end.
-    PassCount,
-}
-
-impl Op {
-    /// The values that this operation reads, in order.
-    pub fn operands(&self) -> impl Iterator<Item = Value> {
-        let (a, b, c) = match *self {
-            Op::Const(_) | Op::Input(_) | Op::Outer(_) | Op::Channel(_) => (None, None, None),
-            Op::RowTotal(_) | Op::RowCount | Op::PassTotal(_) | Op::PassCount => (None, None, None),
-            Op::Offset(a) | Op::Neg(a) | Op::Abs(a) | Op::Sqrt(a) | Op::Not(a) | Op::Call1(_, a) => {
-                (Some(a), None, None)
-            }
-            Op::Add(a, b) | Op::Sub(a, b) | Op::Mul(a, b) | Op::Div(a, b) | Op::Call2(_, a, b) => {
-                (Some(a), Some(b), None)
-            }
-            Op::Compare(_, a, b) | Op::And(a, b) | Op::Or(a, b) => (Some(a), Some(b), None),
-            Op::Fma(a, b, c) | Op::Select(a, b, c) => (Some(a), Some(b), Some(c)),
-        };
-        [a, b, c].into_iter().flatten()
-    }
-
-    /// Flops by the project's convention: + − × ÷ √ count 1, FMA 2; negation, comparisons and calls 0.
-    pub fn flops(&self) -> u32 {
-        match self {
-            Op::Add(..) | Op::Sub(..) | Op::Mul(..) | Op::Div(..) | Op::Sqrt(_) | Op::Offset(_) => 1,
-            Op::Fma(..) => 2,
-            _ => 0,
-        }
-    }
 }
 
 /// One instruction: what, where, and the part of the document that asked for it.
@@ -325,7 +246,7 @@ impl Program {
     pub fn channels(&self) -> usize {
         self.channels as usize
     }
-    /// What the program reads, in the order of [`Op::Input`].
+    /// What the program reads, in the order of [`Opcode::Input`].
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
     }
@@ -358,12 +279,15 @@ impl Program {
     /// reads. It is added with one rounding.
     pub fn contractions(&self) -> Vec<Option<(Value, Value)>> {
         let Sink::Sums { accumulators, .. } = &self.sink else { return Vec::new() };
+        if !self.fused {
+            return vec![None; accumulators.len()];
+        }
         let mut reads = vec![0_u32; self.instructions.len()];
         let set = self.pixel_set.mask.into_iter().chain(self.pixel_set.saturated);
         let operands = self.instructions.iter().flat_map(|i| i.op.operands());
         operands.chain(set).chain(accumulators.iter().copied()).for_each(|v| reads[v.index()] += 1);
-        let factors = |v: &Value| match *self.instruction(*v) {
-            Instruction { op: Op::Mul(a, b), level: Level::Pixel, .. } if self.fused && reads[v.index()] == 1 => {
+        let factors = |v: &Value| match self.instruction(*v).op.parts() {
+            (Opcode::Mul, &[a, b]) if reads[v.index()] == 1 && self.instruction(*v).level == Level::Pixel => {
                 Some((a, b))
             }
             _ => None,
@@ -382,11 +306,19 @@ impl Program {
         needed
     }
     /// True when `value` is a truth value.
-    pub fn is_truth(&self, value: Value) -> bool {
-        match self.instruction(value).op {
-            Op::Compare(..) | Op::And(..) | Op::Or(..) | Op::Not(_) => true,
-            Op::Select(_, a, _) => self.is_truth(a),
-            _ => false,
+    pub fn is_truth(&self, mut value: Value) -> bool {
+        loop {
+            let op = self.instruction(value).op;
+            match op.code.row().result {
+                Kind::Truth => return true,
+                Kind::Number | Kind::OfRow => return false,
+                Kind::Either => {
+                    match op.operands().zip(op.code.row().operands).find(|(_, kind)| **kind == Kind::Either) {
+                        Some((operand, _)) => value = operand,
+                        None => return false,
+                    }
+                }
+            }
         }
     }
     /// The numbers for [`Program::inputs`], in order. A missing shift is 0; any other missing slot is a bug of the caller
@@ -415,10 +347,10 @@ impl Program {
             }
             if instruction.level == Level::Pixel {
                 cost.instructions_per_pixel += u32::from(flops > 0);
-                cost.divisions += u32::from(matches!(instruction.op, Op::Div(..) | Op::Sqrt(_)));
-                let name = match instruction.op {
-                    Op::Call1(function, _) => function.name(),
-                    Op::Call2(function, ..) => function.name(),
+                cost.divisions += u32::from(matches!(instruction.op.code, Opcode::Div | Opcode::Sqrt));
+                let name = match instruction.op.code {
+                    Opcode::Call1(function) => function.name(),
+                    Opcode::Call2(function) => function.name(),
                     _ => continue,
                 };
                 *cost.calls.entry(name).or_default() += 1;

@@ -1,6 +1,6 @@
 //! The last look at a program: division instead of a lone reciprocal, FMA, dead code, order by level.
 
-use crate::program::{Instruction, Level, Op, Program, Sink, Value};
+use crate::program::{Instruction, Level, Opcode, Program, Sink, Value};
 
 /// Improves the instructions in place and sorts them by level.
 pub(crate) fn improve(program: &mut Program, fma: bool) {
@@ -9,28 +9,23 @@ pub(crate) fn improve(program: &mut Program, fma: bool) {
     let live = live(program);
     for i in (0..program.instructions.len()).filter(|i| live[*i]) {
         let Instruction { op, level, .. } = program.instructions[i];
-        let (make, a, b): (fn(Value, Value) -> Op, Value, Value) = match op {
-            Op::Mul(a, b) => (Op::Mul, a, b),
-            Op::Add(a, b) => (Op::Add, a, b),
-            Op::Sub(a, b) => (Op::Sub, a, b),
-            _ => continue,
-        };
+        let &[a, b] = op.parts().1 else { continue };
         let same_level = |v: Value| program.instructions[v.index()].level == level;
         let lone = |v: Value| uses[v.index()] == 1 && same_level(v);
-        let new = match make(a, b) {
+        let new = match op.code {
             // x · (1 / d), the reciprocal used here only.
-            Op::Mul(..) => [(a, b), (b, a)].into_iter().find_map(|(x, reciprocal)| {
-                match program.instructions[reciprocal.index()].op {
-                    Op::Div(one, d) if lone(reciprocal) && is_one(program, one) => Some(Op::Div(x, d)),
+            Opcode::Mul => [(a, b), (b, a)].into_iter().find_map(|(x, reciprocal)| {
+                match program.instructions[reciprocal.index()].op.parts() {
+                    (Opcode::Div, &[one, d]) if lone(reciprocal) && is_one(program, one) => {
+                        Some(Opcode::Div.of([x, d]))
+                    }
                     _ => None,
                 }
             }),
-            Op::Add(..) if fma && level == Level::Pixel => {
-                [(a, b), (b, a)].into_iter().find_map(|(product, c)| match program.instructions[product.index()].op {
-                    Op::Mul(x, y) if lone(product) => Some(Op::Fma(x, y, c)),
-                    _ => None,
-                })
-            }
+            Opcode::Add if fma && level == Level::Pixel => [(a, b), (b, a)].into_iter().find_map(|(product, c)| {
+                let (x, y) = factors(program, product).filter(|_| lone(product))?;
+                Some(Opcode::Fma.of([x, y, c]))
+            }),
             _ => None,
         };
         if let Some(new) = new {
@@ -57,29 +52,35 @@ fn contract_differences(program: &mut Program) {
     let mut negated: Vec<Instruction> = Vec::new();
     let count = program.instructions.len();
     for i in 0..count {
-        let Instruction { op: Op::Sub(a, b), level: Level::Pixel, span } = program.instructions[i] else { continue };
-        let product = |v: Value| match program.instructions[v.index()] {
-            Instruction { op: Op::Mul(x, y), level: Level::Pixel, .. } if uses[v.index()] == 1 => Some((x, y)),
-            _ => None,
-        };
+        let Instruction { op, level: Level::Pixel, span } = program.instructions[i] else { continue };
+        let (Opcode::Sub, &[a, b]) = op.parts() else { continue };
+        let is_lone = |v: Value| uses[v.index()] == 1 && program.instructions[v.index()].level == Level::Pixel;
+        let product = |v: Value| factors(program, v).filter(|_| is_lone(v));
         let level = |v: Value| program.instructions[v.index()].level;
         let value = Value((count + negated.len()) as u32);
         // c may be a factor as well: which operand is turned is a matter of place, not of which value it is.
         let (turned, contracted) = match (product(b), product(a)) {
             // The sign goes to the factor known earliest.
-            (Some((x, y)), _) if level(y) < level(x) => (y, Op::Fma(x, value, a)),
-            (Some((x, y)), _) => (x, Op::Fma(value, y, a)),
-            (None, Some((x, y))) => (b, Op::Fma(x, y, value)),
+            (Some((x, y)), _) if level(y) < level(x) => (y, [x, value, a]),
+            (Some((x, y)), _) => (x, [value, y, a]),
+            (None, Some((x, y))) => (b, [x, y, value]),
             _ => continue,
         };
-        negated.push(Instruction { op: Op::Neg(turned), level: level(turned), span });
-        program.instructions[i].op = contracted;
+        negated.push(Instruction { op: Opcode::Neg.of([turned]), level: level(turned), span });
+        program.instructions[i].op = Opcode::Fma.of(contracted);
     }
     program.instructions.extend(negated);
 }
 
 fn is_one(program: &Program, value: Value) -> bool {
-    program.instructions[value.index()].op == Op::Const(1.0)
+    program.instructions[value.index()].op.constant() == Some(1.0)
+}
+
+fn factors(program: &Program, value: Value) -> Option<(Value, Value)> {
+    match program.instructions[value.index()].op.parts() {
+        (Opcode::Mul, &[x, y]) => Some((x, y)),
+        _ => None,
+    }
 }
 
 fn roots(program: &Program) -> Vec<Value> {
@@ -143,7 +144,7 @@ fn arrange(program: &mut Program) {
         .iter()
         .map(|i| {
             let instruction = program.instructions[*i];
-            Instruction { op: renamed(instruction.op, &at), ..instruction }
+            Instruction { op: instruction.op.renamed(at), ..instruction }
         })
         .collect();
     let set = &mut program.pixel_set;
@@ -155,29 +156,5 @@ fn arrange(program: &mut Program) {
             accumulators.iter_mut().chain(totals).chain(outputs).for_each(|v| *v = at(*v));
         }
         Sink::Plane(value) => *value = at(*value),
-    }
-}
-
-/// The operation with its operands renamed.
-pub(crate) fn renamed(op: Op, at: &dyn Fn(Value) -> Value) -> Op {
-    match op {
-        Op::Const(_) | Op::Input(_) | Op::Outer(_) | Op::Channel(_) => op,
-        Op::RowTotal(_) | Op::RowCount | Op::PassTotal(_) | Op::PassCount => op,
-        Op::Offset(a) => Op::Offset(at(a)),
-        Op::Neg(a) => Op::Neg(at(a)),
-        Op::Abs(a) => Op::Abs(at(a)),
-        Op::Sqrt(a) => Op::Sqrt(at(a)),
-        Op::Add(a, b) => Op::Add(at(a), at(b)),
-        Op::Sub(a, b) => Op::Sub(at(a), at(b)),
-        Op::Mul(a, b) => Op::Mul(at(a), at(b)),
-        Op::Div(a, b) => Op::Div(at(a), at(b)),
-        Op::Fma(a, b, c) => Op::Fma(at(a), at(b), at(c)),
-        Op::Compare(k, a, b) => Op::Compare(k, at(a), at(b)),
-        Op::And(a, b) => Op::And(at(a), at(b)),
-        Op::Or(a, b) => Op::Or(at(a), at(b)),
-        Op::Not(a) => Op::Not(at(a)),
-        Op::Select(c, a, b) => Op::Select(at(c), at(a), at(b)),
-        Op::Call1(f, a) => Op::Call1(f, at(a)),
-        Op::Call2(f, a, b) => Op::Call2(f, at(a), at(b)),
     }
 }

@@ -1,7 +1,6 @@
 //! The text form of a [`Program`], to read and to keep as an expected file.
 
-use crate::notation::text::sign;
-use crate::program::{Input, Level, Op, Program, Sink, Value};
+use crate::program::{Comparison, Input, Level, Names, Op, Opcode, Program, Sink, Value, spelled};
 
 impl std::fmt::Display for Program {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -22,7 +21,7 @@ impl std::fmt::Display for Program {
         }
         let set = self.pixel_set();
         if let Some((lo, hi)) = set.bounds {
-            writeln!(f, "bounds: v{} <= {} <= v{}", lo.0, self.names().coordinates[0], hi.0)?;
+            writeln!(f, "bounds: v{} <= {} <= v{}", lo.0, coordinate(self.names(), 0), hi.0)?;
         }
         for (name, value) in [("mask", set.mask), ("saturated", set.saturated)] {
             if let Some(value) = value {
@@ -34,11 +33,23 @@ impl std::fmt::Display for Program {
             Sink::Sums { accumulators, totals, outputs } => {
                 writeln!(f, "accumulators: {}", list(accumulators))?;
                 writeln!(f, "totals: {}", list(totals))?;
-                for (value, name) in outputs.iter().zip(&self.names().outputs) {
-                    writeln!(f, "{name} = v{}", value.0)?;
+                for (i, value) in outputs.iter().enumerate() {
+                    writeln!(f, "{} = v{}", name(&self.names().outputs, "o", i), value.0)?;
                 }
                 Ok(())
             }
+        }
+    }
+}
+
+impl Comparison {
+    /// Its sign in the formula language.
+    pub fn sign(self) -> &'static str {
+        match self {
+            Comparison::Lt => "<",
+            Comparison::Le => "<=",
+            Comparison::Eq => "==",
+            Comparison::Ne => "!=",
         }
     }
 }
@@ -54,42 +65,87 @@ fn list(values: &[Value]) -> String {
     values.iter().map(|v| format!("v{}", v.0)).collect::<Vec<_>>().join(" ")
 }
 
-fn input_name(names: &crate::program::Names, input: Input) -> String {
+/// A name, or what it has no name for: its letter and its position.
+fn name(names: &[String], letter: &str, position: usize) -> String {
+    names.get(position).cloned().unwrap_or_else(|| format!("{letter}{position}"))
+}
+
+fn coordinate(names: &Names, position: usize) -> String {
+    name(&names.coordinates, "x", position)
+}
+
+fn channel(names: &Names, position: usize) -> String {
+    name(&names.channels, "i", position)
+}
+
+fn input_name(names: &Names, input: Input) -> String {
     match input {
-        Input::Parameter(p) => names.parameters[p.index()].clone(),
-        Input::Entry(p) => format!("{}@entry", names.parameters[p.index()]),
-        Input::Constant(c) => names.constants[c.index()].clone(),
-        Input::Saturation(c) => format!("limit({})", names.channels[c.index()]),
-        Input::Shift(c) => format!("shift({})", names.coordinates[c.index()]),
+        Input::Parameter(p) => name(&names.parameters, "p", p.index()),
+        Input::Entry(p) => format!("{}@entry", name(&names.parameters, "p", p.index())),
+        Input::Constant(c) => name(&names.constants, "c", c.index()),
+        Input::Saturation(c) => format!("limit({})", channel(names, c.index())),
+        Input::Shift(c) => format!("shift({})", coordinate(names, c.index())),
+    }
+}
+
+/// What an opcode holds besides its operands; of an offset, what it is from.
+fn held(program: &Program, code: Opcode) -> String {
+    let names = program.names();
+    match code {
+        Opcode::Const(x) => x.get().to_string(),
+        Opcode::Input(i) => input_name(names, program.inputs()[i.index()]),
+        Opcode::Outer(c) => coordinate(names, c.index()),
+        Opcode::Offset => coordinate(names, 0),
+        Opcode::Channel(c) => channel(names, c.index()),
+        Opcode::Compare(c) => c.sign().to_string(),
+        Opcode::Call1(function) => function.name().to_string(),
+        Opcode::Call2(function) => function.name().to_string(),
+        Opcode::RowTotal(a) => a.0.to_string(),
+        Opcode::PassTotal(t) => t.0.to_string(),
+        _ => String::new(),
     }
 }
 
 fn operation(program: &Program, op: Op) -> String {
-    let names = program.names();
-    match op {
-        Op::Const(x) => format!("{x}"),
-        Op::Input(i) => input_name(names, program.inputs()[i.index()]),
-        Op::Outer(c) => names.coordinates[c.index()].clone(),
-        Op::Offset(c) => format!("{} + v{}", names.coordinates[0], c.0),
-        Op::Channel(c) => format!("pixel({})", names.channels[c.index()]),
-        Op::Neg(a) => format!("-v{}", a.0),
-        Op::Abs(a) => format!("abs(v{})", a.0),
-        Op::Sqrt(a) => format!("sqrt(v{})", a.0),
-        Op::Add(a, b) => format!("v{} + v{}", a.0, b.0),
-        Op::Sub(a, b) => format!("v{} - v{}", a.0, b.0),
-        Op::Mul(a, b) => format!("v{} * v{}", a.0, b.0),
-        Op::Div(a, b) => format!("v{} / v{}", a.0, b.0),
-        Op::Fma(a, b, c) => format!("fma(v{}, v{}, v{})", a.0, b.0, c.0),
-        Op::Compare(c, a, b) => format!("v{} {} v{}", a.0, sign(c), b.0),
-        Op::And(a, b) => format!("v{} and v{}", a.0, b.0),
-        Op::Or(a, b) => format!("v{} or v{}", a.0, b.0),
-        Op::Not(a) => format!("not v{}", a.0),
-        Op::Select(c, a, b) => format!("if(v{}, v{}, v{})", c.0, a.0, b.0),
-        Op::Call1(function, a) => format!("{}(v{})", function.name(), a.0),
-        Op::Call2(function, a, b) => format!("{}(v{}, v{})", function.name(), a.0, b.0),
-        Op::RowTotal(a) => format!("row sum {}", a.0),
-        Op::RowCount => "row pixels".into(),
-        Op::PassTotal(t) => format!("total {}", t.0),
-        Op::PassCount => "pixels".into(),
+    let (code, operands) = op.parts();
+    spelled(code.row().text, |mark| match mark.to_digit(10) {
+        Some(i) => operands.get(i as usize).map_or_else(String::new, |v| format!("v{}", v.0)),
+        None => held(program, code),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::program::{ChannelId, CoordinateId, InputId, Instruction, ParameterId, PixelSet, TotalId};
+    use crate::{AccumulatorId, ProgramParts};
+
+    #[test]
+    fn a_program_without_names_shows_positions() {
+        let at = |level, op| Instruction { op, level, span: None };
+        let instructions = vec![
+            at(Level::Pass, Opcode::Input(InputId(0)).of([])),
+            at(Level::Pass, Opcode::Input(InputId(1)).of([])),
+            at(Level::Row, Opcode::Outer(CoordinateId(1)).of([])),
+            at(Level::Pixel, Opcode::Channel(ChannelId(0)).of([])),
+            at(Level::Pixel, Opcode::Offset.of([Value(2)])),
+            at(Level::Pixel, Opcode::Fma.of([Value(0), Value(3), Value(4)])),
+            at(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([])),
+            at(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([])),
+        ];
+        let program = Program::from_parts(ProgramParts {
+            coordinates: 2,
+            channels: 1,
+            inputs: vec![Input::Parameter(ParameterId(3)), Input::Saturation(ChannelId(0))],
+            instructions,
+            pixel_set: PixelSet { bounds: Some((Value(2), Value(2))), ..PixelSet::default() },
+            sink: Sink::Sums { accumulators: vec![Value(5)], totals: vec![Value(6)], outputs: vec![Value(7)] },
+            fused: true,
+        });
+        let expected = "pass:\n  v0 = p3\n  v1 = limit(i0)\nrow:\n  v2 = x1\npixel:\n  v3 = pixel(i0)\n  v4 = x0 + v2\n  \
+            v5 = fma(v0, v3, v4)\nrow end:\n  v6 = row sum 0\npass end:\n  v7 = total 0\nbounds: v2 <= x0 <= v2\n\
+            accumulators: v5\ntotals: v6\no0 = v7\n";
+        assert_eq!(program.unwrap().to_string(), expected);
     }
 }

@@ -5,7 +5,7 @@
 //! or row are read from memory by the instruction that needs them, and an accumulator is added to in memory as soon as its
 //! value is there.
 
-use crate::program::{Level, Op, Program, Value};
+use crate::program::{Level, Opcode, Program, Value};
 
 /// Vector registers that code may use where there are 16 (x86-64), one being needed for the accumulators.
 pub(crate) const OF_16: usize = 15;
@@ -22,7 +22,7 @@ pub(crate) fn spills(program: &Program, registers: usize) -> u32 {
     for value in loop_of().collect::<Vec<_>>().into_iter().rev() {
         operands(value).for_each(|v| uses[v.index()].push(value.0));
     }
-    let carried = loop_of().filter(|v| matches!(program.instruction(*v).op, Op::Offset(_))).count();
+    let carried = loop_of().filter(|v| program.instruction(*v).op.code == Opcode::Offset).count();
     let room = registers.saturating_sub(carried).max(3);
     let (mut held, mut stored, mut count) = (Vec::<Value>::new(), vec![false; program.instructions().len()], 0);
     for value in loop_of() {

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::graph::{Graph, Node, NodeId, operands};
+use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};

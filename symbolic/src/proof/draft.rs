@@ -2,8 +2,8 @@
 
 use crate::program::{Cost, Instruction, Program};
 
-/// A loop nest before its check. [`crate::proof::referee::Referee::proved`] and [`crate::proof::plane::proved`] make a
-/// [`Program`] of it, and [`Draft::unproved`], which says so.
+/// A loop nest before its check. Only [`crate::proof::referee::Referee::proved`] and [`crate::proof::plane::proved`] make a
+/// [`Program`] of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Draft(Program);
 
@@ -32,7 +32,8 @@ impl Draft {
         self.0
     }
 
-    /// A program that is as good as its derivation: for loops to count and to compare with, never for a fit.
+    /// As it is, for tests of what made it.
+    #[cfg(test)]
     pub fn unproved(self) -> Program {
         self.0
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use super::numbers::{Hyper, PARAMETERS, Scalar};
 use crate::program::Comparison;
 use crate::program::function::{Function1, Function2};
-use crate::proof::evaluate::holds;
+use crate::program::holds;
 pub(crate) use crate::proof::points::Random;
 
 impl Random {

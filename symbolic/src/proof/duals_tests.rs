@@ -15,7 +15,7 @@ use random::{Condition, Place, Random, Scope, Tree};
 
 use crate::program::function::Function1;
 use crate::program::interpreter::{Pixels, Slices, Window, run};
-use crate::program::{Bindings, Instruction, Level, Op, ParameterId, Precision, Program, Sink, Value};
+use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::evaluate;
 use crate::proof::weighed::Weighed;
@@ -351,14 +351,14 @@ fn derivatives_agree_with_dual_numbers_again() {
 #[test]
 fn a_planted_sign_error_is_caught() {
     let flip = |program: &mut Program, random: &mut Random| {
-        let sums = program.instructions.iter_mut().filter(|i| matches!(i.op, Op::Add(..) | Op::Sub(..)));
+        let sums = program.instructions.iter_mut().filter(|i| matches!(i.op.code, Opcode::Add | Opcode::Sub));
         let mut sums: Vec<&mut Op> = sums.map(|i| &mut i.op).collect();
         let Some(count) = sums.len().checked_sub(1) else { return };
         let op = &mut sums[random.below(count + 1)];
-        **op = match **op {
-            Op::Add(a, b) => Op::Sub(a, b),
-            Op::Sub(a, b) => Op::Add(a, b),
-            other => other,
+        **op = match op.parts() {
+            (Opcode::Add, &[a, b]) => Opcode::Sub.of([a, b]),
+            (Opcode::Sub, &[a, b]) => Opcode::Add.of([a, b]),
+            _ => **op,
         };
     };
     let caught = (0..300).filter(|&seed| check(seed, &mut Tally::default(), flip).is_err()).count();
@@ -374,8 +374,8 @@ fn a_negated_output_is_caught() {
         let negate = |program: &mut Program, random: &mut Random| {
             let Sink::Sums { outputs, .. } = &mut program.sink else { unreachable!() };
             let output = random.below(outputs.len());
-            is_constant = matches!(program.instructions[outputs[output].index()].op, Op::Const(_));
-            let op = Op::Neg(outputs[output]);
+            is_constant = program.instructions[outputs[output].index()].op.constant().is_some();
+            let op = Opcode::Neg.of([outputs[output]]);
             outputs[output] = Value(program.instructions.len() as u32);
             program.instructions.push(Instruction { op, level: Level::PassEnd, span: None });
         };

@@ -7,8 +7,8 @@ use crate::derive::objective::Objective;
 use crate::program::function::Function1;
 use crate::program::interpreter::{Outcome, Pixels, Slices, Window, run};
 use crate::program::{
-    AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Op, Precision, Program, Sink, TotalId,
-    Value,
+    AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Literal, Op, Opcode, Precision, Program,
+    Sink, TotalId, Value,
 };
 use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
@@ -128,30 +128,50 @@ fn wrong(program: &Program, op: Op) -> Vec<Op> {
         Sink::Sums { accumulators, totals, .. } => (accumulators.len() as u32, totals.len() as u32),
         Sink::Plane(_) => (0, 0),
     };
-    let all = match op {
-        Op::Const(x) => vec![Op::Const(1.5 * x + 0.25), Op::Const(-x)],
-        Op::Input(i) => vec![Op::Input(InputId((i.0 + 1) % inputs)), Op::Input(InputId((i.0 + 2) % inputs))],
-        Op::Outer(_) => vec![Op::Const(3.0), Op::Outer(CoordinateId(1))],
-        Op::Channel(c) => vec![Op::Channel(ChannelId(1 - c.0))],
-        Op::Add(a, b) => vec![Op::Sub(a, b), Op::Add(a, a), Op::Mul(a, b)],
-        Op::Sub(a, b) => vec![Op::Add(a, b), Op::Sub(b, a)],
-        Op::Mul(a, b) => vec![Op::Mul(a, a), Op::Mul(b, b), Op::Div(a, b)],
-        Op::Div(a, b) => vec![Op::Div(b, a), Op::Mul(a, b)],
-        Op::Fma(a, b, c) => vec![Op::Fma(a, a, c), Op::Fma(a, b, a), Op::Mul(a, b), Op::Add(a, c)],
-        Op::Neg(a) => vec![Op::Abs(a), Op::Add(a, a)],
-        Op::Abs(a) => vec![Op::Neg(a), Op::Mul(a, a)],
-        Op::Sqrt(a) => vec![Op::Abs(a), Op::Mul(a, a)],
-        Op::Call1(f, a) => {
-            let other = if f == Function1::Exp { Function1::Tanh } else { Function1::Exp };
-            vec![Op::Call1(other, a), Op::Neg(a)]
+    let to = |code: Opcode, operands: &[usize]| {
+        let at = |i: usize| op.operands().nth(operands[i]).unwrap();
+        match operands.len() {
+            0 => code.of([]),
+            1 => code.of([at(0)]),
+            2 => code.of([at(0), at(1)]),
+            _ => code.of([at(0), at(1), at(2)]),
         }
-        Op::Compare(c, a, b) => vec![Op::Compare(c, b, a)],
-        Op::And(a, b) => vec![Op::Or(a, b), Op::And(a, a)],
-        Op::Or(a, b) => vec![Op::And(a, b), Op::Or(b, b)],
-        Op::Select(c, a, b) => vec![Op::Select(c, b, a), Op::Select(c, a, a)],
-        Op::RowTotal(a) => vec![Op::RowTotal(AccumulatorId((a.0 + 1) % sums)), Op::RowCount],
-        Op::RowCount => vec![Op::Const(1.0)],
-        Op::PassTotal(t) => vec![Op::PassTotal(TotalId((t.0 + 1) % totals)), Op::PassCount],
+    };
+    let number = |x: f64| Opcode::Const(Literal::new(x)).of([]);
+    let (a, b, c) = (0, 1, 2);
+    let all = match op.code {
+        Opcode::Const(x) => vec![number(1.5 * x.get() + 0.25), number(-x.get())],
+        Opcode::Input(i) => [1, 2].map(|k| to(Opcode::Input(InputId((i.0 + k) % inputs)), &[])).to_vec(),
+        Opcode::Outer(_) => vec![number(3.0), to(Opcode::Outer(CoordinateId(1)), &[])],
+        Opcode::Channel(c) => vec![to(Opcode::Channel(ChannelId(1 - c.0)), &[])],
+        Opcode::Add => vec![to(Opcode::Sub, &[a, b]), to(Opcode::Add, &[a, a]), to(Opcode::Mul, &[a, b])],
+        Opcode::Sub => vec![to(Opcode::Add, &[a, b]), to(Opcode::Sub, &[b, a])],
+        Opcode::Mul => vec![to(Opcode::Mul, &[a, a]), to(Opcode::Mul, &[b, b]), to(Opcode::Div, &[a, b])],
+        Opcode::Div => vec![to(Opcode::Div, &[b, a]), to(Opcode::Mul, &[a, b])],
+        Opcode::Fma => vec![
+            to(Opcode::Fma, &[a, a, c]),
+            to(Opcode::Fma, &[a, b, a]),
+            to(Opcode::Mul, &[a, b]),
+            to(Opcode::Add, &[a, c]),
+        ],
+        Opcode::Neg => vec![to(Opcode::Abs, &[a]), to(Opcode::Add, &[a, a])],
+        Opcode::Abs => vec![to(Opcode::Neg, &[a]), to(Opcode::Mul, &[a, a])],
+        Opcode::Sqrt => vec![to(Opcode::Abs, &[a]), to(Opcode::Mul, &[a, a])],
+        Opcode::Call1(f) => {
+            let other = if f == Function1::Exp { Function1::Tanh } else { Function1::Exp };
+            vec![to(Opcode::Call1(other), &[a]), to(Opcode::Neg, &[a])]
+        }
+        Opcode::Compare(comparison) => vec![to(Opcode::Compare(comparison), &[b, a])],
+        Opcode::And => vec![to(Opcode::Or, &[a, b]), to(Opcode::And, &[a, a])],
+        Opcode::Or => vec![to(Opcode::And, &[a, b]), to(Opcode::Or, &[b, b])],
+        Opcode::Select => vec![to(Opcode::Select, &[a, c, b]), to(Opcode::Select, &[a, b, b])],
+        Opcode::RowTotal(i) => {
+            vec![to(Opcode::RowTotal(AccumulatorId((i.0 + 1) % sums)), &[]), to(Opcode::RowCount, &[])]
+        }
+        Opcode::RowCount => vec![number(1.0)],
+        Opcode::PassTotal(i) => {
+            vec![to(Opcode::PassTotal(TotalId((i.0 + 1) % totals)), &[]), to(Opcode::PassCount, &[])]
+        }
         _ => Vec::new(),
     };
     all.into_iter().filter(|new| *new != op).collect()

@@ -5,10 +5,10 @@
 
 use rustc_hash::FxHashMap;
 
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::program::Level;
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::program::{Level, holds};
 use crate::proof::calculus::{Two, derivatives, derivatives2};
-use crate::proof::evaluate::{Number, holds};
+use crate::proof::evaluate::Number;
 
 /// A value and its derivatives.
 #[derive(Clone, Debug)]

@@ -14,6 +14,7 @@
 
 pub(crate) mod budget;
 pub(crate) mod calculus;
+pub(crate) mod claim;
 pub(crate) mod double_double;
 pub(crate) mod draft;
 #[cfg(test)]
@@ -22,6 +23,7 @@ pub(crate) mod evaluate;
 #[cfg(test)]
 mod faults_tests;
 pub(crate) mod hyper;
+pub(crate) mod likelihood;
 pub(crate) mod modular;
 pub(crate) mod pixels;
 pub(crate) mod plane;
@@ -29,6 +31,7 @@ pub(crate) mod points;
 pub(crate) mod referee;
 #[cfg(test)]
 mod rewrites_tests;
+pub mod ulps;
 pub(crate) mod weighed;
 
 use serde::{Deserialize, Serialize};

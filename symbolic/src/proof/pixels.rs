@@ -4,13 +4,13 @@
 //! What comes in: what the sums are of, and a program. What goes out: whether it takes the pixels that the document says, and
 //! whether rows without any leave no trace.
 
-use crate::derive::graph::{Node, NodeId};
-use crate::derive::likelihood::Shape;
+use crate::language::graph::{Node, NodeId};
 use crate::program::{ChannelId, Program};
 use crate::proof::TOLERANCE;
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::evaluate_at;
 use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::likelihood::Shape;
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
 use crate::proof::referee::{Subject, is_finite, is_rounding, sample, worst};
 use crate::proof::weighed::Weighed;

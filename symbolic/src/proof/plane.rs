@@ -4,9 +4,9 @@
 //! that formula's values, exactly modulo a prime and in f64; and nothing if not. The reference is the formula's graph as it was
 //! read, at the shifted coordinates, evaluated node by node.
 
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Model;
-use crate::program::{AccumulatorId, Instruction, Level, Op, Program, Sink, TotalId, Value};
+use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, TotalId, Value};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
@@ -142,8 +142,8 @@ fn summing(program: &Program) -> Option<Program> {
     let Sink::Plane(value) = program.sink else { return None };
     let mut program = program.clone();
     let first = program.instructions.len() as u32;
-    let ends = [(Op::RowTotal(AccumulatorId(0)), Level::RowEnd), (Op::PassTotal(TotalId(0)), Level::PassEnd)];
-    program.instructions.extend(ends.map(|(op, level)| Instruction { op, level, span: None }));
+    let ends = [(Opcode::RowTotal(AccumulatorId(0)), Level::RowEnd), (Opcode::PassTotal(TotalId(0)), Level::PassEnd)];
+    program.instructions.extend(ends.map(|(code, level)| Instruction { op: code.of([]), level, span: None }));
     let (totals, outputs) = (vec![Value(first)], vec![Value(first + 1)]);
     program.sink = Sink::Sums { accumulators: vec![value], totals, outputs };
     Some(program)

@@ -5,18 +5,17 @@
 
 use std::sync::OnceLock;
 
-use crate::derive::bodies::Part;
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Shape};
-use crate::derive::objective::ValueKind;
-use crate::language::model::Model;
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::{Loss, Model};
 use crate::program::function::Function1;
 use crate::program::interpreter;
-use crate::program::{Bindings, ChannelId, Op, Precision, Program, Sink};
+use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
+use crate::proof::claim::{Claim, ValueKind};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
 use crate::proof::hyper::{Evaluator, Hyper, Order};
+use crate::proof::likelihood::Shape;
 use crate::proof::modular::Modular;
 use crate::proof::pixels::{Rim, Windowed};
 use crate::proof::points::{BESIDE, FAR, NEAR, Picture, Point, Random, centre, limit, picture, plausible, residues};
@@ -30,15 +29,6 @@ const LONG: usize = 2000;
 
 /// Derivatives that forward differentiation may hold at a time: nodes times entries of the Hessian.
 const ENTRIES: usize = 4_000_000;
-
-/// What a program claims to sum.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) enum Claim {
-    /// F, and the gradient, the upper Hessian, or both.
-    Derivatives { newton: bool, part: Part },
-    /// F alone.
-    Value(ValueKind),
-}
 
 /// What the sums are of, as the document says it: no rewrite has seen it.
 #[derive(Clone, Debug)]
@@ -289,7 +279,7 @@ impl Referee {
 fn has_branches(program: &Program) -> bool {
     let Sink::Sums { accumulators, totals, outputs } = program.sink() else { return false };
     let summed = program.made_of(accumulators.iter().chain(totals).chain(outputs).copied());
-    let branches = |op: Op| matches!(op, Op::Abs(_) | Op::Select(..));
+    let branches = |op: Op| matches!(op.code, Opcode::Abs | Opcode::Select);
     program.instructions().iter().zip(summed).any(|(instruction, summed)| summed && branches(instruction.op))
 }
 

@@ -8,18 +8,19 @@
 use std::collections::BTreeSet;
 
 use crate::derive::absorb::{absorb, absorb_numbers, gather};
-use crate::derive::graph::{Graph, Node, NodeId};
 use crate::derive::jet::jet;
 use crate::derive::monomial::{Splitter, whole_output};
 use crate::derive::polynomials::collected;
+use crate::derive::schedule;
 use crate::derive::square::completed;
+use crate::derive::sums::{Output, Sums, Term};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::function::Function1;
 use crate::program::peephole::improve;
-use crate::program::schedule::{self, Output, Sums, Term};
 use crate::program::{
-    AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Names, Op,
-    ParameterId, PixelSet, Program, Sink, TotalId, Value,
+    AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,
+    Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
 use crate::proof::evaluate::{Sample, evaluate_at};
 use crate::proof::hyper::{Evaluator, Order};
@@ -64,8 +65,8 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
         Value(instructions.len() as u32 - 1)
     };
     let count = 0..accumulators.len() as u32;
-    let totals = count.clone().map(|i| push(Op::RowTotal(AccumulatorId(i)), Level::RowEnd)).collect();
-    let outputs = count.map(|i| push(Op::PassTotal(TotalId(i)), Level::PassEnd)).collect();
+    let totals = count.clone().map(|i| push(Opcode::RowTotal(AccumulatorId(i)).of([]), Level::RowEnd)).collect();
+    let outputs = count.map(|i| push(Opcode::PassTotal(TotalId(i)).of([]), Level::PassEnd)).collect();
     Program {
         coordinates: 2,
         channels: 2,
@@ -88,16 +89,15 @@ fn improves_nothing_away(program: &Program) {
     }
 }
 
-type Make = fn(Value, Value) -> Op;
-const MAKES: [Make; 4] = [Op::Add, Op::Sub, Op::Mul, Op::Div];
+const MAKES: [Opcode; 4] = [Opcode::Add, Opcode::Sub, Opcode::Mul, Opcode::Div];
 
 /// `start`, and one instruction for each choice of an operation and two operands.
-fn built(start: &[(Op, Level)], choices: &[(Make, usize, usize)]) -> Vec<Instruction> {
+fn built(start: &[(Op, Level)], choices: &[(Opcode, usize, usize)]) -> Vec<Instruction> {
     let mut all: Vec<Instruction> =
         start.iter().map(|(op, level)| Instruction { op: *op, level: *level, span: None }).collect();
     for (make, a, b) in choices {
         let level = all[*a].level.max(all[*b].level);
-        all.push(Instruction { op: make(Value(*a as u32), Value(*b as u32)), level, span: None });
+        all.push(Instruction { op: make.of([Value(*a as u32), Value(*b as u32)]), level, span: None });
     }
     all
 }
@@ -108,11 +108,11 @@ fn built(start: &[(Op, Level)], choices: &[(Make, usize, usize)]) -> Vec<Instruc
 fn the_last_look_keeps_every_small_program() {
     let (pixel, pass) = (Level::Pixel, Level::Pass);
     let leaves = [
-        (Op::Channel(ChannelId(0)), pixel),
-        (Op::Input(InputId(0)), pass),
-        (Op::Channel(ChannelId(1)), pixel),
-        (Op::Const(1.0), pass),
-        (Op::Input(InputId(1)), pass),
+        (Opcode::Channel(ChannelId(0)).of([]), pixel),
+        (Opcode::Input(InputId(0)).of([]), pass),
+        (Opcode::Channel(ChannelId(1)).of([]), pixel),
+        (Opcode::Const(Literal::new(1.0)).of([]), pass),
+        (Opcode::Input(InputId(1)).of([]), pass),
     ];
     let mut count = 0;
     for (start, depth, makes) in
@@ -121,7 +121,7 @@ fn the_last_look_keeps_every_small_program() {
         let ways = |step: usize| makes.len() * (start.len() + step) * (start.len() + step);
         let total: usize = (0..depth).map(ways).product();
         for mut code in 0..total {
-            let choices: Vec<(Make, usize, usize)> = (0..depth)
+            let choices: Vec<(Opcode, usize, usize)> = (0..depth)
                 .map(|step| {
                     let width = start.len() + step;
                     let choice = code % ways(step);
@@ -151,14 +151,14 @@ fn the_last_look_keeps_random_programs() {
     for seed in 0..20_000 {
         let mut random = Random(seed);
         let leaves = [
-            (Op::Channel(ChannelId(0)), Level::Pixel),
-            (Op::Channel(ChannelId(1)), Level::Pixel),
-            (Op::Input(InputId(0)), Level::Pass),
-            (Op::Const(1.0), Level::Pass),
-            (Op::Outer(CoordinateId(1)), Level::Row),
+            (Opcode::Channel(ChannelId(0)).of([]), Level::Pixel),
+            (Opcode::Channel(ChannelId(1)).of([]), Level::Pixel),
+            (Opcode::Input(InputId(0)).of([]), Level::Pass),
+            (Opcode::Const(Literal::new(1.0)).of([]), Level::Pass),
+            (Opcode::Outer(CoordinateId(1)).of([]), Level::Row),
         ];
         let depth = 4 + random.below(6);
-        let choices: Vec<(Make, usize, usize)> = (0..depth)
+        let choices: Vec<(Opcode, usize, usize)> = (0..depth)
             .map(|step| {
                 let width = leaves.len() + step;
                 let recent = |random: &mut Random| width - 1 - random.below(width).min(random.below(width));

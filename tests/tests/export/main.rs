@@ -7,7 +7,7 @@ mod command;
 mod program;
 
 use cases::{Case, Outcome};
-use isophote_symbolic::Language;
+use isophote_export::Language;
 
 fn compare(language: Language, cases: &[Case]) {
     let answers = program::run(language, cases);

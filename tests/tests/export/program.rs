@@ -4,7 +4,8 @@ use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
 
-use isophote_symbolic::{Language, PixelType, Sink};
+use isophote_export::{Language, PixelType};
+use isophote_symbolic::Sink;
 
 use crate::cases::{Case, Outcome, SIZE};
 

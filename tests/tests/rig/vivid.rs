@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use isophote_capture::camera::FormatWanted;
-use isophote_capture::{Camera, CameraSpec, Colour, Encoding};
+use isophote_capture::{CameraSpec, Colour, Encoding, LiveCamera};
 use isophote_tests::rig::{Rig, WEBCAM, in_rig, until};
 use isophote_tracker::Frame;
 
@@ -33,12 +33,12 @@ fn bars(frame: &Frame, plane: usize, saturation: f64) -> [f64; 8] {
     std::array::from_fn(|bar| (view.pixel((2 * bar + 1) * width / 16, frame.rows() / 2) / shift).floor())
 }
 
-fn camera(format: String, colour: Colour, size: [u32; 2], rate_hz: Option<f64>) -> Camera {
+fn camera(format: String, colour: Colour, size: [u32; 2], rate_hz: Option<f64>) -> LiveCamera {
     let format = FormatWanted { format: Some(format), size: Some(size), rate_hz };
-    Camera::open(CameraSpec { device: DEVICE.into(), format, colour, ..CameraSpec::default() }).unwrap()
+    LiveCamera::open(CameraSpec { device: DEVICE.into(), format, colour, ..CameraSpec::default() }).unwrap()
 }
 
-fn next(camera: &mut Camera) -> Frame {
+fn next(camera: &mut LiveCamera) -> Frame {
     let frame = until("frame", Duration::from_secs(10), || camera.next(Duration::from_millis(200)));
     frame.unwrap_or_else(|error| panic!("{error}: {:?}", camera.state())).frame
 }

@@ -2,8 +2,10 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod bounds;
 mod cameras;
 mod client;
+mod clocks;
 mod commands;
 mod exposure;
 mod guards;

@@ -5,13 +5,43 @@ use toml::de::{DeTable, DeValue};
 use crate::{expect_none, files};
 
 /// A crate of the workspace and the crates of the workspace that it may use.
-const MAY_USE: [(&str, &[&str]); 8] = [
+const MAY_USE: [(&str, &[&str]); 13] = [
     ("isophote-symbolic", &[]),
+    ("isophote-export", &["isophote-symbolic"]),
+    ("isophote-notation", &["isophote-symbolic"]),
     ("isophote-jit", &["isophote-symbolic"]),
-    ("isophote-tracker", &["isophote-symbolic", "isophote-jit"]),
-    ("isophote-capture", &["isophote-symbolic", "isophote-jit", "isophote-tracker"]),
-    ("isophote-server", &["isophote-symbolic", "isophote-jit", "isophote-tracker", "isophote-capture"]),
-    ("isophote", &["isophote-symbolic", "isophote-jit", "isophote-tracker", "isophote-capture", "isophote-server"]),
+    ("isophote-frame", &["isophote-jit"]),
+    ("isophote-tracker", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),
+    ("isophote-capture", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),
+    ("isophote-machine", &["isophote-tracker"]),
+    (
+        "isophote-wire",
+        &["isophote-symbolic", "isophote-notation", "isophote-jit", "isophote-tracker", "isophote-capture"],
+    ),
+    (
+        "isophote-server",
+        &[
+            "isophote-symbolic",
+            "isophote-jit",
+            "isophote-tracker",
+            "isophote-capture",
+            "isophote-machine",
+            "isophote-wire",
+        ],
+    ),
+    (
+        "isophote",
+        &[
+            "isophote-symbolic",
+            "isophote-export",
+            "isophote-jit",
+            "isophote-tracker",
+            "isophote-capture",
+            "isophote-machine",
+            "isophote-wire",
+            "isophote-server",
+        ],
+    ),
     ("isophote-tests", &["*"]),
     ("isophote-benches", &["*"]),
 ];
@@ -134,6 +164,8 @@ fn planted_faults_are_caught() {
         caught("isophote-symbolic", "[dependencies]\nisophote-jit.workspace = true\n")
             .contains("may not use isophote-jit")
     );
+    let tracker = "[dependencies]\nisophote-tracker.workspace = true\n";
+    assert!(caught("isophote-capture", tracker).contains("may not use isophote-tracker"));
     assert!(caught("isophote-tracker", "[dependencies]\ntokio = \"1\" # why\n").contains("async"));
     assert!(caught("isophote-capture", "[target.'cfg(unix)'.dependencies]\naxum = \"1\" # why\n").contains("sockets"));
     assert!(caught("isophote-server", "[build-dependencies]\nnalgebra = \"1\" # why\n").contains("mathematics"));

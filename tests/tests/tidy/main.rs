@@ -2,11 +2,15 @@
 //! README.md and docs/ show really runs. Each checker is shown a planted fault that it must catch.
 #![allow(clippy::unwrap_used)]
 
+mod claims;
 mod dependencies;
 mod examples;
+mod imports;
 mod language;
 mod links;
 mod markdown;
+mod names;
+mod rooms;
 mod sources;
 
 use std::path::PathBuf;

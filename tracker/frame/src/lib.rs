@@ -111,6 +111,13 @@ pub struct Frame {
     pub sequence: u64,
     /// When it was taken, CLOCK_MONOTONIC; `None` offline.
     pub capture_ns: Option<u64>,
+    /// When it was taken, s on the source's own clock; `None` where it has none. Velocities are per second of this clock,
+    /// however fast the frames are played.
+    pub time_s: Option<f64>,
+    /// What a pixel can hold at most, where the source knows it better than the format: 1023 of a camera of 10 bits.
+    pub largest: Option<f64>,
+    /// What the planes are called, where they have names: the columns of a table.
+    names: Option<Arc<[String]>>,
 }
 
 impl Frame {
@@ -126,7 +133,8 @@ impl Frame {
         if planes.is_empty() {
             return Err(FrameError::NoPlane);
         }
-        let frame = Frame { size: size.to_vec(), planes, sequence: 0, capture_ns: None };
+        let size = size.to_vec();
+        let frame = Frame { size, planes, sequence: 0, capture_ns: None, time_s: None, largest: None, names: None };
         for (channel, plane) in frame.planes.iter().enumerate() {
             plane.view(frame.sides()).map_err(|source| FrameError::Plane { channel, source })?;
         }
@@ -143,6 +151,38 @@ impl Frame {
     pub fn with_capture_ns(mut self, capture_ns: Option<u64>) -> Frame {
         self.capture_ns = capture_ns;
         self
+    }
+
+    /// The same frame with its time on the source's own clock.
+    pub fn with_time_s(mut self, time_s: Option<f64>) -> Frame {
+        self.time_s = time_s;
+        self
+    }
+
+    /// The same frame with what its pixels can hold at most.
+    pub fn with_largest(mut self, largest: f64) -> Frame {
+        self.largest = Some(largest);
+        self
+    }
+
+    /// The same frame with the names of its planes, one each. From here on they are found by name alone.
+    pub fn with_names(mut self, names: Arc<[String]>) -> Frame {
+        self.names = Some(names);
+        self
+    }
+
+    /// What the planes are called, where they have names.
+    pub fn names(&self) -> Option<&[String]> {
+        self.names.as_deref()
+    }
+
+    /// Which planes are these channels, in their order: by name where planes have names, else all by position. `None` where
+    /// that cannot be said.
+    pub fn planes_of(&self, channels: &[String]) -> Option<Vec<usize>> {
+        match &self.names {
+            Some(names) => channels.iter().map(|channel| names.iter().position(|name| name == channel)).collect(),
+            None => (channels.len() == self.planes.len()).then(|| (0..channels.len()).collect()),
+        }
     }
 
     /// Pixels along each dimension, the inner one first.
@@ -180,9 +220,10 @@ impl Frame {
     }
 
     /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in the first plane's format, rounded to
-    /// whole values when that has no fractions. Frames of any other number of planes come back as they are.
+    /// whole values when that has no fractions. Frames of any other number of planes, and planes with names, come back as they
+    /// are.
     pub fn luma(&self) -> Frame {
-        if self.planes.len() != LUMA.len() {
+        if self.planes.len() != LUMA.len() || self.names.is_some() {
             return self.clone();
         }
         // A stack's rows, one after the other, are one tall picture.
@@ -196,7 +237,7 @@ impl Frame {
                 append(&mut bytes, format, value);
             }
         }
-        Frame { size: self.size.clone(), planes: vec![Plane::owned(format, bytes, self.width())], ..*self }
+        Frame { planes: vec![Plane::owned(format, bytes, self.width())], ..self.clone() }
     }
 }
 
@@ -243,6 +284,19 @@ mod tests {
         assert_eq!(luma.planes()[0].buffer.bytes(), [255, 76, 82]); // 0.587·100 + 0.114·200 = 81.5
         assert_eq!(luma.sequence, 7);
         assert_eq!(luma.luma().planes()[0].buffer.bytes(), [255, 76, 82]);
+    }
+
+    #[test]
+    fn planes_with_names_are_found_by_them_alone() {
+        let named = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<Vec<_>>();
+        let planes = || (0..3).map(|value| Plane::owned(PixelFormat::U8, vec![value], 1)).collect();
+        let frame = Frame::new(&[1], planes()).unwrap();
+        assert_eq!(frame.planes_of(&named(&["y", "x", "z"])), Some(vec![0, 1, 2]));
+        assert_eq!(frame.planes_of(&named(&["y", "x"])), None);
+        let frame = frame.with_names(named(&["y", "x", "w"]).into());
+        assert_eq!(frame.planes_of(&named(&["x", "y"])), Some(vec![1, 0]));
+        assert_eq!(frame.planes_of(&named(&["x", "y", "z"])), None);
+        assert_eq!(frame.luma().planes().len(), 3);
     }
 
     #[test]

@@ -3,89 +3,10 @@
 //! What comes in: documents, or the text of a calibration file. What goes out: facts, and pixels of directions and back.
 //! It never knows a file or an image.
 
+mod facts;
 mod lens;
 mod opencv;
 
+pub use facts::{Camera, Distortion, Intrinsics};
 pub use lens::IntrinsicsError;
 pub use opencv::CalibrationError;
-
-use serde::{Deserialize, Serialize};
-
-/// Facts about a camera; what is not known is absent.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Camera {
-    /// The pixel value at which the sensor clips (many clip at 253 and not at 255). Default: where the pixels of a frame show
-    /// that they are clipped, else the format's largest value.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub saturation: Option<f64>,
-    /// The pixel value without light.
-    pub black: f64,
-    /// Electrons that raise the pixel value by one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub electrons_per_dn: Option<f64>,
-    /// Standard deviation of a pixel without light, in electrons.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub read_noise_e: Option<f64>,
-    /// The lens.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub intrinsics: Option<Intrinsics>,
-}
-
-/// The projection of directions to pixels.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Intrinsics {
-    /// Width of the image that the figures are for, px.
-    pub width: u32,
-    /// Height of that image, px.
-    pub height: u32,
-    /// Focal length along x, px.
-    pub fx: f64,
-    /// Focal length along y, px.
-    pub fy: f64,
-    /// Principal point, x, px.
-    pub cx: f64,
-    /// Principal point, y, px.
-    pub cy: f64,
-    /// What `coefficients` mean.
-    #[serde(default)]
-    pub model: Distortion,
-    /// Distortion, in OpenCV's order.
-    #[serde(default)]
-    pub coefficients: Vec<f64>,
-}
-
-/// Models of lens distortion.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Distortion {
-    /// A pinhole.
-    #[default]
-    None,
-    /// Brown–Conrady: k1 k2 p1 p2 k3.
-    PlumbBob,
-    /// With a denominator: k1 k2 p1 p2 k3 k4 k5 k6.
-    Rational,
-    /// Kannala–Brandt: k1 k2 k3 k4.
-    Fisheye,
-}
-
-impl Camera {
-    /// The value of a model's constant of that name, as far as this camera gives it: `gain` is pixel values per electron,
-    /// `read_noise` and `black` in pixel values (a black level of 0 is one that was not given), `fx` `fy` `cx` `cy` the lens,
-    /// in px, and `lens_k1` … `lens_k6`, `lens_p1`, `lens_p2` its distortion (0 where the lens has none).
-    pub fn constant(&self, name: &str) -> Option<f64> {
-        let lens = self.intrinsics.as_ref();
-        match name {
-            "fx" => Some(lens?.fx),
-            "fy" => Some(lens?.fy),
-            "cx" => Some(lens?.cx),
-            "cy" => Some(lens?.cy),
-            "black" => Some(self.black).filter(|black| *black != 0.0),
-            "gain" => Some(1.0 / self.electrons_per_dn?),
-            "read_noise" => Some(self.read_noise_e? / self.electrons_per_dn?),
-            _ => lens?.coefficient(name.strip_prefix("lens_")?),
-        }
-    }
-}

@@ -11,9 +11,10 @@ use isophote_symbolic::{Bindings, Precision, Prediction, Roles};
 use nalgebra::DMatrix;
 
 use super::ExposureGoal;
-use crate::solve::compiled::{Control, Job, Layout, lowering};
+use crate::scaled;
+use crate::sight::view::Layout;
 use crate::solve::loops::{Loops, Totals};
-use crate::solve::scaled;
+use crate::solve::stage_kernels::{Control, Job, lowering};
 use crate::track::solver::Solver;
 use crate::track::window::{Margin, shape};
 
@@ -109,7 +110,8 @@ impl Kernels {
         let channels = solver.model().channels().len();
         let limits = vec![limit; channels];
         let bindings = bindings(solver, parameters, &limits, &[]);
-        let sums = self.information.sums(&bindings, &vec![light.plane()?; channels], light.window)?;
+        let mut sums = Totals::default();
+        self.information.sums(&bindings, &vec![light.plane()?; channels], &[light.window], &mut sums)?;
         let n = solver.compiled.last_parameters().len();
         let upper = sums.outputs.get(1 + n..).filter(|upper| upper.len() == n * (n + 1) / 2)?;
         let mut information = DMatrix::zeros(n, n);

@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use super::Pose;
 use super::measured::row_major;
-use super::rigid::Rigid;
+use super::rigid::{Rigid, upright};
 use super::seen::{Five, outline};
 use super::target::{Target, TargetSpot};
 use crate::camera::{Distortion, Intrinsics};
@@ -89,9 +89,7 @@ impl Geometry {
 
     /// The rotation about an axis across the line of sight that has the same normal.
     fn unspun(&self, pose: &Rigid) -> Rigid {
-        let normal = pose.rotation.column(2).into_owned();
-        let rotation = nalgebra::Rotation3::rotation_between(&Vector3::z(), &normal)
-            .map_or_else(|| Rigid::of_rodrigues(Vector3::x(), Vector3::zeros()).rotation, |r| r.into_inner());
+        let rotation = upright(&pose.rotation.column(2).into_owned());
         let centre = self.target.spots.first().map_or(Vector3::zeros(), TargetSpot::centre);
         Rigid { rotation, translation: pose.apply(centre) - rotation * centre }
     }

@@ -11,11 +11,12 @@ use super::conic::{Circle, circles_of_ellipse};
 use super::geometry::normalised_ellipse;
 use super::p3p::p3p;
 use super::profile::Profile;
-use super::rigid::Rigid;
+use super::rigid::{Rigid, upright};
 use super::seen::{Five, outline, seen};
 use super::target::TargetSpot;
+use crate::budget::{Spend, Stop};
 use crate::camera::Intrinsics;
-use crate::solve::scaled;
+use crate::scaled;
 
 /// A spot and its fitted ellipse.
 #[derive(Clone, Debug)]
@@ -26,6 +27,9 @@ pub(crate) struct SpotSeen<'a> {
     /// Without one the ellipse is taken for the contour s = 1.
     pub profile: Option<Profile>,
 }
+
+/// What a step of a search costs for each spot; as long as that many pixels of a pass take.
+const STEP_COST: u64 = 8_000;
 
 /// A local minimum.
 #[derive(Clone, Copy, Debug)]
@@ -67,15 +71,26 @@ impl<'a> Joint<'a> {
     }
 
     /// Every local minimum, the best first.
-    pub fn minima(&self) -> Vec<Minimum> {
-        let seeds = self.seeds();
-        let mut rough: Vec<Minimum> = seeds.iter().filter_map(|seed| self.refined(seed, outline_of)).collect();
-        distinct(&mut rough);
+    ///
+    /// # Errors
+    /// When `spend` ends the search.
+    pub fn minima(&self, spend: Spend) -> Result<Vec<Minimum>, Stop> {
+        let mut rough = self.all_refined(&self.seeds(), outline_of, spend)?;
         rough.truncate(FOLLOWED);
-        let mut fine: Vec<Minimum> = rough.iter().filter_map(|m| self.refined(&m.pose, seen_of)).collect();
+        let rough: Vec<Rigid> = rough.into_iter().map(|minimum| minimum.pose).collect();
+        let mut fine = self.all_refined(&rough, seen_of, spend)?;
         fine.retain(|minimum| self.is_facing(&minimum.pose));
-        distinct(&mut fine);
-        fine
+        Ok(fine)
+    }
+
+    /// The minima that poses lead to, each once, the best first.
+    fn all_refined(&self, seeds: &[Rigid], predict: Predict, spend: Spend) -> Result<Vec<Minimum>, Stop> {
+        let mut minima = Vec::new();
+        for seed in seeds {
+            minima.extend(self.refined(seed, predict, spend)?);
+        }
+        distinct(&mut minima);
+        Ok(minima)
     }
 
     /// Where a pose would have spots behind the camera it is none; and one or two spots, which do not say which side is
@@ -117,8 +132,7 @@ impl<'a> Joint<'a> {
     /// that is turned least.
     fn spun(&self, index: usize, circle: &Circle, rays: &[Vector3<f64>]) -> Rigid {
         let spot = self.spots[index].spot.centre();
-        let upright = nalgebra::Rotation3::rotation_between(&Vector3::z(), &circle.normal)
-            .map_or_else(|| Rigid::of_rodrigues(Vector3::x(), Vector3::zeros()).rotation, |r| r.into_inner());
+        let upright = upright(&circle.normal);
         let (e1, e2) = (upright.column(0), upright.column(1));
         let (mut along, mut across) = (0.0, 0.0);
         for (other, ray) in
@@ -136,13 +150,22 @@ impl<'a> Joint<'a> {
         Rigid { rotation, translation: circle.centre - rotation * spot }
     }
 
-    /// Levenberg–Marquardt from a pose. Derivatives are those of the outline: the offset to what is seen changes little.
-    fn refined(&self, seed: &Rigid, predict: Predict) -> Option<Minimum> {
+    /// Levenberg–Marquardt from a pose; `None` where that leads nowhere.
+    fn refined(&self, seed: &Rigid, predict: Predict, spend: Spend) -> Result<Option<Minimum>, Stop> {
+        let spend = || spend(STEP_COST * self.spots.len() as u64);
+        let mut stop = None;
+        let minimum = self.descended(seed, predict, &mut || spend().map_err(|ended| stop = Some(ended)).ok());
+        stop.map_or(Ok(minimum), Err)
+    }
+
+    /// Derivatives are those of the outline: the offset to what is seen changes little. Each step begins with `spend`.
+    fn descended(&self, seed: &Rigid, predict: Predict, spend: &mut dyn FnMut() -> Option<()>) -> Option<Minimum> {
         let mut pose = *seed;
         let mut rest = self.rest(&pose, predict)?;
         let mut chi_square = rest.dot(&(&self.weight * &rest));
         let mut damping = 1e-3;
         for _ in 0..STEPS {
+            spend()?;
             let slopes = self.slopes(&pose)?;
             let weighed = &self.weight * &slopes;
             let mut information: Matrix6<f64> = (slopes.transpose() * &weighed).fixed_view::<6, 6>(0, 0).into_owned();

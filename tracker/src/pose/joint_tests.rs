@@ -50,7 +50,7 @@ fn minima(lens: &Intrinsics, target: &[TargetSpot], pose: &Rigid, predict: Predi
             seen
         })
         .collect();
-    Joint::new(lens, &seen, &covariance(&seen)).unwrap().minima()
+    Joint::new(lens, &seen, &covariance(&seen)).unwrap().minima(&|_| Ok(())).unwrap()
 }
 
 #[test]
@@ -128,7 +128,7 @@ fn the_covariance_is_that_of_the_poses() {
                 seen.ellipse[k] += covariance[(5 * i + k, 5 * i + k)].sqrt() * noise.normal();
             }
         }
-        let best = Joint::new(&lens, &noisy, &covariance).unwrap().minima()[0];
+        let best = Joint::new(&lens, &noisy, &covariance).unwrap().minima(&|_| Ok(())).unwrap()[0];
         let off = best.pose.to(&pose);
         total += off.dot(&(best.information * off));
     }

@@ -8,8 +8,9 @@ use super::profile::Profile;
 use super::seen::Five;
 use super::target::{Target, TargetSpot};
 use super::{Alternative, DELTA_CHI_SQUARE_MAX, Pose};
+use crate::budget::Spend;
 use crate::camera::Intrinsics;
-use crate::solve::scaled;
+use crate::scaled;
 
 /// What a fit says about all of a model's parameters.
 pub(crate) struct Fitted<'a> {
@@ -23,8 +24,15 @@ pub(crate) struct Fitted<'a> {
     pub saturation: f64,
 }
 
-/// The pose of the spots that the model and the target both have; `None` when there is none, or an ellipse is not free.
-pub(crate) fn of_ellipses(model: &Model, lens: &Intrinsics, target: &Target, fitted: &Fitted) -> Option<Pose> {
+/// The pose of the spots that the model and the target both have; `None` when there is none, an ellipse is not free, or `spend`
+/// ends the search.
+pub(crate) fn of_ellipses(
+    model: &Model,
+    lens: &Intrinsics,
+    target: &Target,
+    fitted: &Fitted,
+    spend: Spend,
+) -> Option<Pose> {
     let (mut spots, mut columns) = (Vec::new(), Vec::new());
     for roles in model.roles() {
         let named = target.spots.iter().find(|spot| Some(&spot.name) == roles.name.as_ref());
@@ -45,7 +53,7 @@ pub(crate) fn of_ellipses(model: &Model, lens: &Intrinsics, target: &Target, fit
     }
     let n = columns.len();
     let covariance = DMatrix::from_fn(n, n, |i, j| fitted.covariance[(columns[i], columns[j])]);
-    published(&Joint::new(lens, &spots, &covariance)?.minima(), spots.len())
+    published(&Joint::new(lens, &spots, &covariance)?.minima(spend).ok()?, spots.len())
 }
 
 /// The best minimum with the others that are as good.

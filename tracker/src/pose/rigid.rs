@@ -72,6 +72,12 @@ impl Rigid {
     }
 }
 
+/// The rotation that turns the z axis to `normal` about an axis across both: without spin. About x where they are opposite.
+pub(super) fn upright(normal: &Vector3<f64>) -> Matrix3<f64> {
+    let turn = Rotation3::rotation_between(&Vector3::z(), normal);
+    turn.map_or_else(|| Rigid::of_rodrigues(Vector3::x(), Vector3::zeros()).rotation, Rotation3::into_inner)
+}
+
 /// The rigid motion that brings `from` nearest to `to`, by least squares. Kabsch 1976.
 pub fn kabsch(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rigid> {
     if from.len() != to.len() || from.len() < 3 {

@@ -10,6 +10,7 @@ use super::direct::Geometry;
 use super::joint::{Joint, Minimum, SpotSeen};
 use super::rigid::Rigid;
 use super::seen::Five;
+use crate::budget::Spend;
 use crate::sight::start::Sight;
 
 /// A pose to begin with.
@@ -34,8 +35,8 @@ const SIZE: f64 = 0.2;
 const SHAPE: f64 = 0.05;
 
 /// Poses that suit the sights, the likeliest first. Sights are in the order of their mass, in frame coordinates by
-/// `origin`.
-pub(crate) fn starts(geometry: &Geometry, sights: &[Sight], origin: [f64; 4]) -> Vec<PoseStart> {
+/// `origin`. None when `spend` ends the search.
+pub(crate) fn starts(geometry: &Geometry, sights: &[Sight], origin: [f64; 4], spend: Spend) -> Vec<PoseStart> {
     let spots = &geometry.target.spots;
     let count = spots.len().min(sights.len());
     let mut found: Vec<(Minimum, Vec<Option<usize>>)> = Vec::new();
@@ -52,7 +53,8 @@ pub(crate) fn starts(geometry: &Geometry, sights: &[Sight], origin: [f64; 4]) ->
         let facing = |minimum: &Minimum| {
             spots.iter().all(|spot| minimum.pose.rotation.column(2).dot(&minimum.pose.apply(spot.centre())) > 0.0)
         };
-        found.extend(joint.minima().into_iter().filter(facing).map(|minimum| (minimum, assignment.clone())));
+        let Ok(minima) = joint.minima(spend) else { return Vec::new() };
+        found.extend(minima.into_iter().filter(facing).map(|minimum| (minimum, assignment.clone())));
     }
     found.sort_by(|a, b| a.0.chi_square.total_cmp(&b.0.chi_square));
     let best = found.first().map_or(0.0, |(minimum, _)| minimum.chi_square);
@@ -113,7 +115,67 @@ const ASSIGNMENTS_MAX: usize = 400;
 
 #[cfg(test)]
 mod tests {
-    use super::{ASSIGNMENTS_MAX, assignments};
+    use std::cell::Cell;
+    use std::time::Instant;
+
+    use isophote_symbolic::Model;
+    use nalgebra::{Rotation3, Vector3};
+
+    use super::*;
+    use crate::budget::Stop;
+    use crate::pose::seen::outline;
+    use crate::pose::target::TargetSpot;
+
+    /// Six spots, none of which has a name that a picture shows, and one thing more.
+    fn six() -> (Geometry, Vec<Sight>) {
+        let model = include_str!("../../../models/three-spots-pose.toml");
+        let model = Model::from_toml(model).expect("a shipped model");
+        let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
+        let mut geometry = Geometry::of(&model, &constants).expect("a pose");
+        let places = [[0.0, 90.0], [-80.0, -40.0], [75.0, -45.0], [-60.0, 55.0], [70.0, 60.0], [5.0, -95.0]];
+        let spot = |(i, [x, y]): (usize, [f64; 2])| TargetSpot {
+            name: format!("spot{i}"),
+            position_mm: [x, y, 0.0],
+            radius_mm: 20.0,
+        };
+        geometry.target.spots = places.into_iter().enumerate().map(spot).collect();
+        let turn = Rotation3::new(Vector3::new(0.4, -0.3, 0.2)).into_inner();
+        let pose = Rigid { rotation: turn, translation: Vector3::new(40.0, -30.0, 900.0) };
+        let seen = |spot: &TargetSpot| {
+            let e = outline(&geometry.lens, &pose, spot).expect("in front of the camera");
+            let mut extent = [[0.0; 4]; 4];
+            [extent[0][0], extent[0][1], extent[1][0], extent[1][1]] = [e[2], e[3], e[3], e[4]];
+            let centre = [e[0], e[1], 0.0, 0.0];
+            Sight { centre, extent, size: [10.0; 4], background: 20.0, amplitude: 100.0, saturated: 0 }
+        };
+        let sights = geometry.target.spots.iter().map(seen).collect();
+        (geometry, sights)
+    }
+
+    #[test]
+    fn six_alike_spots_are_searched_within_a_bound() {
+        let (geometry, sights) = six();
+        // Minutes where the machine is busy: asked for by name.
+        if std::env::var_os("ISOPHOTE_LONG").is_some() {
+            let (begin, spent) = (Instant::now(), Cell::new(0_u64));
+            let found = starts(&geometry, &sights, [0.0; 4], &|units| {
+                spent.set(spent.get() + units);
+                Ok(())
+            });
+            eprintln!("six spots: {} units in {:?}", spent.get(), begin.elapsed());
+            assert!(!found.is_empty() && spent.get() < crate::WORK_MAX / 4, "{} units", spent.get());
+        }
+        // Given up at some step, it asks no more.
+        for last in [0, 1, 1000] {
+            let (begin, asked) = (Instant::now(), Cell::new(0));
+            let found = starts(&geometry, &sights, [0.0; 4], &|_| {
+                asked.set(asked.get() + 1);
+                if asked.get() > last { Err(Stop::Cancelled) } else { Ok(()) }
+            });
+            eprintln!("given up after {last} steps: {:?}", begin.elapsed());
+            assert!(found.is_empty() && asked.get() == last + 1, "{} steps", asked.get());
+        }
+    }
 
     #[test]
     fn every_assignment_once() {

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::points::Point;
 use crate::exposure::{Kernels, Light};
-use crate::solve::scaled;
+use crate::scaled;
 use crate::track::solver::Solver;
 
 /// Share of the target's pixels that a short dynamic range loses.

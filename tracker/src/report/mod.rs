@@ -12,12 +12,13 @@ mod tests;
 use std::collections::BTreeMap;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat};
-use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, Objective, Proof};
+use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, Objective, ParameterId, Proof, Stage};
 use serde::{Deserialize, Serialize};
 
 use self::outlook::Outlook;
 use crate::exposure::ExposureAdvice;
-use crate::solve::compiled::{CompileFailure, Compiled, Control, lowering};
+use crate::solve::compiled::Compiled;
+use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
 
 /// Costs and self-check of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -104,7 +105,7 @@ impl StageCost {
     ) -> Result<StageCost, Diagnostics> {
         let cost = objective.cost(lowering)?;
         Ok(StageCost {
-            parameters: objective.subset().iter().map(|id| model.parameters()[id.index()].name.clone()).collect(),
+            parameters: names(model, objective.subset()),
             method,
             flops_per_pixel: cost.flops_per_pixel,
             accumulators: cost.accumulators,
@@ -119,6 +120,10 @@ impl StageCost {
     }
 }
 
+fn names(model: &Model, parameters: &[ParameterId]) -> Vec<String> {
+    parameters.iter().map(|id| model.parameters()[id.index()].name.clone()).collect()
+}
+
 impl Compiled {
     /// Derives and compiles every stage once more, on 8-bit pixels, and says what it costs and promises. `clock_ns`: any
     /// monotonic clock.
@@ -127,8 +132,18 @@ impl Compiled {
     /// When a kernel cannot be made, or parameters of the last stage can never be told apart.
     pub fn report(&self, clock_ns: &dyn Fn() -> u64) -> Result<CheckReport, CompileFailure> {
         let model = self.model();
-        let mut stages = Vec::new();
-        for stage in model.stages() {
+        let mut stages: Vec<StageCost> = Vec::new();
+        for (index, stage) in model.stages().iter().enumerate() {
+            // Stages that free the same parameters by the same method share a program.
+            let is_same = |other: &Stage| {
+                let mut sets = [stage, other].map(|stage| stage.parameters.clone());
+                sets.iter_mut().for_each(|set| set.sort());
+                sets[0] == sets[1] && stage.method == other.method
+            };
+            if let Some(known) = model.stages()[..index].iter().position(is_same) {
+                stages.push(StageCost { parameters: names(model, &stage.parameters), ..stages[known].clone() });
+                continue;
+            }
             let begin_ns = clock_ns();
             let objective = model.objective(&stage.parameters, stage.method).map_err(CompileFailure::Model)?;
             let program = objective.program(lowering(Control::Plain)).map_err(CompileFailure::Model)?;

@@ -3,20 +3,19 @@
 use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
 use crate::pose;
-use crate::sight::colours::Colours;
+use crate::sight::colours::{Colours, Whereabouts};
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::halved::find_halved;
 use crate::sight::mask::Mask;
 use crate::sight::start::{Sight, Sign, Wanted, find};
-use crate::solve::compiled::Control;
-use crate::solve::fit::View;
+use crate::sight::view::View;
 
 /// What a cold start may begin with.
 pub(crate) struct Cold {
     /// What may be the target, the likeliest first.
     pub sights: Vec<Starts>,
-    /// Whether the window holds saturated pixels.
-    pub control: Control,
+    /// Saturated pixels of the window.
+    pub saturated: usize,
     /// Variance of a pixel of the background; `None` when nobody looked.
     pub variance: Option<f64>,
     /// The first of them stands where the target was said to be.
@@ -75,19 +74,19 @@ impl Cold {
         let mixture = Mixture::observed(model, constants);
         let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
         let grey = read(&view.planes, view.window, &view.saturation, &mixture);
-        let control = if grey.saturated() > 0 { Control::Dropping } else { Control::Plain };
+        let saturated = grey.saturated();
         let origin = view.window.first().map(|at| at as f64);
         if estimators.iter().all(Option::is_none) {
             let sights = vec![starts(model, given, &[], &estimators, origin)];
-            return Some(Cold { sights, control, variance: None, is_placed: true });
+            return Some(Cold { sights, saturated, variance: None, is_placed: true });
         }
         let mut wanted = wanted(model, given, origin);
         if let Some(geometry) = pose::Geometry::of(model, constants) {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
             let found = find(&grey, &wanted);
-            let starts = pose_starts(model, &geometry, &found.sights, given, origin)?;
+            let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
             let (sights, variance) = (vec![Starts { starts, tighter: None }], Some(found.noise.powi(2)));
-            return Some(Cold { sights, control, variance, is_placed: false });
+            return Some(Cold { sights, saturated, variance, is_placed: false });
         }
         let targets = model.roles().len().max(1);
         let several = if targets == 1 { sights_max } else { 1 };
@@ -102,6 +101,7 @@ impl Cold {
             return None;
         }
         let is_placed = wanted.near.is_some();
+        let first = if is_placed { Whereabouts::Known } else { Whereabouts::Unknown };
         let sights: Vec<&[Sight]> = match (&colours, targets) {
             (_, 1) => found.sights.iter().map(std::slice::from_ref).collect(),
             (Some(_), _) => vec![&found.sights[..]],
@@ -109,7 +109,7 @@ impl Cold {
         };
         let start = |sights: &[Sight]| match &colours {
             Some(colours) => {
-                let (sights, given) = colours.sorted(view, sights, given, is_placed)?;
+                let (sights, given) = colours.sorted(view, sights, given, first)?;
                 Some(starts(model, &given, &sights, &estimators, origin))
             }
             None => Some(starts(model, given, sights, &estimators, origin)),
@@ -117,7 +117,7 @@ impl Cold {
         let sights: Vec<Starts> = sights.into_iter().filter_map(start).collect();
         // The picture is the sum of all that is fitted.
         let variance = Some(found.noise.powi(2) / model.entries() as f64);
-        (!sights.is_empty()).then_some(Cold { sights, control, variance, is_placed })
+        (!sights.is_empty()).then_some(Cold { sights, saturated, variance, is_placed })
     }
 }
 
@@ -161,12 +161,14 @@ fn pose_starts(
     geometry: &pose::Geometry,
     sights: &[Sight],
     given: &[Option<f64>],
-    origin: [f64; 4],
+    view: &View,
 ) -> Option<Vec<Vec<f64>>> {
+    let origin = view.window.first().map(|at| at as f64);
+    let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
     let spots = &geometry.target.spots;
     let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
     let mut starts = Vec::new();
-    for pose_start in pose::starts(geometry, sights, origin) {
+    for pose_start in pose::starts(geometry, sights, origin, &spend) {
         let sight_of = |parameter: usize| {
             let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
             let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());

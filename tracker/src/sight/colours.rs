@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::sight::grey::Mixture;
 use crate::sight::start::Sight;
-use crate::solve::fit::View;
+use crate::sight::view::View;
 
 /// The brightness at which a model is asked.
 const PROBE: f64 = 100.0;
@@ -38,6 +38,14 @@ pub(crate) struct Colours {
     unmixing: DMatrix<f64>,
     /// For each parameter that is a background the entry that it is the ground of, and how much it counts there.
     grounds: Vec<Option<(usize, f64)>>,
+}
+
+/// What is known beforehand of where the first target is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Whereabouts {
+    /// Sights come in the order of their distance from it.
+    Known,
+    Unknown,
 }
 
 /// A sight with its colour.
@@ -98,12 +106,12 @@ impl Colours {
         view: &View,
         sights: &[Sight],
         given: &[Option<f64>],
-        is_placed: bool,
+        first: Whereabouts,
     ) -> Option<(Vec<Sight>, Vec<Option<f64>>)> {
         let coloured: Vec<Coloured> = sights.iter().map(|sight| self.coloured(view, sight)).collect();
         let target = |target: usize| {
             let mut own = coloured.iter().filter(|thing| largest(&thing.light) == Some(target));
-            if is_placed && target == 0 {
+            if first == Whereabouts::Known && target == 0 {
                 return own.next();
             }
             own.max_by(|a, b| a.light[target].total_cmp(&b.light[target]))

@@ -14,3 +14,4 @@ pub(crate) mod halved;
 pub(crate) mod mask;
 pub(crate) mod mixing;
 pub(crate) mod start;
+pub(crate) mod view;

@@ -2,97 +2,18 @@
 //!
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
-use isophote_jit::{PixelFormat, PlaneView, Window};
+use isophote_jit::Window;
 use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Ending, StageReport};
+use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
-use crate::sight::clipping::clipping;
-use crate::sight::grey::{Grey, Mixture, may_be_nan};
-use crate::solve::alternatives::Substitute;
-use crate::solve::compiled::{CompileFailure, Compiled, Control, Job, Layout, curvature, value_kind};
+use crate::sight::grey::may_be_nan;
+use crate::sight::view::View;
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::stage::{self, Pass, Problem, Rules};
+use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
 use crate::solve::trust::{Curvature, Quadratic, Spectrum};
-
-/// The largest pixel value of a format: the camera's limit where nothing else is known.
-pub(crate) fn largest_value(format: PixelFormat) -> f64 {
-    match format {
-        PixelFormat::U8 => f64::from(u8::MAX),
-        PixelFormat::U16 => f64::from(u16::MAX),
-        PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
-    }
-}
-
-/// What a fit looks at.
-pub(crate) struct View<'a> {
-    pub planes: Vec<PlaneView<'a>>,
-    pub window: Window,
-    /// One limit a plane.
-    pub saturation: Vec<f64>,
-    /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
-    /// a step below it on.
-    limits: Vec<f64>,
-    pub layout: Layout,
-    /// What the lane's rounding does to a residual, in pixel values.
-    pub rounding: f64,
-}
-
-impl<'a> View<'a> {
-    /// Planes of one size; the window lies inside. `saturation`: one limit a plane.
-    pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Vec<f64>, precision: Precision) -> View<'a> {
-        let largest =
-            planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
-        let lane = match precision {
-            Precision::F32 => f64::from(f32::EPSILON),
-            Precision::F64 => f64::EPSILON,
-        };
-        let layout = Layout::of(&planes);
-        let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
-        let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
-        View { planes, window, saturation, limits, layout, rounding: lane * largest }
-    }
-}
-
-impl View<'_> {
-    /// The same part of a copy of the picture in fractions, with the limits that pixels were rounded to.
-    pub fn with_planes<'b>(&self, planes: Vec<PlaneView<'b>>, precision: Precision) -> View<'b> {
-        let mut view = View::new(planes, self.window, vec![f64::INFINITY; self.saturation.len()], precision);
-        view.saturation.clone_from(&self.limits);
-        view.limits.clone_from(&self.limits);
-        view.rounding = self.rounding;
-        view
-    }
-
-    /// Pixels are integers.
-    pub fn holds_whole_values(&self) -> bool {
-        self.planes.iter().all(is_whole)
-    }
-}
-
-/// The limit of one plane of a camera of which nothing is known: where the pixels show that they are clipped, else the
-/// largest value of the format.
-pub(crate) fn limit(plane: &PlaneView, window: Window) -> f64 {
-    clipping(plane, window).unwrap_or(largest_value(plane.format()))
-}
-
-fn is_whole(plane: &PlaneView) -> bool {
-    matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16)
-}
-
-/// A magnitude that pixel values do not exceed; floats without a limit are looked at.
-fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
-    if limit.is_finite() {
-        return limit.abs();
-    }
-    Grey::read(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1))
-        .values
-        .into_iter()
-        .map(f64::abs)
-        .filter(|value| value.is_finite())
-        .fold(0.0, f64::max)
-}
 
 /// What a fit came to.
 #[derive(Clone, Debug)]
@@ -126,7 +47,7 @@ pub(crate) struct Worth {
 /// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them; one
 /// that has met pixels that are no numbers, as files of floating point may hold, from its start without those.
 pub(crate) fn fit(
-    compiled: &Compiled,
+    compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
@@ -144,7 +65,7 @@ pub(crate) fn fit(
 }
 
 fn fit_controlled(
-    compiled: &Compiled,
+    compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
@@ -161,18 +82,9 @@ fn fit_controlled(
             ValueKind::Entry => Job::Value,
         };
         let value = compiled.loops(value, control, &view.layout)?;
-        let free = indices(&stage.parameters);
-        let count = free.len();
-        let mut problem = Kernels {
-            compiled,
-            view,
-            parts: &parts,
-            constants,
-            gradient,
-            value,
-            count,
-            curvature: curvature(stage.method),
-        };
+        let free = indices(compiled.order(index));
+        let passes = Passes::of(compiled, view, &parts, constants);
+        let mut problem = Summed { passes, gradient, value, curvature: curvature(stage.method) };
         let rules = Rules {
             free,
             iterations: stage.iterations,
@@ -190,19 +102,17 @@ fn fit_controlled(
         }
     }
     let control = if control == Control::Blind { control } else { Control::Dropping };
-    let gradient = compiled.loops(Job::Covariance, control, &view.layout)?;
-    let value = compiled.loops(Job::Value, control, &view.layout)?;
-    let count = compiled.last_parameters().len();
-    let mut problem =
-        Kernels { compiled, view, parts: &parts, constants, gradient, value, count, curvature: Curvature::GaussNewton };
-    match problem.worth(&fit.parameters, control)? {
-        Some(worth) => {
+    let covariance = compiled.loops(Job::Covariance, control, &view.layout)?;
+    let report = if model.has_noise() { Some(compiled.loops(Job::Report, control, &view.layout)?) } else { None };
+    let mut passes = Passes::of(compiled, view, &parts, constants);
+    match passes.worth(&covariance, report.as_ref(), &fit.parameters) {
+        Ok(worth) => {
             if worth.covariance.is_none() {
                 fit.ending = Ending::Singular;
             }
             fit.worth = Some(worth);
         }
-        None => fit.ending = Ending::NonFinite,
+        Err(ending) => fit.ending = ending,
     }
     Ok(fit)
 }
@@ -216,7 +126,7 @@ fn parts(model: &Model, view: &View, constants: &[f64], start: &[f64]) -> Vec<Wi
 /// By how much F (with noise: minus twice the log-likelihood) is larger at `b` than at `a`, the mean over the pixels of
 /// either.
 pub(crate) fn difference(
-    compiled: &Compiled,
+    compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     a: &[f64],
@@ -228,11 +138,8 @@ pub(crate) fn difference(
     let mut sum = 0.0;
     for entry in [a, b] {
         let parts = parts(model, view, constants, entry);
-        let gradient = value.clone(); // not run
-        let curvature = Curvature::GaussNewton;
-        let kernels =
-            Kernels { compiled, view, parts: &parts, constants, gradient, value: value.clone(), count: 0, curvature };
-        let at = |point: &[f64]| kernels.run(&value, point, entry)?.outputs.first().copied();
+        let mut passes = Passes::of(compiled, view, &parts, constants);
+        let mut at = |point: &[f64]| passes.run(&value, point, entry).ok()?.outputs.first().copied();
         let (Some(at_a), Some(at_b)) = (at(a), at(b)) else { return Ok(None) };
         sum += at_b - at_a;
     }
@@ -241,7 +148,7 @@ pub(crate) fn difference(
 
 /// F, gradient and Hessian of a stage at a point, on that point's pixel set; `None` when no kernel could run.
 pub(crate) fn quadratic_at(
-    compiled: &Compiled,
+    compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     stage: usize,
@@ -251,8 +158,9 @@ pub(crate) fn quadratic_at(
     let Stage { parameters, method, .. } = &compiled.model().stages()[stage];
     let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
     let bindings = Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
-    let sums = gradient.sums(&bindings, &view.planes, view.window);
-    Ok(sums.and_then(|sums| quadratic(&sums.outputs, parameters.len(), curvature(*method))))
+    let (mut totals, mut pass) = (Totals::default(), Pass::of(parameters.len()));
+    let ran = gradient.sums(&bindings, &view.planes, &[view.window], &mut totals);
+    Ok(ran.and_then(|()| pass.read(&totals, curvature(*method)).ok()).map(|()| pass.quadratic))
 }
 
 /// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.
@@ -267,56 +175,58 @@ fn indices(parameters: &[ParameterId]) -> Vec<usize> {
     parameters.iter().map(|parameter| parameter.index()).collect()
 }
 
-/// Kernels over a view, as something to minimise.
-struct Kernels<'a> {
-    compiled: &'a Compiled,
+/// Passes over a view.
+struct Passes<'a> {
+    compiled: &'a StageKernels,
     view: &'a View<'a>,
     /// Windows without a common pixel: the view's, or what of it the target can be in.
     parts: &'a [Window],
+    pixels: usize,
     constants: &'a [f64],
-    gradient: Loops,
-    value: Loops,
-    /// Free parameters of the gradient kernel.
-    count: usize,
-    curvature: Curvature,
+    /// Of the last pass.
+    totals: Totals,
 }
 
-impl Kernels<'_> {
-    fn run(&self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Option<Totals> {
-        let bindings =
-            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
-        let (first, others) = self.parts.split_first()?;
-        let mut totals = loops.sums(&bindings, &self.view.planes, *first)?;
-        for part in others {
-            totals.add(loops.sums(&bindings, &self.view.planes, *part)?);
-        }
-        Some(totals)
+impl<'a> Passes<'a> {
+    fn of(compiled: &'a StageKernels, view: &'a View<'a>, parts: &'a [Window], constants: &'a [f64]) -> Passes<'a> {
+        let pixels = parts.iter().map(|part| part.pixels()).sum();
+        Passes { compiled, view, parts, pixels, constants, totals: Totals::default() }
     }
 
-    /// The pass that nothing follows.
-    fn worth(&mut self, end: &[f64], control: Control) -> Result<Option<Worth>, CompileFailure> {
-        let Some(sums) = self.run(&self.gradient, end, end) else { return Ok(None) };
-        let Some(quadratic) = quadratic(&sums.outputs, self.count, self.curvature) else { return Ok(None) };
-        let (mut objective, mut chi_square) = (quadratic.objective, sums.seen[0]);
-        let noise = self.compiled.model().has_noise();
-        if noise {
-            let report = self.compiled.loops(Job::Report, control, &self.view.layout)?;
-            match self.run(&report, end, end).as_ref().map(|sums| (sums.outputs.as_slice(), sums.seen.as_slice())) {
-                Some((&[full, _], &[_, chi])) => (objective, chi_square) = (full, chi),
-                _ => return Ok(None),
+    /// One pass over all parts.
+    fn run(&mut self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Result<&Totals, Ending> {
+        self.view.spend(self.pixels)?;
+        let bindings =
+            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
+        let ran = loops.sums(&bindings, &self.view.planes, self.parts, &mut self.totals);
+        ran.map(|()| &self.totals).ok_or(Ending::NonFinite)
+    }
+
+    /// The passes that nothing follows; `report` is there for models with noise.
+    fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
+        let count = self.compiled.last_parameters().len();
+        let mut pass = Pass::of(count);
+        let sums = self.run(covariance, end, end)?;
+        pass.read(sums, Curvature::GaussNewton)?;
+        let (quadratic, met, mut chi_square) = (pass.quadratic, pass.pixels + sums.saturated, sums.seen[0]);
+        let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
+        let mut objective = quadratic.objective;
+        if let Some(report) = report {
+            let sums = self.run(report, end, end)?;
+            match (sums.outputs.as_slice(), sums.seen.as_slice()) {
+                (&[full, _], &[_, chi]) => (objective, chi_square) = (full, chi),
+                _ => return Err(Ending::NonFinite),
             }
         }
         if !quadratic.is_finite() || !objective.is_finite() {
-            return Ok(None);
+            return Err(Ending::NonFinite);
         }
-        let reduced = sums.pixels.checked_sub(self.count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
-        let variance = if noise { Some(1.0) } else { reduced };
+        let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
+        let variance = if report.is_some() { Some(1.0) } else { reduced };
         let covariance =
             variance.and_then(|variance| Some(inverse_fisher(&quadratic, self.compiled.precision())? * variance));
         let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
-        let met = sums.pixels + sums.saturated;
-        let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
-        Ok(Some(Worth { objective, reduced, pixels: sums.pixels, saturated, covariance, variance_alone }))
+        Ok(Worth { objective, reduced, pixels: pass.pixels, saturated, covariance, variance_alone })
     }
 }
 
@@ -329,35 +239,50 @@ fn inverse_fisher(quadratic: &Quadratic, precision: Precision) -> Option<DMatrix
     Some(Spectrum::new(quadratic, &scale, stage::eigen_resolution(precision))?.inverse()? * 2.0)
 }
 
-/// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
-fn quadratic(outputs: &[f64], n: usize, curvature: Curvature) -> Option<Quadratic> {
-    let (&objective, rest) = outputs.split_first()?;
-    if rest.len() != n + n * (n + 1) / 2 {
-        return None;
-    }
-    let (gradient, upper) = rest.split_at(n);
-    let mut hessian = DMatrix::zeros(n, n);
-    let mut entries = upper.iter();
-    for i in 0..n {
-        for (j, &entry) in (i..n).zip(&mut entries) {
-            hessian[(i, j)] = entry;
-            hessian[(j, i)] = entry;
+impl Pass {
+    /// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
+    fn read(&mut self, sums: &Totals, curvature: Curvature) -> Result<(), Ending> {
+        let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
+        let n = gradient.len();
+        let (&first, rest) = sums.outputs.split_first().ok_or(Ending::NonFinite)?;
+        if rest.len() != n + n * (n + 1) / 2 {
+            return Err(Ending::NonFinite);
         }
+        let (slopes, upper) = rest.split_at(n);
+        *objective = first;
+        gradient.copy_from_slice(slopes);
+        let mut entries = upper.iter();
+        for i in 0..n {
+            for (j, &entry) in (i..n).zip(&mut entries) {
+                hessian[(i, j)] = entry;
+                hessian[(j, i)] = entry;
+            }
+        }
+        self.quadratic.curvature = curvature;
+        self.pixels = sums.pixels;
+        Ok(())
     }
-    Some(Quadratic { objective, gradient: DVector::from_row_slice(gradient), hessian, curvature })
 }
 
-impl Problem for Kernels<'_> {
-    fn gradient(&mut self, point: &[f64], entry: &[f64]) -> Option<Pass> {
-        let sums = self.run(&self.gradient, point, entry)?;
-        Some(Pass { quadratic: quadratic(&sums.outputs, self.count, self.curvature)?, pixels: sums.pixels })
+/// Sums over a view, as something to minimise.
+struct Summed<'a> {
+    passes: Passes<'a>,
+    gradient: Loops,
+    value: Loops,
+    curvature: Curvature,
+}
+
+impl Problem for Summed<'_> {
+    fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+        pass.read(self.passes.run(&self.gradient, point, entry)?, self.curvature)
     }
 
-    fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64> {
-        self.run(&self.value, point, entry)?.outputs.first().copied()
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
+        self.passes.run(&self.value, point, entry)?.outputs.first().copied().ok_or(Ending::NonFinite)
     }
 
     fn allowed(&self, point: &[f64]) -> bool {
-        point.iter().all(|value| value.is_finite()) && self.compiled.model().constraints_hold(point, self.constants)
+        let Passes { compiled, constants, .. } = &self.passes;
+        point.iter().all(|value| value.is_finite()) && compiled.model().constraints_hold(point, constants)
     }
 }

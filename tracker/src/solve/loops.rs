@@ -29,38 +29,47 @@ pub(crate) struct Totals {
 }
 
 impl Totals {
-    /// Those of another window as well.
-    pub fn add(&mut self, other: Totals) {
-        let add = |to: &mut [f64], from: Vec<f64>| to.iter_mut().zip(from).for_each(|(sum, value)| *sum += value);
-        add(&mut self.outputs, other.outputs);
-        add(&mut self.seen, other.seen);
-        self.pixels += other.pixels;
-        self.saturated += other.saturated;
+    fn clear(&mut self) {
+        self.outputs.clear();
+        self.seen.clear();
+        (self.pixels, self.saturated) = (0, 0);
+    }
+}
+
+fn add(to: &mut Vec<f64>, from: &[f64]) {
+    if to.is_empty() {
+        to.extend_from_slice(from);
+    } else {
+        to.iter_mut().zip(from).for_each(|(sum, value)| *sum += value);
     }
 }
 
 impl Loops {
-    /// `None` when a kernel refuses the planes; they were made for it, so only a bug could.
-    pub fn sums(&self, bindings: &Bindings, planes: &[PlaneView], window: Window) -> Option<Totals> {
-        let mut totals = Totals::default();
-        let run = |kernel: &Arc<Kernel>| kernel.sums(bindings, planes, window).ok();
-        let add = |to: &mut Vec<f64>, from: Vec<f64>| match to.is_empty() {
-            true => *to = from,
-            false => to.iter_mut().zip(from).for_each(|(sum, value)| *sum += value),
-        };
-        for kernel in &self.seen {
-            let sums = run(kernel)?;
-            totals.pixels += sums.pixels;
-            totals.saturated += sums.saturated;
-            add(&mut totals.outputs, sums.outputs);
-        }
-        totals.seen.clone_from(&totals.outputs);
-        // Where nothing was left out there is nothing to make up for.
-        if totals.saturated > 0 {
-            for kernel in &self.clipped {
-                add(&mut totals.outputs, run(kernel)?.outputs);
+    /// The sums over windows without a common pixel, into `totals`, whatever was in there. `None` when a kernel refuses the
+    /// planes; they were made for it, so only a bug could.
+    pub fn sums(
+        &self,
+        bindings: &Bindings,
+        planes: &[PlaneView],
+        windows: &[Window],
+        totals: &mut Totals,
+    ) -> Option<()> {
+        totals.clear();
+        for window in windows {
+            let mut saturated = 0;
+            for kernel in &self.seen {
+                let sums = kernel.sums(bindings, planes, *window).ok()?;
+                totals.pixels += sums.pixels;
+                saturated += sums.saturated;
+                add(&mut totals.seen, &sums.outputs);
+                add(&mut totals.outputs, &sums.outputs);
+            }
+            totals.saturated += saturated;
+            // Where nothing was left out there is nothing to make up for.
+            for kernel in self.clipped.iter().filter(|_| saturated > 0) {
+                add(&mut totals.outputs, &kernel.sums(bindings, planes, *window).ok()?.outputs);
             }
         }
-        Some(totals)
+        Some(())
     }
 }

@@ -8,7 +8,7 @@ pub(crate) mod alternatives;
 pub(crate) mod compiled;
 pub(crate) mod fit;
 pub(crate) mod loops;
-pub(crate) mod scaled;
 pub(crate) mod stage;
+pub(crate) mod stage_kernels;
 pub(crate) mod trust;
 pub(crate) mod workers;

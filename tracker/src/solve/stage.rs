@@ -11,9 +11,12 @@
 //! Near the minimum, one pixel at the rim of a domain or of a kink in the formula may come and go with every step, which
 //! then go to and fro for ever, some hundredths of a standard deviation long. So when a step that insignificant turns back,
 //! the pixel set is kept from there on, and each turn halves what a step may be: the last steps are a bisection.
+//!
+//! Where steps were refused last, the stage does not end before F was seen to fall along its own gradient (see
+//! [`Walk::agrees`]): a start from which every step is refused is no minimum.
 
 use isophote_symbolic::Precision;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Ending, StageReport};
 use crate::solve::trust::{Curvature, Quadratic, Region, Spectrum, Step};
@@ -27,12 +30,22 @@ pub(crate) struct Pass {
     pub pixels: u64,
 }
 
-/// A function to minimise. Points are full parameter vectors; free ones are the stage's.
+impl Pass {
+    /// Room for one over so many free parameters.
+    pub fn of(free: usize) -> Pass {
+        let (gradient, hessian) = (DVector::zeros(free), DMatrix::zeros(free, free));
+        let curvature = Curvature::GaussNewton;
+        Pass { quadratic: Quadratic { objective: 0.0, gradient, hessian, curvature }, pixels: 0 }
+    }
+}
+
+/// A function to minimise. Points are full parameter vectors; free ones are the stage's. An error is how the stage ends when
+/// there can be no further pass: no kernel could run, or nobody waits any longer.
 pub(crate) trait Problem {
-    /// F, g and H at `point`, on the pixel set and with the weights of `entry`. `None`: no kernel could run.
-    fn gradient(&mut self, point: &[f64], entry: &[f64]) -> Option<Pass>;
+    /// Puts F, g and H at `point`, on the pixel set and with the weights of `entry`, into `pass`.
+    fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending>;
     /// F at `point`, on the pixel set and with the weights of `entry`.
-    fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64>;
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending>;
     /// True when bounds and constraints hold.
     fn allowed(&self, point: &[f64]) -> bool;
 }
@@ -74,8 +87,21 @@ const WORSE: f64 = 1.5;
 pub(crate) const QUANTISATION: f64 = 1.0 / 12.0;
 /// Radius over the length of a step that strayed.
 const STRAYED: f64 = 0.25;
+/// How far aside of a start without derivatives a stage begins: this share of each parameter, …
+const ASIDE: f64 = 1.0 / 1024.0;
+/// … and this where the parameter is 0.
+const ASIDE_OF_ZERO: f64 = 1e-6;
 /// Halvings of a step that breaks a bound or a constraint.
 const HALVINGS: usize = 40;
+/// Steps down the gradient by which F is held against its derivatives, each an eighth of the one before, …
+const RUNGS: usize = 12;
+const RUNG: f64 = 0.125;
+/// … as long as they promise so many times what rounding may hide. …
+const TELLING: f64 = 16.0;
+/// … After fewer than these nothing can be said: the curvature may be so much larger than it is thought to be.
+const RUNGS_LEAST: usize = 4;
+/// F falls when it falls by this share of what the gradient says.
+const FALLS: f64 = 0.1;
 
 /// Size of an eigenvalue that the sums cannot tell from zero, relative to the largest, per parameter.
 pub(crate) fn eigen_resolution(precision: Precision) -> f64 {
@@ -152,6 +178,10 @@ struct Walk<'a, P: Problem> {
     problem: &'a mut P,
     rules: &'a Rules,
     report: StageReport,
+    /// Where the step at hand leads: all parameters.
+    next: Vec<f64>,
+    /// Steps from the point at hand that were refused.
+    refused: u32,
     /// The least F per pixel of a pass so far.
     least_mean: f64,
     /// The last accepted step, scaled: D δ.
@@ -168,20 +198,70 @@ struct Turned {
     length: f64,
 }
 
+/// What became of the steps from one point.
+enum Descent {
+    /// One was accepted; [`Walk::next`] is where it leads.
+    Accepted,
+    /// There is no further step.
+    Over(Ending),
+    /// The last step is shorter than its tolerance.
+    Converged(Step),
+    /// There can be no further pass.
+    Stopped(Ending),
+}
+
 /// Runs a stage; `point` ends at the last accepted point (see [`Ending`]).
-pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut Vec<f64>) -> StageReport {
-    let mut walk =
-        Walk { problem, rules, report: StageReport::default(), least_mean: f64::INFINITY, last: None, turned: None };
+///
+/// Where F is known at the start but its derivatives are not finite, the stage begins a little aside: a start in round
+/// numbers may put a pixel on the very rim of the domain, where a root has no slope.
+pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
+    let report = run_from(problem, rules, point);
+    let never_began = report.ending == Ending::NonFinite && report.passes <= 1;
+    if !never_began || !problem.value(point, point).is_ok_and(f64::is_finite) {
+        return report;
+    }
+    let Some(mut aside) = [-1.0, 1.0].into_iter().map(|sign| aside(point, rules, sign)).find(|p| problem.allowed(p))
+    else {
+        return report;
+    };
+    let report = run_from(problem, rules, &mut aside);
+    if report.ending != Ending::NonFinite {
+        point.copy_from_slice(&aside);
+    }
+    report
+}
+
+/// Beside `point`, to one side of it.
+fn aside(point: &[f64], rules: &Rules, sign: f64) -> Vec<f64> {
+    let mut aside = point.to_vec();
+    for i in &rules.free {
+        aside[*i] += sign * if aside[*i] == 0.0 { ASIDE_OF_ZERO } else { ASIDE * aside[*i].abs() };
+    }
+    aside
+}
+
+fn run_from<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
+    let mut walk = Walk {
+        problem,
+        rules,
+        report: StageReport::default(),
+        next: point.to_vec(),
+        refused: 0,
+        least_mean: f64::INFINITY,
+        last: None,
+        turned: None,
+    };
     walk.report.ending = walk.walk(point);
     walk.report
 }
 
 impl<P: Problem> Walk<'_, P> {
-    fn walk(&mut self, point: &mut Vec<f64>) -> Ending {
-        let mut pass = match self.enter(point) {
-            Ok(pass) => pass,
-            Err(ending) => return ending,
-        };
+    fn walk(&mut self, point: &mut [f64]) -> Ending {
+        let free = self.rules.free.len();
+        let (mut pass, mut entered) = (Pass::of(free), Pass::of(free));
+        if let Err(ending) = self.enter(point, &mut pass) {
+            return ending;
+        }
         let mut region = Region::new(&pass.quadratic.hessian, &self.free(point));
         loop {
             region.rescale(&pass.quadratic.hessian);
@@ -193,21 +273,31 @@ impl<P: Problem> Walk<'_, P> {
             if pass.quadratic.curvature == Curvature::Full && spectrum.is_indefinite() {
                 self.report.indefinite_steps += 1;
             }
-            let next = match self.descend(point, &pass, &spectrum, &mut region) {
-                Ok(next) => next,
-                Err(ending) => return ending,
-            };
-            let entered = match self.enter(&next) {
-                Ok(pass) => pass,
-                Err(ending) => return ending, // `point` is the last one with a usable pass
-            };
+            match self.descend(point, &pass, &spectrum, &mut region) {
+                Descent::Accepted => {}
+                Descent::Over(ending) => return self.agreed(ending, point, &pass, &spectrum),
+                Descent::Converged(step) => {
+                    let ending = self.agreed(Ending::SmallStep, point, &pass, &spectrum);
+                    if ending == Ending::SmallStep && self.is_allowed(point, &step) {
+                        point.copy_from_slice(&self.next);
+                    }
+                    return ending;
+                }
+                Descent::Stopped(ending) => return ending,
+            }
+            let next = std::mem::take(&mut self.next);
+            let is_entered = self.enter(&next, &mut entered);
+            self.next = next;
+            if let Err(ending) = is_entered {
+                return ending; // `point` is the last one with a usable pass
+            }
             if self.strays(&pass, &entered) {
                 region.limit(STRAYED * self.last.as_ref().map_or(0.0, |step| step.norm()));
                 self.last = None;
                 continue;
             }
-            pass = entered;
-            *point = next;
+            std::mem::swap(&mut pass, &mut entered);
+            point.copy_from_slice(&self.next);
         }
     }
 
@@ -227,9 +317,9 @@ impl<P: Problem> Walk<'_, P> {
     }
 
     /// A gradient pass at `point`, when it is one to go on with.
-    fn enter(&mut self, point: &[f64]) -> Result<Pass, Ending> {
+    fn enter(&mut self, point: &[f64], pass: &mut Pass) -> Result<(), Ending> {
         let entry = self.turned.as_ref().map_or(point, |turned| &turned.entry);
-        let pass = self.problem.gradient(point, entry).ok_or(Ending::NonFinite)?;
+        self.problem.gradient(point, entry, pass)?;
         if self.report.passes == 0 {
             self.report.pixels_first = pass.pixels;
             self.report.pixels_least = pass.pixels;
@@ -240,17 +330,11 @@ impl<P: Problem> Walk<'_, P> {
         if pass.pixels < self.rules.pixels_needed(self.report.pixels_first) {
             return Err(Ending::DomainVanished);
         }
-        if pass.quadratic.is_finite() { Ok(pass) } else { Err(Ending::NonFinite) }
+        if pass.quadratic.is_finite() { Ok(()) } else { Err(Ending::NonFinite) }
     }
 
-    /// Tries ever shorter steps from `point` until one is accepted; returns where it leads.
-    fn descend(
-        &mut self,
-        point: &mut [f64],
-        pass: &Pass,
-        spectrum: &Spectrum,
-        region: &mut Region,
-    ) -> Result<Vec<f64>, Ending> {
+    /// Tries ever shorter steps from `point` until one is accepted.
+    fn descend(&mut self, point: &[f64], pass: &Pass, spectrum: &Spectrum, region: &mut Region) -> Descent {
         let here = self.free(point);
         let scale = region.scale();
         let deviations = self.rules.deviations(spectrum, pass);
@@ -263,7 +347,7 @@ impl<P: Problem> Walk<'_, P> {
         // Every δ at `tolerance` deviations, were they independent.
         let promised = here.len() as f64 * self.rules.tolerance.powi(2) * variance;
         let nearly_there = unlimited.interior && unlimited.reduction <= little;
-        let mut rejected = 0;
+        self.refused = 0;
         let turns = |last: &&DVector<f64>| nearly_there && unlimited.delta.component_mul(&scale).dot(last) < 0.0;
         if let Some(last) = self.last.as_ref().filter(turns) {
             let entry = self.turned.take().map_or_else(|| point.to_vec(), |turned| turned.entry);
@@ -275,49 +359,97 @@ impl<P: Problem> Walk<'_, P> {
         }
         loop {
             let step = spectrum.step(region.radius());
-            let final_step = step.interior || nearly_there && (self.turned.is_some() || rejected >= REJECTED);
+            let final_step = step.interior || nearly_there && (self.turned.is_some() || self.refused >= REJECTED);
             // Where parameters go together, each may move by little of its own deviation and F still fall by much: δᵀC⁻¹δ is
             // asked as well.
             let is_covered = |share| deviations.cover(&step.delta, &here, share);
             let is_slight = step.reduction <= slack.max(promised);
             if final_step && (is_covered(self.rules.tolerance) && is_slight || is_covered(0.0)) {
-                let end = self.moved(point, &step);
-                if self.problem.allowed(&end) {
-                    point.copy_from_slice(&end);
-                }
-                return Err(Ending::SmallStep);
+                return Descent::Converged(step);
             }
             if self.report.iterations == self.rules.iterations {
-                return Err(Ending::IterationLimit);
+                return Descent::Over(Ending::IterationLimit);
             }
-            let Some((step, trial)) = self.within_bounds(point, step) else { return Err(Ending::NoDescent) };
+            let Some(step) = self.within_bounds(point, step) else {
+                return Descent::Over(Ending::NoDescent);
+            };
             if step.length <= COLLAPSED * length {
-                return Err(Ending::NoDescent);
+                return Descent::Over(Ending::NoDescent);
             }
             self.report.iterations += 1;
-            let entry = self.turned.as_ref().map_or(&*point, |turned| &turned.entry);
-            let value = self.problem.value(&trial, entry).unwrap_or(f64::NAN);
+            let entry = self.turned.as_ref().map_or(point, |turned| &turned.entry);
+            let value = match self.problem.value(&self.next, entry) {
+                Ok(value) => value,
+                Err(ending) => return Descent::Stopped(ending),
+            };
             if region.judge(&step, pass.quadratic.objective - value, slack) {
                 self.last = Some(step.delta.component_mul(&scale));
-                return Ok(trial);
+                return Descent::Accepted;
             }
-            rejected += 1;
+            self.refused += 1;
             if !region.radius().is_normal() {
-                return Err(Ending::NoDescent);
+                return Descent::Over(Ending::NoDescent);
             }
         }
     }
 
-    /// Halves the step until bounds (exclusive) and constraints hold.
-    fn within_bounds(&self, point: &[f64], step: Step) -> Option<(Step, Vec<f64>)> {
-        let mut share = 1.0;
-        for _ in 0..HALVINGS {
-            let shorter = if share < 1.0 { step.shortened(share) } else { step.clone() };
-            let trial = self.moved(point, &shorter);
-            if self.problem.allowed(&trial) {
-                return Some((shorter, trial));
+    /// The ending; where steps were refused before it only if F and its derivatives agree.
+    fn agreed(&mut self, ending: Ending, point: &[f64], pass: &Pass, spectrum: &Spectrum) -> Ending {
+        if self.refused == 0 {
+            return ending;
+        }
+        match self.agrees(point, pass, spectrum) {
+            Ok(Agreement::Holds) => ending,
+            Ok(Agreement::Broken) => Ending::NotDescending,
+            Err(stopped) => stopped,
+        }
+    }
+
+    /// Whether F at `point` is that of the gradient pass, and falls along −g: by ever shorter steps, since the curvature may
+    /// be underestimated, down to where rounding hides what they promise. At a kink F may rise to either side: that is a
+    /// minimum, of which no gradient tells.
+    fn agrees(&mut self, point: &[f64], pass: &Pass, spectrum: &Spectrum) -> Result<Agreement, Ending> {
+        let objective = pass.quadratic.objective;
+        let told = TELLING * self.rules.slack(objective, pass.pixels);
+        let Some(steepest) = spectrum.steepest() else { return Ok(Agreement::Holds) };
+        let entry = self.turned.as_ref().map_or_else(|| point.to_vec(), |turned| turned.entry.clone());
+        let (mut share, mut rungs, mut shortest) = (1.0, 0, None);
+        for _ in 0..RUNGS {
+            let step = steepest.shortened(share);
+            share *= RUNG;
+            if step.reduction <= told {
+                break;
             }
+            if !self.is_allowed(point, &step) {
+                continue;
+            }
+            if objective - self.problem.value(&self.next, &entry)? >= FALLS * step.reduction {
+                return Ok(Agreement::Holds);
+            }
+            rungs += 1;
+            shortest = Some(step);
+        }
+        let Some(step) = shortest.filter(|_| rungs >= RUNGS_LEAST) else { return Ok(Agreement::Holds) };
+        if (self.problem.value(point, &entry)? - objective).abs() > told {
+            return Ok(Agreement::Broken);
+        }
+        let is_kink = self.is_allowed(point, &step.reversed())
+            && self.problem.value(&self.next, &entry)? - objective >= FALLS * step.reduction;
+        Ok(if is_kink { Agreement::Holds } else { Agreement::Broken })
+    }
+
+    /// Halves the step until bounds (exclusive) and constraints hold.
+    fn within_bounds(&mut self, point: &[f64], step: Step) -> Option<Step> {
+        if self.is_allowed(point, &step) {
+            return Some(step);
+        }
+        let mut share = 1.0;
+        for _ in 1..HALVINGS {
             share *= 0.5;
+            let shorter = step.shortened(share);
+            if self.is_allowed(point, &shorter) {
+                return Some(shorter);
+            }
         }
         None
     }
@@ -326,13 +458,20 @@ impl<P: Problem> Walk<'_, P> {
         DVector::from_iterator(self.rules.free.len(), self.rules.free.iter().map(|&i| point[i]))
     }
 
-    fn moved(&self, point: &[f64], step: &Step) -> Vec<f64> {
-        let mut moved = point.to_vec();
+    /// Takes a step to [`Walk::next`]; true when bounds and constraints hold there.
+    fn is_allowed(&mut self, point: &[f64], step: &Step) -> bool {
+        self.next.copy_from_slice(point);
         for (&i, delta) in self.rules.free.iter().zip(step.delta.iter()) {
-            moved[i] += delta;
+            self.next[i] += delta;
         }
-        moved
+        self.problem.allowed(&self.next)
     }
+}
+
+/// Whether a function is the one that its derivatives are of.
+enum Agreement {
+    Holds,
+    Broken,
 }
 
 #[cfg(test)]

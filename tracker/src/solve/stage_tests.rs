@@ -24,7 +24,7 @@ fn anything(_: &[f64]) -> bool {
 }
 
 impl Problem for Closed<'_> {
-    fn gradient(&mut self, point: &[f64], entry: &[f64]) -> Option<Pass> {
+    fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
         let n = self.parameters;
         let (mut objective, mut gradient, mut hessian, mut pixels) = (0.0, DVector::zeros(n), DMatrix::zeros(n, n), 0);
         for i in (0..self.pixels).filter(|&i| (self.inside)(entry, i)) {
@@ -39,12 +39,13 @@ impl Problem for Closed<'_> {
             }
         }
         let curvature = if self.full { Curvature::Full } else { Curvature::GaussNewton };
-        Some(Pass { quadratic: Quadratic { objective, gradient, hessian, curvature }, pixels })
+        *pass = Pass { quadratic: Quadratic { objective, gradient, hessian, curvature }, pixels };
+        Ok(())
     }
 
-    fn value(&mut self, point: &[f64], entry: &[f64]) -> Option<f64> {
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
         let square = |i: usize| (self.f)(point, i).0.powi(2);
-        Some((0..self.pixels).filter(|&i| (self.inside)(entry, i)).map(square).sum())
+        Ok((0..self.pixels).filter(|&i| (self.inside)(entry, i)).map(square).sum())
     }
 
     fn allowed(&self, point: &[f64]) -> bool {
@@ -238,4 +239,119 @@ fn a_kink_at_the_minimum_does_not_go_on_for_ever() {
         assert_eq!(report.ending, Ending::SmallStep, "{start}: {point:?} {report:?}");
         assert!((point[0] - 20.0).abs() < 0.1, "{start}: {point:?} {report:?}");
     }
+}
+
+/// Derivatives of one function, values of another.
+struct Mismatched<'a> {
+    derivatives: Closed<'a>,
+    values: &'a dyn Fn(&[f64]) -> f64,
+}
+
+impl Problem for Mismatched<'_> {
+    fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+        self.derivatives.gradient(point, entry, pass)
+    }
+
+    fn value(&mut self, point: &[f64], _: &[f64]) -> Result<f64, Ending> {
+        Ok((self.values)(point))
+    }
+
+    fn allowed(&self, _: &[f64]) -> bool {
+        true
+    }
+}
+
+/// Noise that no model explains, so that F is far from 0 at its minimum.
+fn scatter(i: usize) -> f64 {
+    0.3 * (7.7 * i as f64).sin()
+}
+
+#[test]
+fn derivatives_of_another_function_are_never_convergence() {
+    // A line through observations 2 + i/10, its height and slope unknown; what values may be in the place of its own.
+    let residual = |u: &[f64], i: usize| 2.0 + 0.1 * i as f64 + scatter(i) - u[0] - u[1] * i as f64;
+    let f = |u: &[f64], i: usize| (residual(u, i), vec![-1.0, -(i as f64)], vec![0.0; 4]);
+    let sum = |r: &dyn Fn(usize) -> f64| (0..40).map(|i| r(i).powi(2)).sum::<f64>();
+    let negative = |u: &[f64]| sum(&|i| residual(&[-u[0], -u[1]], i));
+    let mirrored = |u: &[f64]| sum(&|i| residual(&[2.0 - u[0], -u[1]], i));
+    let constant = |_: &[f64]| sum(&|i| residual(&[1.0, 0.0], i));
+    let own = |u: &[f64]| sum(&|i| residual(u, i));
+    type Value<'a> = &'a dyn Fn(&[f64]) -> f64;
+    let wrong: [(&str, Value); 3] = [("negative", &negative), ("mirrored", &mirrored), ("constant", &constant)];
+    for (name, values) in wrong.into_iter().chain([("own", &own as Value)]) {
+        for iterations in [1, 4, 15, 200] {
+            let derivatives =
+                Closed { pixels: 40, parameters: 2, full: false, f: &f, inside: &everywhere, allowed: &anything };
+            let mut point = vec![1.0, 0.0];
+            let rules = Rules { iterations, ..rules(2, 40) };
+            let report = run(&mut Mismatched { derivatives, values }, &rules, &mut point);
+            let is_fit = report.ending.is_fit();
+            assert_eq!(is_fit, name == "own", "{name}, {iterations} steps: {report:?} {point:?}");
+            assert!(is_fit || report.ending == Ending::NotDescending, "{name}: {report:?}");
+        }
+    }
+}
+
+#[test]
+fn a_minimum_that_rounding_hides_is_still_one() {
+    // Values with an error that alternates from point to point, as large as rounding of single precision.
+    let f = |u: &[f64], i: usize| (u[0] - scatter(i), vec![1.0], vec![0.0]);
+    let values = |u: &[f64]| {
+        let exact: f64 = (0..40).map(|i| (u[0] - scatter(i)).powi(2)).sum();
+        exact * (1.0 + 4e-8 * (1e9 * u[0]).sin())
+    };
+    for start in [1.0, 1e-3, 1e-5] {
+        let derivatives =
+            Closed { pixels: 40, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+        let mut point = vec![start];
+        let rules = Rules { precision: Precision::F32, tolerance: 1e-7, ..rules(1, 40) };
+        let report = run(&mut Mismatched { derivatives, values: &values }, &rules, &mut point);
+        assert!(report.ending.is_fit(), "{start}: {report:?}");
+    }
+}
+
+#[test]
+fn a_pass_that_cannot_be_had_ends_the_stage_where_it_is() {
+    // The third pass, a value or a gradient, is not waited for.
+    struct Stopping<'a>(Closed<'a>, u32);
+    impl Stopping<'_> {
+        fn spend(&mut self) -> Result<(), Ending> {
+            self.1 = self.1.checked_sub(1).ok_or(Ending::Cancelled)?;
+            Ok(())
+        }
+    }
+    impl Problem for Stopping<'_> {
+        fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+            self.spend()?;
+            self.0.gradient(point, entry, pass)
+        }
+        fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
+            self.spend()?;
+            self.0.value(point, entry)
+        }
+        fn allowed(&self, _: &[f64]) -> bool {
+            true
+        }
+    }
+    for passes in 0..12 {
+        let closed =
+            Closed { pixels: 2, parameters: 2, full: false, f: &rosenbrock, inside: &everywhere, allowed: &anything };
+        let mut point = vec![-1.2, 1.0];
+        let report = run(&mut Stopping(closed, passes), &rules(2, 2), &mut point);
+        assert_eq!(report.ending, Ending::Cancelled, "{passes}");
+        assert!(rosenbrock(&point, 0).0.powi(2) + rosenbrock(&point, 1).0.powi(2) <= 24.2 + 1e-9, "{point:?}");
+    }
+}
+
+#[test]
+fn a_start_without_derivatives_is_left_aside() {
+    // At 3 exactly F is known, but a root has no slope there.
+    let f = |u: &[f64], i: usize| {
+        let slope = if u[0] == 3.0 { f64::INFINITY } else { 1.0 };
+        (u[0] - 1.0 - 1e-3 * (i as f64 - 4.0), vec![slope], vec![0.0])
+    };
+    let mut problem = Closed { pixels: 9, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
+    let mut point = vec![3.0];
+    assert_eq!(run(&mut problem, &rules(1, 9), &mut point).ending, Ending::SmallStep);
+    assert!((point[0] - 1.0).abs() < 1e-3, "{point:?}");
 }

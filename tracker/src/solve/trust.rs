@@ -111,6 +111,13 @@ impl Step {
             interior: false,
         }
     }
+
+    /// As far the other way.
+    pub fn reversed(&self) -> Step {
+        let curvature = -self.reduction - self.slope;
+        let slope = -self.slope;
+        Step { delta: -&self.delta, slope, reduction: -(slope + curvature), interior: false, ..*self }
+    }
 }
 
 impl Spectrum {
@@ -228,13 +235,13 @@ impl Spectrum {
         let full = self.shifted(0.0);
         // λ = 0 is the answer when H is positive (semi)definite and ‖z(0)‖ ≤ Δ.
         if smallest >= -self.zero && full.norm() <= radius {
-            return self.finish(full, true);
+            return Step { interior: true, ..self.finish(full) };
         }
         // Otherwise λ ≥ max(0, −λ_min), and ‖z(λ)‖ = Δ …
         let lowest = (-smallest).max(0.0);
         let edge = self.shifted(lowest);
         if edge.norm() > radius {
-            return self.finish(self.shifted(self.multiplier(lowest, radius)), false);
+            return self.finish(self.shifted(self.multiplier(lowest, radius)));
         }
         // … unless ‖z(−λ_min)‖ < Δ (the hard case): g has no part along the lowest eigenvector, and any multiple τ of it may
         // be added; τ² = Δ² − ‖z‖².
@@ -242,14 +249,30 @@ impl Spectrum {
         let lowest_vector = self.values.imin();
         let along = (radius * radius - z.norm_squared()).max(0.0).sqrt();
         z[lowest_vector] += if self.gradient[lowest_vector] > 0.0 { -along } else { along };
-        self.finish(z, false)
+        self.finish(z)
     }
 
-    fn finish(&self, z: DVector<f64>, interior: bool) -> Step {
+    /// The minimiser of m along `−D⁻²g` (Cauchy's point); as far as the largest curvature says where m does not bend upwards
+    /// there. `None` where g vanishes, or all of H.
+    pub fn steepest(&self) -> Option<Step> {
+        let square = self.gradient.norm_squared();
+        let bend: f64 = (0..self.values.len()).map(|k| self.values[k] * self.gradient[k] * self.gradient[k]).sum();
+        let share = if bend > self.zero * square { square / bend } else { self.values.amax().recip() };
+        (square > 0.0 && share.is_finite()).then(|| self.finish(&self.gradient * -share))
+    }
+
+    /// The step to z, at the region's edge.
+    fn finish(&self, z: DVector<f64>) -> Step {
         let slope = self.gradient.dot(&z);
         let bend: f64 = (0..z.len()).map(|k| self.values[k] * z[k] * z[k]).sum();
         let delta = (&self.vectors * &z).component_div(&self.scale);
-        Step { delta, length: z.norm(), reduction: (-slope - 0.5 * bend).max(0.0), slope: slope.min(0.0), interior }
+        Step {
+            delta,
+            length: z.norm(),
+            reduction: (-slope - 0.5 * bend).max(0.0),
+            slope: slope.min(0.0),
+            interior: false,
+        }
     }
 }
 

@@ -14,7 +14,7 @@
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
 
-use isophote_symbolic::{ParameterId, Roles};
+use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::DMatrix;
 
 use super::solver::Solver;
@@ -146,10 +146,10 @@ fn alone(information: &DMatrix<f64>, parameter: usize, other: Option<usize>) -> 
 }
 
 /// ln L: `−½ (χ² + Σ ln σ² + n ln 2π)`; without `noise` with the variance that fits best, `−½ n (ln (2π F/n) + 1)`.
-pub(crate) fn log_likelihood(worth: &Worth, has_noise: bool) -> Option<f64> {
+pub(crate) fn log_likelihood(worth: &Worth, model: &Model) -> Option<f64> {
     let n = worth.pixels as f64;
     let turn = std::f64::consts::TAU;
-    let value = match has_noise {
+    let value = match model.has_noise() {
         true => -0.5 * (worth.objective + n * turn.ln()),
         false => -0.5 * n * ((turn * worth.objective / n).ln() + 1.0),
     };

@@ -1,4 +1,7 @@
 //! What a track remembers: the last good parameters, what they were worth, and how the target moves.
+//!
+//! What comes in: fits that are believed, with their time. What goes out: where the next fit begins, and what is expected of
+//! it. It never knows a frame.
 
 use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
@@ -6,14 +9,17 @@ use nalgebra::{DMatrix, DVector};
 use super::evidence::Ground;
 use super::rival::Rival;
 use super::search::Candidate;
+use super::shared::Shared;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
 use crate::estimate::Ahead;
 use crate::options::PredictOptions;
-use crate::track::motion::{Measured, Motion, Predicted};
+use crate::track::motion::{Measured, Mover, Predicted};
 
 /// From this many measurements on the velocity is known.
 const MOVING: u32 = 2;
+/// Relative drift of A's entries in a second, while nothing is seen.
+const DRIFT: f64 = 1.0;
 
 /// From frame to frame.
 #[derive(Clone, Debug, Default)]
@@ -34,23 +40,50 @@ pub(crate) struct Memory {
     pub ground: Option<Ground>,
     /// The other pose that may be the true one.
     pub rival: Option<Rival>,
-    motion: Option<Motion>,
+    motion: Option<Mover>,
+    /// What was seen last was seen by another model: looks and misfit cannot be compared.
+    is_swapped: bool,
 }
 
 impl Memory {
-    /// What is left of it for another model: the values that it takes over.
-    pub fn swapped(&self, warm: Option<Vec<Option<f64>>>) -> Memory {
-        Memory { warm, clipped: self.clipped, found: self.found, ..Memory::default() }
+    /// What is left of it for another model.
+    pub fn swapped(&self, shared: &Shared) -> Memory {
+        let last: Vec<Option<f64>> = self.last.iter().copied().map(Some).collect();
+        let motion = self.motion.as_ref().zip(shared.places.as_ref());
+        let memory = Memory {
+            warm: shared.known(self.warm.as_deref()),
+            last: shared.known(Some(&last)).and_then(|last| last.into_iter().collect()).unwrap_or_default(),
+            covariance: self.covariance.as_ref().and_then(|covariance| shared.covariance(covariance)),
+            clipped: self.clipped,
+            found: self.found,
+            ground: self.ground,
+            motion: motion.and_then(|(motion, places)| motion.of_places(places)),
+            is_swapped: true,
+            ..Memory::default()
+        };
+        match shared.is_same {
+            true => Memory { reduced: self.reduced, rival: self.rival.clone(), is_swapped: self.is_swapped, ..memory },
+            false => memory,
+        }
     }
 
     /// Where a fit of this frame starts: the last parameters with the centre where it should be; `None` without a complete
-    /// set.
+    /// set. A coordinate whose predictions have been farther off than its last measurement starts from that.
     pub fn start(&self, solver: &Solver, time_s: f64) -> Option<Vec<f64>> {
-        let mut start: Vec<f64> = self.warm.as_ref()?.iter().copied().collect::<Option<_>>()?;
-        if let Some(predicted) = self.predicted(time_s).filter(|_| self.measurements() >= MOVING) {
-            place(solver, &mut start, &predicted);
+        let mut start = self.last_start()?;
+        if let Some(motion) = self.motion.as_ref().filter(|motion| motion.measurements >= MOVING) {
+            let (predicted, _) = motion.predict(time_s).places();
+            let foreseen = places(solver).zip(predicted.iter()).zip(motion.foresees());
+            for ((parameter, value), _) in foreseen.filter(|(_, foresees)| *foresees) {
+                start[parameter.index()] = *value;
+            }
         }
         Some(start)
+    }
+
+    /// The last parameters as they were.
+    pub fn last_start(&self) -> Option<Vec<f64>> {
+        self.warm.as_ref()?.iter().copied().collect()
     }
 
     /// The target at a time.
@@ -81,13 +114,13 @@ impl Memory {
 
     /// When it was seen last.
     pub fn seen_s(&self) -> Option<f64> {
-        self.motion.as_ref().map(Motion::time_s)
+        self.motion.as_ref().map(Mover::time_s)
     }
 
     /// yᵀS⁻¹y of a fit's centre.
     pub fn distance(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> Option<(f64, usize)> {
         let measured = measured(solver, attempt)?;
-        Some((self.predicted(time_s)?.distance(&measured)?, measured.centres))
+        Some((self.predicted(time_s)?.distance(&measured)?, measured.values.len()))
     }
 
     /// Inside the gate, or no farther off than the target is large; true where nothing was expected.
@@ -98,7 +131,7 @@ impl Memory {
         if predicted.admits(&measured) {
             return true;
         }
-        let (state, _) = predicted.measurable();
+        let (state, _) = predicted.places();
         let dimensions = solver.model().coordinates().len();
         let mut at = 0;
         let centres = solver.model().roles().iter().all(|roles| {
@@ -108,7 +141,7 @@ impl Memory {
             let widths = half_widths(roles, dimensions, &self.last).unwrap_or_default();
             off <= widths.into_iter().fold(0.0, f64::max)
         });
-        let positions = measured.centres - at;
+        let positions = measured.values.len() - at;
         let moved_mm = (measured.values.rows(at, positions) - state.rows(at, positions)).norm();
         centres && (positions == 0 || moved_mm <= solver.target_size_mm())
     }
@@ -121,12 +154,15 @@ impl Memory {
         widths.reduce(f64::min)
     }
 
+    /// The last good parameters, where this model has seen them.
+    pub fn looked(&self) -> Option<&[f64]> {
+        (!self.last.is_empty() && !self.is_swapped).then_some(&self.last)
+    }
+
     /// The factor by which the area of the outline changed, up or down; 1 where unknown.
     pub fn area_change(&self, solver: &Solver, parameters: &[f64]) -> f64 {
-        if self.last.is_empty() {
-            return 1.0;
-        }
-        match (solver.looks(&self.last).0, solver.looks(parameters).0) {
+        let Some(last) = self.looked() else { return 1.0 };
+        match (solver.looks(last).0, solver.looks(parameters).0) {
             (Some(old), Some(new)) => (old - new).abs().exp(),
             _ => 1.0,
         }
@@ -135,7 +171,11 @@ impl Memory {
     /// e-folds between the last looks of the target, or the given ones, and a fit's.
     pub fn strangeness(&self, solver: &Solver, attempt: &Attempt) -> f64 {
         let Some(fit) = &attempt.fit else { return 0.0 };
-        let expected = if self.last.is_empty() { solver.given_looks() } else { solver.looks(&self.last) };
+        let expected = match self.looked() {
+            Some(last) => solver.looks(last),
+            None if self.is_swapped => return 0.0,
+            None => solver.given_looks(),
+        };
         let seen = solver.looks(&fit.parameters);
         let apart = |expected: Option<f64>, seen: Option<f64>| expected.zip(seen).map_or(0.0, |(a, b)| a - b);
         apart(expected.0, seen.0).hypot(apart(expected.1, seen.1))
@@ -146,13 +186,15 @@ impl Memory {
         let Some(fit) = &candidate.attempt.fit else { return };
         let measured = measured(solver, &candidate.attempt);
         let is_near = self.is_near(solver, &candidate.attempt, time_s);
-        let acceleration = solver.options.motion.acceleration_px_s2;
         self.motion = match (self.motion.take(), measured) {
-            (Some(mut motion), Some(measured)) if is_near => {
-                motion.update(&measured, time_s);
+            (Some(mut motion), Some(measured)) => {
+                match is_near {
+                    true => motion.update(&measured, time_s),
+                    false => motion.begin_again(&measured, time_s),
+                }
                 Some(motion)
             }
-            (_, Some(measured)) => Some(Motion::begin(&measured, time_s, acceleration)),
+            (None, Some(measured)) => Some(Mover::begin(&measured, time_s, solver.options.motion.density())),
             (_, None) => None,
         };
         let mut next = fit.parameters.clone();
@@ -166,7 +208,7 @@ impl Memory {
         self.reduced = candidate.attempt.reduced();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
         self.ground = candidate.ground.or(self.ground);
-        self.found = true;
+        (self.found, self.is_swapped) = (true, false);
     }
 
     /// Nobody knows where it is.
@@ -174,26 +216,36 @@ impl Memory {
         (self.warm, self.reduced, self.motion, self.rival) = (None, None, None, None);
     }
 
-    /// The parameters and their covariance at a predicted place: what the filter does not cover is as it was.
-    pub fn coasted(&self, solver: &Solver, predicted: &Predicted) -> (Vec<f64>, Option<DMatrix<f64>>) {
+    /// The last good parameters are known, all of them.
+    pub fn is_complete(&self) -> bool {
+        !self.last.is_empty()
+    }
+
+    /// The parameters and their covariance at a predicted place: what is not a place is as it was, and outlines drift. Of a
+    /// memory that is complete.
+    pub fn coasted(&self, solver: &Solver, predicted: &Predicted, time_s: f64) -> (Vec<f64>, Option<DMatrix<f64>>) {
         let mut parameters = self.last.clone();
         place(solver, &mut parameters, predicted);
-        let (_, spread) = predicted.measurable();
+        let (_, spread) = predicted.places();
         let order = solver.compiled.last_parameters();
-        let covered: Vec<Option<usize>> = covered(solver)
-            .into_iter()
-            .map(|index| order.iter().position(|parameter| parameter.index() == index))
-            .collect();
+        let row = |parameter: &ParameterId| order.iter().position(|one| one == parameter);
+        let rows: Vec<Option<usize>> = places(solver).map(row).collect();
+        let unseen_s = self.seen_s().map_or(0.0, |seen_s| time_s - seen_s);
         let covariance = self.covariance.clone().map(|mut covariance| {
-            for (i, row) in covered.iter().enumerate().filter_map(|(i, row)| Some((i, (*row)?))) {
-                covariance.row_mut(row).fill(0.0);
-                covariance.column_mut(row).fill(0.0);
-                covariance[(row, row)] = spread[(i, i)];
+            for row in rows.iter().flatten() {
+                covariance.row_mut(*row).fill(0.0);
+                covariance.column_mut(*row).fill(0.0);
             }
-            for (i, j) in (0..covered.len()).flat_map(|i| (0..i).map(move |j| (i, j))) {
-                if let (Some(row), Some(column)) = (covered[i], covered[j]) {
+            for (i, j) in (0..rows.len()).flat_map(|i| (0..rows.len()).map(move |j| (i, j))) {
+                if let (Some(row), Some(column)) = (rows[i], rows[j]) {
                     covariance[(row, column)] = spread[(i, j)];
-                    covariance[(column, row)] = spread[(i, j)];
+                }
+            }
+            for roles in solver.model().roles() {
+                // An entry of A off the diagonal may be 0, so all drift by the largest.
+                let largest = roles.shape.iter().map(|entry| parameters[entry.index()].abs()).fold(0.0, f64::max);
+                for row in roles.shape.iter().filter_map(row) {
+                    covariance[(row, row)] += (DRIFT * largest).powi(2) * unseen_s;
                 }
             }
             covariance
@@ -202,40 +254,30 @@ impl Memory {
     }
 }
 
-/// Parameters that say where things are: the centres of all targets of the model, px, then the position of a pose, mm.
+/// Parameters that say where things are.
 fn places(solver: &Solver) -> impl Iterator<Item = &ParameterId> {
-    let roles = solver.model().roles();
-    roles.iter().flat_map(|r| &r.centre).chain(roles.iter().flat_map(|r| &r.position))
-}
-
-/// Parameters that the filter covers: the places, then the shapes, as indices.
-fn covered(solver: &Solver) -> Vec<usize> {
-    let shapes = solver.model().roles().iter().flat_map(|r| &r.shape);
-    places(solver).chain(shapes).map(|parameter| parameter.index()).collect()
+    super::shared::places(solver.model())
 }
 
 /// Moves centres and position to where they are predicted.
 fn place(solver: &Solver, parameters: &mut [f64], predicted: &Predicted) {
-    let (state, _) = predicted.measurable();
+    let (state, _) = predicted.places();
     for (parameter, value) in places(solver).zip(state.iter()) {
         parameters[parameter.index()] = *value;
     }
 }
 
-/// Places and shapes of a fit; `None` when they are not all free in the last stage, or their covariance is not known.
+/// Places of a fit; `None` when they are not all free in the last stage, or their covariance is not known.
 fn measured(solver: &Solver, attempt: &Attempt) -> Option<Measured> {
     let fit = attempt.fit.as_ref()?;
     let whole = fit.worth.as_ref()?.covariance.as_ref()?;
     let order = solver.compiled.last_parameters();
-    let covered = covered(solver);
-    let rows: Option<Vec<usize>> =
-        covered.iter().map(|&index| order.iter().position(|parameter| parameter.index() == index)).collect();
-    let rows = rows?;
-    let centres = places(solver).count();
-    if centres == 0 {
+    let rows = places(solver).map(|place| order.iter().position(|parameter| parameter == place));
+    let rows: Vec<usize> = rows.collect::<Option<_>>()?;
+    if rows.is_empty() {
         return None;
     }
-    let values = DVector::from_iterator(covered.len(), covered.iter().map(|&index| fit.parameters[index]));
+    let values = DVector::from_iterator(rows.len(), places(solver).map(|place| fit.parameters[place.index()]));
     let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| whole[(rows[i], rows[j])]);
-    Some(Measured { centres, values, covariance })
+    Some(Measured { values, covariance })
 }

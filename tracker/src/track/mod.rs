@@ -4,12 +4,15 @@
 //! session, nor how an estimate is published.
 //!
 //! ```text
-//! predict ─► fit around the prediction ─► believed? ──────────────────────────► remember
-//!                                         └ no ─► search, what is taken masked ─► the best that may be it, or
-//!                                                                                 coast, or lose
+//! predict ─► fit around the prediction ─► believed? ──────────────────────────────► remember
+//!            └ astray ─► from the last estimate ┘ └ no ─► search, what is taken masked ─► the best that may be it, or
+//!                                                                                         coast, or lose
 //! ```
 
+mod coordinate;
+mod course;
 pub(crate) mod evidence;
+mod levels;
 mod memory;
 pub(crate) mod motion;
 mod posed;
@@ -17,15 +20,17 @@ pub(crate) mod publish;
 mod reconsider;
 mod rival;
 pub(crate) mod search;
+pub(crate) mod shared;
 pub(crate) mod solver;
 pub(crate) mod tracker;
 pub(crate) mod window;
 
 use crate::options::TrackerOptions;
-use crate::solve::compiled::{CompileFailure, Control};
+use crate::solve::alternatives::Starts;
+use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use memory::Memory;
-use search::{Candidate, Search};
+use search::{Candidate, Search, UNLIKE};
 use solver::{Attempt, Look, Solver};
 use window::Margin;
 
@@ -82,17 +87,39 @@ impl Track {
             }
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
-        let attempt = solver.attempt(look, &start, control, margin)?;
-        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, false)?;
+        let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
+        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, Starts::Given)?;
         let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
-        let is_kept = candidate.attempt.is_good()
-            && self.change(solver, &candidate) <= FADED
-            && !self.is_jump(solver, look, &candidate)
-            && self.is_near(solver, &candidate, time_s);
+        let is_kept = self.is_expected(solver, look, &candidate.attempt) && self.is_near(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
         Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
+    }
+
+    /// The fit from a prediction, or the better one from the last estimate where that one is not what was expected: a
+    /// prediction may be farther off than the place that it began at. With the start that led to it.
+    fn nearest(
+        &self,
+        solver: &Solver,
+        look: &Look,
+        start: Vec<f64>,
+        margin: Margin,
+        control: Control,
+    ) -> Result<(Vec<f64>, Attempt), CompileFailure> {
+        let attempt = solver.attempt(look, &start, control, margin)?;
+        let Some(last) = self.memory.last_start().filter(|last| *last != start) else { return Ok((start, attempt)) };
+        if solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, look, &attempt) {
+            return Ok((start, attempt));
+        }
+        let again = solver.attempt(look, &last, control, margin)?;
+        let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
+        Ok(if rank(&again) < rank(&attempt) { (last, again) } else { (start, attempt) })
+    }
+
+    /// A good fit of what looks as it did.
+    fn is_expected(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> bool {
+        attempt.is_good() && self.change(solver, attempt) <= FADED && !self.is_jump(solver, look, attempt)
     }
 
     /// Decides after a search: the doubtful fit, the best candidate that nobody has taken, or nothing.
@@ -105,9 +132,12 @@ impl Track {
         time_s: f64,
     ) -> Outcome {
         let suits = |candidate: &Candidate| {
+            let looks_alike = self.change(solver, &candidate.attempt) <= FADED;
+            // However unsure the prediction is: what looks otherwise and is hardly a target is none.
+            let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE) && !looks_alike;
             !self.is_confirmed()
-                || self.is_near(solver, candidate, time_s)
-                || (solver.options.targets == 1 && self.change(solver, candidate) <= FADED)
+                || (self.is_near(solver, candidate, time_s) && !unlike)
+                || (solver.options.targets == 1 && looks_alike)
         };
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
@@ -118,7 +148,7 @@ impl Track {
         let good = doubtful.as_ref().is_some_and(|candidate| candidate.attempt.is_good());
         match (doubtful.filter(|_| good), found) {
             (Some(warm), Some(found)) => {
-                let (was, is) = (self.change(solver, &warm), self.change(solver, &found.candidate));
+                let (was, is) = (self.change(solver, &warm.attempt), self.change(solver, &found.candidate.attempt));
                 let truer = was > FADED && is < was;
                 let nearer = !self.is_near(solver, &warm, time_s) && self.is_near(solver, &found.candidate, time_s);
                 let better = found.candidate.attempt.reduced() < warm.attempt.reduced();
@@ -139,7 +169,7 @@ impl Track {
 
     fn missing(&self, solver: &Solver, look: &Look, attempt: Attempt, time_s: f64) -> Outcome {
         let TrackerOptions { motion, .. } = &solver.options;
-        let predicted = self.memory.predicted(time_s).filter(|_| self.is_confirmed());
+        let predicted = self.memory.predicted(time_s).filter(|_| self.is_confirmed() && self.memory.is_complete());
         let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s);
         match predicted.filter(|_| recent) {
             Some(predicted) if inside(solver, look, &predicted) => Outcome::Coasting(attempt, predicted),
@@ -168,18 +198,19 @@ impl Track {
     }
 
     /// By which factor brightness or area changed since the last good fit, up or down; 1 where unknown.
-    fn change(&self, solver: &Solver, candidate: &Candidate) -> f64 {
-        let Some(fit) = &candidate.attempt.fit else { return 1.0 };
-        let brightness = solver.brightness_change(&self.memory.last, &fit.parameters).unwrap_or(1.0);
+    fn change(&self, solver: &Solver, attempt: &Attempt) -> f64 {
+        let Some(fit) = &attempt.fit else { return 1.0 };
+        let last = self.memory.looked().unwrap_or_default();
+        let brightness = solver.brightness_change(last, &fit.parameters).unwrap_or(1.0);
         brightness.max(self.memory.area_change(solver, &fit.parameters))
     }
 
     /// A χ²/ν far above the last one.
-    fn is_jump(&self, solver: &Solver, look: &Look, candidate: &Candidate) -> bool {
-        let Some(fit) = &candidate.attempt.fit else { return false };
+    fn is_jump(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> bool {
+        let Some(fit) = &attempt.fit else { return false };
         let rounding = solver.view(look, solver.window(look, &fit.parameters, Margin::NONE)).rounding;
         let last = self.memory.reduced.map(|reduced| MISFIT * reduced.max(solver.least_reduced(rounding)));
-        last.is_some_and(|limit| candidate.attempt.reduced().is_some_and(|reduced| reduced > limit))
+        last.is_some_and(|limit| attempt.reduced().is_some_and(|reduced| reduced > limit))
     }
 
     /// Inside the gate, or no farther off than the target is large; true where nothing was expected.
@@ -190,7 +221,7 @@ impl Track {
 
 /// The predicted centres lie in the part of the frame that may be looked at.
 fn inside(solver: &Solver, look: &Look, predicted: &Predicted) -> bool {
-    let (state, _) = predicted.measurable();
+    let (state, _) = predicted.places();
     let centres = solver.model().roles().iter().flat_map(|roles| roles.centre.iter().enumerate());
     let (first, size) = (look.window.first(), look.window.size());
     centres.zip(state.iter()).all(|((axis, _), at)| {
@@ -201,3 +232,8 @@ fn inside(solver: &Solver, look: &Look, predicted: &Predicted) -> bool {
 
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod jitter_tests;
+#[cfg(test)]
+mod swap_tests;

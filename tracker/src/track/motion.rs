@@ -1,128 +1,86 @@
-//! `Motion`: where a target will be, by a Kalman filter with constant velocity.
+//! `Mover`: where a target will be, by one filter a coordinate.
 //!
-//! What comes in: an estimate's centre and shape with their covariance, and its time. What goes out: both predicted to
-//! another time, with the covariance grown. It never knows a frame.
+//! What comes in: the places of an estimate (centres in px, or the position of a pose in mm) with their covariance, and its
+//! time. What goes out: the same at another time, with the covariance grown. It never knows a frame.
 //!
-//! The state is (c, v, a): c the centre's coordinates, px; v their velocities, px/s; a the entries of A, which only drift.
-//! Over a time step t, with σ the acceleration's standard deviation and q the drift of A,
-//! ```text
-//! c ← c + t v      Q_cc = σ² t⁴/4   Q_cv = σ² t³/2   Q_vv = σ² t²      Q_aa = (q a)² t
-//! ```
-//! and a measurement is the filter's usual one with R, the estimate's own covariance. σ is a number of the session's, or
-//! follows the innovations: y'S⁻¹y over its number of coordinates is 1 on average when σ is right.
+//! Each coordinate is a [`Coordinate`] of its own, with levels of its own: a target that swings from side to side is still
+//! at a fixed height. What one coordinate says of another is left out.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Acceleration that is thought possible before anything has been seen, px/s².
-const ACCELERATION_PX_S2: f64 = 2000.0;
-/// σ stays between these, px/s².
-const ACCELERATION_RANGE: [f64; 2] = [20.0, 1e7];
-/// Velocity that is thought possible of a target just found, px/s.
-const VELOCITY_PX_S: f64 = 1000.0;
-/// Relative drift of A's entries in a second.
-const DRIFT: f64 = 1.0;
-/// A model is never so right that a centre is known better than this, px.
-const FLOOR_PX: f64 = 0.02;
-/// How fast σ follows the innovations: ln σ moves by this times (ratio − 1), which is 0 on average when σ is right.
-const ADAPTION: f64 = 0.05;
-/// One innovation counts for at most this ratio.
-const RATIO_MAX: f64 = 30.0;
+use super::coordinate::Coordinate;
+use super::course::Course;
+
+/// A model is never so right that a place is known better than this when one is compared with what was expected, px or mm.
+const FLOOR: f64 = 0.02;
 /// A measurement beyond this quantile of the standard normal is outside of the gate (one of 16,000 is).
 const GATE_QUANTILE: f64 = 4.0;
 /// Farther outside is no worse.
 const EXCESS_MAX: f64 = 10.0;
 
-/// A measurement: centre coordinates, then entries of A, with their covariance.
+/// Places with their covariance.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
-    /// How many of the values are coordinates.
-    pub centres: usize,
     pub values: DVector<f64>,
     pub covariance: DMatrix<f64>,
 }
 
-/// Centre, velocity and shape at a time.
+/// Places and velocities at a time.
 #[derive(Clone, Debug)]
-pub(crate) struct Predicted {
-    centres: usize,
-    state: DVector<f64>,
-    covariance: DMatrix<f64>,
-}
+pub(crate) struct Predicted(Vec<Course>);
 
-/// The filter of one target.
+/// The filters of one target.
 #[derive(Clone, Debug)]
-pub(crate) struct Motion {
-    at: Predicted,
+pub(crate) struct Mover {
+    coordinates: Vec<Coordinate>,
     time_s: f64,
-    sigma_px_s2: f64,
-    is_adaptive: bool,
     /// Measurements so far.
     pub measurements: u32,
 }
 
 impl Predicted {
-    /// Rows of the state that a measurement sees.
-    fn seen(&self) -> Vec<usize> {
-        (0..self.centres).chain(2 * self.centres..self.state.len()).collect()
+    /// The places, with the covariance of the prediction.
+    pub fn places(&self) -> (DVector<f64>, DMatrix<f64>) {
+        let values = self.0.iter().map(|course| course.position);
+        let variances = self.0.iter().map(|course| course.variance);
+        let n = self.0.len();
+        (DVector::from_iterator(n, values), DMatrix::from_diagonal(&DVector::from_iterator(n, variances)))
     }
 
-    /// What would be measured, with the covariance of the prediction alone.
-    pub fn measurable(&self) -> (DVector<f64>, DMatrix<f64>) {
-        let seen = self.seen();
-        let values = DVector::from_fn(seen.len(), |i, _| self.state[seen[i]]);
-        (values, DMatrix::from_fn(seen.len(), seen.len(), |i, j| self.covariance[(seen[i], seen[j])]))
-    }
-
-    /// Centre and velocity, px and px/s, with their covariance.
+    /// Places and velocities, px and px/s or mm and mm/s, with their covariance.
     pub fn moving(&self) -> (DVector<f64>, DMatrix<f64>) {
-        let n = 2 * self.centres;
-        (self.state.rows(0, n).into_owned(), self.covariance.view((0, 0), (n, n)).into_owned())
+        let n = self.0.len();
+        let (mut state, mut covariance) = (DVector::zeros(2 * n), DMatrix::zeros(2 * n, 2 * n));
+        for (i, course) in self.0.iter().enumerate() {
+            (state[i], state[n + i]) = (course.position, course.velocity);
+            covariance[(i, i)] = course.variance;
+            covariance[(n + i, n + i)] = course.velocity_variance;
+            (covariance[(i, n + i)], covariance[(n + i, i)]) = (course.covariance, course.covariance);
+        }
+        (state, covariance)
     }
 
-    /// After a time step, with process noise of σ px/s².
-    fn after(&self, step_s: f64, sigma: f64) -> Predicted {
-        let (n, c) = (self.state.len(), self.centres);
-        let mut turn = DMatrix::identity(n, n);
-        let mut next = DMatrix::zeros(n, n);
-        for i in 0..c {
-            turn[(i, c + i)] = step_s;
-            let variance = sigma * sigma;
-            next[(i, i)] = variance * step_s.powi(4) / 4.0;
-            next[(i, c + i)] = variance * step_s.powi(3) / 2.0;
-            next[(c + i, i)] = next[(i, c + i)];
-            next[(c + i, c + i)] = variance * step_s * step_s;
-        }
-        // An entry of A off the diagonal may be 0, so all drift by the largest.
-        let scale = self.state.rows(2 * c, n - 2 * c).amax();
-        for i in 2 * c..n {
-            next[(i, i)] = (DRIFT * scale).powi(2) * step_s;
-        }
-        next += &turn * &self.covariance * turn.transpose();
-        Predicted { centres: c, state: &turn * &self.state, covariance: next }
-    }
-
-    /// How far a measured centre lies from the predicted one, `yᵀS⁻¹y` with S = P + R; `None` when S is singular.
+    /// How far measured places lie from the predicted ones, `yᵀS⁻¹y` with S = P + R; `None` when S is singular.
     pub fn distance(&self, measured: &Measured) -> Option<f64> {
-        let c = self.centres;
-        let innovation = measured.values.rows(0, c) - self.state.rows(0, c);
-        let spread = self.covariance.view((0, 0), (c, c)) + measured.covariance.view((0, 0), (c, c)) + floor(c);
+        let (places, mut spread) = self.places();
+        let innovation = &measured.values - places;
+        spread += &measured.covariance;
+        for i in 0..innovation.len() {
+            spread[(i, i)] += FLOOR * FLOOR;
+        }
         Some(innovation.dot(&spread.cholesky()?.solve(&innovation)))
     }
 
     /// By how many standard deviations a distance lies outside of the gate, a coordinate; 0 inside.
-    pub fn excess((distance, centres): (f64, usize)) -> f64 {
-        let n = centres.max(1) as f64;
-        ((distance / n).sqrt() - (gate(centres) / n).sqrt()).clamp(0.0, EXCESS_MAX)
+    pub fn excess((distance, places): (f64, usize)) -> f64 {
+        let n = places.max(1) as f64;
+        ((distance / n).sqrt() - (gate(places) / n).sqrt()).clamp(0.0, EXCESS_MAX)
     }
 
-    /// True when the centre lies where χ² says that it may.
+    /// True when the places lie where χ² says that they may.
     pub fn admits(&self, measured: &Measured) -> bool {
-        self.distance(measured).is_some_and(|distance| distance <= gate(self.centres))
+        self.distance(measured).is_some_and(|distance| distance <= gate(self.0.len()))
     }
-}
-
-fn floor(centres: usize) -> DMatrix<f64> {
-    DMatrix::identity(centres, centres) * (FLOOR_PX * FLOOR_PX)
 }
 
 /// The quantile of χ² with so many degrees of freedom (Wilson and Hilferty's approximation).
@@ -132,75 +90,52 @@ fn gate(freedom: usize) -> f64 {
     n * (1.0 - share + GATE_QUANTILE * share.sqrt()).powi(3)
 }
 
-impl Motion {
-    /// A target just found. `acceleration_px_s2`: the process noise; follows the innovations when absent.
-    pub fn begin(measured: &Measured, time_s: f64, acceleration_px_s2: Option<f64>) -> Motion {
-        let (c, slow) = (measured.centres, measured.values.len() - measured.centres);
-        let n = 2 * c + slow;
-        let mut at = Predicted { centres: c, state: DVector::zeros(n), covariance: DMatrix::zeros(n, n) };
-        let seen = at.seen();
-        for (i, &row) in seen.iter().enumerate() {
-            at.state[row] = measured.values[i];
-            for (j, &column) in seen.iter().enumerate() {
-                at.covariance[(row, column)] = measured.covariance[(i, j)];
-            }
+impl Mover {
+    /// A target just found. `q`: the density of its acceleration, unit²/s³; learned when absent.
+    pub fn begin(measured: &Measured, time_s: f64, q: Option<f64>) -> Mover {
+        let values = measured.values.iter().enumerate().map(|(i, value)| (value, measured.covariance[(i, i)]));
+        let coordinates = values.map(|(value, variance)| Coordinate::begin(*value, variance, time_s, q)).collect();
+        Mover { coordinates, time_s, measurements: 1 }
+    }
+
+    /// The same target somewhere else: it moves as it did, from there.
+    pub fn begin_again(&mut self, measured: &Measured, time_s: f64) {
+        for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
+            coordinate.begin_again(measured.values[i], measured.covariance[(i, i)], time_s);
         }
-        for i in c..2 * c {
-            at.covariance[(i, i)] = VELOCITY_PX_S * VELOCITY_PX_S;
-        }
-        let sigma_px_s2 = acceleration_px_s2.unwrap_or(ACCELERATION_PX_S2);
-        Motion { at, time_s, sigma_px_s2, is_adaptive: acceleration_px_s2.is_none(), measurements: 1 }
+        (self.time_s, self.measurements) = (time_s, 1);
     }
 
     /// The state at a time, at or after the last measurement.
     pub fn predict(&self, time_s: f64) -> Predicted {
-        self.at.after((time_s - self.time_s).max(0.0), self.sigma_px_s2)
+        Predicted(self.coordinates.iter().map(|coordinate| coordinate.predict(time_s)).collect())
     }
 
     /// Takes a measurement in.
     pub fn update(&mut self, measured: &Measured, time_s: f64) {
-        let predicted = self.predict(time_s);
-        let (expected, spread) = predicted.measurable();
-        let n = predicted.state.len();
-        let seen = predicted.seen();
-        let mut noise = measured.covariance.clone();
-        let mut centres = noise.view_mut((0, 0), (measured.centres, measured.centres));
-        centres += floor(measured.centres);
-        let Some(factor) = (spread + &noise).cholesky() else {
-            *self = Motion { measurements: self.measurements, ..Motion::begin(measured, time_s, self.fixed()) };
-            return;
-        };
-        let innovation = &measured.values - expected;
-        // K = P Hᵀ S⁻¹; H picks rows, so P Hᵀ are columns of P.
-        let columns = DMatrix::from_fn(n, seen.len(), |i, j| predicted.covariance[(i, seen[j])]);
-        let gain = factor.solve(&columns.transpose()).transpose();
-        let state = &predicted.state + &gain * &innovation;
-        // Joseph's form stays positive definite: (I − KH) P (I − KH)ᵀ + K R Kᵀ.
-        let mut rest = DMatrix::identity(n, n);
-        for (j, &row) in seen.iter().enumerate() {
-            for i in 0..n {
-                rest[(i, row)] -= gain[(i, j)];
-            }
+        for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
+            coordinate.update(measured.values[i], measured.covariance[(i, i)], time_s);
         }
-        let covariance = &rest * &predicted.covariance * rest.transpose() + &gain * &noise * gain.transpose();
-        if self.is_adaptive && self.measurements > 1 {
-            let ratio = predicted.distance(measured).unwrap_or(1.0) / measured.centres.max(1) as f64;
-            let [least, most] = ACCELERATION_RANGE;
-            let factor = (ADAPTION * (ratio.min(RATIO_MAX) - 1.0)).exp();
-            self.sigma_px_s2 = (self.sigma_px_s2 * factor).clamp(least, most);
-        }
-        self.at = Predicted { centres: predicted.centres, state, covariance };
         self.time_s = time_s;
         self.measurements += 1;
-    }
-
-    fn fixed(&self) -> Option<f64> {
-        (!self.is_adaptive).then_some(self.sigma_px_s2)
     }
 
     /// When the last measurement was.
     pub fn time_s(&self) -> f64 {
         self.time_s
+    }
+
+    /// For each place whether predictions of it are no farther off than its last measurement.
+    pub fn foresees(&self) -> impl Iterator<Item = bool> {
+        self.coordinates.iter().map(Coordinate::foresees)
+    }
+
+    /// The motion of places that were these ones.
+    pub fn of_places(&self, numbers: &[usize]) -> Option<Mover> {
+        let coordinates = numbers.iter().map(|&number| self.coordinates.get(number).cloned());
+        let coordinates: Vec<Coordinate> = coordinates.collect::<Option<_>>()?;
+        let Mover { time_s, measurements, .. } = *self;
+        (!coordinates.is_empty()).then_some(Mover { coordinates, time_s, measurements })
     }
 }
 

@@ -6,6 +6,7 @@ use isophote_symbolic::Roles;
 use nalgebra::DMatrix;
 
 use super::solver::{Attempt, Solver};
+use crate::budget::Spend;
 use crate::pose::{Fitted, Pose, of_ellipses};
 
 impl Solver {
@@ -16,7 +17,7 @@ impl Solver {
 
     /// From the parameters where they are a pose, else from the spots' ellipses where lens and target are given.
     /// `saturation`: pixel values from there on did not take part.
-    pub fn pose(&self, attempt: &Attempt, saturation: f64) -> Option<Pose> {
+    pub fn pose(&self, attempt: &Attempt, saturation: f64, spend: Spend) -> Option<Pose> {
         let fit = attempt.fit.as_ref().filter(|_| attempt.is_good())?;
         let covariance = fit.worth.as_ref()?.covariance.as_ref();
         if let Some(geometry) = &self.geometry {
@@ -32,7 +33,7 @@ impl Solver {
             covariance: covariance?,
             saturation,
         };
-        of_ellipses(self.model(), lens, target, &fitted)
+        of_ellipses(self.model(), lens, target, &fitted, spend)
     }
 
     /// The pose that parameters are; `None` where they are none.

@@ -6,10 +6,11 @@ use super::Outcome;
 use super::evidence::log_likelihood;
 use super::memory::Memory;
 use super::solver::Solver;
+use crate::budget::Spend;
 use crate::estimate::{Ending, Estimate, TrackState};
 
 /// What an estimate says about its frame and target.
-pub(crate) struct Told {
+pub(crate) struct Told<'a> {
     /// The target's id.
     pub name: String,
     pub sequence: u64,
@@ -18,26 +19,30 @@ pub(crate) struct Told {
     pub time_s: f64,
     /// Pixel values from here on did not take part; infinite where `observed` is not a plane.
     pub saturation: f64,
+    /// Of the frame's budget.
+    pub spend: Spend<'a>,
 }
 
 /// Remembers what a frame said about a target, and says it.
 pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, told: Told) -> Estimate {
-    let Told { name, sequence, capture_ns, time_s, saturation } = told;
+    let Told { name, sequence, capture_ns, time_s, saturation, spend } = told;
     let (state, attempt, covariance, parameters, confidence, pose) = match outcome {
         Outcome::Seen(candidate) => {
             memory.saw(solver, &candidate, time_s);
             let confidence = candidate.confidence();
             let covariance = memory.covariance.clone();
-            let pose = solver.pose(&candidate.attempt, saturation);
+            let pose = solver.pose(&candidate.attempt, saturation, spend);
             (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
         }
         Outcome::Coasting(attempt, predicted) => {
-            let (parameters, covariance) = memory.coasted(solver, &predicted);
+            let (parameters, covariance) = memory.coasted(solver, &predicted, time_s);
             let pose = solver.pose_of(&parameters, covariance.as_ref());
             (TrackState::Coasting, attempt, covariance, parameters, None, pose)
         }
         Outcome::Missing(attempt) => {
-            memory.lose();
+            if !attempt.ending.is_unfinished() {
+                memory.lose();
+            }
             let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
             (state, attempt, None, memory.last.clone(), None, None)
         }
@@ -57,7 +62,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, t
         covariance: covariance.as_ref().map(rows),
         objective: told.map(|worth| worth.objective),
         reduced_chi_square: told.and_then(|worth| worth.reduced),
-        log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model().has_noise())),
+        log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model())),
         confidence,
         exposure_advice: None,
         ahead,

@@ -6,9 +6,9 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::solve::alternatives::{self, MISFIT};
-use crate::solve::compiled::CompileFailure;
+use crate::solve::alternatives::{self, MISFIT, Preparation, Preparing, Starts};
 use crate::solve::fit::Fit;
+use crate::solve::stage_kernels::CompileFailure;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
 const ASTRAY: f64 = 4.0;
@@ -26,8 +26,8 @@ impl Solver {
                 && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0)))
     }
 
-    /// The attempt, when it is fine, else the best of the alternatives that begin at `start` as well; `scatter` tries
-    /// starts around it when the attempt is far off.
+    /// The attempt, when it is fine, else the best of the alternatives that begin at `start` as well. While these are being
+    /// prepared beside the fits it is the attempt, too.
     pub fn reconsidered(
         &self,
         look: &Look,
@@ -35,17 +35,25 @@ impl Solver {
         start: &[f64],
         margin: Margin,
         usual: Option<f64>,
-        scatter: bool,
+        starts: Starts,
     ) -> Result<Attempt, CompileFailure> {
-        if self.is_fine(&attempt, usual) {
+        if self.is_fine(&attempt, usual) || look.unfinished().is_some() {
             return Ok(attempt);
         }
-        let astray = !attempt.is_good() || attempt.reduced().is_none_or(|reduced| reduced > ASTRAY);
-        let starts = match scatter && astray {
-            true => alternatives::scattered(self.model(), start),
-            false => vec![start.to_vec()],
-        };
         let view = self.view(look, self.window(look, start, margin));
+        let alternatives = match self.options.alternatives {
+            Preparing::AtOnce => Some(self.compiled.shelf().get(&self.compiled)?),
+            Preparing::Beside => self.compiled.shelf().ready(&view.layout),
+        };
+        let Some(alternatives) = alternatives else {
+            look.want(Preparation::new(&self.compiled, &view));
+            return Ok(attempt);
+        };
+        let astray = !attempt.is_good() || attempt.reduced().is_none_or(|reduced| reduced > ASTRAY);
+        let starts = match starts {
+            Starts::Scattered if astray => alternatives::scattered(self.model(), start),
+            Starts::Scattered | Starts::Given => vec![start.to_vec()],
+        };
         let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
         // An alternative with more freedom may settle on anything near: it must be a target of about that size, and there.
         let admit = |fit: &Fit| {
@@ -58,7 +66,7 @@ impl Solver {
                 && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
                     .coincides(self, start)
         };
-        let chosen = self.compiled.alternatives()?.best(&view, &self.constants, &starts, plain, &admit)?;
+        let chosen = alternatives.best(&view, &self.constants, &starts, plain, &admit)?;
         let Some(chosen) = chosen else { return Ok(attempt) };
         let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);
         let mut fit = chosen;

@@ -6,8 +6,9 @@
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
-use crate::solve::compiled::{CompileFailure, Control};
-use crate::solve::fit::{View, difference};
+use crate::sight::view::View;
+use crate::solve::fit::difference;
+use crate::solve::stage_kernels::{CompileFailure, Control};
 
 /// The runner-up.
 #[derive(Clone, Debug)]
@@ -70,10 +71,12 @@ impl Solver {
         let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
         let Some(geometry) = &self.geometry else { return Ok(warm) };
         let mut other = self.attempt(look, &rival.parameters, control, Margin::NONE)?;
-        if !other.is_good() {
-            return Ok(warm);
+        let view = self.view(look, look.window);
+        let delta = if other.is_good() { self.delta(&view, geometry, &warm, &other)? } else { None };
+        if look.unfinished().is_some() {
+            return Ok(Attempt { rival: Some(rival.clone()), ..warm }); // the picture has not decided
         }
-        let Some(delta) = self.delta(&self.view(look, look.window), geometry, &warm, &other)? else { return Ok(warm) };
+        let Some(delta) = delta else { return Ok(warm) };
         let total = rival.delta + delta;
         if total < 0.0 {
             std::mem::swap(&mut warm, &mut other);

@@ -9,7 +9,8 @@ use super::solver::{Attempt, Look, Solver};
 use super::window::{Margin, shape};
 use crate::estimate::Ending;
 use crate::sight::cold::{Cold, Grain, Starts};
-use crate::solve::compiled::{CompileFailure, Control};
+use crate::solve::alternatives;
+use crate::solve::stage_kernels::{CompileFailure, Control};
 
 /// Things that are fitted at most, …
 const SIGHTS_MAX: usize = 24;
@@ -22,7 +23,7 @@ const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
 /// Of several things one that is the target with less than this probability is not taken.
-const UNLIKE: f64 = 0.003;
+pub(super) const UNLIKE: f64 = 0.003;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
 
@@ -134,7 +135,8 @@ impl Search {
             && !search.candidates.iter().any(is_fine)
         {
             let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-            let attempt = solver.reconsidered(look, attempt, &start, margin, None, !is_placed)?;
+            let starts = if is_placed { alternatives::Starts::Given } else { alternatives::Starts::Scattered };
+            let attempt = solver.reconsidered(look, attempt, &start, margin, None, starts)?;
             if attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
                 search.candidates.push(Candidate::of(solver, attempt, ground));
             }
@@ -161,8 +163,9 @@ impl Search {
         };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
         let ground = cold.variance.map(|variance| Ground { variance, limit });
+        let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
-            let attempt = best(solver, look, starts, cold.control)?;
+            let attempt = best(solver, look, starts, control)?;
             if self.doubtful.is_none() && !solver.is_fine(&attempt, None) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
                 self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });

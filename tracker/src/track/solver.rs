@@ -3,20 +3,24 @@
 //! What comes in: a frame, starting values. What goes out: an [`Attempt`], a fit and whether it is believed. It never knows
 //! what was seen in earlier frames.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{PlaneView, Window};
 use isophote_symbolic::Model;
 
 use super::rival::Rival;
 use super::window::{Margin, Reach, half_widths, holds, shape};
+use crate::budget::{Budget, Stop};
 use crate::estimate::{Ending, Rejection};
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::mask::Mask;
-use crate::solve::compiled::{CompileFailure, Compiled, Control};
-use crate::solve::fit::{Fit, View, fit, limit};
+use crate::sight::view::{View, limit};
+use crate::solve::alternatives::Preparation;
+use crate::solve::compiled::Compiled;
+use crate::solve::fit::{Fit, fit};
 use crate::solve::stage::QUANTISATION;
+use crate::solve::stage_kernels::{CompileFailure, Control};
 use isophote_frame::Frame;
 
 /// A brightness of less than this many standard deviations is nothing.
@@ -38,8 +42,41 @@ pub(crate) struct Solver {
 pub(crate) struct Look<'a> {
     planes: Vec<PlaneView<'a>>,
     pub window: Window,
+    /// What its pixels can hold at most.
+    largest: f64,
     /// Where its pixels are clipped, for each window that was looked at.
     limits: Mutex<Vec<(Window, Vec<f64>)>>,
+    /// What it may cost; none where nothing bounds it.
+    budget: Option<&'a Budget<'a>>,
+    /// Alternatives that a fit went on without.
+    wanted: OnceLock<Preparation>,
+}
+
+impl<'a> Look<'a> {
+    /// The same within a bound.
+    pub fn within(self, budget: &'a Budget<'a>) -> Look<'a> {
+        Look { budget: Some(budget), ..self }
+    }
+
+    /// Takes units of its budget.
+    pub fn spend(&self, units: u64) -> Result<(), Stop> {
+        self.budget.map_or(Ok(()), |budget| budget.spend(units))
+    }
+
+    /// How it ended, when it was not looked at to the end.
+    pub fn unfinished(&self) -> Option<Ending> {
+        self.budget.and_then(Budget::stopped).map(Ending::from)
+    }
+
+    /// Says that a fit would have tried alternatives.
+    pub fn want(&self, preparation: Preparation) {
+        self.wanted.get_or_init(|| preparation);
+    }
+
+    /// What fits would have tried.
+    pub fn wanted(&self) -> Option<&Preparation> {
+        self.wanted.get()
+    }
 }
 
 /// One try on a frame.
@@ -86,21 +123,22 @@ impl Solver {
         let model = self.model();
         let dimensions = model.coordinates().len();
         let suits = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
-        if !suits || frame.planes().len() != model.channels().len() {
-            return None;
-        }
+        let planes = frame.planes_of(model.channels()).filter(|_| suits)?;
         let whole = Window::of_size(frame.sides());
         let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
-        let planes = (0..frame.planes().len()).map(|channel| frame.plane_view(channel)).collect();
-        Some(Look { planes, window, limits: Mutex::default() })
+        let planes = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
+        let largest = frame.largest.unwrap_or(f64::INFINITY);
+        Some(Look { planes, window, largest, limits: Mutex::default(), budget: None, wanted: OnceLock::new() })
     }
 
     /// A part of what may be looked at.
     pub fn view<'a>(&self, look: &Look<'a>, window: Window) -> View<'a> {
-        View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision())
+        let view = View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision());
+        View { budget: look.budget, ..view }
     }
 
-    /// One limit a plane: the camera's, else what the window's pixels show. Looked for once a frame and window.
+    /// One limit a plane: the camera's, else what the window's pixels show, but not above what the source's pixels can hold.
+    /// Looked for once a frame and window.
     fn limits(&self, look: &Look, window: Window) -> Vec<f64> {
         if let Some(limit) = self.options.camera.saturation {
             return vec![limit; look.planes.len()];
@@ -109,7 +147,7 @@ impl Solver {
         if let Some((_, limits)) = known.iter().find(|(seen, _)| *seen == window) {
             return limits.clone();
         }
-        let limits: Vec<f64> = look.planes.iter().map(|plane| limit(plane, window)).collect();
+        let limits: Vec<f64> = look.planes.iter().map(|plane| limit(plane, window).min(look.largest)).collect();
         known.push((window, limits.clone()));
         limits
     }

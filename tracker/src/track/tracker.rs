@@ -10,12 +10,16 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 
+use crate::budget::{Budget, Watch};
 use crate::estimate::{Ending, Estimate, TrackState};
 use crate::exposure::Advisor;
 use crate::options::{TrackError, TrackerOptions};
-use crate::solve::compiled::{CompileFailure, Compiled};
+use crate::solve::alternatives::Preparation;
+use crate::solve::compiled::Compiled;
+use crate::solve::stage_kernels::CompileFailure;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
+use crate::track::shared::{Carried, Shared};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::{Followed, Outcome, Track};
 use isophote_frame::Frame;
@@ -23,19 +27,14 @@ use isophote_frame::Frame;
 /// Follows one target or several of the same model.
 pub struct Tracker {
     pub(crate) solver: Solver,
-    tracks: Vec<Track>,
+    pub(super) tracks: Vec<Track>,
     advisor: Option<Advisor>,
-    /// Of the last frame.
-    time_s: Option<f64>,
-}
-
-/// What a swap does to the parameters of the new model.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Carried {
-    /// Names of those that keep their values.
-    pub carried: Vec<String>,
-    /// Names of those that start anew.
-    pub reset: Vec<String>,
+    /// Of the last frame: its time and number.
+    last: Option<(f64, u64)>,
+    /// Added to what frames say of their times.
+    shift_s: f64,
+    /// Alternatives that frames were fitted without.
+    wanted: Option<Preparation>,
 }
 
 impl Tracker {
@@ -50,7 +49,7 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, time_s: None })
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None, shift_s: 0.0, wanted: None })
     }
 
     /// The model's kernels.
@@ -58,21 +57,25 @@ impl Tracker {
         &self.solver.compiled
     }
 
-    /// Takes another model from the next frame on. Parameters of the same name keep their values if they lie inside the new
-    /// bounds, and the track goes on from them; the others start anew. Starts and constants that the new model does not
-    /// have are left alone: they belonged to the old one. The answer is that of the first target.
+    /// Takes another model from the next frame on. What both models have goes on: parameters of the same role, else of the
+    /// same name, if they lie inside the new bounds; where targets are, how they move, and whether they are coasting, for
+    /// models that have centres, or a pose, both. The rest starts anew. Starts and constants that the new model does not
+    /// have are left alone: they belonged to the old one. The values are those of the first target.
     pub fn swap(&mut self, compiled: Arc<Compiled>, options: TrackerOptions) -> Carried {
-        let (old, new) = (self.solver.model(), compiled.model());
         self.tracks.resize_with(options.targets, Track::default);
-        let mut answer = None;
+        let old = self.solver.compiled.clone();
+        let shared = Shared::of(&old, &compiled, &options);
+        let first = self.tracks.first().and_then(|track| track.memory.warm.as_deref());
+        let mut carried = shared.told(first);
         for track in &mut self.tracks {
-            let (carried, warm) = carry(old, new, track.memory.warm.as_ref());
-            track.memory = track.memory.swapped(warm);
-            answer.get_or_insert(carried);
+            track.memory = track.memory.swapped(&shared);
         }
-        self.solver = Solver::new(compiled, options);
+        self.solver = Solver::new(compiled.clone(), options);
+        self.wanted = None;
         self.advisor = advisor(&self.solver);
-        answer.unwrap_or_default()
+        let moving = self.names().into_iter().zip(&self.tracks).filter(|(_, track)| track.memory.measurements() > 0);
+        carried.moving = moving.map(|(name, _)| name).collect();
+        carried
     }
 
     /// The targets' ids, in the order of their numbers.
@@ -97,6 +100,17 @@ impl Tracker {
 
     /// Fits one frame: what it says about each target, in the order of their numbers; never empty.
     pub fn track_all(&mut self, frame: &Frame) -> Vec<Estimate> {
+        self.track_all_while(frame, &|| None)
+    }
+
+    /// What frames since the last call were fitted without, because it is prepared beside them: to be run on another thread.
+    pub fn wanted(&mut self) -> Option<Preparation> {
+        self.wanted.take()
+    }
+
+    /// The same, ended by `watch`, which is asked before every pass and every step of a search. A target whose fit was done by
+    /// then is tracked; of the others the frame says nothing, the ending says why, and they are remembered as they were.
+    pub fn track_all_while(&mut self, frame: &Frame, watch: Watch) -> Vec<Estimate> {
         let grey; // colour frames for a one-channel model
         let frame = match self.solver.model().channels().len() == 1 && frame.planes().len() == 3 {
             true => {
@@ -107,7 +121,8 @@ impl Tracker {
         };
         let time_s = self.now(frame);
         let missing = |ending| self.tracks.iter().map(|_| Outcome::Missing(Attempt::none(ending))).collect();
-        let look = self.solver.look(frame);
+        let budget = Budget::new(self.solver.options.work_max, watch);
+        let look = self.solver.look(frame).map(|look| look.within(&budget));
         let outcomes: Vec<Outcome> = match &look {
             Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),
@@ -116,6 +131,8 @@ impl Tracker {
         let mut estimates: Vec<Estimate> =
             numbered.map(|(number, outcome)| self.take(number, outcome, frame, look.as_ref(), time_s)).collect();
         self.advise(look.as_ref(), &mut estimates);
+        let wanted = look.as_ref().and_then(Look::wanted).cloned();
+        self.wanted = wanted.or(self.wanted.take());
         estimates
     }
 
@@ -129,7 +146,9 @@ impl Tracker {
             _ => None,
         };
         let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
-        let told = Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s, saturation };
+        let spend = |units| look.map_or(Ok(()), |look| look.spend(units));
+        let told =
+            Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s, saturation, spend: &spend };
         estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
     }
 
@@ -142,18 +161,22 @@ impl Tracker {
         }
     }
 
-    /// When the frame was taken: by its time, else by its number; never before the last one.
+    /// When the frame was taken: by its source's clock, else by the machine's, else by its number; never before the last one.
     fn now(&mut self, frame: &Frame) -> f64 {
         let period_s = self.solver.options.motion.period_s;
-        let told = match frame.capture_ns {
-            Some(ns) => ns as f64 * 1e-9,
-            None => frame.sequence as f64 * period_s,
+        let told = frame.time_s.or(frame.capture_ns.map(|ns| ns as f64 * 1e-9));
+        let time_s = match (told, self.last) {
+            (Some(told), None) => told,
+            (Some(told), Some((last_s, _))) if told + self.shift_s > last_s => told + self.shift_s,
+            // A clock that stood still, or begins anew: what comes after goes on from here.
+            (Some(told), Some((last_s, _))) => {
+                self.shift_s = last_s + period_s - told;
+                last_s + period_s
+            }
+            (None, None) => frame.sequence as f64 * period_s,
+            (None, Some((last_s, number))) => last_s + frame.sequence.saturating_sub(number).max(1) as f64 * period_s,
         };
-        let time_s = match self.time_s {
-            Some(last) if told <= last => last + period_s,
-            _ => told,
-        };
-        self.time_s = Some(time_s);
+        self.last = Some((time_s, frame.sequence));
         time_s
     }
 
@@ -179,14 +202,18 @@ impl Tracker {
                 Some(Followed::Kept(candidate)) => Outcome::Seen(candidate),
                 Some(Followed::Doubtful(doubtful)) => {
                     let track = &self.tracks[number];
-                    let search = match &mut search {
-                        Some(search) => search,
-                        none => {
-                            let size_px = track.memory.size_px(solver);
-                            none.insert(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?)
+                    if search.is_none() && look.unfinished().is_none() {
+                        let size_px = track.memory.size_px(solver);
+                        search = Some(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?);
+                    }
+                    match (look.unfinished(), &mut search) {
+                        (None, Some(search)) => track.settle(solver, look, doubtful, search, time_s),
+                        // What a search has not come to may be the target.
+                        (ending, _) => {
+                            let attempt = Attempt::none(ending.unwrap_or_default());
+                            track.missing(solver, look, attempt, time_s)
                         }
-                    };
-                    track.settle(solver, look, doubtful, search, time_s)
+                    }
                 }
                 None => continue,
             };
@@ -215,22 +242,6 @@ impl Tracker {
 fn advisor(solver: &Solver) -> Option<Advisor> {
     let options = &solver.options;
     options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
-}
-
-/// The values that a new model takes over, and their names.
-fn carry(old: &Model, new: &Model, warm: Option<&Vec<Option<f64>>>) -> (Carried, Option<Vec<Option<f64>>>) {
-    let value = |name: &str| warm.and_then(|warm| warm[old.parameter(name)?.index()]);
-    let mut carried = Carried::default();
-    let mut values = Vec::new();
-    for parameter in new.parameters() {
-        let inside = |v: &f64| parameter.min.is_none_or(|min| *v > min) && parameter.max.is_none_or(|max| *v < max);
-        let value = value(&parameter.name).filter(inside);
-        let names = if value.is_some() { &mut carried.carried } else { &mut carried.reset };
-        names.push(parameter.name.clone());
-        values.push(value);
-    }
-    let warm = values.iter().any(Option::is_some).then_some(values);
-    (carried, warm)
 }
 
 fn kept(followed: &Followed) -> Option<Vec<f64>> {
@@ -270,3 +281,7 @@ mod tests;
 #[cfg(test)]
 #[path = "circular_start_tests.rs"]
 mod circular_start_tests;
+
+#[cfg(test)]
+#[path = "bounded_tests.rs"]
+mod bounded_tests;

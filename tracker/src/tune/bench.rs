@@ -6,7 +6,8 @@ use isophote_symbolic::ParameterId;
 
 use super::starts::{self, Offset};
 use crate::options::{TrackError, TrackerOptions};
-use crate::solve::compiled::{CompileFailure, Compiled, Control};
+use crate::solve::compiled::Compiled;
+use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
 use crate::track::{MARGIN_PX, MARGIN_PX_MAX, MARGIN_SHARE};

@@ -5,9 +5,9 @@ use serde::Serialize;
 
 use super::bench::{Bench, Goal};
 use super::starts::{self, Offset};
-use crate::solve::compiled::CompileFailure;
 use crate::solve::fit::quadratic_at;
 use crate::solve::stage::eigen_resolution;
+use crate::solve::stage_kernels::CompileFailure;
 use crate::track::window::Margin;
 use isophote_frame::Frame;
 

@@ -1,10 +1,9 @@
 //! Comparisons and what joins them; what is known when the model is read is decided here.
 
 use super::{Elaborator, Matrix, Poison, Worked};
-use crate::derive::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::parser::{Expr, Relation};
-use crate::program::Comparison;
-use crate::proof::evaluate::holds;
+use crate::program::{Comparison, holds};
 
 impl Elaborator<'_> {
     pub(super) fn compare(&mut self, relation: Relation, left: &Expr, right: &Expr, at: &Expr) -> Worked {

@@ -1,7 +1,7 @@
 //! Vectors and matrices: every operand is known before shapes are judged.
 
 use super::{Elaborator, Matrix, Poison, Shape, Worked, fault, poisoned, shape_of};
-use crate::derive::graph::NodeId;
+use crate::language::graph::NodeId;
 use crate::language::limits::LIMITS;
 use crate::language::parser::Expr;
 

@@ -1,8 +1,9 @@
 //! Names that nothing declares, and what was probably meant.
 
-use super::{Binding, Elaborator, Poison, RESERVED, fault};
+use super::{Binding, Elaborator, Poison, fault};
 use crate::language::diagnostic::{nearest_name, quoted};
 use crate::language::parser::Expr;
+use crate::language::words::RESERVED;
 use crate::program::function::Function1;
 
 /// What other languages call it.

@@ -2,8 +2,8 @@
 
 use super::{Expr, Fault, Kind, Parser, enclose, is_word};
 use crate::language::diagnostic::{quoted, visible};
-use crate::language::elaborate::is_function;
 use crate::language::lexer::{Lexeme, Token};
+use crate::language::words::is_function;
 
 /// What the message of a character begins with that no formula holds.
 pub(crate) const STRAY_CHARACTER: &str = "no formula holds the character";

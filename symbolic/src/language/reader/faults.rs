@@ -4,10 +4,10 @@ use std::collections::HashMap;
 
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span, nearest_name, quoted};
 use crate::language::document::{Entry, Item, Key, Text};
-use crate::language::elaborate::is_reserved;
 use crate::language::limits::LIMITS;
 use crate::language::model::Parameter;
 use crate::language::parser::{Fault, STRAY_CHARACTER};
+use crate::language::words::is_reserved;
 use crate::program::ParameterId;
 
 /// A fault that is not shown yet.

@@ -1,12 +1,11 @@
 //! `[model]`: its formulas.
 
-use crate::derive::graph::{Graph, Node, NodeId};
-use crate::derive::likelihood::{Loss, Saturated};
 use crate::language::diagnostic::Span;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
+use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::model::{Formulas, Observation};
+use crate::language::model::{Formulas, Loss, Observation, Saturated};
 use crate::language::reader::faults::get;
 use crate::language::reader::likelihood_of_model::read_likelihood;
 use crate::program::{ChannelId, CoordinateId};
@@ -192,18 +191,5 @@ fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::gauss;
-
-    #[test]
-    fn a_rule_of_n_points_is_exact_to_degree_2n_minus_1() {
-        for points in 1..=5_usize {
-            for power in 0..2 * points as i32 {
-                let sum: f64 = gauss(points).iter().map(|(x, w)| w * x.powi(power)).sum();
-                // ∫ x^k dx over −½ … ½
-                let exact = if power % 2 == 1 { 0.0 } else { 0.5_f64.powi(power) / (f64::from(power) + 1.0) };
-                assert!((sum - exact).abs() < 1e-15, "{points} points, x^{power}: {sum} {exact}");
-            }
-        }
-    }
-}
+#[path = "formulas_of_model_tests.rs"]
+mod tests;

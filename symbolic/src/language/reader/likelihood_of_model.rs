@@ -1,9 +1,9 @@
 //! `[model]`: what becomes of saturated pixels and of outliers, and how a pixel is sampled.
 
-use crate::derive::likelihood::{Loss, Saturated};
 use crate::language::diagnostic::{nearest_name, quoted};
 use crate::language::document::{Entry, Item, Key};
 use crate::language::limits::LIMITS;
+use crate::language::model::{Loss, Saturated};
 use crate::language::reader::faults::{Faults, get};
 
 /// `saturated`, `loss` and `quadrature`.

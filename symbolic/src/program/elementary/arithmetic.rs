@@ -1,7 +1,6 @@
 //! What several functions are made of: polynomials, numbers in two parts, signs, powers of two.
 
-use super::Accuracy;
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// 1.5 · 2⁵²: x + MAGIC has the integer nearest to x, |x| < 2⁵¹, in its low bits.
 pub const MAGIC: f64 = 1.5 * (1_u64 << 52) as f64;
@@ -58,11 +57,11 @@ pub(super) fn odd<M: Machine>(m: &M, coefficients: &[f64], x: M::Number, z: M::N
 }
 
 /// A number with its rounding error.
-pub(super) type Two<N> = [N; 2];
+pub(super) type Pair<N> = [N; 2];
 
 /// a + b = s + e, exactly.
 #[inline(always)]
-pub(super) fn two_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::Number> {
+pub(super) fn two_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Pair<M::Number> {
     let s = m.add(a, b);
     let t = m.sub(s, a);
     let e = m.add(m.sub(a, m.sub(s, t)), m.sub(b, t));
@@ -71,14 +70,14 @@ pub(super) fn two_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::N
 
 /// a + b = s + e, exactly, for |a| ≥ |b|.
 #[inline(always)]
-pub(super) fn quick_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::Number> {
+pub(super) fn quick_sum<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Pair<M::Number> {
     let s = m.add(a, b);
     [s, m.sub(b, m.sub(s, a))]
 }
 
 /// a · b = p + e, exactly (Dekker 1971 where nothing is fused), for |a|, |b| < 2⁹⁹⁵ and p no subnormal.
 #[inline(always)]
-pub(super) fn two_product<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<M::Number> {
+pub(super) fn two_product<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Pair<M::Number> {
     let p = m.mul(a, b);
     if m.is_fused() {
         return [p, m.mul_add(a, b, m.neg(p))];
@@ -97,7 +96,7 @@ pub(super) fn two_product<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Two<
 
 /// The product of two numbers in two parts, to some 2⁻¹⁰⁰ of it.
 #[inline(always)]
-pub(super) fn product<M: Machine>(m: &M, a: Two<M::Number>, b: Two<M::Number>) -> Two<M::Number> {
+pub(super) fn product<M: Machine>(m: &M, a: Pair<M::Number>, b: Pair<M::Number>) -> Pair<M::Number> {
     let [p, e] = two_product(m, a[0], b[0]);
     let e = m.mul_add(a[0], b[1], e);
     let e = m.mul_add(a[1], b[0], e);

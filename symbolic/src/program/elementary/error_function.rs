@@ -1,10 +1,9 @@
 //! erf: below 1 an odd polynomial, above it 1 − e^(−x²) P(t).
 
-use super::Accuracy;
 use super::arithmetic::{clamped, polynomial, signed};
 use super::coefficients::{ERF_DOUBLE, ERF_SINGLE, ERFC_DOUBLE, ERFC_SINGLE};
 use super::exponential::exp;
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// erf x = 2/√π ∫ e^(−t²) dt from 0 to x.
 #[inline(always)]

@@ -1,9 +1,8 @@
 //! e^x = 2^k e^r with k the integer nearest to x / ln 2, |r| ≤ ½ ln 2; e^r by a polynomial.
 
-use super::Accuracy;
-use super::arithmetic::{MAGIC, Two, clamped, polynomial, power_of_two, quick_sum};
+use super::arithmetic::{MAGIC, Pair, clamped, polynomial, power_of_two, quick_sum};
 use super::coefficients::{EXP_DOUBLE, EXP_SINGLE, LN_2};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// e^x
 #[inline(always)]
@@ -13,7 +12,7 @@ pub(super) fn exp<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Num
 
 /// e^(x + small) 2^shift.
 #[inline(always)]
-pub(super) fn scaled<M: Machine>(m: &M, accuracy: Accuracy, x: Two<M::Number>, shift: f64) -> M::Number {
+pub(super) fn scaled<M: Machine>(m: &M, accuracy: Accuracy, x: Pair<M::Number>, shift: f64) -> M::Number {
     // Beyond these the result is 0 or infinite.
     let [low, high] = match accuracy {
         Accuracy::Single => [-110.0, 95.0],
@@ -39,7 +38,7 @@ pub(super) fn scaled<M: Machine>(m: &M, accuracy: Accuracy, x: Two<M::Number>, s
     // e^(r + rest) = e^r + rest e^r.
     let tail = m.mul_add(rest, m.add(one, m.add(r, tail)), tail);
     let e = m.add(one, m.add(r, tail));
-    // Two factors, so that subnormal results are rounded once and the largest do not overflow before their time.
+    // Pair factors, so that subnormal results are rounded once and the largest do not overflow before their time.
     let half = m.mul_add(k, m.constant(0.5), m.constant(MAGIC));
     let other = m.sub(k, m.sub(half, m.constant(MAGIC)));
     let other = m.add(other, m.constant(MAGIC + shift));

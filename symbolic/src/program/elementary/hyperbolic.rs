@@ -1,10 +1,9 @@
 //! sinh, cosh, tanh: from e^x where nothing cancels, by a polynomial near 0.
 
-use super::Accuracy;
 use super::arithmetic::{odd, signed};
 use super::coefficients::{SINH_DOUBLE, SINH_SINGLE, TANH_DOUBLE, TANH_SINGLE};
 use super::exponential::scaled;
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// e^a/2 and e^−a/2.
 #[inline(always)]

@@ -1,9 +1,8 @@
 //! arcsin, arccos, arctan and the angle of a point: each from a polynomial on a short interval.
 
-use super::Accuracy;
 use super::arithmetic::{SIGN, odd, polynomial, quick_sum, signed};
 use super::coefficients::{ASIN_DOUBLE, ASIN_SINGLE, ATAN_DOUBLE, ATAN_SINGLE, HALF_PI_DOUBLE, PI_DOUBLE};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// arctan u, 0 ≤ u ≤ 1.
 #[inline(always)]

@@ -1,9 +1,8 @@
 //! ln x = k ln 2 + ln m, ½√2 ≤ m < √2, ln m by a polynomial in s = (m − 1)/(m + 1).
 
-use super::Accuracy;
-use super::arithmetic::{Two, polynomial, product, quick_sum, two_product, two_sum};
+use super::arithmetic::{Pair, polynomial, product, quick_sum, two_product, two_sum};
 use super::coefficients::{LN_2, LN_2_DOUBLE, LOG_DOUBLE, LOG_SINGLE, POWER_DOUBLE, TWO_THIRDS};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// The bits of ½√2, rounded to a multiple of 2⁻²⁰.
 const ROOT_HALF: u64 = 0x3fe6_a09e_0000_0000;
@@ -64,7 +63,7 @@ fn special<M: Machine>(m: &M, x: M::Number, value: M::Number) -> M::Number {
 
 /// ln x of x ≥ 0 to 2⁻⁶⁵ of itself; infinite, or NaN, in the first part alone.
 #[inline(always)]
-pub(super) fn log_in_two<M: Machine>(m: &M, x: M::Number) -> Two<M::Number> {
+pub(super) fn log_in_two<M: Machine>(m: &M, x: M::Number) -> Pair<M::Number> {
     let [k, f] = taken_apart(m, Accuracy::Double, x);
     // s = f / (2 + f) in two parts; f is exact and 2 + f has an error of its own.
     let [d, d_low] = quick_sum(m, m.constant(2.0), f);

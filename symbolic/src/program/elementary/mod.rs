@@ -16,29 +16,20 @@ mod inverse;
 mod large;
 mod logarithm;
 mod machine;
+mod plain;
 mod power;
 mod tail;
 #[cfg(test)]
 mod tests;
 mod trigonometric;
-#[doc(hidden)]
-pub mod ulps;
 
 pub use arithmetic::MAGIC;
 pub use counter::Counter;
 pub(crate) use large::reduced;
-pub use machine::{Machine, Plain};
+pub use machine::{Accuracy, Machine};
+pub use plain::Plain;
 
 use crate::program::function::{Function1, Function2};
-
-/// How exact a value must be.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Accuracy {
-    /// Some 30 bits: the argument is an f32, and the result will be rounded to one.
-    Single,
-    /// An f64.
-    Double,
-}
 
 /// The value of a function of one argument.
 #[inline(always)]
@@ -67,5 +58,30 @@ pub fn call2<M: Machine>(m: &M, function: Function2, accuracy: Accuracy, a: M::N
     match function {
         Function2::Atan2 => inverse::atan2(m, accuracy, a, b),
         Function2::Pow => power::pow(m, accuracy, a, b),
+    }
+}
+
+impl Function1 {
+    /// The value in f64, as every level but the pixel's computes it: no operation is fused.
+    pub fn value(self, x: f64) -> f64 {
+        self.value_with(Plain { fused: false }, Accuracy::Double, x)
+    }
+
+    /// The value on a machine. Of [`Accuracy::Single`] it means something for arguments that are f32, once it is rounded
+    /// to f32.
+    pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64) -> f64 {
+        call1(&machine, self, accuracy, x)
+    }
+}
+
+impl Function2 {
+    /// The value in f64, as [`Function1::value`] has it.
+    pub fn value(self, x: f64, y: f64) -> f64 {
+        self.value_with(Plain { fused: false }, Accuracy::Double, x, y)
+    }
+
+    /// The value on a machine, see [`Function1::value_with`].
+    pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64, y: f64) -> f64 {
+        call2(&machine, self, accuracy, x, y)
     }
 }

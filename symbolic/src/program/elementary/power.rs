@@ -1,10 +1,9 @@
 //! x^y = e^(y ln |x|), the logarithm and its product with y in two parts, and the many special values of C99's Annex F.
 
-use super::Accuracy;
 use super::arithmetic::{SIGN, clamped, two_product};
 use super::exponential::scaled;
 use super::logarithm::{log, log_in_two};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 
 /// Whether |y| = b is whole, and whether it is odd.
 #[inline(always)]

@@ -1,9 +1,8 @@
 //! sin, cos, tan: x = k π/2 + r, |r| ≤ π/4 (Cody and Waite 1980), then polynomials. Beyond 2²⁰ see [`super::large`].
 
-use super::Accuracy;
-use super::arithmetic::{MAGIC, SIGN, Two, odd, polynomial, quick_sum, signed, two_product, two_sum};
+use super::arithmetic::{MAGIC, Pair, SIGN, odd, polynomial, quick_sum, signed, two_product, two_sum};
 use super::coefficients::{COS_DOUBLE, COS_SINGLE, HALF_PI, HALF_PI_SHORT, SIN_DOUBLE, SIN_SINGLE};
-use super::machine::Machine;
+use super::machine::{Accuracy, Machine};
 use crate::program::function::Function1;
 
 /// From here on k has more bits than its products with the parts of π/2 leave it.
@@ -11,7 +10,7 @@ const LARGE: f64 = (1_u64 << 20) as f64;
 
 /// r in two parts, and the bits of k.
 #[inline(always)]
-fn reduced<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> (Two<M::Number>, M::Bits) {
+fn reduced<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> (Pair<M::Number>, M::Bits) {
     let rounded = m.mul_add(x, m.constant(std::f64::consts::FRAC_2_PI), m.constant(MAGIC));
     let k = m.sub(rounded, m.constant(MAGIC));
     let quadrant = m.bits(rounded);
@@ -30,7 +29,7 @@ fn reduced<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> (Two<M::Numbe
 
 /// sin and cos of r, |r| ≤ π/4, each as a value and its error (of which the short form knows nothing).
 #[inline(always)]
-pub(super) fn kernels<M: Machine>(m: &M, accuracy: Accuracy, [r, low]: Two<M::Number>) -> [Two<M::Number>; 2] {
+pub(super) fn kernels<M: Machine>(m: &M, accuracy: Accuracy, [r, low]: Pair<M::Number>) -> [Pair<M::Number>; 2] {
     let z = m.mul(r, r);
     let (one, half, zero) = (m.constant(1.0), m.constant(-0.5), m.constant(0.0));
     if accuracy == Accuracy::Single {
@@ -65,7 +64,7 @@ fn is_odd<M: Machine>(m: &M, quadrant: M::Bits) -> M::Truth {
 
 /// sin of an angle of that quadrant.
 #[inline(always)]
-pub(super) fn sin_of<M: Machine>(m: &M, accuracy: Accuracy, r: Two<M::Number>, quadrant: M::Bits) -> M::Number {
+pub(super) fn sin_of<M: Machine>(m: &M, accuracy: Accuracy, r: Pair<M::Number>, quadrant: M::Bits) -> M::Number {
     let [sin, cos] = kernels(m, accuracy, r);
     let value = m.select(is_odd(m, quadrant), cos[0], sin[0]);
     turned(m, value, quadrant)
@@ -73,10 +72,10 @@ pub(super) fn sin_of<M: Machine>(m: &M, accuracy: Accuracy, r: Two<M::Number>, q
 
 /// tan of an angle of that quadrant.
 #[inline(always)]
-pub(super) fn tan_of<M: Machine>(m: &M, accuracy: Accuracy, r: Two<M::Number>, quadrant: M::Bits) -> M::Number {
+pub(super) fn tan_of<M: Machine>(m: &M, accuracy: Accuracy, r: Pair<M::Number>, quadrant: M::Bits) -> M::Number {
     let [sin, cos] = kernels(m, accuracy, r);
     let odd = is_odd(m, quadrant);
-    let choose = |a: Two<M::Number>, b: Two<M::Number>| [m.select(odd, a[0], b[0]), m.select(odd, a[1], b[1])];
+    let choose = |a: Pair<M::Number>, b: Pair<M::Number>| [m.select(odd, a[0], b[0]), m.select(odd, a[1], b[1])];
     let sign = m.shift_left(quadrant, 63);
     let (up, down) = (choose(cos, sin), choose(sin, cos));
     let quotient = m.div(up[0], down[0]);

@@ -16,7 +16,7 @@ use isophote_jit::{PlaneView, Window};
 
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::start::{Sight, Sign, Wanted, find};
-use crate::solve::fit::largest_value;
+use crate::sight::view::largest_value;
 use isophote_frame::Frame;
 use slope::{Point, Share, slope};
 

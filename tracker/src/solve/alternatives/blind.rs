@@ -8,7 +8,7 @@ use isophote_jit::{PixelFormat, PlaneView};
 use isophote_symbolic::Precision;
 
 use super::residuals::Seen;
-use crate::solve::fit::View;
+use crate::sight::view::View;
 
 /// A saturated pixel is the target's where this share of the way from the background to the limit is predicted, while
 /// parameters are those of a start …
@@ -22,56 +22,76 @@ const EDGE_PX: usize = 1;
 /// Fewer blind pixels than this are a hot pixel or a rim.
 const PIXELS_MIN: usize = 12;
 
-/// Which pixels of a window are blind.
-pub(crate) struct Mask {
-    pub blind: Vec<bool>,
+/// How well a target's parameters are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Known {
+    /// They are those of a start.
+    Roughly,
+    /// They are those of a fit.
+    Well,
 }
 
-impl Mask {
+/// Which pixels of a window are blind.
+pub(crate) struct Blind {
+    pub pixels: Vec<bool>,
+}
+
+impl Blind {
     /// What the residuals of a model say: `None` when nothing is hidden. With `outlier`, residuals of that many standard
     /// deviations that hang together are of something in front of the target.
-    pub fn of(view: &View, seen: &[Seen], is_first: bool, outlier: Option<f64>) -> Option<Mask> {
+    pub fn of(view: &View, seen: &[Seen], known: Known, outlier: Option<f64>) -> Option<Blind> {
         let [width, height, ..] = view.window.size();
         let mut blind = vec![false; view.window.pixels()];
         for Seen { residuals, limit } in seen {
             let floor = residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
-            let share = if is_first { EXPLAINED_FIRST } else { EXPLAINED };
+            let share = match known {
+                Known::Roughly => EXPLAINED_FIRST,
+                Known::Well => EXPLAINED,
+            };
             let explained = floor + share * (limit - floor);
             for residual in residuals.iter().filter(|r| r.saturated && r.predicted < explained) {
                 blind[residual.pixel] = true;
             }
         }
-        let glare = opened(&blind, width, height).map(|area| neighbourhood(&area, width, height, SPREAD_PX, false));
+        let glare = opened(&blind, width, height).map(|area| dilated(&area, width, height, SPREAD_PX));
         let hidden = outlier.and_then(|limit| {
             let mut far = vec![false; view.window.pixels()];
             let residuals = seen.iter().flat_map(|seen| &seen.residuals);
             residuals.filter(|r| !r.saturated && r.whitened.abs() > limit).for_each(|r| far[r.pixel] = true);
-            Some(neighbourhood(&opened(&far, width, height)?, width, height, EDGE_PX, false))
+            Some(dilated(&opened(&far, width, height)?, width, height, EDGE_PX))
         });
-        let blind = match (glare, hidden) {
+        let pixels = match (glare, hidden) {
             (Some(glare), Some(hidden)) => glare.iter().zip(hidden).map(|(a, b)| *a || b).collect(),
             (glare, hidden) => glare.or(hidden)?,
         };
-        Some(Mask { blind })
+        Some(Blind { pixels })
     }
 }
 
 /// Without lines one or two pixels wide, which are rims: 3 × 3 opening. `None` when hardly a pixel is left.
 fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
-    let eroded = neighbourhood(truth, width, height, 1, true);
-    let opened = neighbourhood(&eroded, width, height, 1, false);
+    let opened = dilated(&eroded(truth, width, height, 1), width, height, 1);
     (opened.iter().filter(|holds| **holds).count() >= PIXELS_MIN).then_some(opened)
 }
 
-/// For each pixel whether all, or any, of those within `radius` along both axes hold; beyond the border nothing does.
-fn neighbourhood(truth: &[bool], width: usize, height: usize, radius: usize, all: bool) -> Vec<bool> {
+/// For each pixel whether any of those within `radius` along both axes holds.
+fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
+    neighbourhood(truth, width, height, radius, 1)
+}
+
+/// For each pixel whether all of those within `radius` along both axes hold; beyond the border nothing does.
+fn eroded(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
+    neighbourhood(truth, width, height, radius, 2 * radius + 1)
+}
+
+/// For each pixel whether `least` of those within `radius` along either axis hold.
+fn neighbourhood(truth: &[bool], width: usize, height: usize, radius: usize, least: usize) -> Vec<bool> {
     let run = |values: &dyn Fn(usize) -> bool, count: usize| -> Vec<bool> {
         let mut before = vec![0_usize; count + 1];
         (0..count).for_each(|i| before[i + 1] = before[i] + usize::from(values(i)));
         let holds = |i: usize| {
             let (low, high) = (i.saturating_sub(radius), (i + radius + 1).min(count));
-            let found = before[high] - before[low];
-            if all { found == 2 * radius + 1 } else { found > 0 }
+            before[high] - before[low] >= least
         };
         (0..count).map(holds).collect()
     };
@@ -94,13 +114,13 @@ pub(crate) struct Painted {
 const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
 
 impl Painted {
-    pub fn new(view: &View, mask: &Mask) -> Painted {
+    pub fn new(view: &View, blind: &Blind) -> Painted {
         let [x0, y0, ..] = view.window.first();
         let [width, height, ..] = view.window.size();
         let size = [x0 + width, y0 + height];
         let copy = |plane: &PlaneView| {
             let mut bytes = vec![0; size[0] * size[1] * BYTES];
-            for (pixel, blind) in mask.blind.iter().enumerate() {
+            for (pixel, blind) in blind.pixels.iter().enumerate() {
                 let (x, y) = (x0 + pixel % width, y0 + pixel / width);
                 let value = if *blind { f32::NAN } else { plane.pixel_at([x, y, 0, 0]) as f32 };
                 let at = (y * size[0] + x) * BYTES;
@@ -112,7 +132,7 @@ impl Painted {
     }
 
     /// The same window of the copy.
-    pub fn view<'a>(&'a self, view: &View, precision: Precision) -> Option<View<'a>> {
+    pub fn view<'a>(&'a self, view: &View<'a>, precision: Precision) -> Option<View<'a>> {
         let [width, height] = self.size;
         let plane =
             |bytes: &'a Vec<u8>| PlaneView::new(PixelFormat::F32, bytes, width, height, width * BYTES, BYTES).ok();
@@ -139,7 +159,7 @@ mod tests {
             let (x, y) = (i % width, i / width);
             assert_eq!(*opened, (5..10).contains(&x) && (5..9).contains(&y), "{x}, {y}");
         }
-        let wide = neighbourhood(&opened, width, height, 2, false);
+        let wide = dilated(&opened, width, height, 2);
         assert_eq!(wide.iter().filter(|w| **w).count(), 9 * 8);
     }
 }

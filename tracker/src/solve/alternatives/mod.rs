@@ -8,7 +8,9 @@
 //! Only models that say how noisy a pixel is (`noise`) have alternatives: without it nothing says what is too much.
 
 mod blind;
+mod prepare;
 mod residuals;
+mod shelf;
 #[cfg(test)]
 mod tests;
 
@@ -16,13 +18,15 @@ use std::sync::Arc;
 
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
-use serde::{Deserialize, Serialize};
 
-use self::blind::{Mask, Painted};
-use self::residuals::Predictions;
-use crate::estimate::StageReport;
-use crate::solve::compiled::{CompileFailure, Compiled, Control};
-use crate::solve::fit::{Fit, View, fit};
+use self::blind::{Blind, Known, Painted};
+pub use self::prepare::{Preparation, Preparing};
+use self::residuals::{Over, Predictions};
+pub(crate) use self::shelf::Shelf;
+use crate::estimate::{StageReport, Substitute};
+use crate::sight::view::View;
+use crate::solve::fit::{Fit, fit};
+use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 
 /// χ²/ν beyond which a plain fit is not taken as it is.
@@ -46,59 +50,63 @@ const SCALES: [&[f64]; 2] = [&[1.0], &[3.0, 1.0]];
 const DEGREES: [u32; 3] = [1, 2, 3];
 
 /// A model and its predictions, compiled.
-struct Fitted {
-    compiled: Arc<Compiled>,
+struct Variation {
+    compiled: Arc<StageKernels>,
     predictions: Predictions,
 }
 
 /// A background, with which residuals count by their squares, or not at all when they are outliers.
 struct Ground {
     degree: u32,
-    plain: Fitted,
-    robust: Fitted,
+    plain: Variation,
+    robust: Variation,
 }
 
 /// All alternatives of a model.
+#[derive(Default)]
 pub(crate) struct Alternatives {
     /// The model itself; absent when it has no alternatives.
-    own: Option<Fitted>,
+    own: Option<Variation>,
     grounds: Vec<Ground>,
 }
 
-/// What is different about a fit that was chosen over the plain one.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Substitute {
-    /// Of the polynomial added to the background.
-    pub degree: u32,
-    /// Outliers did not count.
-    pub robust: bool,
-    /// Share of the domain that was left out as blind or hidden.
-    pub hidden: f64,
+/// What a fit does with outliers that hang together: something in front of the target.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Outliers {
+    /// They are looked at as everything else.
+    Kept,
+    /// They are left out from the first round on.
+    LeftOut,
 }
 
 /// A fit, and what it left out.
-struct Candidate {
+struct Explained {
     fit: Fit,
     choice: Substitute,
 }
 
 impl Alternatives {
-    /// Derives them; kernels follow when they are needed. None for a model without noise or not of two coordinates.
-    pub fn new(compiled: &Compiled, cache: &Arc<KernelCache>) -> Result<Alternatives, CompileFailure> {
+    /// Derives them; kernels follow when they are needed. Empty for a model without noise or not of two coordinates; `None`
+    /// when `keeps_going`, asked before each of them, says no.
+    pub fn new(
+        compiled: &StageKernels,
+        cache: &Arc<KernelCache>,
+        keeps_going: &dyn Fn() -> bool,
+    ) -> Result<Option<Alternatives>, CompileFailure> {
         let model = compiled.model();
         let mut alternatives = Alternatives { own: None, grounds: Vec::new() };
         if !model.has_noise() || model.coordinates().len() != 2 {
-            return Ok(alternatives);
+            return Ok(Some(alternatives));
         }
         let precision = compiled.precision();
-        let fitted = |compiled: Arc<Compiled>| -> Result<Option<Fitted>, CompileFailure> {
+        let predicted = |compiled: Arc<StageKernels>| -> Result<Option<Variation>, CompileFailure> {
             let predictions = Predictions::new(compiled.model(), precision, cache)?;
-            Ok(predictions.map(|predictions| Fitted { compiled, predictions }))
+            Ok(predictions.map(|predictions| Variation { compiled, predictions }))
         };
-        let variant = |variant| -> Result<Option<Fitted>, CompileFailure> {
+        let variant = |variant| -> Result<Option<Variation>, CompileFailure> {
             let model = Arc::new(model.variant(variant));
-            match Compiled::with_cache(model, precision, cache.clone(), &InTurn) {
-                Ok(compiled) => fitted(Arc::new(compiled)),
+            match StageKernels::new(model, precision, cache.clone(), &InTurn) {
+                Ok(compiled) => predicted(Arc::new(compiled)),
                 // More than a model may have: there is one alternative fewer.
                 Err(CompileFailure::Model(_)) => Ok(None),
                 Err(failure) => Err(failure),
@@ -106,12 +114,24 @@ impl Alternatives {
         };
         let plain = Variant { degree: 0, loss: Loss::Squares, saturated: Saturated::Censored, reach: REACH };
         let robust = Variant { loss: Loss::Tukey(OUTLIER), saturated: Saturated::Dropped, ..plain };
+        if !keeps_going() {
+            return Ok(None);
+        }
         alternatives.own = variant(plain)?;
         for degree in DEGREES {
+            if !keeps_going() {
+                return Ok(None);
+            }
             let (plain, robust) = (variant(Variant { degree, ..plain })?, variant(Variant { degree, ..robust })?);
             alternatives.grounds.extend(plain.zip(robust).map(|(plain, robust)| Ground { degree, plain, robust }));
         }
-        Ok(alternatives)
+        Ok(Some(alternatives))
+    }
+
+    /// The kernels of each.
+    fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
+        let grounds = self.grounds.iter().flat_map(|ground| [&ground.plain, &ground.robust]);
+        self.own.iter().chain(grounds).map(|variation| &*variation.compiled)
     }
 
     /// The best of all alternatives from all starts that `admit` lets through; `None` when the `plain` fit is as good.
@@ -133,31 +153,32 @@ impl Alternatives {
         if starts.len() > 1 {
             starts = first.robust.likely(view, constants, starts)?;
         }
-        let cost = |fitted: &Fitted, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
+        let cost = |fitted: &Variation, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
         let mut limit = f64::INFINITY;
         if let Some(plain) = plain.filter(|fit| fit.worth.is_some()) {
             limit = cost(own, plain).unwrap_or(limit);
-            let all = constants_for(own.compiled.model(), constants, view);
-            let seen = own.predictions.residuals(view, &plain.parameters, &all, false);
-            if seen.is_some_and(|seen| Mask::of(view, &seen, false, Some(OUTLIER)).is_none()) {
+            let all = constants_for(own.compiled.model(), constants, view, 1.0);
+            let seen = own.predictions.residuals(view, &plain.parameters, &all, Over::Domain);
+            if seen.is_some_and(|seen| Blind::of(view, &seen, Known::Well, Some(OUTLIER)).is_none()) {
                 return Ok(None); // nothing but a target that is a little blurred or moved
             }
         }
-        let mut found: Vec<(f64, Candidate)> = Vec::new();
-        let is_fine = |candidate: &Candidate| {
+        let mut found: Vec<(f64, Explained)> = Vec::new();
+        let is_fine = |candidate: &Explained| {
             let reduced = candidate.fit.worth.as_ref().and_then(|worth| worth.reduced);
             reduced.is_some_and(|reduced| reduced <= MISFIT)
         };
-        let add = |found: &mut Vec<(f64, Candidate)>, fitted: &Fitted, candidate: Option<Candidate>| {
+        let add = |found: &mut Vec<(f64, Explained)>, fitted: &Variation, candidate: Option<Explained>| {
             let admitted = candidate.filter(|candidate| admit(&candidate.fit));
             found.extend(admitted.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
         };
         let choice = Substitute { degree: 0, robust: false, hidden: 0.0 };
         for start in &starts {
-            add(&mut found, own, own.run(view, constants, start, choice, &[1.0], false)?);
+            add(&mut found, own, own.run(view, constants, start, choice, &[1.0], Outliers::Kept)?);
             for ground in &self.grounds {
                 let choice = Substitute { degree: ground.degree, ..choice };
-                add(&mut found, &ground.plain, ground.plain.run(view, constants, start, choice, &[1.0], false)?);
+                let fitted = ground.plain.run(view, constants, start, choice, &[1.0], Outliers::Kept)?;
+                add(&mut found, &ground.plain, fitted);
             }
         }
         // Something stands in front of the target: the simplest background with which all that is seen is explained. Beside
@@ -169,36 +190,36 @@ impl Alternatives {
             }
             let choice = Substitute { degree: ground.degree, robust: true, ..choice };
             for (start, scales) in starts.iter().flat_map(|start| SCALES.map(|scales| (start, scales))) {
-                let Some(robust) = ground.robust.run(view, constants, start, choice, scales, false)? else { continue };
+                let robust = ground.robust.run(view, constants, start, choice, scales, Outliers::Kept)?;
+                let Some(robust) = robust else { continue };
                 // What is hidden is known now, and the rest counts in full.
                 let parameters = &robust.fit.parameters;
-                let refined = ground.plain.run(view, constants, parameters, choice, &[1.0], true)?;
+                let refined = ground.plain.run(view, constants, parameters, choice, &[1.0], Outliers::LeftOut)?;
                 add(&mut found, &ground.plain, refined);
                 add(&mut found, &ground.robust, Some(robust));
             }
         }
         // Of those that explain all that they look at, else of all, the one that explains most.
         let best = found.into_iter().filter(|(cost, _)| *cost < limit);
-        let rank = |a: &(f64, Candidate), b: &(f64, Candidate)| {
+        let rank = |a: &(f64, Explained), b: &(f64, Explained)| {
             (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(a.0.total_cmp(&b.0))
         };
         let best = best.min_by(rank);
-        Ok(best.map(|(_, Candidate { fit, choice })| Fit {
+        Ok(best.map(|(_, Explained { fit, choice })| Fit {
             choice: Some(choice),
             ..fit.shortened(parameters, own.compiled.last_parameters().len())
         }))
     }
 }
 
-impl Fitted {
+impl Variation {
     /// How many parameters are free.
     fn free(&self) -> usize {
         self.compiled.last_parameters().len()
     }
 
     /// Fits from a start, which may lack the parameters of the background; `None` when that is no fit. `scales` are those of
-    /// the rounds, the last one of all that follow. With `hidden` outliers that hang together are left out from the first
-    /// round on.
+    /// the rounds, the last one of all that follow.
     fn run(
         &self,
         view: &View,
@@ -206,16 +227,19 @@ impl Fitted {
         start: &[f64],
         choice: Substitute,
         scales: &[f64],
-        hidden: bool,
-    ) -> Result<Option<Candidate>, CompileFailure> {
-        let known = constants_for(self.compiled.model(), constants, view);
+        outliers: Outliers,
+    ) -> Result<Option<Explained>, CompileFailure> {
+        let limit = (outliers == Outliers::LeftOut).then_some(OUTLIER);
         let mut parameters = start.to_vec();
         parameters.resize(self.compiled.model().parameters().len(), 0.0);
         let mut last: Option<Fit> = None;
         let mut mask = None;
         for round in 0..ROUNDS.max(scales.len()) {
-            let Some(seen) = self.predictions.residuals(view, &parameters, &known, false) else { return Ok(None) };
-            let found = Mask::of(view, &seen, round == 0 && !hidden, hidden.then_some(OUTLIER));
+            let as_it_is = constants_for(self.compiled.model(), constants, view, 1.0);
+            let seen = self.predictions.residuals(view, &parameters, &as_it_is, Over::Domain);
+            let Some(seen) = seen else { return Ok(None) };
+            let known = if round == 0 && limit.is_none() { Known::Roughly } else { Known::Well };
+            let found = Blind::of(view, &seen, known, limit);
             // Without anything hidden a second round would be the first one over again.
             if round >= scales.len() && found.is_none() && mask.is_none() {
                 break;
@@ -227,10 +251,8 @@ impl Fitted {
                 Some(blinded) => (blinded, Control::Blind),
                 None => (view, Control::Dropping),
             };
-            let mut constants = known.clone();
-            if let Some(scale) = constants.last_mut() {
-                *scale = scales[round.min(scales.len() - 1)];
-            }
+            let scale = scales[round.min(scales.len() - 1)];
+            let constants = constants_for(self.compiled.model(), constants, view, scale);
             let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64)
             {
@@ -242,14 +264,14 @@ impl Fitted {
         }
         let Some(fit) = last else { return Ok(None) };
         let region = self.region(view, constants, &fit.parameters);
-        let share = |mask: &Mask| {
+        let share = |mask: &Blind| {
             let region = region.as_ref()?;
-            let inside = mask.blind.iter().zip(region).filter(|(_, inside)| **inside);
+            let inside = mask.pixels.iter().zip(region).filter(|(_, inside)| **inside);
             let blind = inside.clone().filter(|(blind, _)| **blind).count();
             Some(blind as f64 / inside.count().max(1) as f64)
         };
         let hidden = mask.as_ref().and_then(share).unwrap_or(0.0);
-        Ok(Some(Candidate { fit, choice: Substitute { hidden, ..choice } }))
+        Ok(Some(Explained { fit, choice: Substitute { hidden, ..choice } }))
     }
 
     /// The first of some starts, and those of the others that lead to the least cost, each over its own domain.
@@ -257,7 +279,8 @@ impl Fitted {
         let choice = Substitute { degree: 0, robust: true, hidden: 0.0 };
         let mut tried = Vec::new();
         for start in &starts {
-            let Some(candidate) = self.run(view, constants, start, choice, SCALES[0], false)? else { continue };
+            let candidate = self.run(view, constants, start, choice, SCALES[0], Outliers::Kept)?;
+            let Some(candidate) = candidate else { continue };
             let cost = self.cost(view, constants, &candidate.fit.parameters, None);
             tried.extend(cost.map(|cost| (cost, candidate.fit.parameters)));
         }
@@ -272,8 +295,8 @@ impl Fitted {
 
     /// Which pixels of the window belong to the domain.
     fn region(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<Vec<bool>> {
-        let constants = constants_for(self.compiled.model(), constants, view);
-        let seen = self.predictions.residuals(view, parameters, &constants, false)?;
+        let constants = constants_for(self.compiled.model(), constants, view, 1.0);
+        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain)?;
         let mut region = vec![false; view.window.pixels()];
         seen.iter().flat_map(|seen| &seen.residuals).for_each(|residual| region[residual.pixel] = true);
         Some(region)
@@ -282,10 +305,10 @@ impl Fitted {
     /// The same without pixels that are blind from there.
     fn sighted(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<Vec<bool>> {
         let mut region = self.region(view, constants, parameters)?;
-        let constants = constants_for(self.compiled.model(), constants, view);
-        let seen = self.predictions.residuals(view, parameters, &constants, false)?;
-        if let Some(mask) = Mask::of(view, &seen, true, None) {
-            region.iter_mut().zip(mask.blind).for_each(|(inside, blind)| *inside &= !blind);
+        let constants = constants_for(self.compiled.model(), constants, view, 1.0);
+        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain)?;
+        if let Some(mask) = Blind::of(view, &seen, Known::Roughly, None) {
+            region.iter_mut().zip(mask.pixels).for_each(|(inside, blind)| *inside &= !blind);
         }
         Some(region)
     }
@@ -293,8 +316,9 @@ impl Fitted {
     /// The cost of a pixel of the region (without one, of the domain), and of the parameters: `mean min(z², 16) + k ln n / n`.
     /// `None` when there is hardly a pixel.
     fn cost(&self, view: &View, constants: &[f64], parameters: &[f64], region: Option<&[bool]>) -> Option<f64> {
-        let constants = constants_for(self.compiled.model(), constants, view);
-        let seen = self.predictions.residuals(view, parameters, &constants, region.is_some())?;
+        let constants = constants_for(self.compiled.model(), constants, view, 1.0);
+        let over = if region.is_some() { Over::Everything } else { Over::Domain };
+        let seen = self.predictions.residuals(view, parameters, &constants, over)?;
         let (mut sum, mut count) = (0.0, 0_usize);
         let residuals = seen.iter().flat_map(|seen| &seen.residuals);
         for residual in residuals.filter(|residual| region.is_none_or(|region| region[residual.pixel])) {
@@ -307,13 +331,13 @@ impl Fitted {
 }
 
 /// The model's constants and those of the background: the polynomial is about the window's middle, in units of half its
-/// size.
-fn constants_for(model: &Model, constants: &[f64], view: &View) -> Vec<f64> {
+/// size. `scale`: how many times their deviation residuals are taken to have.
+fn constants_for(model: &Model, constants: &[f64], view: &View, scale: f64) -> Vec<f64> {
     let mut all = constants.to_vec();
     if model.constants().len() > constants.len() {
         let (first, size) = (view.window.first(), view.window.size());
         all.extend((0..2).map(|axis| first[axis] as f64 + 0.5 * (size[axis] as f64 - 1.0)));
-        all.extend([0.5 * size[0].max(size[1]) as f64, 1.0]);
+        all.extend([0.5 * size[0].max(size[1]) as f64, scale]);
     }
     all
 }
@@ -328,6 +352,15 @@ impl Fit {
         }
         self
     }
+}
+
+/// Where alternatives begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Starts {
+    /// Where the plain fit did.
+    Given,
+    /// Around that as well, when the plain fit is far off.
+    Scattered,
 }
 
 /// Starts beside one that is not sure of where the target is: shifted by shares of the target's half widths and rounder.

@@ -9,11 +9,11 @@ use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
 use isophote_symbolic::{Bindings, Model, Precision, Prediction};
 
 use crate::sight::grey::{Grey, Mixture};
-use crate::solve::compiled::{CompileFailure, Control, lowering};
-use crate::solve::fit::View;
+use crate::sight::view::View;
+use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
 
 /// Predictions of one observed value.
-struct Entry {
+struct Observed {
     model: Model,
     intensity: Arc<Kernel>,
     unbounded: Arc<Kernel>,
@@ -22,7 +22,16 @@ struct Entry {
 
 /// The predictions of a model, compiled.
 pub(crate) struct Predictions {
-    entries: Vec<Entry>,
+    entries: Vec<Observed>,
+}
+
+/// Which pixels of a window are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Over {
+    /// Those of the domain.
+    Domain,
+    /// All.
+    Everything,
 }
 
 /// A pixel of the domain.
@@ -67,17 +76,22 @@ impl Predictions {
             let (Some(intensity), Some(unbounded), Some(variance)) = (intensity?, unbounded?, variance?) else {
                 return Ok(None);
             };
-            entries.push(Entry { model, intensity, unbounded, variance });
+            entries.push(Observed { model, intensity, unbounded, variance });
         }
         Ok(Some(Predictions { entries }))
     }
 
-    /// The residuals of each observed value over the domain, or everywhere; `None` when a kernel refuses.
-    pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64], everywhere: bool) -> Option<Vec<Seen>> {
+    /// The residuals of each observed value; `None` when a kernel refuses, or nobody waits any longer.
+    pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64], over: Over) -> Option<Vec<Seen>> {
+        // Two predictions, and the picture.
+        view.spend(3 * self.entries.len() * view.window.pixels()).ok()?;
         let saturation = &view.saturation;
         let bindings = Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
-        let one = |entry: &Entry| {
-            let kernel = if everywhere { &entry.unbounded } else { &entry.intensity };
+        let one = |entry: &Observed| {
+            let kernel = match over {
+                Over::Domain => &entry.intensity,
+                Over::Everything => &entry.unbounded,
+            };
             let predicted = plane(kernel, &bindings, view.window)?;
             let variance = plane(&entry.variance, &bindings, view.window)?;
             let observed =

@@ -1,5 +1,6 @@
 //! What stands beside or in front of a target does not move its estimate, once the plain fit has shown that something does.
 
+use std::cell::Cell;
 use std::sync::Arc;
 
 use isophote_jit::PixelFormat;
@@ -7,8 +8,9 @@ use isophote_symbolic::{Model, Precision};
 
 use crate::options::TrackerOptions;
 use crate::picture::{Picture, Spot};
+use crate::sight::view::Layout;
 use crate::solve::compiled::Compiled;
-use crate::{Estimate, TrackState, Tracker};
+use crate::{Estimate, Preparing, TrackState, Tracker};
 use isophote_frame::{Frame, Plane};
 
 const MODEL: &str = r#"
@@ -37,8 +39,20 @@ const CENTRE: [f64; 2] = [47.3, 48.8];
 
 /// What the second of two frames is said to show; the first is clear.
 fn tracked(change: impl Fn(usize, usize, f64) -> f64) -> Estimate {
-    let compiled = Compiled::new(Arc::new(Model::from_toml(MODEL).expect("a model")), Precision::F32).expect("kernels");
-    let mut tracker = Tracker::new(Arc::new(compiled), TrackerOptions::default()).expect("options");
+    tracked_by(&mut tracker(&compiled(), Preparing::AtOnce), change)
+}
+
+fn compiled() -> Arc<Compiled> {
+    let model = Model::from_toml(MODEL).expect("a model");
+    Arc::new(Compiled::new(Arc::new(model), Precision::F32).expect("kernels"))
+}
+
+fn tracker(compiled: &Arc<Compiled>, alternatives: Preparing) -> Tracker {
+    let options = TrackerOptions { alternatives, ..TrackerOptions::default() };
+    Tracker::new(compiled.clone(), options).expect("options")
+}
+
+fn tracked_by(tracker: &mut Tracker, change: impl Fn(usize, usize, f64) -> f64) -> Estimate {
     let mut spot = Spot::at(CENTRE[0], CENTRE[1], 18.0, 200.0);
     spot.half = [20.0, 14.0];
     let frame = |seed, change: &dyn Fn(usize, usize, f64) -> f64| {
@@ -83,4 +97,47 @@ fn glare_that_bends_becomes_part_of_the_background() {
     let estimate = tracked(|x, y, v| v + glare(x, y));
     assert!(error(&estimate) < 0.1, "{}", error(&estimate));
     assert!(estimate.substitute.expect("an alternative").degree >= 2);
+}
+
+fn hidden(x: usize, _: usize, v: f64) -> f64 {
+    if x > 54 { 5.0 } else { v }
+}
+
+#[test]
+fn a_frame_is_answered_without_alternatives_until_they_are_prepared() {
+    let compiled = compiled();
+    let mut first = tracker(&compiled, Preparing::Beside);
+    let estimate = tracked_by(&mut first, hidden);
+    assert!(estimate.substitute.is_none(), "{estimate:?}");
+    let preparation = first.wanted().expect("they were asked for");
+    assert!(first.wanted().is_none(), "once a frame");
+    let kernels = compiled.cache().counts();
+    assert!(compiled.shelf().ready(&Layout::of_format(PixelFormat::U8, 1)).is_none());
+    preparation.run(&|| true).expect("kernels");
+    let prepared = compiled.cache().counts();
+    assert!(prepared.misses > kernels.misses, "{prepared:?}");
+    // Who asks later finds them, makes no kernel for them, and says what one says who waits for them.
+    let mut later = tracker(&compiled, Preparing::Beside);
+    let beside = tracked_by(&mut later, hidden);
+    assert!(beside.substitute.is_some() && later.wanted().is_none(), "{beside:?}");
+    assert_eq!(compiled.cache().counts().misses, prepared.misses);
+    assert_eq!(beside, tracked_by(&mut tracker(&compiled, Preparing::AtOnce), hidden));
+    assert_eq!(beside, tracked(hidden), "by kernels of its own");
+}
+
+#[test]
+fn a_preparation_that_is_given_up_can_be_taken_up_again() {
+    let compiled = compiled();
+    let mut asking = tracker(&compiled, Preparing::Beside);
+    for pieces in [0, 2, 5, 9, 13] {
+        assert!(tracked_by(&mut asking, hidden).substitute.is_none(), "{pieces}");
+        let asked = Cell::new(0);
+        let keeps_going = || asked.replace(asked.get() + 1) < pieces;
+        asking.wanted().expect("asked for again").run(&keeps_going).expect("no failure");
+        assert_eq!(asked.get(), pieces + 1, "ends at once");
+    }
+    asking = tracker(&compiled, Preparing::Beside);
+    tracked_by(&mut asking, hidden);
+    asking.wanted().expect("asked for again").run(&|| true).expect("kernels");
+    assert!(tracked_by(&mut tracker(&compiled, Preparing::Beside), hidden).substitute.is_some());
 }

@@ -1,0 +1,187 @@
+//! Small charts: lines, dots and shaded cells in panels side by side.
+
+use super::{Svg, TEXT};
+
+/// Colours of series, in order.
+pub const COLOURS: [&str; 5] = ["#4389d8", "#cf7a2f", "#3f9b6c", "#9a6bd1", "#c2556b"];
+/// From so many names on they stand aslant.
+const CROWDED: usize = 10;
+const PANEL: [f64; 2] = [430.0, 330.0];
+/// Where a panel's axes meet, from its top left; its upper and right rim.
+const ORIGIN: [f64; 2] = [62.0, 240.0];
+const TOP: f64 = 34.0;
+const RIGHT: f64 = 415.0;
+
+/// One direction of a panel.
+#[derive(Clone, Debug, Default)]
+pub struct Axis {
+    /// Under or over it.
+    pub name: String,
+    /// First and last value.
+    pub range: [f64; 2],
+    /// Where there is a line, and what stands there.
+    pub ticks: Vec<(f64, String)>,
+    /// Equal factors take equal room.
+    pub logarithmic: bool,
+}
+
+impl Axis {
+    /// An axis with a number at each tick.
+    pub fn linear(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
+        let ticks = ticks.iter().map(|tick| (*tick, tick.to_string())).collect();
+        Axis { name: name.to_string(), range, ticks, logarithmic: false }
+    }
+
+    /// The same, on which equal factors take equal room.
+    pub fn logarithmic(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
+        Axis { logarithmic: true, ..Axis::linear(name, range, ticks) }
+    }
+
+    /// The share of the axis that lies before a value; what is outside stands at its end.
+    fn share(&self, value: f64) -> f64 {
+        let [first, last] = self.range;
+        let share = match self.logarithmic {
+            true => (value / first).ln() / (last / first).ln(),
+            false => (value - first) / (last - first),
+        };
+        share.clamp(0.0, 1.0)
+    }
+}
+
+/// How a series is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Style {
+    /// A line with a dot at each point.
+    Line,
+    /// A dashed line without dots.
+    Dashed,
+    /// Dots alone.
+    Dots,
+}
+
+/// Points that belong together.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// In the legend.
+    pub name: String,
+    /// One of [`COLOURS`], or any.
+    pub colour: &'static str,
+    /// How it is drawn.
+    pub style: Style,
+    /// x, y; points that are not finite are left out.
+    pub points: Vec<[f64; 2]>,
+}
+
+/// A shaded rectangle with a text in it.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// Its middle, in values of the axes.
+    pub place: [f64; 2],
+    /// 0 to 1.
+    pub shade: f64,
+    /// In its middle.
+    pub text: String,
+}
+
+/// One panel.
+#[derive(Clone, Debug, Default)]
+pub struct Panel {
+    /// Over it.
+    pub title: String,
+    /// Left to right.
+    pub x: Axis,
+    /// Bottom to top.
+    pub y: Axis,
+    /// Drawn in order.
+    pub series: Vec<Series>,
+    /// Behind them; one unit of each axis large.
+    pub cells: Vec<Cell>,
+}
+
+impl Panel {
+    fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [left, base] = ORIGIN;
+        [left + self.x.share(x) * (RIGHT - left), base - self.y.share(y) * (base - TOP)]
+    }
+
+    fn draw(&self, svg: &mut Svg) {
+        let ([left, base], middle) = (ORIGIN, (ORIGIN[0] + RIGHT) / 2.0);
+        svg.text([&left, &18], "font-size=\"13\"", &self.title);
+        for (value, name) in &self.y.ticks {
+            let [_, y] = self.place([self.x.range[0], *value]);
+            svg.tick(y, [left, RIGHT], "0.3", name);
+        }
+        let mut line = |text: String| svg.element(text);
+        for (value, name) in &self.x.ticks {
+            let [x, _] = self.place([*value, self.y.range[0]]);
+            line(format!("<path d=\"M{x:.1} {base}v4\" stroke=\"{TEXT}\"/>"));
+            let y = base + 17.0;
+            line(match self.x.ticks.len() > CROWDED {
+                true => format!(
+                    "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"end\" font-size=\"9\" transform=\"rotate(-45 {x:.1} {y})\">{name}</text>",
+                    x + 6.0,
+                    y - 4.0
+                ),
+                false => format!("<text x=\"{x:.1}\" y=\"{y}\" text-anchor=\"middle\">{name}</text>"),
+            });
+        }
+        line(format!("<path d=\"M{left} {TOP}V{base}H{RIGHT}\" fill=\"none\" stroke=\"{TEXT}\"/>"));
+        line(format!("<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>", base + 34.0, self.x.name));
+        let height = (TOP + base) / 2.0;
+        line(format!(
+            "<text x=\"14\" y=\"{height}\" text-anchor=\"middle\" transform=\"rotate(-90 14 {height})\">{}</text>",
+            self.y.name
+        ));
+        self.cells.iter().for_each(|cell| self.cell(cell, &mut line));
+        for (i, series) in self.series.iter().enumerate() {
+            self.series(series, &mut line);
+            let (x, y) = (left + (i % 2) as f64 * 180.0, base + 54.0 + (i / 2) as f64 * 17.0);
+            line(format!("<rect x=\"{x}\" y=\"{}\" width=\"12\" height=\"5\" fill=\"{}\"/>", y - 6.0, series.colour));
+            line(format!("<text x=\"{}\" y=\"{y}\">{}</text>", x + 18.0, series.name));
+        }
+    }
+
+    fn cell(&self, cell: &Cell, line: &mut impl FnMut(String)) {
+        let [x, y] = cell.place;
+        let ([left, top], [right, bottom]) = (self.place([x - 0.5, y + 0.5]), self.place([x + 0.5, y - 0.5]));
+        line(format!(
+            "<rect x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\" fill-opacity=\"{:.2}\"/>",
+            right - left - 2.0,
+            bottom - top - 2.0,
+            COLOURS[0],
+            0.05 + 0.35 * cell.shade
+        ));
+        let (middle, height) = ((left + right) / 2.0 - 1.0, (top + bottom) / 2.0 + 3.0);
+        line(format!("<text x=\"{middle:.1}\" y=\"{height:.1}\" text-anchor=\"middle\">{}</text>", cell.text));
+    }
+
+    fn series(&self, series: &Series, line: &mut impl FnMut(String)) {
+        let finite = series.points.iter().filter(|point| point.iter().all(|v| v.is_finite()));
+        let places: Vec<[f64; 2]> = finite.map(|point| self.place(*point)).collect();
+        if series.style != Style::Dots {
+            let path: Vec<String> = places.iter().map(|[x, y]| format!("{x:.1} {y:.1}")).collect();
+            let dashes = if series.style == Style::Dashed { " stroke-dasharray=\"5 4\"" } else { "" };
+            line(format!(
+                "<path d=\"M{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.8\"{dashes}/>",
+                path.join("L"),
+                series.colour
+            ));
+        }
+        if series.style != Style::Dashed {
+            for [x, y] in places {
+                line(format!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.2\" fill=\"{}\"/>", series.colour));
+            }
+        }
+    }
+}
+
+/// Panels side by side.
+pub fn svg(title: &str, panels: &[Panel]) -> String {
+    let mut svg = Svg::new(title, PANEL[0] * panels.len() as f64, PANEL[1]);
+    for (i, panel) in panels.iter().enumerate() {
+        svg.element(format_args!("<g transform=\"translate({} 0)\">", PANEL[0] * i as f64));
+        panel.draw(&mut svg);
+        svg.element("</g>");
+    }
+    svg.finish()
+}

@@ -1,0 +1,177 @@
+//! The kernels of the thesis' spot against the same loops made ahead of time, and against those that one has without isophote.
+
+use isophote_export::PixelType;
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
+
+use super::appendix;
+use super::contenders::{self, Function, Way};
+use super::foreign::{Compiled, Picture};
+use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
+use super::race::{Contender, Standing, race, refuse_wrong, scales};
+use crate::bodies::{over_pixels_of, plain_program};
+use crate::text;
+
+/// Subsets of the parameters: a name for functions, one for tables, the parameters, and how many times faster than the
+/// unfactored derivative in C the kernel is asked to be.
+pub const SUBSETS: [(&str, &str, &str, f64); 4] = [
+    ("spot_b", "b", "bx,by", 2.2),
+    ("spot_a", "a", "a1,a2,a3", 2.0),
+    ("spot_ab", "a, b", "bx,by,a1,a2,a3", 3.9),
+    ("spot_abv", "a, b, v", "bx,by,a1,a2,a3,v0,v1", 3.0),
+];
+
+/// What was measured for one subset.
+pub struct Race {
+    /// Of the subset, for tables.
+    pub name: &'static str,
+    /// The kernel first.
+    pub standings: Vec<Standing>,
+}
+
+struct Case {
+    name: &'static str,
+    title: &'static str,
+    jit: Kernel,
+    optimised: Program,
+    for_c: Program,
+    plain: Program,
+}
+
+/// Gradient and Hessian of a subset by Newton, compiled for packed pixels.
+pub fn kernel(model: &Model, subset: &str, format: PixelFormat, drop_saturated: bool) -> Kernel {
+    let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
+    let lowering = Lowering { fma: has_fma(), drop_saturated };
+    let program = model.objective(&ids, Method::Newton).unwrap().program(lowering).unwrap();
+    Kernel::compile(&program, &KernelOptions { precision: Precision::F32, formats: vec![format], packed: true })
+        .unwrap()
+}
+
+impl Case {
+    /// The program that a contender is made of. C with `-ffast-math` multiplies and adds at once where it likes, and makes
+    /// no vectors of sums that are told to.
+    fn program(&self, way: &Way) -> &Program {
+        match (way.plain, way.command[0]) {
+            (true, _) => &self.plain,
+            (false, "cc") => &self.for_c,
+            (false, _) => &self.optimised,
+        }
+    }
+}
+
+fn cases(model: &Model) -> Vec<Case> {
+    let case = |(name, title, subset, _): (&'static str, &'static str, &str, f64)| {
+        let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
+        let jit = kernel(model, subset, PixelFormat::F32, false);
+        let optimised = jit.program().clone();
+        let plain = over_pixels_of(&plain_program(model, &ids, Method::Newton, Part::Both).unwrap(), &optimised);
+        let unfused = Lowering { fma: false, drop_saturated: false };
+        let for_c = model.objective(&ids, Method::Newton).unwrap().program(unfused).unwrap();
+        Case { name, title, jit, optimised, for_c, plain }
+    };
+    SUBSETS.map(case).into_iter().collect()
+}
+
+fn compile(model: &Model, cases: &[Case], way: &Way) -> Compiled {
+    let function = |case: &Case| -> (String, Program) { (case.name.into(), case.program(way).clone()) };
+    let programs: Vec<(String, Program)> = cases.iter().map(function).collect();
+    let functions: Vec<Function<'_>> = programs
+        .iter()
+        .map(|(name, program)| Function { name: name.clone(), program, pixel: PixelType::F32 })
+        .collect();
+    let source = contenders::source(model, way, &functions);
+    let extension = if way.command[0] == "cc" { "c" } else { "rs" };
+    let file = format!("{}.{extension}", way.name.replace([',', ' '], "_"));
+    let made = Compiled::new(&contenders::folder(), &file, &source, &way.command).unwrap();
+    if way.command[0] == "cc" {
+        assert_eq!(made.loops_with_vectors(way.bits), cases.len(), "{}: pixel loops with vectors", way.name);
+    }
+    made
+}
+
+/// All subsets.
+pub fn races() -> Vec<Race> {
+    let model = Model::from_toml(&text("thesis-spot")).unwrap();
+    let bytes = bytes(&picture(&model, &truth(&model), [WIDTH, HEIGHT]));
+    let parameters = beside_truth(&model);
+    let cases = cases(&model);
+    let compiled: Vec<(Way, Compiled)> =
+        contenders::ways().into_iter().map(|way| (way.clone(), compile(&model, &cases, &way))).collect();
+    let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
+    let plane = PlaneView::new(PixelFormat::F32, &bytes, WIDTH, HEIGHT, WIDTH * 4, 4).unwrap();
+    let sums = |kernel: &Kernel| {
+        let sums = kernel.sums(&bindings, &[plane], Window::whole(WIDTH, HEIGHT)).unwrap();
+        (sums.outputs, sums.pixels)
+    };
+    let one = |case: &Case| {
+        let (expected, pixels) = sums(&case.jit);
+        let scales = scales(&expected);
+        let mut contenders = vec![Contender {
+            name: "isophote's kernel, 128 bits".into(),
+            turn: Box::new(|| sums(&case.jit)),
+            code_bytes: Some(case.jit.code_bytes()),
+        }];
+        for (way, made) in &compiled {
+            let program = case.program(way);
+            let Sink::Sums { outputs, .. } = program.sink() else { unreachable!() };
+            let inputs = program.gather(&bindings).collect::<Vec<f64>>();
+            let call = format!("call_{}", case.name);
+            let function = made.function(&call, inputs.len(), outputs.len(), 4).unwrap();
+            let picture = Picture { bytes: &bytes, width: WIDTH, height: HEIGHT };
+            let turn = move || function.sums(picture, [0, 0, WIDTH, HEIGHT], &inputs).unwrap();
+            // The plain derivatives do not sum F itself.
+            let from = usize::from(way.plain);
+            let (theirs, used) = turn();
+            refuse_wrong(way.name, &expected[from..], &theirs, &scales[from..], 1e-4);
+            assert_eq!(used, pixels, "{}: other pixels", way.name);
+            let code_bytes = made.code_bytes(case.name).or_else(|| made.code_bytes(&call));
+            contenders.push(Contender { name: way.name.into(), turn: Box::new(turn), code_bytes });
+        }
+        Race { name: case.title, standings: race(&contenders) }
+    };
+    cases.iter().map(one).collect()
+}
+
+/// The thesis' function for the three extents, and the kernels of the same subset, which leave out saturated pixels too.
+pub fn thesis() -> Vec<Standing> {
+    let model = Model::from_toml(&text("rational-spot")).unwrap();
+    let pixels = picture(&model, &truth(&model), [WIDTH, HEIGHT]);
+    let beside = beside_truth(&model);
+    let named: [f64; 7] =
+        ["a1", "a2", "a3", "bx", "by", "v0", "v1"].map(|name| beside[model.parameter(name).unwrap().index()]);
+    let (expected, used) = appendix::referee(&pixels, WIDTH, HEIGHT, &named);
+    let in_rows = bytes(&pixels);
+    let in_columns = bytes(&appendix::columns(&pixels, WIDTH));
+    let compiled = [true, false].map(|rows| appendix::compiled(rows).unwrap());
+    let mut contenders = Vec::new();
+    let scale = scales(&[&[expected[0].abs() * named[0]], &expected[..]].concat())[1..].to_vec();
+    let kernels: Vec<(String, Model)> = ["rational-spot", "thesis-spot"]
+        .map(|name| (format!("isophote's kernel of {name}"), Model::from_toml(&text(name)).unwrap()))
+        .into();
+    let plane = PlaneView::new(PixelFormat::F32, &in_rows, WIDTH, HEIGHT, WIDTH * 4, 4).unwrap();
+    for (name, model) in kernels {
+        let kernel = kernel(&model, "a1,a2,a3", PixelFormat::F32, true);
+        let parameters = beside_truth(&model);
+        let code_bytes = Some(kernel.code_bytes());
+        let turn = move || {
+            let bindings =
+                Bindings { parameters: &parameters, entry: &parameters, saturation: &[255.0], ..Bindings::default() };
+            let sums = kernel.sums(&bindings, &[plane], Window::whole(WIDTH, HEIGHT)).unwrap();
+            (sums.outputs, sums.pixels)
+        };
+        contenders.push(Contender { name, turn: Box::new(turn), code_bytes });
+    }
+    for (name, made, bytes, size) in [
+        ("appendix A.1, pixels in rows", &compiled[0], &in_rows, [WIDTH, HEIGHT]),
+        ("appendix A.1 as printed, pixels in columns", &compiled[1], &in_columns, [HEIGHT, WIDTH]),
+    ] {
+        let function = made.function("call_appendix_a1", named.len(), 9, 4).unwrap();
+        let picture = Picture { bytes, width: size[0], height: size[1] };
+        let turn = move || (function.sums(picture, [0, 0, WIDTH, HEIGHT], &named).unwrap().0, used);
+        // It sums a whole frame in f32.
+        refuse_wrong(name, &expected, &turn().0, &scale, 1e-3);
+        let code_bytes = made.code_bytes("call_appendix_a1");
+        contenders.push(Contender { name: name.into(), turn: Box::new(turn), code_bytes });
+    }
+    race(&contenders)
+}

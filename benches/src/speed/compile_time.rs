@@ -1,0 +1,100 @@
+//! From the text of the thesis' spot to its kernels: all three stages, warm and in a fresh process.
+
+use std::hint::black_box;
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Instant;
+
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, has_fma};
+use isophote_machine::Threads;
+use isophote_symbolic::{Lowering, Model, Precision};
+use isophote_tracker::{Compiled, InTurn, Workers};
+
+use crate::text;
+
+/// The word that makes the benchmark print [`cold_here`] and stop.
+pub const COLD: &str = "first-call-ever";
+/// Warm runs.
+pub const RUNS: usize = 200;
+/// Fresh processes.
+pub const PROCESSES: usize = 20;
+
+/// Milliseconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Took {
+    /// The middle one.
+    pub median_ms: f64,
+    /// Exceeded by one in a hundred.
+    pub p99_ms: f64,
+}
+
+impl Took {
+    fn of(mut all: Vec<f64>) -> Took {
+        all.sort_by(f64::total_cmp);
+        Took { median_ms: all[all.len() / 2], p99_ms: all[all.len() * 99 / 100] }
+    }
+}
+
+fn all(document: &str, workers: &dyn Workers) {
+    let model = Arc::new(Model::from_toml(document).unwrap());
+    let compiled = Compiled::with_cache(model, Precision::F32, Arc::default(), workers).unwrap();
+    compiled.warm(PixelFormat::U8, workers).unwrap();
+    black_box(compiled);
+}
+
+fn milliseconds(f: impl FnOnce()) -> f64 {
+    let start = Instant::now();
+    f();
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+/// Text to all kernels, for the first time in this process, in ms.
+pub fn cold_here() -> f64 {
+    let document = text("thesis-spot");
+    milliseconds(|| all(&document, &Threads))
+}
+
+/// The same, each time in a fresh process of this program.
+pub fn cold() -> Took {
+    let program = std::env::current_exe().unwrap();
+    let once = |_| -> f64 {
+        let run = Command::new(&program).arg(COLD).output().unwrap();
+        String::from_utf8(run.stdout).unwrap().trim().parse().unwrap()
+    };
+    Took::of((0..PROCESSES).map(once).collect())
+}
+
+/// Warm: what is measured, and how long it took.
+pub fn warm() -> Vec<(&'static str, Took)> {
+    let document = text("thesis-spot");
+    let model = Arc::new(Model::from_toml(&document).unwrap());
+    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let plain = || {
+        let model = Model::from_toml(&document).unwrap();
+        for stage in model.stages() {
+            let lowering = Lowering { fma: has_fma(), drop_saturated: false };
+            let program = model.objective(&stage.parameters, stage.method).unwrap().program(lowering).unwrap();
+            black_box(Kernel::compile(&program, &options).unwrap());
+        }
+    };
+    let mut rows: [Vec<f64>; 6] = Default::default();
+    all(&document, &Threads);
+    for _ in 0..RUNS {
+        rows[0].push(milliseconds(|| all(&document, &Threads)));
+        rows[1].push(milliseconds(|| all(&document, &InTurn)));
+        rows[2].push(milliseconds(|| drop(black_box(Model::from_toml(&document).unwrap()))));
+        let mut compiled = None;
+        rows[3].push(milliseconds(|| compiled = Some(Compiled::new(model.clone(), Precision::F32).unwrap())));
+        rows[4].push(milliseconds(|| compiled.unwrap().warm(PixelFormat::U8, &InTurn).unwrap()));
+        rows[5].push(milliseconds(plain));
+    }
+    let names = [
+        "model text to all kernels, with and without saturation, as the service does it: on two threads",
+        "the same on one thread",
+        "of which reading the text",
+        "of which deriving, checking and lowering all programs",
+        "of which compiling all kernels",
+        "model text to the three stages' kernels, without saturation alone",
+    ];
+    names.into_iter().zip(rows.map(Took::of)).collect()
+}

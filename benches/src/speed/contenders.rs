@@ -1,0 +1,178 @@
+//! Who runs against the compiler in the process: the same loops, and those that one would have without isophote, made by
+//! `cc` and `rustc`.
+//!
+//! What comes in: programs. What goes out: one source file for each way of compiling, with a function for each program, and
+//! the command that compiles it.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use isophote_export::{ExportOptions, Language, PixelType};
+use isophote_symbolic::{Model, Precision, Program, Sink};
+
+/// A way to compile.
+#[derive(Clone, Debug)]
+pub struct Way {
+    /// For tables.
+    pub name: &'static str,
+    /// The language of the source.
+    pub language: Language,
+    /// Pixels at a time.
+    pub lanes: usize,
+    /// True for the derivatives as differentiation gives them.
+    pub plain: bool,
+    /// The width of its vectors, bits; 0 where the compiler uses none.
+    pub bits: usize,
+    /// Compiler and arguments.
+    pub command: Vec<&'static str>,
+}
+
+const RUST: [&str; 9] = [
+    "rustc",
+    "--edition=2021",
+    "--crate-type=cdylib",
+    "-Copt-level=3",
+    "-Ccodegen-units=1",
+    "-Cpanic=abort",
+    "-Clto=no",
+    "-Adead_code",
+    "-Anon_snake_case",
+];
+/// With NaN as it is: rows outside of the domain have NaN for bounds, and with `-ffinite-math-only` they would not be left out.
+pub(crate) const C: [&str; 8] =
+    ["cc", "-fopt-info-vec-optimized", "-std=c99", "-O3", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC"];
+
+fn with(command: &[&'static str], more: &[&'static str]) -> Vec<&'static str> {
+    [command, more].concat()
+}
+
+/// All ways that this machine can run.
+pub fn ways() -> Vec<Way> {
+    let wide = std::arch::is_x86_feature_detected!("avx512f");
+    let way = |name, language, lanes, plain, bits, command| Way { name, language, lanes, plain, bits, command };
+    let v3 = "-Ctarget-cpu=x86-64-v3";
+    let mut ways = vec![
+        way("same program, Rust, scalar", Language::Rust, 1, false, 0, with(&RUST, &[v3])),
+        way(
+            "same program, C, 128 bits",
+            Language::C,
+            1,
+            false,
+            128,
+            with(&C, &["-march=x86-64-v3", "-mprefer-vector-width=128"]),
+        ),
+        way("same program, Rust, 128-bit vectors", Language::Rust, 4, false, 128, with(&RUST, &[v3])),
+        way("same program, Rust, 256-bit vectors", Language::Rust, 8, false, 256, with(&RUST, &[v3])),
+        way(
+            "unfactored, C, 128 bits",
+            Language::C,
+            1,
+            true,
+            128,
+            with(&C, &["-march=native", "-mprefer-vector-width=128"]),
+        ),
+        way(
+            "unfactored, C, 256 bits",
+            Language::C,
+            1,
+            true,
+            256,
+            with(&C, &["-march=native", "-mprefer-vector-width=256"]),
+        ),
+    ];
+    if wide {
+        ways.push(way(
+            "same program, Rust, 512-bit vectors",
+            Language::Rust,
+            16,
+            false,
+            512,
+            with(&RUST, &["-Ctarget-cpu=native"]),
+        ));
+        ways.push(way(
+            "unfactored, C, 512 bits",
+            Language::C,
+            1,
+            true,
+            512,
+            with(&C, &["-march=native", "-mprefer-vector-width=512"]),
+        ));
+    }
+    ways
+}
+
+/// A function of a file.
+pub struct Function<'a> {
+    /// Its name.
+    pub name: String,
+    /// What it computes.
+    pub program: &'a Program,
+    /// What it reads.
+    pub pixel: PixelType,
+}
+
+/// The source of all functions for one way of compiling.
+pub fn source(model: &Model, way: &Way, functions: &[Function<'_>]) -> String {
+    let mut text = String::new();
+    for function in functions {
+        let options = ExportOptions {
+            precision: Precision::F32,
+            pixels: vec![function.pixel],
+            packed: true,
+            lanes: way.lanes,
+            name: Some(function.name.clone()),
+            ..ExportOptions::new(way.language, 1)
+        };
+        let exported = isophote_export::export(model, function.program, &options)
+            .unwrap_or_else(|error| panic!("{}: {error}", way.name));
+        let Sink::Sums { outputs, .. } = function.program.sink() else { panic!("{} sums nothing", function.name) };
+        let (name, inputs, outputs) = (&function.name, function.program.inputs().len(), outputs.len());
+        match way.language {
+            Language::C => {
+                let (plane, kind) = (format!("{name}_plane_{}", function.pixel.name()), c_type(function.pixel));
+                write!(
+                    text,
+                    "{exported}\n\
+                     int32_t call_{name}(const void *pixels, const size_t *plane, const size_t *window, const double *inputs, double *outputs, uint64_t *counts) {{\n\
+                     \x20   const {plane} p = {{ (const {kind} *)pixels, {{ plane[0], plane[1] }}, {{ plane[2], plane[3] }} }};\n\
+                     \x20   const {name}_window w = {{ {{ window[0], window[1] }}, {{ window[2], window[3] }} }};\n\
+                     \x20   {name}_sums sums;\n\
+                     \x20   if (!{name}(p, w, inputs, &sums)) return 0;\n\
+                     \x20   for (int i = 0; i < {outputs}; i++) outputs[i] = sums.outputs[i];\n\
+                     \x20   counts[0] = sums.pixels; counts[1] = sums.saturated;\n\
+                     \x20   return 1;\n}}\n"
+                )
+            }
+            Language::Rust => write!(
+                text,
+                "mod {name} {{\n{exported}\n\
+                 #[no_mangle]\n\
+                 pub unsafe extern \"C\" fn call_{name}(pixels: *const {kind}, plane: *const [usize; 4], window: *const [usize; 4], inputs: *const [f64; {inputs}], outputs: *mut [f64; {outputs}], counts: *mut [u64; 2]) -> i32 {{\n\
+                 \x20   let [width, height, across, down] = *plane;\n\
+                 \x20   let pixels = core::slice::from_raw_parts(pixels, width * height);\n\
+                 \x20   let plane = Plane {{ pixels, size: [width, height], strides: [across, down] }};\n\
+                 \x20   let [x, y, w, h] = *window;\n\
+                 \x20   match {name}(plane, Window {{ first: [x, y], size: [w, h] }}, &*inputs) {{\n\
+                 \x20       Some(sums) => {{ *outputs = sums.outputs; *counts = [sums.pixels, sums.saturated]; 1 }}\n\
+                 \x20       None => 0,\n\
+                 \x20   }}\n}}\n}}\n",
+                kind = function.pixel.name()
+            ),
+        }
+        .unwrap_or_else(|error| panic!("{error}"));
+    }
+    text
+}
+
+fn c_type(pixel: PixelType) -> &'static str {
+    match pixel {
+        PixelType::U8 => "uint8_t",
+        PixelType::U16 => "uint16_t",
+        PixelType::F32 => "float",
+    }
+}
+
+/// Where compiled files are kept.
+pub fn folder() -> PathBuf {
+    [env!("CARGO_MANIFEST_DIR"), "..", "target", "contenders"].iter().collect()
+}

@@ -1,0 +1,188 @@
+//! docs/speed.md and its figure: what was measured, as tables, and beside what was asked for.
+
+use std::fmt::Write;
+
+use super::against::{Race, SUBSETS};
+use super::compile_time::{PROCESSES, RUNS, Took};
+use super::race::{ROUNDS, Standing};
+use crate::plot::Svg;
+
+/// All that one run measures.
+pub struct Measured {
+    /// Against other compilers, one a subset.
+    pub races: Vec<Race>,
+    /// Against the thesis' code.
+    pub thesis: Vec<Standing>,
+    /// By window; the domain covers it.
+    pub covered: Vec<Standing>,
+    /// By window; the domain is the inscribed ellipse.
+    pub ellipse: Vec<Standing>,
+    /// f32 and u8 for each subset.
+    pub formats: Vec<(&'static str, Vec<Standing>)>,
+    /// Compile times.
+    pub warm: Vec<(&'static str, Took)>,
+    /// In a fresh process.
+    pub cold: Took,
+}
+
+fn named<'a>(standings: &'a [Standing], head: &str) -> Option<&'a Standing> {
+    standings.iter().find(|standing| standing.name.starts_with(head))
+}
+
+/// The fastest that does the same sums with vectors of 128 bits at most.
+fn best_of_128(race: &Race) -> &Standing {
+    let fits = |s: &&Standing| s.name.starts_with("same program") && !s.name.contains("256") && !s.name.contains("512");
+    race.standings.iter().filter(fits).max_by(|a, b| b.ratio.total_cmp(&a.ratio)).unwrap()
+}
+
+/// The fastest unfactored loop of any width.
+fn best_unfactored(race: &Race) -> &Standing {
+    let all = race.standings.iter().filter(|s| s.name.starts_with("unfactored"));
+    all.min_by(|a, b| a.ratio.total_cmp(&b.ratio)).unwrap()
+}
+
+/// The page's tables.
+pub fn text(m: &Measured) -> String {
+    [provenance(), asked(m), races(m), thesis(m), windows(m), compile(m)].join("\n\n")
+}
+
+fn asked(m: &Measured) -> String {
+    let mut table = String::from("## Asked and reached\n\n| figure | asked | reached | |\n|---|---|---|---|\n");
+    let mut row = |figure: &str, asked: String, reached: String, holds: Option<bool>| {
+        let verdict = holds.map_or("reported", |holds| if holds { "reached" } else { "**missed**" });
+        writeln!(table, "| {figure} | {asked} | {reached} | {verdict} |").unwrap();
+    };
+    for race in &m.races {
+        let best = best_of_128(race);
+        let times = 1.0 / best.ratio;
+        let figure =
+            format!("{{{}}}: kernel's time by that of the best same program at 128 bits ({})", race.name, best.name);
+        row(&figure, "≤ 1.35 ×".into(), format!("{times:.2} ×"), Some(times <= 1.35));
+    }
+    for (race, (.., goal)) in m.races.iter().zip(SUBSETS) {
+        let ratio = named(&race.standings, "unfactored, C, 128").unwrap().ratio;
+        let figure = format!("{{{}}}: faster than the unfactored derivative in C at 128 bits", race.name);
+        row(&figure, format!("≥ {goal:.1} ×"), format!("{ratio:.2} ×"), Some(ratio >= goal));
+    }
+    for race in &m.races {
+        let best = best_unfactored(race);
+        let figure = format!("{{{}}}: the same at the machine's best width ({})", race.name, best.name);
+        row(&figure, "–".into(), format!("{:.2} ×", best.ratio), None);
+    }
+    let printed = named(&m.thesis, "appendix A.1 as printed").unwrap();
+    let rational = named(&m.thesis, "isophote's kernel of rational").unwrap();
+    let spot = named(&m.thesis, "isophote's kernel of thesis").unwrap();
+    for (name, kernel) in [("rational-spot, the model that it is written for", rational), ("thesis-spot", spot)] {
+        let times = printed.ratio / kernel.ratio;
+        let figure = format!("{{a}}: faster than appendix A.1, kernel of {name}");
+        row(&figure, "≥ 15 ×".into(), format!("{times:.1} ×"), Some(times >= 15.0));
+    }
+    for (what, standings) in [("all of it", &m.covered), ("its ellipse", &m.ellipse)] {
+        let ratio = named(standings, "24 x 24").unwrap().ratio;
+        let figure = format!("a pixel of a 24 × 24 window by one of 640-px rows, {what}");
+        row(&figure, "≤ 2.0 ×".into(), format!("{ratio:.2} ×"), Some(ratio <= 2.0));
+    }
+    let warm = m.warm[0].1;
+    let names = "model text to all kernels of the three stages";
+    row(
+        &format!("{names}, warm, median"),
+        "≤ 10 ms".into(),
+        format!("{:.1} ms", warm.median_ms),
+        Some(warm.median_ms <= 10.0),
+    );
+    row(&format!("{names}, warm, p99"), "≤ 20 ms".into(), format!("{:.1} ms", warm.p99_ms), Some(warm.p99_ms <= 20.0));
+    let cold = m.cold.median_ms;
+    row(&format!("{names}, first call ever, median"), "≤ 40 ms".into(), format!("{cold:.1} ms"), Some(cold <= 40.0));
+    table
+}
+
+fn standings(table: &mut String, list: &[Standing]) {
+    for s in list {
+        let bytes = s.code_bytes.map_or("–".into(), |bytes| bytes.to_string());
+        let [min, max] = s.range_ns;
+        writeln!(table, "| {} | {:.2} ({min:.2} – {max:.2}) | {:.2} | {bytes} |", s.name, s.median_ns, s.ratio)
+            .unwrap();
+    }
+}
+
+const HEAD: &str = "| | ns a pixel: median (min – max) | times the first | bytes of code |\n|---|---|---|---|\n";
+
+fn races(m: &Measured) -> String {
+    let mut text = format!("## Against compilers ahead of time\n\n{ROUNDS} rounds.\n");
+    for race in &m.races {
+        write!(text, "\n### {{{}}}\n\n{HEAD}", race.name).unwrap();
+        standings(&mut text, &race.standings);
+    }
+    text
+}
+
+fn thesis(m: &Measured) -> String {
+    let mut text = format!("## Against the thesis' code\n\n{{a}}, saturated pixels left out by all.\n\n{HEAD}");
+    standings(&mut text, &m.thesis);
+    text
+}
+
+fn windows(m: &Measured) -> String {
+    let mut text = String::from(
+        "## By window and pixel format\n\nKernel of {b}, f32 pixels, ns a pixel of the domain; times the first row.\n\n\
+         | window | domain covers it | × | inscribed ellipse | × |\n|---|---|---|---|---|\n",
+    );
+    for (a, b) in m.covered.iter().zip(&m.ellipse) {
+        writeln!(text, "| {} | {:.2} | {:.2} | {:.2} | {:.2} |", a.name, a.median_ns, a.ratio, b.median_ns, b.ratio)
+            .unwrap();
+    }
+    text += "\n| subset | f32 pixels, ns | u8 pixels, ns | × |\n|---|---|---|---|\n";
+    for (name, list) in &m.formats {
+        let [f32, u8] = [&list[0], &list[1]];
+        writeln!(text, "| {{{name}}} | {:.2} | {:.2} | {:.2} |", f32.median_ns, u8.median_ns, u8.ratio).unwrap();
+    }
+    text
+}
+
+fn compile(m: &Measured) -> String {
+    let mut text = format!(
+        "## Compile time\n\nWarm: {RUNS} runs. First call: {PROCESSES} fresh processes.\n\n| | median, ms | p99, ms |\n|---|---|---|\n"
+    );
+    let cold = [("model text to all kernels, first call of a process", m.cold)];
+    for (name, took) in m.warm.iter().chain(&cold) {
+        writeln!(text, "| {name} | {:.2} | {:.2} |", took.median_ms, took.p99_ms).unwrap();
+    }
+    text
+}
+
+/// Machine, command, commit.
+fn provenance() -> String {
+    crate::page::provenance("aot", &["../symbolic", "../jit", "../tracker", "../models"])
+}
+
+/// Bars: ns a pixel of every contender, a group a subset. Colours can be read on white and on black.
+pub fn svg(m: &Measured) -> String {
+    const COLOURS: [&str; 9] =
+        ["#2f68b0", "#a85a1c", "#cf7a2f", "#e39b55", "#edbd86", "#c9a06b", "#5f8f4e", "#7fb069", "#a3cf8f"];
+    let contenders = &m.races[0].standings;
+    let top = m.races.iter().flat_map(|race| &race.standings).map(|s| s.median_ns).fold(0.0, f64::max);
+    let (bar, gap, left, base, height) = (18, 24, 44, 320, 270.0);
+    let group = contenders.len() * bar + gap;
+    let (width, tall) = (left + m.races.len() * group, base + 40 + contenders.len().div_ceil(3) * 16);
+    let mut svg = Svg::new("Nanoseconds a pixel: isophote's kernels and other compilers' loops", width, tall);
+    svg.text([&left, &16], "font-size=\"13\"", "ns a pixel, thesis-spot, Newton, f32 pixels");
+    for tick in 0..=top as usize {
+        svg.tick(base as f64 - tick as f64 / top * height, [left as f64, width as f64], "0.3", tick);
+    }
+    for (g, race) in m.races.iter().enumerate() {
+        for (i, s) in race.standings.iter().enumerate() {
+            let (x, tall) = (left + 8 + g * group + i * bar, s.median_ns / top * height);
+            let (y, colour) = (base as f64 - tall, COLOURS[i % COLOURS.len()]);
+            let title = format!("<title>{}: {:.2} ns</title>", s.name, s.median_ns);
+            svg.rect([&x, &format_args!("{y:.1}")], [&(bar - 2), &format_args!("{tall:.1}")], colour, &title);
+        }
+        let x = left + 8 + g * group;
+        svg.text([&x, &(base + 16)], "font-size=\"12\"", format_args!("{{{}}}", race.name));
+    }
+    for (i, s) in contenders.iter().enumerate() {
+        let (x, y) = (left + (i % 3) * 230, base + 36 + (i / 3) * 16);
+        svg.rect([&x, &(y - 9)], [&10, &10], COLOURS[i % COLOURS.len()], "");
+        svg.text([&(x + 15), &y], "", &s.name);
+    }
+    svg.finish()
+}

@@ -1,0 +1,205 @@
+//! The headers of a FITS file in, where its image lies and what its numbers mean out.
+//!
+//! A header is blocks of 2880 bytes, each 36 cards of 80 characters; data follow, filled up to a whole block, and then the
+//! next header (FITS standard 4.0, sections 3 and 4).
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+
+use crate::files::PageFault;
+use crate::picture::DecodeError;
+
+/// What a file begins with.
+pub(super) const FIRST: &[u8] = b"SIMPLE  =";
+
+const BLOCK_BYTES: u64 = 2880;
+const CARD_BYTES: usize = 80;
+/// Blocks of one header; headers of one file; axes of an array (the standard's bound).
+const BLOCKS_MAX: u64 = 1024;
+const HEADERS_MAX: usize = 4096;
+const AXES_MAX: usize = 999;
+
+/// What the header of an image says.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Header {
+    /// Bits of a stored number; negative for floating point.
+    pub bitpix: i64,
+    /// Numbers along each axis, the one that runs fastest first.
+    pub axes: Vec<u64>,
+    /// A number's value is `zero + scale · stored`.
+    pub zero: f64,
+    /// See `zero`.
+    pub scale: f64,
+    /// The stored integer that stands for no value.
+    pub blank: Option<i64>,
+    /// The words behind `BZERO`, `BSCALE` and `BLANK`: in headers of other things they may say anything.
+    scaling: [Option<Vec<u8>>; 3],
+    kind: Kind,
+    /// Further bytes behind the array, and how often all that is repeated.
+    heap: u64,
+    groups: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Image,
+    /// A table whose cells are the tiles of a compressed image.
+    Tiles,
+    Other,
+}
+
+/// The first image that has pixels, and the byte where they begin.
+pub(crate) fn first_image(file: &mut File, file_bytes: u64) -> Result<(Header, u64), PageFault> {
+    let (mut at, mut has_tiles) = (0, false);
+    for number in 0..HEADERS_MAX {
+        if at >= file_bytes {
+            break;
+        }
+        let Some((mut header, start)) = header(file, at, number)? else { break };
+        if header.kind == Kind::Image && !header.axes.is_empty() && !header.axes.contains(&0) {
+            header.read_scaling()?;
+            return Ok((header, start));
+        }
+        has_tiles |= header.kind == Kind::Tiles;
+        at = header
+            .data_bytes()
+            .and_then(|bytes| start.checked_add(bytes.checked_next_multiple_of(BLOCK_BYTES)?))
+            .ok_or_else(|| DecodeError::Damaged(format!("header {number} describes more data than there can be")))?;
+    }
+    let reason = match has_tiles {
+        true => "its image is compressed in tiles; unpack it first: funpack FILE",
+        false => "there is no image in it; FITS is read from the first header (or extension IMAGE) that has pixels",
+    };
+    Err(DecodeError::Unsupported(reason.into()).into())
+}
+
+/// Header `number` at byte `at`, and the byte behind it; `None` where no further header begins.
+fn header(file: &mut File, at: u64, number: usize) -> Result<Option<(Header, u64)>, PageFault> {
+    let mut header = Header {
+        bitpix: 0,
+        axes: Vec::new(),
+        zero: 0.0,
+        scale: 1.0,
+        blank: None,
+        scaling: [const { None }; 3],
+        kind: Kind::Other,
+        heap: 0,
+        groups: 1,
+    };
+    file.seek(SeekFrom::Start(at))?;
+    for block in 0..BLOCKS_MAX {
+        let mut bytes = Vec::new();
+        file.by_ref().take(BLOCK_BYTES).read_to_end(&mut bytes)?;
+        if block == 0 {
+            let first: &[u8] = if number == 0 { FIRST } else { b"XTENSION=" };
+            match (bytes.starts_with(first), number) {
+                (true, _) => {}
+                (false, 0) => return Err(DecodeError::UnknownKind.into()),
+                // Anything may stand behind the last array.
+                (false, _) => return Ok(None),
+            }
+        }
+        for card in bytes.chunks_exact(CARD_BYTES) {
+            if card.starts_with(b"END     ") {
+                return Ok(Some((header, at + (block + 1) * BLOCK_BYTES)));
+            }
+            header.read(card)?;
+        }
+        if bytes.len() < BLOCK_BYTES as usize {
+            break;
+        }
+    }
+    Err(DecodeError::Damaged(format!("header {number} has no END")).into())
+}
+
+impl Header {
+    /// Takes a card in, if it is one that says something about the array.
+    fn read(&mut self, card: &[u8]) -> Result<(), DecodeError> {
+        let Some((name, value)) = card.split_at_checked(10).filter(|(name, _)| name.ends_with(b"= ")) else {
+            return Ok(());
+        };
+        let (name, value) = (name[..8].trim_ascii_end(), value.trim_ascii());
+        let name = std::str::from_utf8(name).unwrap_or_default();
+        match name {
+            "SIMPLE" => self.kind = Kind::Image,
+            "XTENSION" if text(value) == b"IMAGE" => self.kind = Kind::Image,
+            "ZIMAGE" if plain(value) == "T" => self.kind = Kind::Tiles,
+            "BITPIX" => self.bitpix = integer(name, value)?,
+            "NAXIS" => {
+                let axes = natural(name, value)?;
+                if axes > AXES_MAX as u64 {
+                    return Err(wrong(name, value));
+                }
+                self.axes = vec![0; axes as usize];
+            }
+            "PCOUNT" => self.heap = natural(name, value)?,
+            "GCOUNT" => self.groups = natural(name, value)?,
+            "BZERO" => self.scaling[0] = Some(value.into()),
+            "BSCALE" => self.scaling[1] = Some(value.into()),
+            "BLANK" => self.scaling[2] = Some(value.into()),
+            _ => {
+                let axis = name.strip_prefix("NAXIS").and_then(|number| number.parse::<usize>().ok());
+                if let Some(axis) = axis.and_then(|axis| self.axes.get_mut(axis.checked_sub(1)?)) {
+                    *axis = natural(name, value)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What stored numbers mean. A keyword without a value is absent, and floating point has no blank but NaN.
+    fn read_scaling(&mut self) -> Result<(), DecodeError> {
+        let [zero, scale, blank] =
+            std::mem::take(&mut self.scaling).map(|value| value.filter(|value| !plain(value).is_empty()));
+        if let Some(zero) = zero {
+            self.zero = real("BZERO", &zero)?;
+        }
+        if let Some(scale) = scale {
+            self.scale = real("BSCALE", &scale)?;
+        }
+        if let Some(blank) = blank.filter(|_| self.bitpix > 0) {
+            self.blank = Some(integer("BLANK", &blank)?);
+        }
+        Ok(())
+    }
+
+    /// Without the filling behind it; `None` beyond what a file can hold.
+    fn data_bytes(&self) -> Option<u64> {
+        if self.axes.is_empty() {
+            return Some(0);
+        }
+        let numbers = self.axes.iter().try_fold(1u64, |product, axis| product.checked_mul(*axis))?;
+        numbers.checked_add(self.heap)?.checked_mul(self.groups)?.checked_mul(self.bitpix.unsigned_abs() / 8)
+    }
+}
+
+/// A value that is no text, without the comment behind it.
+fn plain(value: &[u8]) -> &str {
+    let end = value.iter().position(|byte| *byte == b'/').unwrap_or(value.len());
+    std::str::from_utf8(value[..end].trim_ascii()).unwrap_or_default()
+}
+
+/// The text between quotes.
+fn text(value: &[u8]) -> &[u8] {
+    let inner = value.strip_prefix(b"'").unwrap_or_default();
+    inner.split(|byte| *byte == b'\'').next().unwrap_or_default().trim_ascii_end()
+}
+
+fn integer(name: &str, value: &[u8]) -> Result<i64, DecodeError> {
+    plain(value).parse().map_err(|_| wrong(name, value))
+}
+
+fn natural(name: &str, value: &[u8]) -> Result<u64, DecodeError> {
+    plain(value).parse().map_err(|_| wrong(name, value))
+}
+
+/// FORTRAN's exponents (1.5D3) among them.
+fn real(name: &str, value: &[u8]) -> Result<f64, DecodeError> {
+    let number = plain(value).replace(['D', 'd'], "E").parse::<f64>();
+    number.ok().filter(|number| number.is_finite()).ok_or_else(|| wrong(name, value))
+}
+
+fn wrong(name: &str, value: &[u8]) -> DecodeError {
+    let shown: String = plain(value).chars().take(20).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    DecodeError::Damaged(format!("its header says {name} = {shown}"))
+}

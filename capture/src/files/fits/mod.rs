@@ -1,0 +1,202 @@
+//! FITS: pages in, pictures out. In: the first image of a file that has pixels, two to four axes. Out: planes whose
+//! numbers are the header's `BZERO + BSCALE · stored`, unscaled bytes and unsigned 16 bit as integers, all else as floating
+//! point. The first row of the file is y = 0. It knows no astronomy: what the axes and units mean is left alone.
+//!
+//! Where the header names a `BLANK`, numbers that are blank become NaN.
+
+mod header;
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+use isophote_jit::PixelFormat;
+
+use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use crate::picture::{DecodeError, Picture, check_size};
+
+use header::Header;
+
+pub(crate) const FORMAT: Format = Format {
+    name: "FITS",
+    extensions: &["fits", "fit", "fts"],
+    signatures: &[header::FIRST],
+    content: Content::Pages {
+        words: ["a FITS file", "pages"],
+        open: |path, _| Ok(Box::new(Fits::open(path)?)),
+        topics: Topics::One,
+    },
+    beside: Beside::Pictures,
+};
+
+/// `.fits.fz`, whose tiles are refused with the word what to do; it has to be unpacked first, so it is beside pictures.
+pub(crate) const PACKED: Format = Format { extensions: &["fz"], beside: Beside::Recordings, ..FORMAT };
+
+/// An open file.
+struct Fits {
+    file: File,
+    file_bytes: u64,
+    /// Where the pixels begin.
+    start: u64,
+    size: [usize; 2],
+    pages: u64,
+    /// Of a volume, where there are four axes.
+    volume: Option<u64>,
+    numbers: Numbers,
+}
+
+impl Fits {
+    /// Opens a file and reads its headers as far as the first image.
+    pub fn open(path: &Path) -> Result<Fits, PageFault> {
+        let mut file = File::open(path)?;
+        let file_bytes = file.metadata()?.len();
+        let (header, start) = header::first_image(&mut file, file_bytes)?;
+        let numbers = Numbers::of(&header)?;
+        // Beyond the second, an axis of length 1 says nothing.
+        let counts = header.axes.iter().enumerate().filter(|(axis, length)| *axis < 2 || **length > 1);
+        let axes: Vec<u64> = counts.map(|(_, length)| *length).collect();
+        let (width, height, pages, volume) = match axes[..] {
+            [width, height] => (width, height, 1, None),
+            [width, height, pages] => (width, height, pages, None),
+            [width, height, pages, volumes] => (width, height, pages.saturating_mul(volumes), Some(pages)),
+            _ => return Err(unsupported(&axes).into()),
+        };
+        let [width, height] = [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
+        check_size(width, height)?;
+        Ok(Fits { file, file_bytes, start, size: [width as usize, height as usize], pages, volume, numbers })
+    }
+}
+
+fn unsupported(axes: &[u64]) -> DecodeError {
+    let sides: Vec<String> = axes.iter().take(9).map(u64::to_string).collect();
+    DecodeError::Unsupported(format!(
+        "its image has {} axes ({}); FITS is read with two (a picture), three (pages) or four (volumes)",
+        axes.len(),
+        sides.join("×")
+    ))
+}
+
+impl Pages for Fits {
+    fn count(&mut self, most: usize) -> Result<usize, PageFault> {
+        Ok(self.pages.min(most as u64 + 1) as usize)
+    }
+
+    fn volume(&self) -> Option<usize> {
+        self.volume.map(|pages| pages as usize)
+    }
+
+    fn size(&mut self, _: usize) -> Result<[usize; 2], PageFault> {
+        Ok(self.size)
+    }
+
+    fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
+        let page_bytes = self.size[0] * self.size[1] * self.numbers.bytes();
+        let begin = (page_bytes as u64).checked_mul(page as u64).and_then(|before| before.checked_add(self.start));
+        let left = begin.map_or(0, |begin| self.file_bytes.saturating_sub(begin));
+        let Some(begin) = begin.filter(|_| left >= page_bytes as u64) else {
+            let reason = format!("page {page} is cut off: {left} of its {page_bytes} bytes are there");
+            return Err(DecodeError::Damaged(reason).into());
+        };
+        let mut bytes = vec![0; page_bytes];
+        self.file.seek(SeekFrom::Start(begin))?;
+        self.file.read_exact(&mut bytes)?;
+        let (format, bytes) = self.numbers.pixels(bytes);
+        Ok(Picture { size: self.size, format, stored: 1, used: 1, bytes })
+    }
+}
+
+/// How stored numbers, which are big-endian, become pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Numbers {
+    /// Bytes as they are.
+    U8,
+    /// Signed 16 bit that stand for themselves + 32768.
+    U16,
+    /// Integers, to the nearest f32.
+    Integers {
+        bytes: usize,
+        zero: f64,
+        scale: f64,
+        blank: Option<i64>,
+    },
+    F32 {
+        zero: f64,
+        scale: f64,
+    },
+    F64 {
+        zero: f64,
+        scale: f64,
+    },
+}
+
+impl Numbers {
+    fn of(header: &Header) -> Result<Numbers, DecodeError> {
+        let Header { bitpix, zero, scale, blank, .. } = *header;
+        if scale == 0.0 {
+            return Err(DecodeError::Damaged("its header says BSCALE = 0".into()));
+        }
+        Ok(match (bitpix, zero, scale, blank) {
+            (8, 0.0, 1.0, None) => Numbers::U8,
+            (16, 32768.0, 1.0, None) => Numbers::U16,
+            (8 | 16 | 32, ..) => Numbers::Integers { bytes: bitpix as usize / 8, zero, scale, blank },
+            (-32, ..) => Numbers::F32 { zero, scale },
+            (-64, ..) => Numbers::F64 { zero, scale },
+            _ => {
+                let reason = format!("BITPIX is {bitpix}; FITS is read with 8, 16, 32, −32 or −64");
+                return Err(DecodeError::Unsupported(reason));
+            }
+        })
+    }
+
+    /// Of one stored number.
+    fn bytes(self) -> usize {
+        match self {
+            Numbers::U8 => 1,
+            Numbers::U16 => 2,
+            Numbers::Integers { bytes, .. } => bytes,
+            Numbers::F32 { .. } => 4,
+            Numbers::F64 { .. } => 8,
+        }
+    }
+
+    fn pixels(self, stored: Vec<u8>) -> (PixelFormat, Vec<u8>) {
+        match self {
+            Numbers::U8 => (PixelFormat::U8, stored),
+            Numbers::U16 => {
+                let value = |v: &[u8]| (u16::from_be_bytes([v[0], v[1]]) ^ 0x8000).to_ne_bytes();
+                (PixelFormat::U16, stored.chunks_exact(2).flat_map(value).collect())
+            }
+            Numbers::Integers { bytes, zero, scale, blank } => {
+                let value = |v: &[u8]| match whole(v) {
+                    whole if Some(whole) == blank => f32::NAN.to_ne_bytes(),
+                    whole => ((zero + scale * whole as f64) as f32).to_ne_bytes(),
+                };
+                (PixelFormat::F32, stored.chunks_exact(bytes).flat_map(value).collect())
+            }
+            Numbers::F32 { zero, scale } => {
+                let value = |v: &[u8]| {
+                    let number = f32::from_be_bytes([v[0], v[1], v[2], v[3]]);
+                    ((zero + scale * f64::from(number)) as f32).to_ne_bytes()
+                };
+                (PixelFormat::F32, stored.chunks_exact(4).flat_map(value).collect())
+            }
+            Numbers::F64 { zero, scale } => {
+                let value = |v: &[u8]| {
+                    let number = f64::from_be_bytes([v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]]);
+                    (zero + scale * number).to_ne_bytes()
+                };
+                (PixelFormat::F64, stored.chunks_exact(8).flat_map(value).collect())
+            }
+        }
+    }
+}
+
+/// An integer of one byte (unsigned), two or four (signed).
+fn whole(bytes: &[u8]) -> i64 {
+    match *bytes {
+        [a, b] => i16::from_be_bytes([a, b]).into(),
+        [a, b, c, d] => i32::from_be_bytes([a, b, c, d]).into(),
+        [a, ..] => a.into(),
+        [] => 0,
+    }
+}

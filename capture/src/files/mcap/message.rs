@@ -1,0 +1,214 @@
+//! The payload of a message in, the picture that it carries out, still as it was sent.
+//!
+//! foxglove.CompressedImage and foxglove.RawImage as Protobuf, JSON, CDR and in ROS 1's bytes; ROS's sensor_msgs Image and
+//! CompressedImage as CDR and in ROS 1's bytes. Readers are total: bytes that are no such message are an error.
+
+use std::borrow::Cow;
+
+use base64::Engine as _;
+use serde::Deserialize;
+
+use crate::picture::DecodeError;
+
+use super::protobuf::{Fields, Value};
+use super::ros::Ros;
+
+/// A picture as it was sent.
+#[derive(Debug, PartialEq)]
+pub(super) enum Image<'a> {
+    Compressed { format: Cow<'a, str>, bytes: Cow<'a, [u8]> },
+    Raw(Raw<'a>),
+}
+
+/// Rows of pixels.
+#[derive(Debug, PartialEq)]
+pub(super) struct Raw<'a> {
+    pub width: u32,
+    pub height: u32,
+    /// The name of the pixels' format.
+    pub encoding: Cow<'a, str>,
+    /// Bytes from one row to the next.
+    pub step: u32,
+    pub is_big_endian: bool,
+    pub bytes: Cow<'a, [u8]>,
+}
+
+/// Which fields messages have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layout {
+    FoxgloveCompressed,
+    FoxgloveRaw,
+    RosCompressed,
+    RosRaw,
+}
+
+/// How schemas are called, by the libraries that write them.
+const NAMES: [(&str, Layout); 12] = [
+    ("foxglove.CompressedImage", Layout::FoxgloveCompressed),
+    ("foxglove::CompressedImage", Layout::FoxgloveCompressed),
+    ("foxglove_msgs/msg/CompressedImage", Layout::FoxgloveCompressed),
+    ("foxglove_msgs/CompressedImage", Layout::FoxgloveCompressed),
+    ("foxglove.RawImage", Layout::FoxgloveRaw),
+    ("foxglove::RawImage", Layout::FoxgloveRaw),
+    ("foxglove_msgs/msg/RawImage", Layout::FoxgloveRaw),
+    ("foxglove_msgs/RawImage", Layout::FoxgloveRaw),
+    ("sensor_msgs/msg/CompressedImage", Layout::RosCompressed),
+    ("sensor_msgs/CompressedImage", Layout::RosCompressed),
+    ("sensor_msgs/msg/Image", Layout::RosRaw),
+    ("sensor_msgs/Image", Layout::RosRaw),
+];
+
+impl Layout {
+    /// By the name of the schema; `None` for other things than pictures.
+    pub fn of(name: &str) -> Option<Layout> {
+        NAMES.iter().find(|(known, _)| *known == name).map(|(_, layout)| *layout)
+    }
+}
+
+/// How fields become bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    Protobuf,
+    Json,
+    Cdr,
+    Ros1,
+    /// One that is not read.
+    Other(String),
+}
+
+impl Encoding {
+    pub fn of(name: &str) -> Encoding {
+        match name {
+            "protobuf" => Encoding::Protobuf,
+            "json" => Encoding::Json,
+            "cdr" => Encoding::Cdr,
+            "ros1" => Encoding::Ros1,
+            other => Encoding::Other(other.chars().filter(|c| !c.is_control()).take(40).collect()),
+        }
+    }
+
+    fn name(&self) -> &str {
+        match self {
+            Encoding::Protobuf => "protobuf",
+            Encoding::Json => "json",
+            Encoding::Cdr => "cdr",
+            Encoding::Ros1 => "ros1",
+            Encoding::Other(name) => name,
+        }
+    }
+}
+
+/// Reads a message.
+pub(super) fn image<'a>(layout: Layout, encoding: &Encoding, payload: &'a [u8]) -> Result<Image<'a>, DecodeError> {
+    let is_foxglove = matches!(layout, Layout::FoxgloveCompressed | Layout::FoxgloveRaw);
+    let image = match encoding {
+        Encoding::Protobuf if is_foxglove => protobuf(layout, payload),
+        Encoding::Json if is_foxglove => return json(layout, payload),
+        Encoding::Cdr => Ros::cdr(payload).and_then(|fields| ros(layout, fields)),
+        Encoding::Ros1 => ros(layout, Ros::ros1(payload)),
+        other => {
+            let known = if is_foxglove { "protobuf, json, cdr and ros1" } else { "cdr and ros1" };
+            let reason = format!("its images are encoded as `{}`; {known} are read", other.name());
+            return Err(DecodeError::Unsupported(reason));
+        }
+    };
+    image.ok_or_else(|| damaged("fields end early, or are of other types than an image's"))
+}
+
+fn protobuf(layout: Layout, payload: &[u8]) -> Option<Image<'_>> {
+    let (mut numbers, mut texts) = ([0u32; 6], [&[][..]; 7]);
+    for field in Fields::of(payload) {
+        match field? {
+            (number @ 2..=5, Value::Number(value)) => numbers[number as usize] = u32::try_from(value).ok()?,
+            (number @ 2..=6, Value::Bytes(bytes)) => texts[number as usize] = bytes,
+            _ => {}
+        }
+    }
+    let text = |number: usize| std::str::from_utf8(texts[number]).ok().map(Cow::Borrowed);
+    Some(match layout {
+        Layout::FoxgloveCompressed => Image::Compressed { format: text(3)?, bytes: Cow::Borrowed(texts[2]) },
+        _ => Image::Raw(Raw {
+            width: numbers[2],
+            height: numbers[3],
+            encoding: text(4)?,
+            step: numbers[5],
+            is_big_endian: false,
+            bytes: Cow::Borrowed(texts[6]),
+        }),
+    })
+}
+
+fn ros(layout: Layout, mut fields: Ros<'_>) -> Option<Image<'_>> {
+    let is_ros = matches!(layout, Layout::RosCompressed | Layout::RosRaw);
+    if is_ros && fields.has_header_number() {
+        fields.u32()?;
+    }
+    fields.u32()?; // the time: seconds …
+    fields.u32()?; // … and nanoseconds
+    fields.text()?; // the frame of reference
+    Some(match layout {
+        Layout::FoxgloveCompressed => {
+            let bytes = Cow::Borrowed(fields.bytes()?);
+            Image::Compressed { format: Cow::Borrowed(fields.text()?), bytes }
+        }
+        Layout::RosCompressed => {
+            let format = Cow::Borrowed(fields.text()?);
+            Image::Compressed { format, bytes: Cow::Borrowed(fields.bytes()?) }
+        }
+        Layout::FoxgloveRaw => Image::Raw(Raw {
+            width: fields.u32()?,
+            height: fields.u32()?,
+            encoding: Cow::Borrowed(fields.text()?),
+            step: fields.u32()?,
+            is_big_endian: false,
+            bytes: Cow::Borrowed(fields.bytes()?),
+        }),
+        Layout::RosRaw => {
+            let (height, width) = (fields.u32()?, fields.u32()?);
+            let (encoding, is_big_endian) = (Cow::Borrowed(fields.text()?), fields.u8()? != 0);
+            let step = fields.u32()?;
+            Image::Raw(Raw { width, height, encoding, step, is_big_endian, bytes: Cow::Borrowed(fields.bytes()?) })
+        }
+    })
+}
+
+#[derive(Deserialize)]
+struct CompressedDocument<'a> {
+    #[serde(borrow)]
+    format: Cow<'a, str>,
+    #[serde(borrow)]
+    data: Cow<'a, str>,
+}
+
+#[derive(Deserialize)]
+struct RawDocument<'a> {
+    width: u32,
+    height: u32,
+    #[serde(borrow)]
+    encoding: Cow<'a, str>,
+    step: u32,
+    #[serde(borrow)]
+    data: Cow<'a, str>,
+}
+
+fn json(layout: Layout, payload: &[u8]) -> Result<Image<'_>, DecodeError> {
+    let wrong = |error: serde_json::Error| damaged(&error.to_string());
+    let bytes = |text: &str| {
+        let bytes = base64::engine::general_purpose::STANDARD.decode(text);
+        bytes.map(Cow::Owned).map_err(|error| damaged(&format!("its data are not base64: {error}")))
+    };
+    Ok(match layout {
+        Layout::FoxgloveCompressed => {
+            let CompressedDocument { format, data } = serde_json::from_slice(payload).map_err(wrong)?;
+            Image::Compressed { format, bytes: bytes(&data)? }
+        }
+        _ => {
+            let RawDocument { width, height, encoding, step, data } = serde_json::from_slice(payload).map_err(wrong)?;
+            Image::Raw(Raw { width, height, encoding, step, is_big_endian: false, bytes: bytes(&data)? })
+        }
+    })
+}
+
+fn damaged(reason: &str) -> DecodeError {
+    DecodeError::Damaged(format!("a message cannot be read: {reason}"))
+}

@@ -1,0 +1,52 @@
+//! `Movement`: parameters as formulas of time.
+
+use std::collections::BTreeMap;
+
+use isophote_symbolic::{Diagnostics, Formula, Model};
+
+use crate::moving::formula_of_t;
+
+/// Which parameter follows which formula of `t`, seconds since the first frame.
+pub(crate) struct Movement {
+    moved: Vec<(usize, String, Formula)>,
+}
+
+impl Movement {
+    /// Parses the formulas. The fault's name is the parameter whose formula it is.
+    pub fn parse(model: &Model, formulas: &BTreeMap<String, String>) -> Result<Movement, MovementFault> {
+        let mut moved = Vec::new();
+        for (name, text) in formulas {
+            let Some(id) = model.parameter(name) else { return Err(MovementFault::UnknownName(name.clone())) };
+            let formula =
+                formula_of_t(text).map_err(|diagnostics| MovementFault::Formula { name: name.clone(), diagnostics })?;
+            moved.push((id.index(), name.clone(), formula));
+        }
+        Ok(Movement { moved })
+    }
+
+    /// Writes the moved parameters at time `t_s`; the fault names a parameter that is no finite number then.
+    pub fn apply(&self, t_s: f64, parameters: &mut [f64]) -> Result<(), String> {
+        for (index, name, formula) in &self.moved {
+            let value = formula.evaluate(&[t_s]);
+            if !value.is_finite() {
+                return Err(format!("the motion of `{name}` is {value} at t = {t_s} s; it must be a finite number"));
+            }
+            parameters[*index] = value;
+        }
+        Ok(())
+    }
+}
+
+/// Why there is no motion.
+#[derive(Debug)]
+pub(crate) enum MovementFault {
+    /// No parameter has that name.
+    UnknownName(String),
+    /// The formula is wrong.
+    Formula {
+        /// Whose formula.
+        name: String,
+        /// What is wrong with it.
+        diagnostics: Diagnostics,
+    },
+}

@@ -1,0 +1,95 @@
+//! An offline run: a recording, the arithmetic that suits it, and a model compiled for it, as `fit`, `tune` and `compare` need.
+//!
+//! In: paths and options of a command. Out: a [`Run`], and the documents about camera and target. It never knows what is done
+//! with the frames.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use isophote_capture::Recording;
+use isophote_machine::Threads;
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::{Camera, CompileFailure, Compiled, Intrinsics, Target, Tracker, TrackerOptions};
+use isophote_wire::explain;
+
+use crate::failure::Failure;
+
+/// A recording and what looks at it.
+pub struct Run {
+    /// At its first frame.
+    pub recording: Recording,
+    /// With the precision of the kernels.
+    pub options: TrackerOptions,
+    /// The document at the path that [`Run::open`] was given.
+    pub compiled: Arc<Compiled>,
+}
+
+impl Run {
+    /// Opens the frames and compiles the model for them; without a `precision` in f32, for CSV files in f64.
+    pub fn open(
+        document: &Path,
+        model: &Arc<Model>,
+        frames: &Path,
+        precision: Option<Precision>,
+        options: TrackerOptions,
+    ) -> Result<Run, Failure> {
+        let recording = recording(frames, model)?;
+        let is_csv = recording.csv_channels().map_err(Failure::other)?.is_some();
+        let precision = precision.unwrap_or(if is_csv { Precision::F64 } else { Precision::F32 });
+        let compiled = compile(document, model.clone(), precision)?;
+        Ok(Run { recording, options: TrackerOptions { precision, ..options }, compiled })
+    }
+
+    /// One that has seen nothing yet.
+    pub fn tracker(&self) -> Result<Tracker, Failure> {
+        let tracker = Tracker::new(self.compiled.clone(), self.options.clone());
+        tracker.map_err(|error| Failure::Usage(error.to_string()))
+    }
+}
+
+/// The frames at that path as the model wants them: of its dimensions, its channels by name.
+pub fn recording(frames: &Path, model: &Model) -> Result<Recording, Failure> {
+    let recording = Recording::of_dimensions(frames, model.coordinates().len()).map_err(Failure::other)?;
+    Ok(recording.for_channels(model.channels()))
+}
+
+/// Derives and compiles the stages of the document at that path.
+pub fn compile(document: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<Compiled>, Failure> {
+    let compiled = Compiled::with_cache(model, precision, Arc::default(), &Threads);
+    compiled.map(Arc::new).map_err(|failure| refused(document, &failure))
+}
+
+/// The document at that path does not compile.
+pub fn refused(document: &Path, failure: &CompileFailure) -> Failure {
+    Failure::model(&document.display().to_string(), &explain::diagnostics(failure))
+}
+
+/// The camera of that document. JSON begins with a brace; everything else is taken for a calibration file.
+pub fn camera(path: Option<&Path>) -> Result<Camera, Failure> {
+    let Some(path) = path else { return Ok(Camera::default()) };
+    let text = read(path)?;
+    if text.trim_start().starts_with('{') {
+        return json(path, &text, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})");
+    }
+    let intrinsics = Intrinsics::from_opencv_yaml(&text)
+        .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))?;
+    Ok(Camera { intrinsics: Some(intrinsics), ..Camera::default() })
+}
+
+/// The target of that document.
+pub fn target(path: &Path) -> Result<Target, Failure> {
+    json(
+        path,
+        &read(path)?,
+        "a target document (JSON, e.g. {\"spots\":[{\"name\":\"red\",\"position_mm\":[0,80,0],\"radius_mm\":30}]})",
+    )
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path)
+        .map_err(|error| Failure::Usage(format!("{}: cannot be read: {error}", path.display())))
+}
+
+fn json<T: serde::de::DeserializeOwned>(path: &Path, text: &str, wanted: &str) -> Result<T, Failure> {
+    serde_json::from_str(text).map_err(|error| Failure::Usage(format!("{}: not {wanted}: {error}", path.display())))
+}

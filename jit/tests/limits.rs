@@ -1,0 +1,75 @@
+//! The bounds of a kernel: what is too large is refused, what is not runs on a thread of the usual size.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Image, agree_with};
+use isophote_jit::{CompileError, Kernel, KernelOptions, LIMITS, PixelFormat, RunError, Slices, Window};
+use isophote_symbolic::{
+    AccumulatorId, Bindings, CoordinateId, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts,
+    Sink, TotalId, Value,
+};
+
+/// Sums `rows` different row values over the pixels; each has a place on the stack.
+fn wide(rows: usize, channels: u32) -> Program {
+    let mut instructions = Vec::new();
+    let mut push = |level, op| {
+        instructions.push(Instruction { op, level, span: None });
+        Value(instructions.len() as u32 - 1)
+    };
+    let y = push(Level::Row, Opcode::Outer(CoordinateId(1)).of([]));
+    let mut values = vec![y];
+    for _ in 1..rows {
+        values.push(push(Level::Row, Opcode::Add.of([*values.last().unwrap(), y])));
+    }
+    let mut sum = push(Level::Pixel, Opcode::number(0.0).of([]));
+    for value in values {
+        sum = push(Level::Pixel, Opcode::Add.of([sum, value]));
+    }
+    let row = push(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([]));
+    let total = push(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([]));
+    let sink = Sink::Sums { accumulators: vec![sum], totals: vec![row], outputs: vec![total] };
+    let (inputs, pixel_set) = (Vec::new(), PixelSet { bounds: None, mask: None, saturated: None });
+    let parts = ProgramParts { coordinates: 2, channels, inputs, instructions, pixel_set, sink, fused: false };
+    Program::from_parts(parts).unwrap()
+}
+
+fn compiled(program: &Program) -> Result<Kernel, CompileError> {
+    let formats = vec![PixelFormat::U8; program.channels()];
+    Kernel::compile(program, &KernelOptions { precision: Precision::F32, formats, packed: true })
+}
+
+#[test]
+fn a_frame_within_the_limit_runs_on_a_usual_thread_and_a_larger_one_is_refused() {
+    // The record has 64 bytes for a row value that pixels read: four rows are at hand at a time.
+    let most = LIMITS.frame_bytes / 64;
+    let kernel = compiled(&wide(most * 15 / 16, 1)).unwrap();
+    assert!((LIMITS.frame_bytes * 7 / 8..=LIMITS.frame_bytes).contains(&kernel.frame_bytes()));
+    let run = move || {
+        let image = Image::new(PixelFormat::U8, [9, 5], 1, [0, 0], |_, _, _| 0.0);
+        agree_with(&kernel, &Bindings::default(), &image, Window::whole(9, 5), "a large frame")
+    };
+    // The size that threads have where nobody says another; RUST_MIN_STACK does not count here.
+    let thread = std::thread::Builder::new().stack_size(2 << 20).spawn(run).unwrap();
+    assert_eq!(thread.join().unwrap().pixels, 45);
+    match compiled(&wide(most, 1)) {
+        Err(error @ CompileError::FrameTooLarge { bytes }) => {
+            assert!(bytes > LIMITS.frame_bytes && error.to_string().contains("bytes of stack"));
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn windows_are_checked_where_there_is_no_plane_to_hold_them_against() {
+    let kernel = compiled(&wide(2, 0)).unwrap();
+    let slices = Slices::ONE;
+    let run = |window| kernel.sums(&Bindings::default(), &[], window);
+    assert_eq!(run(Window { x: 3, y: 1, width: 4, height: 2, slices }).unwrap().outputs, [4.0 * (3.0 + 6.0)]);
+    for (x, y, width, height) in
+        [(0, 0, 0, 1), (0, 0, 1, 0), (0, 0, usize::MAX, 1), (0, 0, 1, usize::MAX), (usize::MAX, 0, 1, 1)]
+    {
+        let refused = run(Window { x, y, width, height, slices });
+        assert!(matches!(refused, Err(RunError::Window { .. })), "{x} {y} {width} {height}: {refused:?}");
+    }
+}

@@ -1,0 +1,107 @@
+//! Every operation of the table, on numbers that break careless code: machine code says what the interpreter says.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Image, Planes, Random, same};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window, has_fma};
+use isophote_symbolic::interpreter;
+use isophote_symbolic::{
+    AccumulatorId, Bindings, Comparison, Input, InputId, Instruction, Kind, Level, Opcode, ParameterId, PixelSet,
+    Precision, Program, ProgramParts, Sink, TotalId, Value,
+};
+
+/// Three numbers, two truth values about them, and the operation at a level; its result is handed back as it is, so that
+/// one NaN or one sign of a zero shows.
+fn program(code: Opcode, level: Level, truths: bool) -> Program {
+    let mut instructions: Vec<Instruction> = Vec::new();
+    let mut push = |level, op| {
+        instructions.push(Instruction { op, level, span: None });
+        Value(instructions.len() as u32 - 1)
+    };
+    let parameters: Vec<Value> = (0..4).map(|i| push(Level::Pass, Opcode::Input(InputId(i)).of([]))).collect();
+    // The operands stand at the level itself, where it can have its own; row ends and pass ends read the pass'.
+    let numbers: Vec<Value> = parameters[..3].iter().map(|v| push(level, Opcode::Neg.of([*v]))).collect();
+    let conditions = [[0, 1], [1, 2], [2, 0]]
+        .map(|[a, b]| push(level, Opcode::Compare(Comparison::Lt).of([numbers[a], numbers[b]])));
+    let (mut number, mut condition) = (numbers.iter(), conditions.iter());
+    let mut operand = |kind: &Kind| match kind {
+        Kind::Number => *number.next().unwrap(),
+        Kind::OfRow => parameters[0],
+        Kind::Either if !truths => *number.next().unwrap(),
+        Kind::Truth | Kind::Either => *condition.next().unwrap(),
+    };
+    let op = match code.row().operands {
+        [] => code.of([]),
+        [a] => code.of([operand(a)]),
+        [a, b] => code.of([operand(a), operand(b)]),
+        [a, b, c] => code.of([operand(a), operand(b), operand(c)]),
+        _ => unreachable!("no operation has more than three operands"),
+    };
+    let mut result = push(level, op);
+    let is_truth = code.row().result == Kind::Truth || (code.row().result == Kind::Either && truths);
+    if is_truth {
+        result = push(level, Opcode::Select.of([result, numbers[0], numbers[1]]));
+    }
+    // A pixel value that is known earlier is chosen by a condition.
+    let pixel = if level == Level::Pixel { result } else { push(Level::Pixel, Opcode::Neg.of([parameters[3]])) };
+    let row = push(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([]));
+    let total = if matches!(level, Level::Row | Level::RowEnd) { result } else { row };
+    let pass = push(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([]));
+    let output = if matches!(level, Level::Pass | Level::PassEnd) { result } else { pass };
+    // By level.
+    let mut order: Vec<usize> = (0..instructions.len()).collect();
+    order.sort_by_key(|i| instructions[*i].level);
+    let at = |v: Value| Value(order.iter().position(|i| *i == v.index()).unwrap() as u32);
+    let moved = |i: &usize| Instruction { op: instructions[*i].op.renamed(at), ..instructions[*i] };
+    let parts = ProgramParts {
+        coordinates: 2,
+        channels: 1,
+        inputs: (0..4).map(|i| Input::Parameter(ParameterId(i))).collect(),
+        instructions: order.iter().map(moved).collect(),
+        pixel_set: PixelSet::default(),
+        sink: Sink::Sums { accumulators: vec![at(pixel)], totals: vec![at(total)], outputs: vec![at(output)] },
+        fused: false,
+    };
+    Program::from_parts(parts).unwrap_or_else(|wrong| panic!("{code:?} at {level:?}: {wrong}"))
+}
+
+#[test]
+fn machine_code_of_every_operation_is_the_interpreter_s() {
+    const LEVELS: [Level; 5] = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd, Level::PassEnd];
+    let seed = 5;
+    let mut random = Random(seed);
+    let image = Image::new(PixelFormat::F32, [1, 1], 1, [0, 0], |_, _, _| -0.75);
+    let window = Window::whole(1, 1);
+    let mut met = 0;
+    for code in Opcode::every().into_iter().filter(|code| *code != Opcode::Fma || has_fma()) {
+        let at = LEVELS.into_iter().filter(|level| code.row().level.is_none_or(|only| only == *level));
+        let truths: &[bool] = if code.row().result == Kind::Either { &[false, true] } else { &[false] };
+        for (level, truths) in at.flat_map(|level| truths.iter().map(move |truths| (level, *truths))) {
+            let program = program(code, level, truths);
+            for precision in [Precision::F32, Precision::F64] {
+                let options = KernelOptions { precision, formats: vec![PixelFormat::F32], packed: true };
+                let kernel = Kernel::compile(&program, &options).unwrap();
+                for case in 0..60 {
+                    let numbers: [f64; 4] = std::array::from_fn(|_| match case % 3 {
+                        0 => random.special(),
+                        1 => random.ordinary(),
+                        _ if random.below(2) == 0 => random.special(),
+                        _ => random.ordinary(),
+                    });
+                    let bindings = Bindings { parameters: &numbers, ..Bindings::default() };
+                    let native = kernel.sums(&bindings, &image.views(), window).unwrap().outputs;
+                    let planes = Planes(image.views());
+                    let expected =
+                        interpreter::run(&program, precision, &bindings, &planes, window.into(), None).outputs;
+                    assert!(
+                        same(native[0], expected[0]),
+                        "{code:?} at {level:?}, {precision:?}, of {numbers:?}: {native:?}, not {expected:?}; seed {seed}"
+                    );
+                    met += 1;
+                }
+            }
+        }
+    }
+    assert!(met > 60 * 2 * 5 * 25, "{met}");
+}

@@ -1,0 +1,83 @@
+//! What the handlers share: what they get, what they answer, and names in paths.
+
+use std::sync::Arc;
+
+use axum::extract::Path;
+use axum::extract::rejection::PathRejection;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use tokio::sync::mpsc;
+
+use crate::name::Name;
+use crate::problem::Problem;
+use crate::service::{Put, Service};
+
+/// The name of the WebSockets' subprotocol.
+const PROTOCOL: &str = "isophote.v1";
+
+/// What every handler gets.
+#[derive(Clone)]
+pub struct App {
+    /// Everything that runs.
+    pub service: Arc<Service>,
+    /// Held by every stream: the service has stopped when all are dropped.
+    pub stream: mpsc::Sender<()>,
+}
+
+/// What a handler answers.
+pub type Answer = Result<Response, Problem>;
+
+/// A JSON body.
+pub fn json(status: StatusCode, value: &impl Serialize) -> Answer {
+    let body = serde_json::to_vec(value).map_err(|error| Problem::bug(error.to_string()))?;
+    let mut response = (status, body).into_response();
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/json"));
+    Ok(response)
+}
+
+/// The name in the path as it was sent; whether there is such a thing is looked up later.
+pub type RawName = Result<Path<String>, PathRejection>;
+
+/// The text of a name in the path; a path that is no text names nothing.
+pub fn raw(name: RawName) -> Result<String, Problem> {
+    name.map(|Path(name)| name).map_err(|_| Problem::unknown("name", "(not UTF-8)"))
+}
+
+/// The name that something new is to have: 422 when it is none.
+pub fn new_name(name: RawName) -> Result<Name, Problem> {
+    let name = raw(name)?;
+    let message = "a name is made of 1 to 64 of a-z, 0-9 and -, and does not begin with -";
+    Name::parse(&name).ok_or_else(|| Problem::wrong_key("wrong-name", "name", message))
+}
+
+/// The name of something that should exist: 404 when it cannot.
+pub fn old_name(what: &str, name: RawName) -> Result<Name, Problem> {
+    let name = raw(name)?;
+    Name::parse(&name).ok_or_else(|| Problem::unknown(what, &name))
+}
+
+/// An upgrade to our subprotocol, for messages of at most so many bytes from the client.
+pub(super) fn upgraded(
+    headers: &HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+    message_bytes: usize,
+) -> Result<WebSocketUpgrade, Problem> {
+    let upgrade = upgrade.map_err(|error| Problem::bad_request(error.body_text()))?;
+    let is_offered = headers.contains_key(header::SEC_WEBSOCKET_PROTOCOL);
+    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(message_bytes).max_frame_size(message_bytes);
+    if is_offered && upgrade.selected_protocol().is_none() {
+        return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
+    }
+    Ok(upgrade)
+}
+
+/// 201 or 200.
+pub(super) fn put_status(put: Put) -> StatusCode {
+    match put {
+        Put::Created => StatusCode::CREATED,
+        Put::Replaced => StatusCode::OK,
+    }
+}

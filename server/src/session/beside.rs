@@ -1,0 +1,55 @@
+//! `Beside`: what fits of a session ask for is prepared on a thread of its own, while the fits go on without it.
+//!
+//! What comes in: a [`Preparation`]. What goes out: nothing; the tracker finds the result where it looks for it. It must never
+//! make a fit wait.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{Builder, JoinHandle};
+
+use isophote_tracker::Preparation;
+
+/// One preparation at a time.
+#[derive(Default)]
+pub struct Beside {
+    running: Option<Running>,
+}
+
+struct Running {
+    is_unwanted: Arc<AtomicBool>,
+    thread: JoinHandle<()>,
+}
+
+impl Beside {
+    /// Starts it, unless one runs: whoever still needs it then asks again.
+    pub fn prepare(&mut self, session: &str, preparation: Preparation) {
+        if self.running.as_ref().is_some_and(|running| !running.thread.is_finished()) {
+            return;
+        }
+        let is_unwanted = Arc::new(AtomicBool::new(false));
+        let (told, name) = (is_unwanted.clone(), session.to_string());
+        let run = move || {
+            if let Err(failure) = preparation.run(&|| !told.load(Ordering::Relaxed)) {
+                eprintln!("isophote: session {name} goes on without alternatives to its model: {failure}");
+            }
+        };
+        match Builder::new().name(format!("prepare {session}")).spawn(run) {
+            Ok(thread) => self.running = Some(Running { is_unwanted, thread }),
+            // The next frame asks again.
+            Err(error) => eprintln!("isophote: no thread to prepare alternatives of session {session}: {error}"),
+        }
+    }
+
+    /// Ends what runs after the piece at hand; nobody waits for it.
+    pub fn give_up(&mut self) {
+        if let Some(running) = self.running.take() {
+            running.is_unwanted.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        self.give_up();
+    }
+}

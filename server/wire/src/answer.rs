@@ -1,0 +1,232 @@
+//! What the service answers.
+
+pub use isophote_capture::camera::{CameraInfo, CameraStatus, ControlInfo, ControlKind};
+use isophote_symbolic::{Diagnostic, Method};
+pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
+use serde::{Deserialize, Serialize};
+
+use crate::{Estimate, SessionDocument, SourceDocument};
+
+/// An error, RFC 9457: `application/problem+json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProblemDocument {
+    /// `urn:isophote:problem:<code>`; the code is stable.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// The status in words.
+    pub title: String,
+    /// The HTTP status.
+    pub status: u16,
+    /// A sentence to read.
+    pub detail: String,
+    /// Faults of the document; every 422 carries them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub diagnostics: Vec<Diagnostic>,
+}
+
+/// A list.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Items<T> {
+    /// In the order of their names.
+    pub items: Vec<T>,
+}
+
+/// Answer of `PUT /v1/models/{name}`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelAnswer {
+    /// The name in the registry.
+    pub name: String,
+    /// Counts the documents put under this name, from 1.
+    pub version: u64,
+    /// What `model check` prints.
+    #[serde(flatten)]
+    pub report: ModelReport,
+}
+
+/// `GET /v1/models/{name}`: the document with its name in the registry, version and digest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelView {
+    /// Counts the documents put under this name, from 1.
+    pub version: u64,
+    /// `sha256:…` of the canonical document.
+    pub digest: String,
+    /// The canonical document.
+    #[serde(flatten)]
+    pub document: serde_json::Map<String, serde_json::Value>,
+}
+
+/// One item of `GET /v1/models`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelItem {
+    /// The name in the registry.
+    pub name: String,
+    /// Counts the documents put under this name, from 1.
+    pub version: u64,
+    /// `sha256:…` of the canonical document.
+    pub digest: String,
+    /// The document's own words.
+    pub description: String,
+    /// Names, in document order.
+    pub parameters: Vec<String>,
+}
+
+/// What `model explain --json` prints: the figures of one subset beside the text asked for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Explanation {
+    /// The document's name.
+    pub model: String,
+    /// `sha256:…` of the canonical document.
+    pub digest: String,
+    /// What the text shows.
+    pub show: String,
+    /// The figures, `compile_ms` included.
+    #[serde(flatten)]
+    pub stage: StageReport,
+    /// The text.
+    pub text: String,
+}
+
+/// What `model export --json` prints.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+pub struct Exported {
+    /// The document's name.
+    pub model: String,
+    /// `sha256:…` of the canonical document.
+    pub digest: String,
+    /// The free parameters.
+    pub parameters: Vec<String>,
+    /// The method whose derivatives are summed.
+    pub method: Method,
+    /// `c` or `rust`.
+    pub language: String,
+    /// The source.
+    pub text: String,
+}
+
+/// `GET /v1/sources/{name}`: its document with its state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SourceView {
+    /// The name.
+    pub name: String,
+    /// As put, defaults filled in.
+    #[serde(flatten)]
+    pub document: SourceDocument,
+    /// What it does.
+    pub state: SourceState,
+    /// Why it stands still.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub reason: Option<String>,
+    /// Frames delivered.
+    pub frames: u64,
+    /// Sessions that listen.
+    pub sessions: usize,
+    /// Of a camera: how it is set, and what was lost.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub camera: Option<CameraStatus>,
+}
+
+/// What a source does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SourceState {
+    /// No session listens: it waits.
+    Idle,
+    /// Frames come.
+    Running,
+    /// A camera streams, but there is no picture; see `reason`.
+    Stalled,
+    /// A camera is gone; see `reason`. It is looked for again.
+    Lost,
+    /// There are no more.
+    Ended,
+    /// It cannot deliver; see `reason`.
+    Failed,
+}
+
+/// What a session does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SessionState {
+    /// No frame was fitted yet.
+    Starting,
+    /// Frames are fitted.
+    Running,
+    /// The source should have delivered, but has not.
+    Stalled,
+    /// The source failed, or its camera is gone and looked for; see `reason`.
+    LostSource,
+    /// The source has no more frames.
+    Stopped,
+    /// The session cannot go on; see `reason`.
+    Failed,
+}
+
+/// `GET /v1/sessions/{name}`: its document with its state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionView {
+    /// The name.
+    pub name: String,
+    /// As put, defaults filled in, `model` as last swapped.
+    #[serde(flatten)]
+    pub document: SessionDocument,
+    /// What it does.
+    pub state: SessionState,
+    /// Why it does not run.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub reason: Option<String>,
+    /// The model asked for last.
+    pub requested_model: String,
+    /// The model that fits.
+    pub active_model: String,
+    /// Its digest.
+    pub active_digest: String,
+    /// Frames from this number on are fitted with it.
+    pub active_since_frame: u64,
+    /// Frames fitted.
+    pub frames: u64,
+    /// Frames of the source that were not fitted.
+    pub dropped: u64,
+    /// Estimates a second, measured over the last ones.
+    pub rate_hz: f64,
+    /// Of a session on a camera: how that is set, and what was lost.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub source_camera: Option<CameraStatus>,
+    /// The last estimate.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub last: Option<Estimate>,
+}
+
+/// Answer of a hot swap.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SwapAnswer {
+    /// The model asked for.
+    pub requested_model: String,
+    /// The model that fits now.
+    pub active_model: String,
+    /// Its digest.
+    pub active_digest: String,
+    /// Frames from this number on are fitted with it, earlier ones were not.
+    pub active_since_frame: u64,
+    /// Parameters that keep their values.
+    pub carried: Vec<String>,
+    /// Parameters that start anew.
+    pub reset: Vec<String>,
+    /// Time spent on compilation, ms; near 0 for a model whose kernels exist.
+    pub compile_ms: f64,
+}
+
+/// `GET /v1/time`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Time {
+    /// The clock of every `*_ns` field, CLOCK_MONOTONIC.
+    pub monotonic_ns: u64,
+    /// The wall clock at the same moment; a label, nothing is computed with it.
+    pub unix_ns: u64,
+}
+
+/// `GET /livez` and `GET /readyz`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Health {
+    /// `ok` or `draining`.
+    pub status: String,
+}

@@ -1,0 +1,16 @@
+//! The JSON types of documents, answers and estimates, for server, client and Python, in one place.
+//!
+//! What comes in: values of tracker, capture and the crates below. What goes out: serde types whose field names are fixed in the
+//! contract, and [`explain`], the answer about a model that service and commands print alike. It never knows axum, sockets,
+//! threads or a clock: times are handed in.
+
+mod answer;
+mod document;
+mod estimate;
+pub mod explain;
+mod named;
+
+pub use answer::*;
+pub use document::*;
+pub use estimate::*;
+pub use named::Named;

@@ -1,0 +1,60 @@
+//! A [`Program`] as source text, for machines where no compiler may run beside the program, and to compare with.
+//!
+//! What comes in: a program, the model that it was made of (for names and formulas), and [`ExportOptions`]. What goes out: one
+//! file of C99 or Rust 2021 that needs nothing but the language's mathematics, with the program's loops in sight: pass, row,
+//! pixel, row end, pass end. With one lane it computes what [`isophote_symbolic::interpreter::run_in_lanes`] computes with one, bit for
+//! bit, elementary functions apart: they are the platform's.
+//! It must never know: how a frame lies in memory; an exported function is told by strides, counted in pixels.
+//!
+//! `names` finds words for values, `body` writes the statements of each level, `c` and `rust` what stands around them, `spelling`
+//! is the table of how each language spells an operation; `lanes` writes the pixel loop with vectors, whose table is `vectors`.
+
+mod body;
+mod c;
+mod header;
+mod lanes;
+mod lines;
+mod names;
+mod options;
+mod rust;
+mod spelling;
+mod vectors;
+
+use isophote_symbolic::{Model, Precision, Program};
+
+pub use options::{ExportError, ExportOptions, Language, PixelType};
+
+use options::Source;
+
+/// A program of a model as source text; see the crate's text.
+///
+/// # Errors
+/// [`ExportError`]: options that do not fit the program or each other, or a program of another model.
+pub fn export(model: &Model, program: &Program, options: &ExportOptions) -> Result<String, ExportError> {
+    if options.pixels.len() != program.channels() {
+        return Err(ExportError::Channels { channels: program.channels(), given: options.pixels.len() });
+    }
+    if !is_of(program, model) {
+        return Err(ExportError::Foreign(model.name().to_string()));
+    }
+    let name = options.name.clone().unwrap_or_else(|| format!("isophote_{}", model.name().replace('-', "_")));
+    if !names::is_function_name(&name) {
+        return Err(ExportError::Name(name));
+    }
+    let source = Source { model, program, options, name };
+    match (options.language, options.precision, options.lanes) {
+        (Language::C, _, 1) => Ok(c::file(&source)),
+        (Language::Rust, _, 1) => Ok(rust::file(&source)),
+        (Language::Rust, Precision::F32, 4 | 8 | 16) => lanes::file(&source),
+        (language, precision, lanes) => Err(ExportError::Lanes { lanes, precision, language }),
+    }
+}
+
+/// The program speaks of the model's own coordinates, channels, parameters and constants.
+fn is_of(program: &Program, model: &Model) -> bool {
+    let names = program.names();
+    names.coordinates == model.coordinates()
+        && names.channels == model.channels()
+        && names.parameters.iter().eq(model.parameters().iter().map(|parameter| &parameter.name))
+        && names.constants.iter().eq(model.constants().iter().map(|constant| &constant.name))
+}

@@ -1,0 +1,174 @@
+//! How each language spells numbers, functions, and what the table of operations leaves to the place.
+
+use isophote_symbolic::{Function1, Function2, Op, Opcode, Precision, Value, spelled};
+
+use crate::options::{Language, PixelType};
+
+/// A spelling: a language, and the arithmetic of the place.
+#[derive(Clone, Copy)]
+pub(super) struct Spelling {
+    pub language: Language,
+    pub real: Precision,
+}
+
+impl Spelling {
+    /// The type of a number.
+    pub fn number(self) -> &'static str {
+        match (self.language, self.real) {
+            (Language::C, Precision::F32) => "float",
+            (Language::C, Precision::F64) => "double",
+            (Language::Rust, Precision::F32) => "f32",
+            (Language::Rust, Precision::F64) => "f64",
+        }
+    }
+
+    /// A number, rounded to the place's arithmetic.
+    pub fn literal(self, value: f64) -> String {
+        let value = match self.real {
+            Precision::F32 => f64::from(value as f32),
+            Precision::F64 => value,
+        };
+        if value.is_nan() || value.is_infinite() {
+            let sign = if value < 0.0 { "-" } else { "" };
+            return match (self.language, value.is_nan()) {
+                (Language::C, true) => "NAN".into(),
+                (Language::C, false) => format!("({sign}INFINITY)"),
+                (Language::Rust, true) => format!("{}::NAN", self.number()),
+                (Language::Rust, false) => format!("({sign}{}::INFINITY)", self.number()),
+            };
+        }
+        match (self.language, self.real) {
+            (Language::C, Precision::F32) => format!("{:?}f", value as f32),
+            (Language::Rust, Precision::F32) => format!("{:?}", value as f32),
+            (_, Precision::F64) => format!("{value:?}"),
+        }
+    }
+
+    /// `const float name = expression;`
+    pub fn declare(self, name: &str, truth: bool, expression: &str) -> String {
+        match (self.language, truth) {
+            (Language::C, true) => format!("const bool {name} = {expression};"),
+            (Language::C, false) => format!("const {} {name} = {expression};", self.number()),
+            (Language::Rust, true) => format!("let {name}: bool = {expression};"),
+            (Language::Rust, false) => format!("let {name}: {} = {expression};", self.number()),
+        }
+    }
+
+    /// A number of f64 in the place's arithmetic.
+    pub fn rounded(self, name: &str) -> String {
+        match self.language {
+            Language::C => format!("({}){name}", self.number()),
+            Language::Rust => format!("{name} as {}", self.number()),
+        }
+    }
+
+    /// A number of the place as f64.
+    pub fn widened(self, name: &str) -> String {
+        match (self.language, self.real) {
+            (Language::C, Precision::F64) => name.to_string(),
+            (Language::C, Precision::F32) => format!("(double){name}"),
+            (Language::Rust, Precision::F64) => self.receiver(name),
+            (Language::Rust, Precision::F32) => format!("f64::from({})", self.receiver(name)),
+        }
+    }
+
+    /// A pixel in the place's arithmetic.
+    pub fn pixel(self, place: &str, pixel: PixelType) -> String {
+        match (self.language, pixel, self.real) {
+            (_, PixelType::F32, Precision::F32) => place.to_string(),
+            (Language::C, ..) => format!("({}){place}", self.number()),
+            (Language::Rust, ..) => format!("{}::from({place})", self.number()),
+        }
+    }
+
+    /// An operation that reads values; `a` gives their spelling.
+    pub fn operation(self, op: Op, a: &dyn Fn(Value) -> String) -> String {
+        match op.parts() {
+            (Opcode::Call1(f), &[x]) => self.elementary(f, &a(x)),
+            (Opcode::Call2(f), &[x, y]) => self.elementary2(f, &a(x), &a(y)),
+            (code, operands) => {
+                let row = code.row();
+                let text = if self.language == Language::C { row.c } else { row.rust };
+                spelled(text, |mark| match (mark, code) {
+                    ('f', _) if self.real == Precision::F32 => "f".into(),
+                    ('f', _) => String::new(),
+                    ('s', _) => self.receiver(&a(operands[0])),
+                    ('_', Opcode::Compare(comparison)) => comparison.sign().into(),
+                    // Only a leaf holds something else, and leaves are written where their values come from.
+                    (mark, _) => operands[mark as usize - '0' as usize..].first().map_or_else(String::new, |v| a(*v)),
+                })
+            }
+        }
+    }
+
+    /// What a method is called on, or a sign stands before: a literal is in brackets and says its type where it can.
+    fn receiver(self, text: &str) -> String {
+        match (is_number(text), self.language) {
+            (true, Language::C) => format!("({text})"),
+            (true, Language::Rust) => format!("({text}_{})", self.number()),
+            (false, _) => text.to_string(),
+        }
+    }
+
+    /// Computed in f64 and rounded once.
+    fn back(self, call: String) -> String {
+        match (self.language, self.real) {
+            (_, Precision::F64) => call,
+            (Language::C, Precision::F32) => format!("(float){call}"),
+            (Language::Rust, Precision::F32) => format!("{call} as f32"),
+        }
+    }
+
+    fn elementary(self, f: Function1, x: &str) -> String {
+        let x = self.widened(x);
+        self.back(match (self.language, f) {
+            (Language::C, _) => format!("{}({x})", f.name()),
+            (Language::Rust, Function1::Erf) => format!("erf({x})"),
+            (Language::Rust, Function1::Log) => format!("({x}).ln()"),
+            (Language::Rust, _) => format!("({x}).{}()", f.name()),
+        })
+    }
+
+    fn elementary2(self, f: Function2, x: &str, y: &str) -> String {
+        let (x, y) = (self.widened(x), self.widened(y));
+        self.back(match (self.language, f) {
+            (Language::C, _) => format!("{}({x}, {y})", f.name()),
+            (Language::Rust, Function2::Atan2) => format!("({x}).atan2({y})"),
+            (Language::Rust, Function2::Pow) => format!("({x}).powf({y})"),
+        })
+    }
+}
+
+fn is_number(text: &str) -> bool {
+    text.starts_with(|c: char| c.is_ascii_digit() || c == '-')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_operation_has_a_spelling_in_every_language() {
+        let operand = |v: Value| ["a", "b", "c"][v.index()].to_string();
+        for code in Opcode::every() {
+            let op = match code.row().operands.len() {
+                1 => code.of([Value(0)]),
+                2 => code.of([Value(0), Value(1)]),
+                3 => code.of([Value(0), Value(1), Value(2)]),
+                _ => continue, // a leaf is written where its value comes from
+            };
+            // The language has no words for what only a likelihood needs, nor for the inner coordinate.
+            let has_no_word = matches!(code, Opcode::Offset | Opcode::Call1(Function1::LogTail | Function1::Hazard));
+            for (language, real) in [
+                (Language::C, Precision::F32),
+                (Language::C, Precision::F64),
+                (Language::Rust, Precision::F32),
+                (Language::Rust, Precision::F64),
+            ] {
+                let text = Spelling { language, real }.operation(op, &operand);
+                let is_whole = op.operands().all(|v| text.contains(&operand(v))) && !text.contains('$');
+                assert!(is_whole || has_no_word, "{code:?} in {language:?}: `{text}`");
+            }
+        }
+    }
+}

@@ -1,0 +1,16 @@
+//! A sample is what the formulas say.
+#![allow(clippy::unwrap_used)]
+use crate::Model;
+
+#[test]
+fn samples_are_what_the_formulas_say() {
+    let text = "name = \"s\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\na = { start = 1.0 }\n\
+        [constants]\nc = 2.0\n[model]\nintensity = \"a * x^2 + c * y\"\ndomain = \"x < 3\"\nnoise = \"1 + intensity\"\n";
+    let model = Model::from_toml(text).unwrap();
+    let samples = model.samples(&[vec![2.0, 1.0], vec![3.0, 0.5]], &[5.0], &[7.0]);
+    assert_eq!((samples[0].intensity, samples[0].variance, samples[0].inside), (27.0, Some(28.0), true));
+    assert_eq!((samples[1].intensity, samples[1].variance, samples[1].inside), (48.5, Some(49.5), false));
+    let plain = Model::from_toml(&text.replace("domain = \"x < 3\"\nnoise = \"1 + intensity\"\n", "")).unwrap();
+    let sample = plain.samples(&[vec![3.0, 0.5]], &[5.0], &[7.0])[0];
+    assert!(sample.inside && sample.variance.is_none());
+}

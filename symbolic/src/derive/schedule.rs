@@ -1,0 +1,267 @@
+//! Expressions in, a [`Program`] out: operations are chosen (Horner, shared powers, one reciprocal a denominator), placed at
+//! the outermost level of the loop nest that knows their operands, and contracted to FMA where the lowering allows.
+
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use crate::derive::domain;
+use crate::derive::steps::Step;
+use crate::derive::sums::{Shift, Sums};
+use crate::language::diagnostic::Span;
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::Lowering;
+use crate::program::{
+    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink,
+    TotalId, Value,
+};
+use crate::proof::draft::Draft;
+
+/// The loop nest for sums over the pixels of `domain`.
+pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lowering: Lowering, names: Names) -> Draft {
+    let mut builder = Builder::new(graph);
+    let pixels = sums.summed(builder.graph);
+    builder.wanted.extend(pixels.iter().copied());
+    let mut set = PixelSet::default();
+    if let Some(domain) = domain {
+        let region = domain::region(builder.graph, domain);
+        set.bounds = region.bounds.map(|(lo, hi)| (builder.lower(lo), builder.lower(hi)));
+        set.mask = region.mask.map(|m| builder.lower(m));
+    }
+    if lowering.drop_saturated {
+        set.saturated = builder.saturated(&pixels);
+    }
+    let accumulators = builder.pixel_values(&pixels);
+    let numbers: FxHashMap<NodeId, AccumulatorId> =
+        pixels.iter().enumerate().map(|(i, pixel)| (*pixel, AccumulatorId(i as u32))).collect();
+    let accumulator = |node: NodeId| numbers[&node];
+
+    let mut totals: Vec<Value> = Vec::new();
+    let mut outputs = Vec::new();
+    for output in &sums.outputs {
+        let mut sum: Option<Value> = None;
+        for term in &output.terms {
+            let pass_total = match (term.row, term.pixel) {
+                (None, None) => builder.emit(Opcode::PassCount.of([])),
+                (row, pixel) => {
+                    let row_sum = builder.row_sum(pixel, sums.shift.as_ref(), &accumulator);
+                    let total = match row {
+                        Some(row) => {
+                            let row = builder.lower(row);
+                            builder.emit(Opcode::Mul.of([row, row_sum]))
+                        }
+                        None => row_sum,
+                    };
+                    let id = totals.iter().position(|t| *t == total).unwrap_or_else(|| {
+                        totals.push(total);
+                        totals.len() - 1
+                    });
+                    builder.emit(Opcode::PassTotal(TotalId(id as u32)).of([]))
+                }
+            };
+            let part = if builder.graph.value_of(term.coefficient) == Some(1.0) {
+                pass_total
+            } else {
+                let coefficient = builder.lower(term.coefficient);
+                builder.emit(Opcode::Mul.of([coefficient, pass_total]))
+            };
+            sum = Some(match sum {
+                None => part,
+                Some(so_far) => builder.emit(Opcode::Add.of([so_far, part])),
+            });
+        }
+        outputs.push(sum.unwrap_or_else(|| builder.emit(Opcode::number(0.0).of([]))));
+    }
+    builder.finish(set, Sink::Sums { accumulators, totals, outputs }, lowering, names)
+}
+
+/// What the pixel loop that sums `pixels` costs: levels outside of it, and the domain, are not looked at.
+pub(crate) fn pixel_cost(graph: &mut Graph, pixels: &[NodeId], lowering: Lowering) -> Cost {
+    let mut builder = Builder::new(graph);
+    builder.wanted.extend(pixels.iter().copied());
+    let accumulators = builder.pixel_values(pixels);
+    let sink = Sink::Sums { accumulators, totals: Vec::new(), outputs: Vec::new() };
+    builder.finish(PixelSet::default(), sink, lowering, Names::default()).cost()
+}
+
+/// The loop nest that adds `value` to a plane.
+pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Draft {
+    let mut builder = Builder::new(graph);
+    let value = builder.pixel_value(value);
+    builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names)
+}
+
+pub(crate) fn degree(graph: &Graph, node: NodeId) -> i32 {
+    match graph.node(node) {
+        Node::Product(factors) => factors.iter().map(|(_, e)| e.abs()).sum(),
+        _ => 1,
+    }
+}
+
+pub(crate) struct Builder<'g> {
+    pub graph: &'g mut Graph,
+    pub instructions: Vec<Instruction>,
+    inputs: Vec<Input>,
+    known: FxHashMap<Op, Value>,
+    pub values: FxHashMap<NodeId, Value>,
+    /// Products that are needed anyway: others are built upon them.
+    pub wanted: FxHashSet<NodeId>,
+    span: Option<Span>,
+}
+
+impl<'g> Builder<'g> {
+    fn new(graph: &'g mut Graph) -> Builder<'g> {
+        Builder {
+            graph,
+            instructions: Vec::new(),
+            inputs: Vec::new(),
+            known: FxHashMap::default(),
+            values: FxHashMap::default(),
+            wanted: FxHashSet::default(),
+            span: None,
+        }
+    }
+
+    /// The value of an operation, at the level that its operands know or that has it.
+    fn emit(&mut self, op: Op) -> Value {
+        if let Some(value) = self.known.get(&op) {
+            return *value;
+        }
+        let level = op.level(|v| self.instructions[v.index()].level);
+        let value = Value(self.instructions.len() as u32);
+        self.instructions.push(Instruction { op, level, span: self.span });
+        self.known.insert(op, value);
+        value
+    }
+
+    pub fn input(&mut self, input: Input) -> Value {
+        let at = self.inputs.iter().position(|i| *i == input).unwrap_or_else(|| {
+            self.inputs.push(input);
+            self.inputs.len() - 1
+        });
+        self.emit(Opcode::Input(InputId(at as u32)).of([]))
+    }
+
+    /// The row's total of a pixel value: of what is summed, or made from such totals by the shift.
+    fn row_sum(
+        &mut self,
+        pixel: Option<NodeId>,
+        shift: Option<&Shift>,
+        accumulator: &dyn Fn(NodeId) -> AccumulatorId,
+    ) -> Value {
+        let total = |builder: &mut Self, part: Option<NodeId>| match part {
+            Some(part) => builder.emit(Opcode::RowTotal(accumulator(part)).of([])),
+            None => builder.emit(Opcode::RowCount.of([])),
+        };
+        let (Some(pixel), Some(shift)) = (pixel, shift) else { return total(self, pixel) };
+        // Σ_j C(k, j) e^(k−j) U_j by Horner's rule.
+        let parts = shift.parts(self.graph, pixel);
+        let power = parts.len() - 1;
+        let (mut sum, mut binomial) = (total(self, parts[0]), 1.0);
+        for (j, part) in parts.into_iter().enumerate().skip(1) {
+            let distance = self.lower(shift.distance);
+            binomial *= (power + 1 - j) as f64 / j as f64;
+            let mut value = total(self, part);
+            if binomial != 1.0 {
+                let number = self.emit(Opcode::number(binomial).of([]));
+                value = self.emit(Opcode::Mul.of([number, value]));
+            }
+            let lower = self.emit(Opcode::Mul.of([distance, sum]));
+            sum = self.emit(Opcode::Add.of([lower, value]));
+        }
+        sum
+    }
+
+    /// The node as a pixel value: one known earlier is chosen by a condition that always holds, so that a sink may read it.
+    fn pixel_value(&mut self, node: NodeId) -> Value {
+        let value = self.lower(node);
+        if self.instructions[value.index()].level == Level::Pixel {
+            return value;
+        }
+        let zero = self.emit(Opcode::number(0.0).of([]));
+        let x = self.emit(Opcode::Offset.of([zero]));
+        let always = self.emit(Opcode::Compare(Comparison::Eq).of([x, x]));
+        self.emit(Opcode::Select.of([always, value, value]))
+    }
+
+    /// The pixel values of the accumulators: small monomials first, so that larger ones find them.
+    fn pixel_values(&mut self, pixels: &[NodeId]) -> Vec<Value> {
+        let mut order: Vec<usize> = (0..pixels.len()).collect();
+        order.sort_by_key(|i| degree(self.graph, pixels[*i]));
+        let mut accumulators = vec![Value(0); pixels.len()];
+        for i in order {
+            accumulators[i] = self.pixel_value(pixels[i]);
+        }
+        accumulators
+    }
+
+    /// Where any channel that the pixel values read is at or above its limit.
+    fn saturated(&mut self, pixels: &[NodeId]) -> Option<Value> {
+        let mut found: Option<Value> = None;
+        for id in self.graph.reachable(pixels) {
+            let Node::Channel(channel) = *self.graph.node(id) else { continue };
+            let limit = self.input(Input::Saturation(channel));
+            let pixel = self.emit(Opcode::Channel(channel).of([]));
+            let at_limit = self.emit(Opcode::Compare(Comparison::Le).of([limit, pixel]));
+            found = Some(match found {
+                None => at_limit,
+                Some(before) => self.emit(Opcode::Or.of([before, at_limit])),
+            });
+        }
+        found
+    }
+
+    /// The value of a node; operands are visited by worklist, operands first.
+    fn lower(&mut self, root: NodeId) -> Value {
+        let mut stack: Vec<(NodeId, Option<Step>)> = vec![(root, None)];
+        while let Some((node, step)) = stack.pop() {
+            if self.values.contains_key(&node) {
+                continue;
+            }
+            match step {
+                None => {
+                    let step = self.step(node);
+                    let operands = step.operands();
+                    stack.push((node, Some(step)));
+                    stack.extend(operands.into_iter().rev().map(|n| (n, None)));
+                }
+                Some(step) => {
+                    self.span = self.graph.span(node);
+                    let value = self.emit_step(&step);
+                    self.values.insert(node, value);
+                }
+            }
+        }
+        self.values[&root]
+    }
+
+    fn emit_step(&mut self, step: &Step) -> Value {
+        let at = |n: &NodeId| self.values[n];
+        let op = match step {
+            Step::Leaf(op) => *op,
+            Step::Of(code, operands) => match operands[..] {
+                [a] => code.of([at(&a)]),
+                [a, b] => code.of([at(&a), at(&b)]),
+                _ => code.of([at(&operands[0]), at(&operands[1]), at(&operands[2])]),
+            },
+            Step::MulAdd(a, b, c) => {
+                let (product, c) = (Opcode::Mul.of([at(a), at(b)]), at(c));
+                Opcode::Add.of([self.emit(product), c])
+            }
+        };
+        self.emit(op)
+    }
+
+    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Draft {
+        let mut program = Program {
+            coordinates: names.coordinates.len() as u32,
+            channels: names.channels.len() as u32,
+            inputs: self.inputs,
+            instructions: self.instructions,
+            pixel_set: set,
+            sink,
+            names,
+            fused: lowering.fma,
+        };
+        crate::program::peephole::improve(&mut program, lowering.fma);
+        Draft::new(program)
+    }
+}

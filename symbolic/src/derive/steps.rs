@@ -1,0 +1,293 @@
+//! How one node of the graph is computed from others: Horner for sums, shared powers for products, one reciprocal a
+//! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
+
+use crate::derive::schedule::Builder;
+use crate::language::graph::{Bits, Graph, Node, NodeId};
+use crate::program::{CoordinateId, Level, Op, Opcode};
+
+/// How one node is computed from others.
+pub(crate) enum Step {
+    Leaf(Op),
+    Of(Opcode, Vec<NodeId>),
+    /// a · b + c
+    MulAdd(NodeId, NodeId, NodeId),
+}
+
+impl Step {
+    fn of<const N: usize>(code: Opcode, operands: [NodeId; N]) -> Step {
+        Step::Of(code, operands.to_vec())
+    }
+
+    pub fn operands(&self) -> Vec<NodeId> {
+        match self {
+            Step::Leaf(_) => vec![],
+            Step::Of(_, operands) => operands.clone(),
+            Step::MulAdd(a, b, c) => vec![*a, *b, *c],
+        }
+    }
+}
+
+impl Builder<'_> {
+    pub fn step(&mut self, node: NodeId) -> Step {
+        match self.graph.node(node).clone() {
+            Node::Number(bits) => Step::Leaf(Opcode::number(bits.get()).of([])),
+            Node::Input(input) => {
+                let value = self.input(input);
+                Step::Leaf(self.instructions[value.index()].op)
+            }
+            Node::Coordinate(CoordinateId(0)) => Step::of(Opcode::Offset, [self.graph.number(0.0)]),
+            Node::Coordinate(c) => Step::Leaf(Opcode::Outer(c).of([])),
+            Node::Channel(c) => Step::Leaf(Opcode::Channel(c).of([])),
+            Node::Sum(constant, terms) => self.sum(constant.get(), &terms),
+            Node::Product(factors) => self.product(node, &factors),
+            Node::Sqrt(a) => Step::of(Opcode::Sqrt, [a]),
+            Node::Abs(a) => Step::of(Opcode::Abs, [a]),
+            Node::Call1(f, a) => Step::of(Opcode::Call1(f), [a]),
+            Node::Call2(f, a, b) => Step::of(Opcode::Call2(f), [a, b]),
+            Node::Compare(c, a, b) => Step::of(Opcode::Compare(c), [a, b]),
+            Node::And(a, b) => Step::of(Opcode::And, [a, b]),
+            Node::Or(a, b) => Step::of(Opcode::Or, [a, b]),
+            Node::Not(a) => Step::of(Opcode::Not, [a]),
+            Node::Select(c, a, b) => Step::of(Opcode::Select, [c, a, b]),
+        }
+    }
+
+    fn sum(&mut self, constant: f64, terms: &[(NodeId, Bits)]) -> Step {
+        let level = terms.iter().map(|(n, _)| self.graph.level(*n)).max().unwrap_or(Level::Pass);
+        let all = terms.iter().map(|(n, c)| (*n, c.get()));
+        let (high, low): (Vec<_>, Vec<_>) = all.partition(|(n, _)| self.graph.level(*n) == level);
+        let rest = (constant != 0.0 || !low.is_empty()).then(|| self.graph.sum(constant, low.iter().copied()));
+        // The inner coordinate plus what is known earlier.
+        if let [(node, coefficient)] = high[..]
+            && matches!(self.graph.node(node), Node::Coordinate(CoordinateId(0)))
+            && coefficient.abs() == 1.0
+        {
+            let rest = rest.unwrap_or_else(|| self.graph.number(0.0));
+            if coefficient == 1.0 {
+                return Step::of(Opcode::Offset, [rest]);
+            }
+            // c − x = −(x − c)
+            let rest = self.graph.scale(-1.0, rest);
+            let flipped = self.graph.sum(0.0, [(node, 1.0), (rest, 1.0)]);
+            return Step::of(Opcode::Neg, [flipped]);
+        }
+        if let Some(rest) = rest {
+            if let [(node, coefficient)] = high[..] {
+                return self.term_plus(node, coefficient, rest);
+            }
+            return match self.common_factor(&high, level) {
+                Some(factor) => {
+                    let (inside, outside) = self.divide(&high, factor);
+                    if outside.is_empty() {
+                        let inside = self.graph.sum(0.0, inside);
+                        Step::MulAdd(inside, factor, rest)
+                    } else {
+                        let inside = self.graph.sum(0.0, inside);
+                        let outside = self.graph.sum(0.0, outside.into_iter().chain([(rest, 1.0)]).collect::<Vec<_>>());
+                        Step::MulAdd(inside, factor, outside)
+                    }
+                }
+                None => self.chain(&high, Some(rest)),
+            };
+        }
+        if let [(node, coefficient)] = high[..] {
+            return self.scaled(node, coefficient);
+        }
+        match self.common_factor(&high, level) {
+            Some(factor) => {
+                let (inside, outside) = self.divide(&high, factor);
+                let inside = self.graph.sum(0.0, inside);
+                if outside.is_empty() {
+                    return Step::of(Opcode::Mul, [inside, factor]);
+                }
+                let outside = self.graph.sum(0.0, outside);
+                Step::MulAdd(inside, factor, outside)
+            }
+            None => self.chain(&high, None),
+        }
+    }
+
+    /// coefficient · node + rest, as a · b + rest where the node is a product.
+    fn term_plus(&mut self, node: NodeId, coefficient: f64, rest: NodeId) -> Step {
+        if coefficient == 1.0 && !self.is_plain_product(node) {
+            return Step::of(Opcode::Add, [node, rest]);
+        }
+        if coefficient == -1.0 && !self.is_plain_product(node) {
+            return Step::of(Opcode::Sub, [rest, node]);
+        }
+        match self.two_factors(node, coefficient) {
+            Some((a, b)) => Step::MulAdd(a, b, rest),
+            None => {
+                let coefficient = self.graph.number(coefficient);
+                Step::MulAdd(coefficient, node, rest)
+            }
+        }
+    }
+
+    fn is_plain_product(&self, node: NodeId) -> bool {
+        !self.values.contains_key(&node)
+            && matches!(self.graph.node(node), Node::Product(_))
+            && !self.wanted.contains(&node)
+    }
+
+    /// coefficient · node as two factors, the coefficient with what is known earlier.
+    fn two_factors(&mut self, node: NodeId, coefficient: f64) -> Option<(NodeId, NodeId)> {
+        if !self.is_plain_product(node) {
+            return None;
+        }
+        let Node::Product(factors) = self.graph.node(node).clone() else { return None };
+        let level = self.graph.level(node);
+        let (high, low): (Vec<_>, Vec<_>) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        if !low.is_empty() {
+            let low = self.graph.product(coefficient, low);
+            let high = self.graph.product(1.0, high);
+            return Some((low, high));
+        }
+        if coefficient.abs() != 1.0 {
+            return None;
+        }
+        match self.product(node, &factors) {
+            Step::Of(_, factors_of) if coefficient == 1.0 && !factors.iter().any(|(_, e)| *e < 0) => {
+                match factors_of[..] {
+                    [a, b] => Some((a, b)),
+                    _ => None,
+                }
+            }
+            _ => None,
+        }
+    }
+
+    fn scaled(&mut self, node: NodeId, coefficient: f64) -> Step {
+        if coefficient == -1.0 {
+            return Step::of(Opcode::Neg, [node]);
+        }
+        if coefficient != 1.0
+            && let Some((a, b)) = self.two_factors(node, coefficient)
+        {
+            return Step::of(Opcode::Mul, [a, b]);
+        }
+        let coefficient = self.graph.number(coefficient);
+        Step::of(Opcode::Mul, [coefficient, node])
+    }
+
+    /// The factor at `level` that most of the terms share, at least two of them.
+    fn common_factor(&self, terms: &[(NodeId, f64)], level: Level) -> Option<NodeId> {
+        let mut counts: Vec<(NodeId, usize, i32)> = Vec::new();
+        let mut count = |node: NodeId, exponent: i32| match counts.iter_mut().find(|(n, ..)| *n == node) {
+            Some(entry) => {
+                entry.1 += 1;
+                entry.2 += exponent;
+            }
+            None => counts.push((node, 1, exponent)),
+        };
+        for (node, _) in terms {
+            match self.graph.node(*node) {
+                Node::Product(factors) if !self.graph.is_opaque(*node) => {
+                    for (n, e) in factors.iter().filter(|(n, e)| *e > 0 && self.graph.level(*n) == level) {
+                        count(*n, *e);
+                    }
+                }
+                _ => count(*node, 1),
+            }
+        }
+        counts
+            .into_iter()
+            .filter(|(_, times, _)| *times > 1)
+            .max_by_key(|(n, times, total)| (*times, *total, *n))
+            .map(|(n, ..)| n)
+    }
+
+    /// The terms with the factor, divided by it once, and those without.
+    #[allow(clippy::type_complexity)]
+    fn divide(&mut self, terms: &[(NodeId, f64)], factor: NodeId) -> (Vec<(NodeId, f64)>, Vec<(NodeId, f64)>) {
+        let (mut inside, mut outside) = (Vec::new(), Vec::new());
+        for (node, coefficient) in terms {
+            let divided = match self.graph.node(*node).clone() {
+                _ if *node == factor => Some(self.graph.number(1.0)),
+                Node::Product(factors)
+                    if !self.graph.is_opaque(*node) && factors.iter().any(|(n, e)| *n == factor && *e > 0) =>
+                {
+                    Some(self.graph.product(1.0, factors.iter().copied().chain([(factor, -1)])))
+                }
+                _ => None,
+            };
+            match divided {
+                Some(node) => inside.push((node, *coefficient)),
+                None => outside.push((*node, *coefficient)),
+            }
+        }
+        (inside, outside)
+    }
+
+    /// One term and the sum of the others; a positive term comes first, products last (they contract).
+    fn chain(&mut self, terms: &[(NodeId, f64)], rest: Option<NodeId>) -> Step {
+        let at = terms.iter().rposition(|(n, c)| self.is_plain_product(*n) && *c > 0.0);
+        let at = at.or_else(|| terms.iter().rposition(|(n, _)| self.is_plain_product(*n))).unwrap_or(terms.len() - 1);
+        let (node, coefficient) = terms[at];
+        let others: Vec<_> =
+            terms.iter().enumerate().filter(|(i, _)| *i != at).map(|(_, t)| *t).chain(rest.map(|r| (r, 1.0))).collect();
+        let all_negative = others.iter().all(|(_, c)| *c < 0.0);
+        if all_negative && coefficient == 1.0 {
+            let others: Vec<_> = others.into_iter().map(|(n, c)| (n, -c)).collect();
+            let others = self.graph.sum(0.0, others);
+            return Step::of(Opcode::Sub, [node, others]);
+        }
+        let others = self.graph.sum(0.0, others);
+        self.term_plus(node, coefficient, others)
+    }
+
+    fn product(&mut self, node: NodeId, factors: &[(NodeId, i32)]) -> Step {
+        let level = self.graph.level(node);
+        let (high, low): (Vec<_>, Vec<_>) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        if !low.is_empty() {
+            let (low, high) = (self.graph.product(1.0, low), self.graph.product(1.0, high));
+            return Step::of(Opcode::Mul, [low, high]);
+        }
+        if let [(base, exponent)] = high[..] {
+            let one = self.graph.number(1.0);
+            return match exponent {
+                -1 => Step::of(Opcode::Div, [one, base]),
+                e if e < 0 => {
+                    let reciprocal = self.graph.product(1.0, [(base, -1)]);
+                    let (a, b) = self.halves(reciprocal, -e);
+                    Step::of(Opcode::Mul, [a, b])
+                }
+                e => {
+                    let (a, b) = self.halves(base, e);
+                    Step::of(Opcode::Mul, [a, b])
+                }
+            };
+        }
+        // A product that is there already, times one factor; else the highest power is taken down by one.
+        let one_less = |graph: &mut Graph, i: usize| {
+            let sign = high[i].1.signum();
+            let smaller = graph.product(1.0, high.iter().copied().chain([(high[i].0, -sign)]));
+            let factor = graph.product(1.0, [(high[i].0, sign)]);
+            (smaller, factor)
+        };
+        let mut choice = None;
+        for (i, (_, exponent)) in high.iter().enumerate() {
+            let (smaller, factor) = one_less(self.graph, i);
+            let there = self.values.contains_key(&smaller) || self.wanted.contains(&smaller);
+            if there && choice.is_none_or(|(_, _, e)| e < *exponent) {
+                choice = Some((smaller, factor, *exponent));
+            }
+        }
+        let (smaller, factor) = match choice {
+            Some((smaller, factor, _)) => (smaller, factor),
+            None => {
+                let last =
+                    (0..high.len()).max_by_key(|i| (high[*i].1.abs(), std::cmp::Reverse(high[*i].0))).unwrap_or(0);
+                one_less(self.graph, last)
+            }
+        };
+        Step::of(Opcode::Mul, [smaller, factor])
+    }
+
+    /// base^exponent as a product of two powers.
+    fn halves(&mut self, base: NodeId, exponent: i32) -> (NodeId, NodeId) {
+        // A reciprocal's powers are products with negative exponents of its base; both halves stay canonical.
+        let mut power = |e: i32| self.graph.product(1.0, [(base, e)]);
+        if exponent % 2 == 0 { (power(exponent / 2), power(exponent / 2)) } else { (power(exponent - 1), power(1)) }
+    }
+}

@@ -1,0 +1,499 @@
+//! The hash-consed expression graph: n-ary sums with numeric coefficients, products with integer exponents.
+//!
+//! What comes in: operations, by constructors that keep a canonical form. What goes out: dense ids; equal expressions have
+//! equal ids; an operand's id is smaller than its user's. It never knows where a formula came from beyond a span per node.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use rustc_hash::FxHashMap;
+
+use crate::language::diagnostic::Span;
+use crate::language::limits::LIMITS;
+use crate::program::function::{Function1, Function2};
+use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, holds, id};
+
+id!(/// A node of the graph.
+    NodeId);
+
+/// A number that can be hashed; never NaN from user text, −0 is 0.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct Bits(u64);
+
+impl Bits {
+    pub(crate) fn new(value: f64) -> Bits {
+        Bits((value + 0.0).to_bits())
+    }
+    /// The number.
+    pub fn get(self) -> f64 {
+        f64::from_bits(self.0)
+    }
+}
+
+/// An expression. Sums and products are built by the graph's own constructors only.
+#[derive(Clone, PartialEq, Eq, Hash, Debug)]
+#[allow(missing_docs)]
+pub enum Node {
+    Number(Bits),
+    Input(Input),
+    Coordinate(CoordinateId),
+    Channel(ChannelId),
+    /// constant + Σ coefficient · node; no coefficient is 0, at least one term.
+    Sum(Bits, Arc<[(NodeId, Bits)]>),
+    /// Π node^exponent; no exponent is 0; never a single factor with exponent 1.
+    Product(Arc<[(NodeId, i32)]>),
+    Sqrt(NodeId),
+    Abs(NodeId),
+    Call1(Function1, NodeId),
+    Call2(Function2, NodeId, NodeId),
+    Compare(Comparison, NodeId, NodeId),
+    And(NodeId, NodeId),
+    Or(NodeId, NodeId),
+    Not(NodeId),
+    Select(NodeId, NodeId, NodeId),
+}
+
+/// The arena. `overflowed` is set, and no node is added any more, when the limit is met.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Graph {
+    nodes: Vec<Node>,
+    levels: Vec<Level>,
+    spans: Vec<Option<Span>>,
+    opaque: Vec<bool>,
+    index: FxHashMap<Node, NodeId>,
+    span: Option<Span>,
+    overflowed: bool,
+    /// Operands that constructors have looked at.
+    work: usize,
+    positive: BTreeSet<ParameterId>,
+}
+
+impl Graph {
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
+    pub fn node(&self, id: NodeId) -> &Node {
+        &self.nodes[id.index()]
+    }
+    /// Where in the loop nest the value is known: pass, row or pixel.
+    pub fn level(&self, id: NodeId) -> Level {
+        self.levels[id.index()]
+    }
+    pub fn span(&self, id: NodeId) -> Option<Span> {
+        self.spans[id.index()]
+    }
+    pub fn overflowed(&self) -> bool {
+        self.overflowed
+    }
+    /// The document's bounds keep this parameter above zero.
+    pub fn declare_positive(&mut self, parameter: ParameterId) {
+        self.positive.insert(parameter);
+    }
+    pub fn is_declared_positive(&self, id: NodeId) -> bool {
+        matches!(self.node(id), Node::Input(Input::Parameter(p) | Input::Entry(p)) if self.positive.contains(p))
+    }
+    /// New nodes carry this span until the next call.
+    pub fn set_span(&mut self, span: Option<Span>) {
+        self.span = span;
+    }
+    /// A sum or product that others refer to as a whole: it is not flattened into theirs.
+    pub fn set_opaque(&mut self, id: NodeId) {
+        self.opaque[id.index()] = true;
+    }
+    pub fn is_opaque(&self, id: NodeId) -> bool {
+        self.opaque[id.index()]
+    }
+
+    /// Operands that constructors have looked at so far: what building the graph has cost.
+    pub fn work(&self) -> usize {
+        self.work
+    }
+
+    /// Counts work; beyond the limit the graph is as if it were full.
+    fn spend(&mut self, operands: usize) {
+        self.work += 1 + operands;
+        self.overflowed |= self.work > LIMITS.work;
+    }
+
+    fn add(&mut self, node: Node) -> NodeId {
+        self.spend(0);
+        if let Some(&id) = self.index.get(&node) {
+            return id;
+        }
+        if self.nodes.len() >= LIMITS.nodes || self.overflowed {
+            self.overflowed = true;
+            return NodeId(0);
+        }
+        let id = NodeId(self.nodes.len() as u32);
+        let own = match &node {
+            Node::Coordinate(c) if c.0 > 0 => Level::Row,
+            Node::Coordinate(_) | Node::Channel(_) => Level::Pixel,
+            _ => Level::Pass,
+        };
+        let level = operands(&node).map(|n| self.level(n)).max().unwrap_or(own);
+        self.index.insert(node.clone(), id);
+        self.nodes.push(node);
+        self.levels.push(level);
+        self.spans.push(self.span);
+        self.opaque.push(false);
+        id
+    }
+
+    pub fn number(&mut self, value: f64) -> NodeId {
+        self.add(Node::Number(Bits::new(value)))
+    }
+    pub fn input(&mut self, input: Input) -> NodeId {
+        self.add(Node::Input(input))
+    }
+    pub fn coordinate(&mut self, coordinate: CoordinateId) -> NodeId {
+        self.add(Node::Coordinate(coordinate))
+    }
+    pub fn channel(&mut self, channel: ChannelId) -> NodeId {
+        self.add(Node::Channel(channel))
+    }
+
+    pub fn value_of(&self, id: NodeId) -> Option<f64> {
+        match self.node(id) {
+            Node::Number(bits) => Some(bits.get()),
+            _ => None,
+        }
+    }
+
+    /// A number, or a sum's constant and coefficients: neither infinite nor NaN.
+    pub fn has_finite_numbers(&self, id: NodeId) -> bool {
+        match self.node(id) {
+            Node::Number(bits) => bits.get().is_finite(),
+            Node::Sum(constant, terms) => constant.get().is_finite() && terms.iter().all(|(_, c)| c.get().is_finite()),
+            _ => true,
+        }
+    }
+
+    /// constant + Σ coefficient · node. Like terms are collected; sums that are not opaque are taken in.
+    pub fn sum(&mut self, constant: f64, terms: impl IntoIterator<Item = (NodeId, f64)>) -> NodeId {
+        let mut constant = constant;
+        let mut collected: Vec<(NodeId, f64)> = Vec::new();
+        for (node, coefficient) in terms {
+            if coefficient == 0.0 {
+                continue;
+            }
+            match self.node(node) {
+                Node::Number(bits) => constant += coefficient * bits.get(),
+                Node::Sum(inner, list) if !self.is_opaque(node) || (list.len() == 1 && inner.get() == 0.0) => {
+                    constant += coefficient * inner.get();
+                    collected.extend(list.iter().map(|(n, c)| (*n, coefficient * c.get())));
+                }
+                _ => collected.push((node, coefficient)),
+            }
+        }
+        self.spend(collected.len());
+        collected.sort_by_key(|(node, _)| *node);
+        let mut merged: Vec<(NodeId, f64)> = Vec::with_capacity(collected.len());
+        for (node, coefficient) in collected {
+            match merged.last_mut() {
+                Some((last, total)) if *last == node => *total += coefficient,
+                _ => merged.push((node, coefficient)),
+            }
+        }
+        merged.retain(|(_, coefficient)| *coefficient != 0.0);
+        match merged[..] {
+            [] => self.number(constant),
+            [(node, 1.0)] if constant == 0.0 => node,
+            _ => self.add(Node::Sum(Bits::new(constant), merged.into_iter().map(|(n, c)| (n, Bits::new(c))).collect())),
+        }
+    }
+
+    /// Terms of a sum, factors of a product.
+    pub fn operand_count(&self, id: NodeId) -> usize {
+        match self.node(id) {
+            Node::Sum(_, terms) => terms.len(),
+            Node::Product(factors) => factors.len(),
+            _ => 0,
+        }
+    }
+
+    /// The largest magnitude of a product's exponents.
+    pub fn exponent_max(&self, id: NodeId) -> u32 {
+        match self.node(id) {
+            Node::Product(factors) => factors.iter().map(|(_, e)| e.unsigned_abs()).max().unwrap_or(0),
+            Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => self.exponent_max(terms[0].0),
+            _ => 0,
+        }
+    }
+
+    pub fn add2(&mut self, a: NodeId, b: NodeId) -> NodeId {
+        self.sum(0.0, [(a, 1.0), (b, 1.0)])
+    }
+    pub fn sub(&mut self, a: NodeId, b: NodeId) -> NodeId {
+        self.sum(0.0, [(a, 1.0), (b, -1.0)])
+    }
+    pub fn scale(&mut self, coefficient: f64, a: NodeId) -> NodeId {
+        if let Node::Sum(constant, terms) = self.node(a)
+            && (terms.len() > 1 || constant.get() != 0.0)
+            && coefficient != 1.0
+            && coefficient != 0.0
+        {
+            return self.add(Node::Sum(Bits::new(0.0), Arc::new([(a, Bits::new(coefficient))])));
+        }
+        self.sum(0.0, [(a, coefficient)])
+    }
+    pub fn mul(&mut self, a: NodeId, b: NodeId) -> NodeId {
+        self.product(1.0, [(a, 1), (b, 1)])
+    }
+    pub fn div(&mut self, a: NodeId, b: NodeId) -> NodeId {
+        self.product(1.0, [(a, 1), (b, -1)])
+    }
+
+    /// coefficient · Π node^exponent. Numeric factors and the contents of sums go to the coefficient, which is kept
+    /// outside, on a sum of one term. 0 · x is 0.
+    pub fn product(&mut self, coefficient: f64, factors: impl IntoIterator<Item = (NodeId, i32)>) -> NodeId {
+        let mut coefficient = coefficient;
+        let mut collected: Vec<(NodeId, i32)> = Vec::new();
+        let mut pending: Vec<(NodeId, i32)> = factors.into_iter().filter(|(_, e)| *e != 0).collect();
+        while let Some((node, exponent)) = pending.pop() {
+            match self.node(node) {
+                Node::Number(bits) => coefficient *= bits.get().powi(exponent),
+                Node::Product(list) if !self.is_opaque(node) => {
+                    pending.extend(list.iter().map(|(n, e)| (*n, e.saturating_mul(exponent))));
+                }
+                Node::Sum(constant, list) => {
+                    let content = content(*constant, list);
+                    if list.len() == 1 && constant.get() == 0.0 {
+                        coefficient *= list[0].1.get().powi(exponent);
+                        pending.push((list[0].0, exponent));
+                    } else if content != 1.0 && !self.is_opaque(node) {
+                        let (constant, list) = (constant.get() / content, list.clone());
+                        let list = list.iter().map(|(n, c)| (*n, Bits::new(c.get() / content))).collect();
+                        coefficient *= content.powi(exponent);
+                        let primitive = self.add(Node::Sum(Bits::new(constant), list));
+                        collected.push((primitive, exponent));
+                    } else {
+                        collected.push((node, exponent));
+                    }
+                }
+                _ => collected.push((node, exponent)),
+            }
+        }
+        if coefficient == 0.0 {
+            return self.number(0.0);
+        }
+        self.spend(collected.len());
+        collected.sort_by_key(|(node, _)| *node);
+        let mut merged: Vec<(NodeId, i32)> = Vec::with_capacity(collected.len());
+        for (node, exponent) in collected {
+            match merged.last_mut() {
+                Some((last, total)) if *last == node => *total = total.saturating_add(exponent),
+                _ => merged.push((node, exponent)),
+            }
+        }
+        merged.retain(|(_, exponent)| *exponent != 0);
+        // Beyond what an exponent can be.
+        self.overflowed |= merged.iter().any(|(_, exponent)| exponent.unsigned_abs() >= i32::MAX as u32);
+        let body = match merged[..] {
+            [] => return self.number(coefficient),
+            [(node, 1)] => node,
+            _ => self.add(Node::Product(merged.into())),
+        };
+        self.scale(coefficient, body)
+    }
+
+    pub fn sqrt(&mut self, a: NodeId) -> NodeId {
+        match self.value_of(a) {
+            Some(value) => self.number(value.sqrt()),
+            None => self.add(Node::Sqrt(a)),
+        }
+    }
+    pub fn abs(&mut self, a: NodeId) -> NodeId {
+        match self.value_of(a) {
+            Some(value) => self.number(value.abs()),
+            None => self.add(Node::Abs(a)),
+        }
+    }
+    pub fn call1(&mut self, function: Function1, a: NodeId) -> NodeId {
+        match self.value_of(a) {
+            Some(value) => self.number(function.value(value)),
+            None => self.add(Node::Call1(function, a)),
+        }
+    }
+    pub fn call2(&mut self, function: Function2, a: NodeId, b: NodeId) -> NodeId {
+        match (self.value_of(a), self.value_of(b)) {
+            (Some(x), Some(y)) => self.number(function.value(x, y)),
+            _ => self.add(Node::Call2(function, a, b)),
+        }
+    }
+
+    /// base^exponent: integer powers are products, halves use the square root, all else is `pow`.
+    pub fn power(&mut self, base: NodeId, exponent: NodeId) -> NodeId {
+        let Some(value) = self.value_of(exponent) else { return self.call2(Function2::Pow, base, exponent) };
+        let whole = value.floor();
+        if whole.abs() > LIMITS.exponent as f64 || (value != whole && value - whole != 0.5) {
+            return self.call2(Function2::Pow, base, exponent);
+        }
+        if value == whole {
+            return self.product(1.0, [(base, whole as i32)]);
+        }
+        let root = self.sqrt(base);
+        self.product(1.0, [(base, whole as i32), (root, 1)])
+    }
+
+    pub fn compare(&mut self, comparison: Comparison, a: NodeId, b: NodeId) -> NodeId {
+        self.add(Node::Compare(comparison, a, b))
+    }
+    pub fn and(&mut self, a: NodeId, b: NodeId) -> NodeId {
+        if a == b { a } else { self.add(Node::And(a, b)) }
+    }
+    pub fn or(&mut self, a: NodeId, b: NodeId) -> NodeId {
+        if a == b { a } else { self.add(Node::Or(a, b)) }
+    }
+    pub fn not(&mut self, a: NodeId) -> NodeId {
+        self.add(Node::Not(a))
+    }
+    pub fn select(&mut self, condition: NodeId, a: NodeId, b: NodeId) -> NodeId {
+        if a == b { a } else { self.add(Node::Select(condition, a, b)) }
+    }
+
+    pub fn is_truth(&self, id: NodeId) -> bool {
+        matches!(self.node(id), Node::Compare(..) | Node::And(..) | Node::Or(..) | Node::Not(_))
+    }
+
+    /// All nodes below `roots`, roots included, operands first.
+    pub fn reachable(&self, roots: &[NodeId]) -> Vec<NodeId> {
+        let mut live = vec![false; self.nodes.len()];
+        roots.iter().for_each(|r| live[r.index()] = true);
+        for i in (0..self.nodes.len()).rev() {
+            if live[i] {
+                operands(&self.nodes[i]).for_each(|n| live[n.index()] = true);
+            }
+        }
+        (0..self.nodes.len()).filter(|i| live[*i]).map(|i| NodeId(i as u32)).collect()
+    }
+
+    /// Uses of each node by others below `roots`, by index.
+    pub fn use_counts(&self, roots: &[NodeId]) -> Vec<u32> {
+        let mut counts = vec![0; self.nodes.len()];
+        for id in self.reachable(roots) {
+            operands(self.node(id)).for_each(|n| counts[n.index()] += 1);
+        }
+        counts
+    }
+
+    /// The same expression with every leaf replaced as `leaf` says (`None` keeps it); opaqueness is kept.
+    pub fn substitute(&mut self, root: NodeId, leaf: &mut dyn FnMut(&mut Graph, &Node) -> Option<NodeId>) -> NodeId {
+        let mut map: FxHashMap<NodeId, NodeId> = FxHashMap::default();
+        for id in self.reachable(&[root]) {
+            let node = self.node(id).clone();
+            let replaced = leaf(self, &node);
+            let new = replaced.unwrap_or_else(|| self.rebuild(id, &map));
+            map.insert(id, new);
+        }
+        map[&root]
+    }
+
+    /// `node` with `new` in the place of `old`.
+    pub fn replaced(&mut self, node: NodeId, old: NodeId, new: NodeId) -> NodeId {
+        let mut map = FxHashMap::default();
+        for id in self.reachable(&[node]) {
+            let next = if id == old { new } else { self.rebuild(id, &map) };
+            map.insert(id, next);
+        }
+        map[&node]
+    }
+
+    /// `id` with its operands mapped.
+    pub fn rebuild(&mut self, id: NodeId, map: &FxHashMap<NodeId, NodeId>) -> NodeId {
+        let at = |n: &NodeId| map.get(n).copied().unwrap_or(*n);
+        let node = self.node(id).clone();
+        if operands(&node).all(|n| at(&n) == n) {
+            return id;
+        }
+        let before = std::mem::replace(&mut self.span, self.spans[id.index()]);
+        let new = match &node {
+            Node::Sum(c, terms) => self.sum(c.get(), terms.iter().map(|(n, c)| (at(n), c.get())).collect::<Vec<_>>()),
+            Node::Product(f) => self.product(1.0, f.iter().map(|(n, e)| (at(n), *e)).collect::<Vec<_>>()),
+            Node::Sqrt(a) => self.sqrt(at(a)),
+            Node::Abs(a) => self.abs(at(a)),
+            Node::Call1(f, a) => self.call1(*f, at(a)),
+            Node::Call2(f, a, b) => self.call2(*f, at(a), at(b)),
+            Node::Compare(c, a, b) => self.compare(*c, at(a), at(b)),
+            Node::And(a, b) => self.and(at(a), at(b)),
+            Node::Or(a, b) => self.or(at(a), at(b)),
+            Node::Not(a) => self.not(at(a)),
+            Node::Select(c, a, b) => self.select(at(c), at(a), at(b)),
+            _ => id,
+        };
+        self.span = before;
+        if self.is_opaque(id) {
+            self.set_opaque(new);
+        }
+        new
+    }
+
+    /// The value in f64, for formulas without pixels. Truth values are 1 and 0. `leaf` gives inputs and coordinates.
+    pub fn evaluate(&self, root: NodeId, leaf: &dyn Fn(&Node) -> f64) -> f64 {
+        let mut values: FxHashMap<NodeId, f64> = FxHashMap::default();
+        let truth = |b: bool| f64::from(u8::from(b));
+        for id in self.reachable(&[root]) {
+            let at = |n: &NodeId| values[n];
+            let value = match self.node(id) {
+                Node::Number(bits) => bits.get(),
+                node @ (Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => leaf(node),
+                Node::Sum(c, terms) => terms.iter().fold(c.get(), |sum, (n, c)| sum + c.get() * at(n)),
+                Node::Product(factors) => factors.iter().map(|(n, e)| at(n).powi(*e)).product(),
+                Node::Sqrt(a) => at(a).sqrt(),
+                Node::Abs(a) => at(a).abs(),
+                Node::Call1(f, a) => f.value(at(a)),
+                Node::Call2(f, a, b) => f.value(at(a), at(b)),
+                Node::Compare(c, a, b) => truth(holds(*c, at(a), at(b))),
+                Node::And(a, b) => at(a) * at(b),
+                Node::Or(a, b) => at(a).max(at(b)),
+                Node::Not(a) => 1.0 - at(a),
+                Node::Select(c, a, b) => {
+                    if at(c) != 0.0 {
+                        at(a)
+                    } else {
+                        at(b)
+                    }
+                }
+            };
+            values.insert(id, value);
+        }
+        values[&root]
+    }
+}
+
+/// What can be divided out of a sum exactly: the common magnitude, or the greatest common divisor of whole coefficients,
+/// with the sign of the first term.
+pub(crate) fn content(constant: Bits, terms: &[(NodeId, Bits)]) -> f64 {
+    let all = || terms.iter().map(|(_, c)| c.get()).chain((constant.get() != 0.0).then(|| constant.get()));
+    let sign = if terms.first().is_some_and(|(_, c)| c.get() < 0.0) { -1.0 } else { 1.0 };
+    let first = terms.first().map_or(1.0, |(_, c)| c.get().abs());
+    if all().all(|c| c.abs() == first) {
+        return sign * first;
+    }
+    if all().all(|c| c.fract() == 0.0 && c.abs() < 1e9) {
+        let gcd = all().fold(0_u64, |g, c| gcd(g, c.abs() as u64));
+        return sign * gcd.max(1) as f64;
+    }
+    sign
+}
+
+fn gcd(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+/// The nodes that `node` reads.
+pub(crate) fn operands(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
+    let mut few = [None; 3];
+    let (mut terms, mut factors) = (&[][..], &[][..]);
+    match node {
+        Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_) => {}
+        Node::Sum(_, list) => terms = list,
+        Node::Product(list) => factors = list,
+        Node::Sqrt(a) | Node::Abs(a) | Node::Call1(_, a) | Node::Not(a) => few = [Some(*a), None, None],
+        Node::Call2(_, a, b) | Node::Compare(_, a, b) | Node::And(a, b) | Node::Or(a, b) => {
+            few = [Some(*a), Some(*b), None];
+        }
+        Node::Select(c, a, b) => few = [Some(*c), Some(*a), Some(*b)],
+    }
+    let listed = terms.iter().map(|(n, _)| *n).chain(factors.iter().map(|(n, _)| *n));
+    few.into_iter().flatten().chain(listed)
+}

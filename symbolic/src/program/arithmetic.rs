@@ -1,0 +1,140 @@
+//! The arithmetics in which operations are worked out, and the cells that hold values.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::program::Comparison;
+use crate::program::elementary::{Accuracy, Plain};
+use crate::program::function::{Function1, Function2};
+
+/// An arithmetic.
+pub(crate) trait Number:
+    Copy
+    + PartialOrd
+    + From<f64>
+    + Neg<Output = Self>
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+{
+    /// |x|.
+    fn abs(self) -> Self;
+    /// √x.
+    fn sqrt(self) -> Self;
+    /// x · b + c, with one rounding where the arithmetic has it.
+    fn fma(self, b: Self, c: Self) -> Self {
+        self * b + c
+    }
+    /// An elementary function.
+    fn call1(self, function: Function1) -> Self;
+    /// An elementary function of two arguments.
+    fn call2(self, function: Function2, other: Self) -> Self;
+    /// 2 / √π.
+    fn two_over_root_pi() -> Self {
+        Self::from(std::f64::consts::FRAC_2_SQRT_PI)
+    }
+}
+
+impl Number for f64 {
+    fn abs(self) -> f64 {
+        f64::abs(self)
+    }
+    fn sqrt(self) -> f64 {
+        f64::sqrt(self)
+    }
+    fn call1(self, function: Function1) -> f64 {
+        function.value(self)
+    }
+    fn call2(self, function: Function2, other: f64) -> f64 {
+        function.value(self, other)
+    }
+}
+
+/// One lane of f32; elementary functions are computed in f64, on a machine that fuses or not, and rounded once.
+#[derive(Clone, Copy, PartialEq, PartialOrd)]
+pub(crate) struct Single<const FUSED: bool>(f32);
+/// One lane of f64.
+#[derive(Clone, Copy, PartialEq, PartialOrd)]
+pub(crate) struct Double<const FUSED: bool>(f64);
+
+macro_rules! lane {
+    ($name:ident, $type:ty, $accuracy:expr, $($operator:ident $function:ident)*) => {
+        impl<const FUSED: bool> From<f64> for $name<FUSED> {
+            fn from(x: f64) -> Self {
+                $name(x as $type)
+            }
+        }
+        impl<const FUSED: bool> From<$name<FUSED>> for f64 {
+            fn from(x: $name<FUSED>) -> f64 {
+                x.0 as f64
+            }
+        }
+        impl<const FUSED: bool> Neg for $name<FUSED> {
+            type Output = Self;
+            fn neg(self) -> Self {
+                $name(-self.0)
+            }
+        }
+        $(impl<const FUSED: bool> $operator for $name<FUSED> {
+            type Output = Self;
+            fn $function(self, b: Self) -> Self {
+                $name(self.0.$function(b.0))
+            }
+        })*
+        impl<const FUSED: bool> Number for $name<FUSED> {
+            fn abs(self) -> Self {
+                $name(self.0.abs())
+            }
+            fn sqrt(self) -> Self {
+                $name(self.0.sqrt())
+            }
+            fn fma(self, b: Self, c: Self) -> Self {
+                $name(self.0.mul_add(b.0, c.0))
+            }
+            fn call1(self, function: Function1) -> Self {
+                Self::from(function.value_with(Plain { fused: FUSED }, $accuracy, self.into()))
+            }
+            fn call2(self, function: Function2, other: Self) -> Self {
+                Self::from(function.value_with(Plain { fused: FUSED }, $accuracy, self.into(), other.into()))
+            }
+        }
+    };
+}
+lane!(Single, f32, Accuracy::Single, Add add Sub sub Mul mul Div div);
+lane!(Double, f64, Accuracy::Double, Add add Sub sub Mul mul Div div);
+
+/// A value: a number or a truth value.
+#[derive(Clone, Copy)]
+pub(crate) enum Cell<N> {
+    Number(N),
+    Truth(bool),
+}
+
+impl<N: Number> Cell<N> {
+    pub fn number(self) -> N {
+        match self {
+            Cell::Number(x) => x,
+            Cell::Truth(b) => N::from(f64::from(u8::from(b))),
+        }
+    }
+    pub fn truth(self) -> bool {
+        matches!(self, Cell::Truth(true))
+    }
+    /// The same in another arithmetic.
+    pub fn map<M>(self, to: impl FnOnce(N) -> M) -> Cell<M> {
+        match self {
+            Cell::Number(x) => Cell::Number(to(x)),
+            Cell::Truth(b) => Cell::Truth(b),
+        }
+    }
+}
+
+/// True when the comparison holds.
+pub(crate) fn holds<N: PartialOrd>(comparison: Comparison, a: N, b: N) -> bool {
+    match comparison {
+        Comparison::Lt => a < b,
+        Comparison::Le => a <= b,
+        Comparison::Eq => a == b,
+        Comparison::Ne => a != b,
+    }
+}

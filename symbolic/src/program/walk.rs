@@ -1,0 +1,160 @@
+//! The loop nest, walked: the one place that says in which order a program's instructions run, over which pixels, and what
+//! becomes of their values.
+//!
+//! What comes in: a program and a [`Walk`], which says in which arithmetic, over which rows and pixels, and with how many lanes.
+//! What goes out: outputs and counts. [`crate::program::interpreter`] walks in the lanes of machine code, bit for bit;
+//! [`crate::proof::evaluate`] in exact arithmetic, at any numbers. It must never know: what an operation does (the table in
+//! [`crate::program::op`]), or where pixels come from.
+
+use crate::program::arithmetic::{Cell, Number};
+use crate::program::op::{Op, Opcode, apply};
+use crate::program::{ChannelId, CoordinateId, InputId, Level, PixelSet, Program, Sink, Value};
+
+/// A pixel of a row: its column, and the lane that sums it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Place {
+    pub column: usize,
+    pub lane: usize,
+}
+
+/// How a program is walked.
+pub(crate) trait Walk {
+    /// The arithmetic of pass and row and of their ends.
+    type Outer: Number;
+    /// That of the pixels.
+    type Inner: Number;
+
+    fn lanes(&self) -> usize;
+    fn rows(&self) -> usize;
+    /// The pixels of a row from the first of two numbers to the second, in the order of their sums.
+    fn places(&self, bounds: Option<[Self::Outer; 2]>) -> Vec<Place>;
+    fn input(&self, input: InputId) -> Self::Outer;
+    fn coordinate(&self, coordinate: CoordinateId, row: usize) -> Self::Outer;
+    /// The inner coordinate plus `c` at each of a row's places.
+    fn offset(&self, places: &[Place], c: Self::Outer) -> Vec<Self::Inner>;
+    fn pixel(&self, channel: ChannelId, column: usize, row: usize) -> Self::Inner;
+    /// What the pixel loop reads of a number that is known outside of it.
+    fn rounded(&self, x: Self::Outer) -> Self::Inner;
+    /// The lanes of a row's sum, together.
+    fn total(&self, lanes: &[Self::Inner]) -> Self::Outer;
+    /// A pixel takes part; `shown` is what it adds to a plane.
+    fn takes(&mut self, column: usize, row: usize, shown: Option<Self::Inner>);
+}
+
+/// What a walk hands back.
+pub(crate) struct Walked<N> {
+    /// Empty for a plane.
+    pub outputs: Vec<N>,
+    /// Pixels that took part.
+    pub pixels: u64,
+    /// Pixels of the set that were left out as saturated.
+    pub saturated: u64,
+}
+
+/// The instructions of a level.
+fn level(program: &Program, level: Level) -> Vec<(usize, Op)> {
+    let all = program.instructions.iter().enumerate();
+    all.filter(|(_, x)| x.level == level).map(|(i, x)| (i, x.op)).collect()
+}
+
+fn execute<N: Number>(ops: &[(usize, Op)], cells: &mut [Cell<N>], leaf: impl Fn(Op) -> N) {
+    for (i, op) in ops {
+        cells[*i] = apply(*op, cells, &leaf);
+    }
+}
+
+/// Walks a program over the pixels of `set`.
+pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
+    // The check refuses a leaf at another level than its own.
+    let nowhere = || W::Outer::from(f64::NAN);
+    let (row_level, row_end) = (level(program, Level::Row), level(program, Level::RowEnd));
+    let mut pixel_level = level(program, Level::Pixel);
+    let offsets: Vec<(usize, Value)> = pixel_level.iter().filter_map(|(i, op)| offset(op).map(|c| (*i, c))).collect();
+    pixel_level.retain(|(_, op)| op.code != Opcode::Offset);
+    let (accumulators, totals, outputs) = match &program.sink {
+        Sink::Sums { accumulators, totals, outputs } => (&accumulators[..], &totals[..], &outputs[..]),
+        Sink::Plane(_) => (&[][..], &[][..], &[][..]),
+    };
+    let contractions = program.contractions();
+    let factors = |i: usize| contractions.get(i).copied().flatten();
+    let mut cells = vec![Cell::Number(W::Outer::from(0.0)); program.instructions.len()];
+    let mut lanes = vec![Cell::Number(W::Inner::from(0.0)); program.instructions.len()];
+    let mut pass_totals = vec![W::Outer::from(0.0); totals.len()];
+    let mut walked = Walked { outputs: Vec::new(), pixels: 0, saturated: 0 };
+
+    let pass_level = level(program, Level::Pass);
+    execute(&pass_level, &mut cells, |op| match op.code {
+        Opcode::Input(input) => walk.input(input),
+        _ => nowhere(),
+    });
+    pass_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
+    for row in 0..walk.rows() {
+        execute(&row_level, &mut cells, |op| match op.code {
+            Opcode::Outer(c) => walk.coordinate(c, row),
+            _ => nowhere(),
+        });
+        row_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
+        let number = |v: Value| cells[v.index()].number();
+        let places = walk.places(set.bounds.map(|(lo, hi)| [number(lo), number(hi)]));
+        let along: Vec<_> = offsets.iter().map(|(i, c)| (*i, walk.offset(&places, number(*c)))).collect();
+        let mut sums = vec![vec![W::Inner::from(0.0); walk.lanes()]; accumulators.len()];
+        let mut used = 0;
+        for (at, Place { column, lane }) in places.into_iter().enumerate() {
+            along.iter().for_each(|(i, values)| lanes[*i] = Cell::Number(values[at]));
+            execute(&pixel_level, &mut lanes, |op| match op.code {
+                Opcode::Channel(channel) => walk.pixel(channel, column, row),
+                _ => W::Inner::from(f64::NAN),
+            });
+            let holds = |v: Value| lanes[v.index()].truth();
+            if !set.mask.is_none_or(holds) {
+                continue;
+            }
+            if set.saturated.is_some_and(holds) {
+                walked.saturated += 1;
+                continue;
+            }
+            used += 1;
+            let number = |v: Value| lanes[v.index()].number();
+            for (i, value) in accumulators.iter().enumerate() {
+                let sum = &mut sums[i][lane];
+                *sum = match factors(i) {
+                    Some((a, b)) => number(a).fma(number(b), *sum),
+                    None => *sum + number(*value),
+                };
+            }
+            let shown = match program.sink {
+                Sink::Plane(value) => Some(number(value)),
+                Sink::Sums { .. } => None,
+            };
+            walk.takes(column, row, shown);
+        }
+        // What a row without pixels knows may be NaN, which no product with an empty sum makes 0.
+        if used == 0 {
+            continue;
+        }
+        walked.pixels += used;
+        execute(&row_end, &mut cells, |op| match op.code {
+            Opcode::RowTotal(a) => walk.total(&sums[a.index()]),
+            Opcode::RowCount => W::Outer::from(used as f64),
+            _ => nowhere(),
+        });
+        for (total, value) in pass_totals.iter_mut().zip(totals) {
+            *total = *total + cells[value.index()].number();
+        }
+    }
+    execute(&level(program, Level::PassEnd), &mut cells, |op| match op.code {
+        Opcode::PassTotal(t) => pass_totals[t.index()],
+        Opcode::PassCount => W::Outer::from(walked.pixels as f64),
+        _ => nowhere(),
+    });
+    walked.outputs = outputs.iter().map(|v| cells[v.index()].number()).collect();
+    walked
+}
+
+/// What an offset is from the inner coordinate.
+fn offset(op: &Op) -> Option<Value> {
+    match op.parts() {
+        (Opcode::Offset, &[c]) => Some(c),
+        _ => None,
+    }
+}

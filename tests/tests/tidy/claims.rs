@@ -1,0 +1,92 @@
+//! Sentences of the documentation that would go stale unnoticed: what the build lacks, which commands work alone, how many
+//! models are shipped.
+
+use crate::examples::OFFLINE;
+use crate::markdown::prose;
+use crate::{File, expect_none, files};
+
+/// What stands between backticks in one paragraph or line.
+fn code(text: &str) -> Vec<&str> {
+    text.split('`').skip(1).step_by(2).collect()
+}
+
+/// Paths that the service answers with 501, as its table of routes has them.
+fn absent(routes: &str) -> Vec<&str> {
+    let lines = routes.lines().filter(|line| line.contains("absent("));
+    lines.filter_map(|line| line.split("route(\"").nth(1)?.split('"').next()).collect()
+}
+
+/// A path of the documentation that nobody answers with 501, or one that is answered so and not told.
+fn wrong_absence(page: &str, routes: &str) -> Vec<String> {
+    let section = page.split("\n## ").find(|section| section.starts_with("Not in this build")).unwrap_or_default();
+    let told = code(section);
+    let absent = absent(routes);
+    let unknown = told.iter().filter(|path| !absent.contains(path)).map(|path| format!("{path} is in this build"));
+    let untold = absent.iter().filter(|path| !told.contains(path)).map(|path| format!("{path} is not in this build"));
+    unknown.chain(untold).collect()
+}
+
+/// Commands that the page says to need no service and that do, or the other way round.
+fn wrong_company(page: &str) -> Vec<String> {
+    let Some(sentence) = page.split(". ").find(|sentence| sentence.contains("need no service")) else {
+        return vec!["no sentence says which commands need no service".into()];
+    };
+    let told: Vec<&str> = code(sentence);
+    let alone: Vec<&str> = OFFLINE.into_iter().filter(|command| !command.starts_with("--")).collect();
+    let unknown = told.iter().filter(|one| !alone.iter().any(|command| one.starts_with(command)));
+    let untold = alone.iter().filter(|command| !told.iter().any(|one| one.starts_with(**command)));
+    let unknown = unknown.map(|one| format!("`{one}` needs a service"));
+    unknown.chain(untold.map(|one| format!("`{one}` needs no service"))).collect()
+}
+
+/// Numbers of models, in digits and words, that are not the number of documents.
+fn wrong_numbers(document: &File, models: usize) -> Vec<String> {
+    const WORDS: [&str; 11] =
+        ["twenty", "thirty", "ten", "eleven", "twelve", "fifteen", "sixteen", "eighteen", "nineteen", "forty", "fifty"];
+    let text = prose(&document.text).to_lowercase();
+    let words: Vec<&str> = text.split(|c: char| !c.is_alphanumeric() && c != '-').filter(|w| !w.is_empty()).collect();
+    let counts =
+        words.windows(3).filter(|three| three[1..] == ["models", "are"] || three[1..] == ["shipped", "models"]);
+    let wrong = counts.filter(|three| {
+        let spelled = WORDS.iter().any(|word| three[0].starts_with(word));
+        spelled || three[0].parse::<usize>().is_ok_and(|count| count != models)
+    });
+    wrong.map(|three| format!("{}: {}: there are {models}", document.path, three.join(" "))).collect()
+}
+
+#[test]
+fn what_the_build_lacks_is_what_it_answers_so() {
+    let read = |path| files(&[path]).remove(0).text;
+    expect_none("docs/api.md", &wrong_absence(&read("docs/api.md"), &read("server/src/routes/mod.rs")));
+}
+
+#[test]
+fn commands_that_work_alone_are_those_that_examples_run_alone() {
+    expect_none("docs/api.md", &wrong_company(&files(&["docs/api.md"]).remove(0).text));
+}
+
+#[test]
+fn shipped_models_are_counted_rightly_or_not_at_all() {
+    let is_shipped = |file: &File| file.path.starts_with("models/");
+    let models = files(&[".toml"]).into_iter().filter(is_shipped).count();
+    let found: Vec<String> = files(&[".md"]).iter().flat_map(|document| wrong_numbers(document, models)).collect();
+    expect_none("numbers of models", &found);
+}
+
+#[test]
+fn planted_faults_are_caught() {
+    let routes = ".route(\"/a\", get(|| absent(\"a\")))\n.route(\"/b\", get(list))";
+    let page = |told: &str| format!("# x\n## Not in this build\n\n{told}\n\n## y\n`/z`");
+    assert!(wrong_absence(&page("`/a`"), routes).is_empty());
+    assert_eq!(wrong_absence(&page("`/a`, `/b`"), routes).len(), 1);
+    assert_eq!(wrong_absence(&page("nothing"), routes).len(), 1);
+    let alone = "`model check`, `model explain`, `model export`, `fit`, `render`, `tune`, `compare`";
+    assert_eq!(wrong_company(&format!("A. {alone} need no service. B")), ["`calibrate` needs no service"]);
+    assert_eq!(wrong_company(&format!("{alone}, `calibrate colours` and `watch` need no service.")).len(), 1);
+    assert_eq!(wrong_company("Nothing."), ["no sentence says which commands need no service"]);
+    let counted = |text: &str| wrong_numbers(&File { path: "a.md".into(), text: text.into() }, 25).len();
+    assert_eq!(
+        ["Twenty models are shipped", "all 24 shipped models", "25 models are", "two models are"].map(counted),
+        [1, 1, 0, 0]
+    );
+}

@@ -1,0 +1,151 @@
+//! One word for one thing: no two files define types of one name, and no public function is told by `true` and `false`.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::sources::{code_only, without_tests};
+use crate::{File, expect_none, files};
+
+/// What is shipped; benchmarks and tests name their own things.
+const SHIPPED: [&str; 11] = [
+    "symbolic/src/",
+    "symbolic/export/src/",
+    "symbolic/notation/src/",
+    "jit/src/",
+    "tracker/frame/src/",
+    "tracker/src/",
+    "capture/src/",
+    "server/src/",
+    "server/wire/src/",
+    "server/machine/src/",
+    "client/src/",
+];
+
+/// Names that stand for several things still; the list only ever becomes shorter.
+#[rustfmt::skip]
+const KNOWN: &[&str] = &[
+    "Camera", "Encoding", "Entry", "Estimate", "Fault", "Form", "Format", "Formulas", "Found", "Key", "Kind",
+    "Layout", "Light", "Limits", "ListArgs", "Mask", "Media", "Motion", "NameArgs", "Node", "Numbers", "Offset",
+    "Origin", "Outcome", "Output", "Pace", "Picture", "Place", "Plan", "Point", "Problem", "Profile", "Random",
+    "Region", "Sample", "Scene", "Schedule", "Service", "Shape", "Source", "Step", "Stream", "Sums", "Target",
+    "Window",
+];
+
+/// Functions that take a truth value, and why an enum would not say more.
+const TOLD: &[(&str, &str, &str)] = &[
+    ("symbolic/src/program/elementary/counter.rs", "new", "the field of that name"),
+    ("symbolic/src/language/elaborate/conditions.rs", "logic", "a truth value of the document's language, not a mode"),
+    ("server/src/session/status.rs", "state", "an observation that it reports, not a mode"),
+    ("symbolic/src/program/peephole.rs", "improve", STILL),
+    ("symbolic/src/language/parser/recovery.rs", "tell_implicit", STILL),
+    ("symbolic/src/derive/objective.rs", "variance", STILL),
+    ("symbolic/src/derive/search.rs", "fewest_flops", STILL),
+    ("symbolic/src/derive/monomial.rs", "form", STILL),
+    ("symbolic/src/derive/likelihood.rs", "jet", STILL),
+    ("symbolic/src/derive/absorb.rs", "absorb", STILL),
+    ("symbolic/src/derive/jet.rs", "jet", STILL),
+    ("symbolic/src/derive/jet.rs", "totals", STILL),
+    ("symbolic/export/src/spelling.rs", "declare", STILL),
+    ("symbolic/export/src/vectors.rs", "operation", STILL),
+    ("tracker/src/sight/colours.rs", "sorted", STILL),
+    ("tracker/src/track/reconsider.rs", "reconsidered", STILL),
+    ("tracker/src/track/evidence.rs", "log_likelihood", STILL),
+    ("tracker/src/solve/alternatives/blind.rs", "of", STILL),
+    ("tracker/src/solve/alternatives/residuals.rs", "residuals", STILL),
+    ("server/src/session/swap.rs", "options", STILL),
+];
+
+/// No reason: the list only ever becomes shorter.
+const STILL: &str = "not mended yet";
+
+/// The word behind each of `heads` where it begins a word of the code, with all that stands behind it.
+fn behind<'a>(code: &'a str, head: &'a str) -> impl Iterator<Item = (&'a str, &'a str, &'a str)> {
+    let starts =
+        code.match_indices(head).filter(|(at, _)| !code[..*at].ends_with(|c: char| c.is_alphanumeric() || c == '_'));
+    starts.filter_map(move |(at, _)| {
+        let rest = &code[at + head.len()..];
+        let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_')?;
+        let line = code[..at].rsplit('\n').next().unwrap_or_default();
+        (end > 0).then_some((line, &rest[..end], &rest[end..]))
+    })
+}
+
+/// Types that others than their file may name.
+fn public_types(code: &str) -> BTreeSet<&str> {
+    let heads = ["struct ", "enum ", "trait ", "union ", "type "];
+    let of = |head| behind(code, head).filter(|(line, ..)| line.trim_start().starts_with("pub"));
+    heads.into_iter().flat_map(of).map(|(_, name, _)| name).collect()
+}
+
+/// Names with the files that define a type of it, where there are several.
+fn shared_names(files: &[(String, String)]) -> BTreeMap<String, Vec<&str>> {
+    let mut places: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    for (path, code) in files {
+        public_types(code).into_iter().for_each(|name| places.entry(name.to_string()).or_default().push(path));
+    }
+    places.retain(|_, paths| paths.len() > 1);
+    places
+}
+
+/// Public functions that take a `bool`.
+fn told(code: &str) -> Vec<&str> {
+    let is_public = |line: &str| line.trim_start().starts_with("pub");
+    let parameters = |rest: &str| -> String {
+        let open = rest.find('(').unwrap_or(0);
+        let mut depth = 0;
+        let inside = |c: &char| {
+            depth += i32::from(*c == '(') - i32::from(*c == ')');
+            depth > 0
+        };
+        rest[open..].chars().take_while(inside).filter(|c| !c.is_whitespace()).collect()
+    };
+    let functions = behind(code, "fn ").filter(|(line, ..)| is_public(line));
+    functions
+        .filter(|(.., rest)| parameters(rest).split(',').any(|one| one.ends_with(":bool")))
+        .map(|(_, name, _)| name)
+        .collect()
+}
+
+fn shipped() -> Vec<(String, String)> {
+    let is_shipped =
+        |file: &File| SHIPPED.iter().any(|folder| file.path.starts_with(folder)) && !file.path.contains("tests");
+    let code = |file: File| (file.path, without_tests(&code_only(&file.text)));
+    files(&[".rs"]).into_iter().filter(is_shipped).map(code).collect()
+}
+
+#[test]
+fn a_type_has_a_name_of_its_own() {
+    let shipped = shipped();
+    let shared = shared_names(&shipped);
+    let new = shared.iter().filter(|(name, _)| !KNOWN.contains(&name.as_str()));
+    let mut found: Vec<String> = new.map(|(name, paths)| format!("{name}: {}", paths.join(", "))).collect();
+    let stale = KNOWN.iter().filter(|name| !shared.contains_key(**name));
+    found.extend(stale.map(|name| format!("{name} is one thing by now: take it off the list")));
+    expect_none("names of several things", &found);
+}
+
+#[test]
+fn public_functions_take_no_truth_values() {
+    let (mut found, mut used) = (Vec::new(), BTreeSet::new());
+    for (path, code) in &shipped() {
+        for name in told(code) {
+            match TOLD.iter().find(|(known, function, _)| known == path && *function == name) {
+                Some(known) => drop(used.insert(known)),
+                None => found.push(format!("{path}: {name}")),
+            }
+        }
+    }
+    let stale = TOLD.iter().filter(|known| !used.contains(known));
+    found.extend(stale.map(|(path, name, _)| format!("{path}: {name} takes none: take it off the list")));
+    expect_none("functions told by true and false", &found);
+}
+
+#[test]
+fn planted_faults_are_caught() {
+    let file = |path: &str, code: &str| (path.to_string(), code.to_string());
+    let shared = |a: &str, b: &str| shared_names(&[file("a.rs", a), file("b.rs", b)]).into_keys().collect::<Vec<_>>();
+    assert_eq!(shared("pub struct Light {}", "pub(crate) enum Light { On }"), ["Light"]);
+    assert_eq!(shared("pub struct Light {}", "struct Light;\npub struct Lights;"), Vec::<String>::new());
+    assert_eq!(told("pub fn f(&self, a: u8, b: bool) {}"), ["f"]);
+    assert_eq!(told("    pub(crate) async fn f<A: Into<B>>(\n        a: A,\n        b: bool,\n    ) {}"), ["f"]);
+    assert_eq!(told("fn f(a: bool) {}\npub fn g(a: &dyn Fn(u8) -> bool) -> bool {}"), Vec::<&str>::new());
+}

@@ -1,0 +1,87 @@
+//! `Budget`: how much work a frame may cost, and whether anybody still wants it.
+//!
+//! What comes in: units of work as they are spent, and a [`Watch`] that may end it at any time. What goes out: go on, or why
+//! not. It never knows what the work is, nor a clock: who has one looks at it in the watch.
+//!
+//! A unit is one pixel of one pass. What works on no pixels is charged by the pixels that take about as long.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Why work ends before it is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// It took too much.
+    Budget,
+    /// Nobody wants it any more.
+    Cancelled,
+}
+
+/// Asked before every pass and every step of a search; `None`: go on.
+pub type Watch<'a> = &'a (dyn Fn() -> Option<Stop> + Sync);
+
+/// Takes units before they are worked, or says why there is to be no more work.
+pub(crate) type Spend<'a> = &'a dyn Fn(u64) -> Result<(), Stop>;
+
+/// Units that a frame may cost where nothing else is said: minutes of one processor.
+pub const WORK_MAX: u64 = 1 << 38;
+
+/// The bound of one frame.
+pub(crate) struct Budget<'a> {
+    watch: Watch<'a>,
+    left: AtomicU64,
+    stopped: OnceLock<Stop>,
+}
+
+impl<'a> Budget<'a> {
+    /// `work` units, while `watch` goes on.
+    pub fn new(work: u64, watch: Watch<'a>) -> Budget<'a> {
+        Budget { watch, left: AtomicU64::new(work), stopped: OnceLock::new() }
+    }
+
+    /// Takes units before they are worked.
+    ///
+    /// # Errors
+    /// Why no more work is to be done; from the first time on always the same.
+    pub fn spend(&self, units: u64) -> Result<(), Stop> {
+        if let Some(stop) = self.stopped() {
+            return Err(stop);
+        }
+        let enough = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(units));
+        let stop = if enough.is_err() { Some(Stop::Budget) } else { (self.watch)() };
+        match stop {
+            Some(stop) => Err(*self.stopped.get_or_init(|| stop)),
+            None => Ok(()),
+        }
+    }
+
+    /// Why it ended, when it did.
+    pub fn stopped(&self) -> Option<Stop> {
+        self.stopped.get().copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_budget_ends_at_its_last_unit_and_stays_so() {
+        for (work, third) in [(29, Err(Stop::Budget)), (30, Ok(())), (31, Ok(()))] {
+            let budget = Budget::new(work, &|| None);
+            assert_eq!((budget.spend(10), budget.spend(10), budget.spend(10)), (Ok(()), Ok(()), third), "{work}");
+        }
+        let budget = Budget::new(5, &|| None);
+        assert_eq!((budget.spend(6), budget.spend(1)), (Err(Stop::Budget), Err(Stop::Budget)));
+    }
+
+    #[test]
+    fn a_watch_ends_it_for_good() {
+        let asked = AtomicU64::new(0);
+        let once = || (asked.fetch_add(1, Ordering::Relaxed) == 1).then_some(Stop::Cancelled);
+        let budget = Budget::new(100, &once);
+        assert_eq!(budget.spend(1), Ok(()));
+        assert_eq!((budget.spend(1), budget.spend(1)), (Err(Stop::Cancelled), Err(Stop::Cancelled)));
+        assert_eq!(budget.stopped(), Some(Stop::Cancelled));
+    }
+}

@@ -1,0 +1,125 @@
+//! `View`: the part of a picture that is looked at, with the limits of its pixels.
+//!
+//! What comes in: planes, a window, the value at which pixels are clipped. What goes out: the same, with what follows from it
+//! for kernels. It never knows what is looked for.
+
+use isophote_jit::{PixelFormat, PlaneView, Window};
+use isophote_symbolic::Precision;
+
+use crate::budget::{Budget, Stop};
+use crate::sight::clipping::clipping;
+use crate::sight::grey::{Grey, Mixture};
+
+/// How the pixels of a frame lie in memory, as far as a kernel is made for it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Layout {
+    pub formats: Vec<PixelFormat>,
+    pub packed: bool,
+}
+
+impl Layout {
+    /// The layout of some planes.
+    pub fn of(planes: &[PlaneView]) -> Layout {
+        Layout {
+            formats: planes.iter().map(|plane| plane.format()).collect(),
+            packed: planes.iter().all(|plane| plane.pixel_stride() == plane.format().bytes_per_pixel()),
+        }
+    }
+
+    /// That of so many planes of one format: packed when there is one, else interleaved.
+    pub fn of_format(format: PixelFormat, planes: usize) -> Layout {
+        Layout { formats: vec![format; planes], packed: planes == 1 }
+    }
+}
+
+/// The largest pixel value of a format: the camera's limit where nothing else is known.
+pub(crate) fn largest_value(format: PixelFormat) -> f64 {
+    match format {
+        PixelFormat::U8 => f64::from(u8::MAX),
+        PixelFormat::U16 => f64::from(u16::MAX),
+        PixelFormat::F32 | PixelFormat::F64 => f64::INFINITY,
+    }
+}
+
+/// What a fit looks at.
+pub(crate) struct View<'a> {
+    pub planes: Vec<PlaneView<'a>>,
+    pub window: Window,
+    /// One limit a plane.
+    pub saturation: Vec<f64>,
+    /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
+    /// a step below it on.
+    pub limits: Vec<f64>,
+    pub layout: Layout,
+    /// What the lane's rounding does to a residual, in pixel values.
+    pub rounding: f64,
+    /// Of the frame; none where nothing bounds it.
+    pub budget: Option<&'a Budget<'a>>,
+}
+
+impl<'a> View<'a> {
+    /// Planes of one size; the window lies inside. `saturation`: one limit a plane.
+    pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Vec<f64>, precision: Precision) -> View<'a> {
+        let largest =
+            planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
+        let lane = match precision {
+            Precision::F32 => f64::from(f32::EPSILON),
+            Precision::F64 => f64::EPSILON,
+        };
+        let layout = Layout::of(&planes);
+        let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
+        let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
+        View { planes, window, saturation, limits, layout, rounding: lane * largest, budget: None }
+    }
+}
+
+impl<'a> View<'a> {
+    /// The same part of a copy of the picture in fractions, with the limits that pixels were rounded to.
+    pub fn with_planes<'b>(&self, planes: Vec<PlaneView<'b>>, precision: Precision) -> View<'b>
+    where
+        'a: 'b,
+    {
+        let mut view = View::new(planes, self.window, vec![f64::INFINITY; self.saturation.len()], precision);
+        view.saturation.clone_from(&self.limits);
+        view.limits.clone_from(&self.limits);
+        view.rounding = self.rounding;
+        view.budget = self.budget;
+        view
+    }
+
+    /// Takes the work of a pass over so many pixels.
+    ///
+    /// # Errors
+    /// Why there is to be no further pass.
+    pub fn spend(&self, pixels: usize) -> Result<(), Stop> {
+        self.budget.map_or(Ok(()), |budget| budget.spend(pixels as u64))
+    }
+
+    /// Pixels are integers.
+    pub fn holds_whole_values(&self) -> bool {
+        self.planes.iter().all(is_whole)
+    }
+}
+
+/// The limit of one plane of a camera of which nothing is known: where the pixels show that they are clipped, else the
+/// largest value of the format.
+pub(crate) fn limit(plane: &PlaneView, window: Window) -> f64 {
+    clipping(plane, window).unwrap_or(largest_value(plane.format()))
+}
+
+fn is_whole(plane: &PlaneView) -> bool {
+    matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16)
+}
+
+/// A magnitude that pixel values do not exceed; floats without a limit are looked at.
+fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
+    if limit.is_finite() {
+        return limit.abs();
+    }
+    Grey::read(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1))
+        .values
+        .into_iter()
+        .map(f64::abs)
+        .filter(|value| value.is_finite())
+        .fold(0.0, f64::max)
+}

@@ -1,0 +1,362 @@
+//! `StageKernels`: a model's programs, and their kernels for the pixel layouts that were met so far.
+//!
+//! What comes in: a checked model. What goes out: kernels, compiled when first asked for and shared by all trackers of the
+//! model. It never knows a frame's pixels.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, has_fma};
+use isophote_symbolic::{
+    Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Stage, Summand, ValueKind,
+};
+
+use crate::sight::view::Layout;
+use crate::solve::loops::Loops;
+use crate::solve::trust::Curvature;
+use crate::solve::workers::Workers;
+
+/// Why a model cannot run here.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum CompileFailure {
+    /// The document asks for something that this build cannot do, or for too much.
+    #[error("{}", messages(.0))]
+    Model(Diagnostics),
+    /// A kernel could not be made; not the document's fault.
+    #[error("a kernel could not be compiled: {0}")]
+    Kernel(Arc<CompileError>),
+}
+
+fn messages(diagnostics: &Diagnostics) -> String {
+    diagnostics.iter().map(|diagnostic| diagnostic.message.as_str()).collect::<Vec<_>>().join("; ")
+}
+
+/// Whether a kernel looks for saturated pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Control {
+    /// It does not; for frames without them.
+    Plain,
+    /// It leaves them out and counts them; where they are censored, kernels of their own sum them.
+    Dropping,
+    /// It leaves pixels out that are no numbers as well; for pictures that are blind in places.
+    Blind,
+}
+
+/// What a kernel sums.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Job {
+    /// F, gradient and Hessian of that stage.
+    Stage(usize),
+    /// F, gradient and Gauss–Newton Hessian for the parameters of the last stage: the covariance.
+    Covariance,
+    /// F with the weights of the entry parameters.
+    Value,
+    /// F with ln σ², and χ²: the report of models with noise.
+    Report,
+}
+
+/// A sum for one of the model's summands.
+struct Part {
+    /// Which of the sums.
+    sum: usize,
+    is_clipped: bool,
+    plain: Program,
+    dropping: Program,
+    objective: Objective,
+}
+
+/// What is derived of a model. Jobs that ask for the same sum share it: stages that free the same parameters, the covariance
+/// and a last stage with a Gauss–Newton Hessian.
+struct Derived {
+    parts: Vec<Part>,
+    /// The sum that serves each job.
+    jobs: Vec<(Job, usize)>,
+}
+
+struct Ready {
+    /// Index into the parts.
+    part: usize,
+    control: Control,
+    precision: Precision,
+    layout: Layout,
+    kernel: Arc<Kernel>,
+}
+
+/// A model's kernels for all stages.
+pub struct StageKernels {
+    model: Arc<Model>,
+    precision: Precision,
+    derived: Arc<Derived>,
+    cache: Arc<KernelCache>,
+    ready: Mutex<Vec<Ready>>,
+}
+
+/// Kernels held; beyond, the oldest is let go (an unusual mixture of pixel formats, or a hostile one).
+const KERNELS_MAX: usize = 512;
+
+impl StageKernels {
+    /// Derives all programs of the model's stages by `workers`. Kernels follow when a pixel layout is known.
+    ///
+    /// # Errors
+    /// When the document asks for what this build cannot do.
+    pub fn new(
+        model: Arc<Model>,
+        precision: Precision,
+        cache: Arc<KernelCache>,
+        workers: &dyn Workers,
+    ) -> Result<StageKernels, CompileFailure> {
+        let derived = Arc::new(Derived::of(&model, workers)?);
+        Ok(StageKernels { model, precision, derived, cache, ready: Mutex::default() })
+    }
+
+    /// The same programs and cache, holding no kernel yet.
+    pub fn share(&self) -> StageKernels {
+        let (model, derived, cache) = (self.model.clone(), self.derived.clone(), self.cache.clone());
+        StageKernels { model, precision: self.precision, derived, cache, ready: Mutex::default() }
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// Arithmetic of the pixel loops.
+    pub fn precision(&self) -> Precision {
+        self.precision
+    }
+
+    /// The kernels' cache.
+    pub(crate) fn cache(&self) -> &Arc<KernelCache> {
+        &self.cache
+    }
+
+    /// The free parameters of a stage, in the order of its sums.
+    pub(crate) fn order(&self, stage: usize) -> &[ParameterId] {
+        let sum = self.derived.sum_of(Job::Stage(stage));
+        let part = self.derived.parts.iter().find(|part| Some(part.sum) == sum);
+        part.map_or(&[], |part| part.objective.subset())
+    }
+
+    /// Free parameters of the last stage.
+    pub(crate) fn last_parameters(&self) -> &[ParameterId] {
+        self.model.stages().last().map_or(&[], |stage| &stage.parameters)
+    }
+
+    /// Compiles every kernel for frames whose planes all have this format: packed when there is one, else interleaved.
+    ///
+    /// # Errors
+    /// When a kernel cannot be made.
+    pub fn warm(&self, format: PixelFormat, workers: &dyn Workers) -> Result<(), CompileFailure> {
+        let layout = Layout::of_format(format, self.model.channels().len());
+        self.warm_for(&layout, &[Control::Plain, Control::Dropping], workers)
+    }
+
+    /// Compiles every kernel for a layout and some controls.
+    pub(crate) fn warm_for(
+        &self,
+        layout: &Layout,
+        controls: &[Control],
+        workers: &dyn Workers,
+    ) -> Result<(), CompileFailure> {
+        let each = |part: usize| {
+            // Pixels at their limit are looked at when there are some.
+            let clipped = self.derived.parts[part].is_clipped;
+            let controls = controls.iter().filter(move |control| !clipped || **control != Control::Plain);
+            controls.map(move |control| (part, *control))
+        };
+        let variants: Vec<(usize, Control)> = (0..self.derived.parts.len()).flat_map(each).collect();
+        let compiled = all(variants.len(), workers, &|i| {
+            let (part, control) = variants[i];
+            self.kernel(part, control, self.precision, layout).map(drop)
+        });
+        compiled.map(drop)
+    }
+
+    /// The kernels for a job, compiled now if need be.
+    pub(crate) fn loops(&self, job: Job, control: Control, layout: &Layout) -> Result<Loops, CompileFailure> {
+        self.loops_in(self.precision, job, control, layout)
+    }
+
+    /// The same in another arithmetic.
+    pub(crate) fn loops_in(
+        &self,
+        precision: Precision,
+        job: Job,
+        control: Control,
+        layout: &Layout,
+    ) -> Result<Loops, CompileFailure> {
+        let sum = self.derived.sum_of(job);
+        let mut loops = Loops { seen: Vec::new(), clipped: Vec::new() };
+        for (index, part) in self.derived.parts.iter().enumerate().filter(|(_, part)| Some(part.sum) == sum) {
+            match part.is_clipped {
+                false => loops.seen.push(self.kernel(index, control, precision, layout)?),
+                true if control == Control::Plain => {}
+                true => loops.clipped.push(self.kernel(index, control, precision, layout)?),
+            }
+        }
+        Ok(loops)
+    }
+
+    /// The kernel of a part, compiled now if need be.
+    fn kernel(
+        &self,
+        index: usize,
+        control: Control,
+        precision: Precision,
+        layout: &Layout,
+    ) -> Result<Arc<Kernel>, CompileFailure> {
+        let part = &self.derived.parts[index];
+        // Pixels at their limit are numbers.
+        let control = if part.is_clipped { Control::Plain } else { control };
+        let find = |ready: &[Ready]| {
+            let is_alike = |r: &Ready| r.part == index && r.control == control && r.precision == precision;
+            let same = |r: &&Ready| is_alike(r) && r.layout == *layout;
+            ready.iter().find(same).map(|r| r.kernel.clone())
+        };
+        if let Some(kernel) = find(&self.ready.lock().unwrap_or_else(PoisonError::into_inner)) {
+            return Ok(kernel);
+        }
+        // Outside of the lock: it may take milliseconds.
+        let skipping;
+        let program = match control {
+            Control::Plain => &part.plain,
+            Control::Dropping => &part.dropping,
+            Control::Blind => {
+                skipping = part.objective.skipping_nan().program(lowering(control)).map_err(CompileFailure::Model)?;
+                &skipping
+            }
+        };
+        let options = KernelOptions { precision, formats: layout.formats.clone(), packed: layout.packed };
+        let kernel = self.cache.get_or_compile(program, &options);
+        let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
+        let mut ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);
+        if find(&ready).is_none() {
+            if ready.len() == KERNELS_MAX {
+                ready.remove(0);
+            }
+            ready.push(Ready { part: index, control, precision, layout: layout.clone(), kernel: kernel.clone() });
+        }
+        Ok(kernel)
+    }
+}
+
+/// What each number gives, or the first fault.
+fn all<T: Send + Sync>(
+    count: usize,
+    workers: &dyn Workers,
+    make: &(dyn Fn(usize) -> Result<T, CompileFailure> + Sync),
+) -> Result<Vec<T>, CompileFailure> {
+    let made: Vec<Mutex<Option<Result<T, CompileFailure>>>> = (0..count).map(|_| Mutex::default()).collect();
+    // From the end: see `Derived::of`.
+    workers.each(count, &|i| {
+        let i = count - 1 - i;
+        *made[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(make(i));
+    });
+    // Whom the workers left out is done here.
+    let each = made.into_iter().enumerate();
+    each.map(|(i, one)| one.into_inner().unwrap_or_else(PoisonError::into_inner).unwrap_or_else(|| make(i))).collect()
+}
+
+/// Something to sum over pixels.
+#[derive(Clone)]
+enum Sum {
+    /// F, gradient and Hessian, in this order of the parameters.
+    Derivatives(Vec<ParameterId>, Curvature),
+    Value(ValueKind),
+}
+
+impl Sum {
+    fn of(model: &Model, job: Job) -> Sum {
+        let last = || model.stages().last().map_or(&[][..], |stage| &stage.parameters);
+        match job {
+            Job::Stage(index) => {
+                let Stage { parameters, method, .. } = &model.stages()[index];
+                Sum::Derivatives(parameters.clone(), curvature(*method))
+            }
+            Job::Covariance => Sum::Derivatives(last().to_vec(), Curvature::GaussNewton),
+            Job::Value => Sum::Value(ValueKind::Entry),
+            Job::Report => Sum::Value(ValueKind::Full),
+        }
+    }
+
+    /// True when the other one's outputs are these, in whatever order.
+    fn serves(&self, other: &Sum) -> bool {
+        match (self, other) {
+            (Sum::Derivatives(a, curvature), Sum::Derivatives(b, wanted)) => {
+                curvature == wanted && a.len() == b.len() && a.iter().all(|parameter| b.contains(parameter))
+            }
+            (Sum::Value(a), Sum::Value(b)) => a == b,
+            _ => false,
+        }
+    }
+}
+
+impl Derived {
+    /// The sums of every job of a model, each of them once, for each of its summands.
+    fn of(model: &Model, workers: &dyn Workers) -> Result<Derived, CompileFailure> {
+        // The last stage comes first: its order of parameters is that of the covariance.
+        let mut jobs: Vec<Job> = (0..model.stages().len()).rev().map(Job::Stage).collect();
+        jobs.extend((!jobs.is_empty()).then_some(Job::Covariance));
+        jobs.push(Job::Value);
+        if model.has_noise() {
+            jobs.push(Job::Report);
+        }
+        let mut sums: Vec<Sum> = Vec::new();
+        let served = jobs.into_iter().map(|job| {
+            let wanted = Sum::of(model, job);
+            let known = sums.iter().position(|sum| sum.serves(&wanted));
+            (job, known.unwrap_or_else(|| (sums.len(), sums.push(wanted)).0))
+        });
+        let jobs = served.collect();
+        let summands = model.summands();
+        // The last stage has the most parameters, and work is begun at the end: nobody waits for it alone.
+        let order: Vec<usize> = (0..sums.len()).rev().collect();
+        let parts = all(order.len() * summands.len(), workers, &|i| {
+            let sum = order[i / summands.len()];
+            part(&summands[i % summands.len()], sum, &sums[sum])
+        })?;
+        Ok(Derived { parts, jobs })
+    }
+
+    fn sum_of(&self, job: Job) -> Option<usize> {
+        self.jobs.iter().find(|(known, _)| *known == job).map(|(_, sum)| *sum)
+    }
+}
+
+/// The programs of a sum.
+fn part(Summand { model, is_clipped }: &Summand, sum: usize, what: &Sum) -> Result<Part, CompileFailure> {
+    let objective = match what {
+        Sum::Derivatives(parameters, Curvature::Full) => model.objective(parameters, Method::Newton),
+        Sum::Derivatives(parameters, Curvature::GaussNewton) => model.objective(parameters, Method::GaussNewton),
+        Sum::Value(kind) => model.value_objective(*kind),
+    };
+    let objective = objective.map_err(CompileFailure::Model)?;
+    let lowered = |control| objective.program(lowering(control)).map_err(CompileFailure::Model);
+    let (plain, dropping) = (lowered(Control::Plain)?, lowered(Control::Dropping)?);
+    Ok(Part { sum, is_clipped: *is_clipped, plain, dropping, objective })
+}
+
+/// How programs are lowered on this machine.
+pub(crate) fn lowering(control: Control) -> Lowering {
+    Lowering { fma: has_fma(), drop_saturated: control != Control::Plain }
+}
+
+/// Which F a stage's steps are compared by. Newton differentiates the variance as well, so its F has ln σ² and variances of
+/// its own; the others hold them at the entry parameters.
+pub(crate) fn value_kind(model: &Model, method: Method) -> ValueKind {
+    match curvature(method) {
+        Curvature::Full if model.has_noise() => ValueKind::Full,
+        _ => ValueKind::Entry,
+    }
+}
+
+/// Which Hessian a method asks for.
+pub(crate) fn curvature(method: Method) -> Curvature {
+    match method {
+        Method::Newton => Curvature::Full,
+        Method::GaussNewton | Method::LevenbergMarquardt => Curvature::GaussNewton,
+    }
+}
+
+#[cfg(test)]
+#[path = "stage_kernels_tests.rs"]
+mod tests;

@@ -1,0 +1,78 @@
+//! `Course`: position and velocity of one coordinate, with their covariance.
+//!
+//! What comes in: measured positions. What goes out: the state at other times. It never knows what its errors teach.
+//!
+//! The acceleration is white noise of spectral density q, unit²/s³, so that over a time t (Bar-Shalom, Li and Kirubarajan,
+//! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2)
+//! ```text
+//! p ← p + t v      Q = q [t³/3  t²/2]      a measurement:  z = p + e,  var e = r
+//!                        [t²/2  t   ]
+//! ```
+//! Many short steps come to the same as a long one. With noise that is constant through a step (t⁴/4, t³/2, t²) they do
+//! not, and precise measurements drive the velocity's gain to 2/t, where the filter rings.
+
+/// At one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Course {
+    /// px or mm.
+    pub position: f64,
+    /// A second.
+    pub velocity: f64,
+    pub variance: f64,
+    pub covariance: f64,
+    pub velocity_variance: f64,
+}
+
+impl Course {
+    /// Of something just seen; `speed`: the standard deviation of velocities that are thought possible.
+    pub fn begin(position: f64, variance: f64, speed: f64) -> Course {
+        Course { position, velocity: 0.0, variance, covariance: 0.0, velocity_variance: speed * speed }
+    }
+
+    /// After a time, with accelerations of density q.
+    pub fn after(&self, time_s: f64, q: f64) -> Course {
+        let (t, turned) = (time_s, time_s * self.velocity_variance);
+        Course {
+            position: self.position + t * self.velocity,
+            velocity: self.velocity,
+            variance: self.variance + t * (2.0 * self.covariance + turned) + q * t.powi(3) / 3.0,
+            covariance: self.covariance + turned + q * t * t / 2.0,
+            velocity_variance: self.velocity_variance + q * t,
+        }
+    }
+
+    /// With a measurement of variance r taken in, by Joseph's form, which stays positive definite.
+    pub fn seeing(&self, position: f64, r: f64) -> Course {
+        let spread = self.variance + r;
+        let (near, turn) = (self.variance / spread, self.covariance / spread);
+        let (off, rest) = (position - self.position, 1.0 - near);
+        Course {
+            position: self.position + near * off,
+            velocity: self.velocity + turn * off,
+            variance: rest * rest * self.variance + near * near * r,
+            covariance: rest * (self.covariance - turn * self.variance) + near * turn * r,
+            velocity_variance: self.velocity_variance - 2.0 * turn * self.covariance
+                + turn * turn * (self.variance + r),
+        }
+    }
+
+    /// After an impulse: a velocity that is less sure by `variance`, which a time ago began to tell in the position.
+    pub fn struck(&self, variance: f64, ago_s: f64) -> Course {
+        Course {
+            variance: self.variance + variance * ago_s * ago_s,
+            covariance: self.covariance + variance * ago_s,
+            velocity_variance: self.velocity_variance + variance,
+            ..*self
+        }
+    }
+
+    /// Less sure by a factor of all variances.
+    pub fn doubted(&self, factor: f64) -> Course {
+        Course {
+            variance: factor * self.variance,
+            covariance: factor * self.covariance,
+            velocity_variance: factor * self.velocity_variance,
+            ..*self
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Swaps: what both models have goes on.
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+
+use isophote_symbolic::{Model, Precision};
+
+use crate::picture::{Picture, Profile, Spot};
+use crate::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
+
+const PLAIN: &str = include_str!("../../../tests/documents/plain-spot.toml");
+const GAUSSIAN: &str = include_str!("../../../models/gaussian.toml");
+/// Without a centre.
+const CURVE: &str = r#"
+name        = "curve"
+coordinates = ["i"]
+channels    = ["px", "py"]
+[parameters]
+b1 = { start = 250 }
+b2 = { start = 5e-4 }
+[model]
+observed  = "py"
+intensity = "b1 * (1 - exp(-b2 * px))"
+[[stages]]
+parameters = ["b1", "b2"]
+method     = "levenberg-marquardt"
+"#;
+
+fn compiled(document: &str) -> Arc<Compiled> {
+    let model = Model::from_toml(document).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
+    Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap())
+}
+
+/// The same model by other names.
+fn renamed(document: &str) -> String {
+    let names = [("bx", "east"), ("by", "north"), ("a1", "wide"), ("a2", "skew"), ("a3", "high")];
+    let mut text = String::new();
+    let mut word = String::new();
+    for letter in document.chars().chain(['\n']) {
+        if letter.is_ascii_alphanumeric() {
+            word.push(letter);
+            continue;
+        }
+        text += names.iter().find(|(old, _)| *old == word).map_or(word.as_str(), |(_, new)| new);
+        word.clear();
+        text.push(letter);
+    }
+    text
+}
+
+fn frame(number: u64, centres: &[[f64; 2]]) -> Frame {
+    let spot = |centre: &[f64; 2]| Spot {
+        centre: *centre,
+        half: [16.0, 12.0],
+        angle: 0.3,
+        amplitude: 120.0,
+        profile: Profile::Cubic(-0.5, -0.3),
+    };
+    let spots = centres.iter().map(spot).collect();
+    Picture { noise: 1.5, seed: number + 1, ..Picture::new(320, 240, spots) }.frame().with_sequence(number)
+}
+
+/// Moving fast: the next frame is out of reach of a start at the last one's place.
+fn path(number: u64) -> [f64; 2] {
+    [40.0 + 9.0 * number as f64, 200.0 - 6.0 * number as f64]
+}
+
+fn off(tracker: &Tracker, estimate: &Estimate, truth: [f64; 2]) -> f64 {
+    let centre = &tracker.compiled().model().roles()[0].centre;
+    (0..2).map(|axis| (estimate.parameters[centre[axis].index()] - truth[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Follows the path for some frames.
+fn followed(options: &TrackerOptions, frames: u64) -> Tracker {
+    let mut tracker = Tracker::new(compiled(PLAIN), options.clone()).unwrap();
+    for number in 0..frames {
+        let estimate = tracker.track(&frame(number, &[path(number)]));
+        assert_eq!(estimate.state, TrackState::Tracking, "{number}: {estimate:?}");
+    }
+    tracker
+}
+
+#[test]
+fn a_target_that_coasts_goes_on_coasting() {
+    for document in [PLAIN.to_string(), renamed(PLAIN), GAUSSIAN.to_string()] {
+        let mut tracker = followed(&TrackerOptions::default(), 10);
+        for number in 10..13 {
+            assert_eq!(tracker.track(&frame(number, &[])).state, TrackState::Coasting);
+        }
+        let carried = tracker.swap(compiled(&document), TrackerOptions::default());
+        assert_eq!(carried.moving, ["0"], "{carried:?}");
+        for number in 13..16 {
+            let estimate = tracker.track(&frame(number, &[]));
+            assert_eq!(estimate.state, TrackState::Coasting, "{number}: {estimate:?}");
+            assert!(off(&tracker, &estimate, path(number)) < 1.0, "{number}: {estimate:?}");
+            assert!(estimate.covariance.is_some());
+        }
+        let estimate = tracker.track(&frame(16, &[path(16)]));
+        assert_eq!(estimate.state, TrackState::Tracking, "{estimate:?}");
+        assert!(off(&tracker, &estimate, path(16)) < 0.2, "{estimate:?}");
+    }
+}
+
+#[test]
+fn velocity_and_what_was_learned_of_it_go_on() {
+    let predict = Some(crate::PredictOptions { horizon_s: 0.1, steps: 1 });
+    let options = TrackerOptions { predict, ..TrackerOptions::default() };
+    let renamed = renamed(PLAIN);
+    for document in [PLAIN, &renamed] {
+        let mut swapped = followed(&options, 12);
+        let mut kept = followed(&options, 12);
+        swapped.swap(compiled(document), options.clone());
+        let next = frame(12, &[path(12)]);
+        let (swapped, kept) = (swapped.track(&next), kept.track(&next));
+        assert_eq!(swapped.state, TrackState::Tracking);
+        let (one, other) = (&swapped.ahead[0], &kept.ahead[0]);
+        for axis in 0..2 {
+            assert!((one.velocity[axis] - other.velocity[axis]).abs() < 1e-3, "{one:?} {other:?}");
+            let ratio = one.covariance[axis][axis] / other.covariance[axis][axis];
+            assert!((ratio - 1.0).abs() < 1e-3, "{one:?} {other:?}");
+        }
+    }
+}
+
+#[test]
+fn each_of_several_targets_stays_who_it_is() {
+    let options = TrackerOptions { targets: 2, ..TrackerOptions::default() };
+    let mut tracker = Tracker::new(compiled(PLAIN), options.clone()).unwrap();
+    let at = |number: u64| [[60.0 + 4.0 * number as f64, 90.0], [250.0 - 4.0 * number as f64, 150.0]];
+    let mut first = None;
+    for number in 0..24 {
+        if number == 10 {
+            // While one of them is hidden.
+            let carried = tracker.swap(compiled(GAUSSIAN), options.clone());
+            assert_eq!(carried.moving, ["0", "1"], "{carried:?}");
+        }
+        let is_hidden = (8..13).contains(&number);
+        let places = at(number);
+        let estimates = tracker.track_all(&frame(number, if is_hidden { &places[..1] } else { &places }));
+        let of = |estimate: &Estimate| (0..2).find(|&n| off(&tracker, estimate, places[n]) < 3.0);
+        let which = [of(&estimates[0]), of(&estimates[1])];
+        assert!(which[0] != which[1] && which.iter().all(Option::is_some), "{number}: {estimates:?}");
+        assert_eq!(*first.get_or_insert(which), which, "{number}: {estimates:?}");
+        let states =
+            which.map(|which| if is_hidden && which == Some(1) { TrackState::Coasting } else { TrackState::Tracking });
+        assert_eq!([estimates[0].state, estimates[1].state], states, "{number}");
+    }
+}
+
+#[test]
+fn a_model_without_a_centre_takes_nothing_over_and_says_so() {
+    let mut tracker = followed(&TrackerOptions::default(), 5);
+    let curve = compiled(CURVE);
+    let names: Vec<String> = curve.model().parameters().iter().map(|one| one.name.clone()).collect();
+    let carried = tracker.swap(curve, TrackerOptions::default());
+    assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
+    assert_eq!(carried.reset, names);
+    // And back: nothing is known of the target, but that there was one.
+    let carried = tracker.swap(compiled(PLAIN), TrackerOptions::default());
+    assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
+    assert_eq!(tracker.track(&frame(5, &[])).state, TrackState::Lost);
+    assert_eq!(tracker.track(&frame(6, &[path(6)])).state, TrackState::Tracking);
+}
+
+#[test]
+fn one_who_was_never_found_has_nothing_to_take_over() {
+    let mut tracker = Tracker::new(compiled(PLAIN), TrackerOptions::default()).unwrap();
+    let carried = tracker.swap(compiled(GAUSSIAN), TrackerOptions::default());
+    assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
+    assert_eq!(tracker.track(&frame(0, &[])).state, TrackState::Searching);
+}
