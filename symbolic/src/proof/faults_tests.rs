@@ -259,10 +259,6 @@ impl Tally {
     fn all_caught(&self, kind: &str, least: usize, missed_percent: usize) {
         let Tally { caught, missed, silent } = self;
         let tolerated = caught * missed_percent / 100;
-        println!("{kind}: {caught} caught, {} missed, {silent} without effect", missed.len());
-        for miss in missed {
-            println!("missed: {miss}");
-        }
         let first = missed.first().map_or("", String::as_str);
         assert!(missed.len() <= tolerated, "{kind}: {} missed; {first}", missed.len());
         assert!(*caught >= least && caught > &(9 * silent), "{kind}: {caught} caught, {silent} without effect");
