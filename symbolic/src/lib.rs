@@ -19,10 +19,9 @@ mod language;
 mod program;
 mod proof;
 
-pub use derive::derivation::Part;
 pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
-pub use derive::objective::{Objective, Prediction, ValueKind};
+pub use derive::objective::{Objective, Prediction};
 pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
@@ -36,6 +35,7 @@ pub use language::model::{
 pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::function::{Function1, Function2};
 pub use program::*;
+pub use proof::claim::{Part, ValueKind};
 #[doc(hidden)]
 pub use proof::ulps;
 pub use proof::{Form, Proof};

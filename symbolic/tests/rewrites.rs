@@ -1,7 +1,8 @@
 //! The table of rewrites in docs/derivation.md: an example of each, and one where its condition fails.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use isophote_symbolic::{Lowering, Method, Model, Program};
+use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, Objective, Precision, Program, ValueKind};
 
 /// A model of two coordinates over given parameters.
 fn model(parameters: &str, intensity: &str, domain: &str) -> Model {
@@ -130,6 +131,36 @@ fn every_rewrite_does_what_its_row_says() {
     for (name, check) in REWRITES {
         let outcome = std::panic::catch_unwind(check);
         assert!(outcome.is_ok(), "{name}");
+    }
+}
+
+/// q − t·q: what is subtracted from is a factor of what is subtracted.
+#[test]
+fn contraction_keeps_signs_where_the_minuend_is_a_factor() {
+    let text = "name = \"q\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\np = { start = 0.5 }\n\
+        [definitions]\nu = \"sin(p*x)\"\nw = \"cos(p*x)\"\nt = \"tanh(x/20 + y/30)\"\nq = \"u + w\"\ns = \"t*u + t*w\"\n\
+        [model]\nintensity = \"q - s\"\n";
+    let model = Model::from_toml(text).unwrap();
+    let sums = |fma: bool, objective: &Objective| {
+        let program = objective.program(Lowering { fma, drop_saturated: false }).unwrap();
+        let bindings = Bindings { parameters: &[0.5], entry: &[0.5], saturation: &[255.0], ..Bindings::default() };
+        let window = Window { x: 0, y: 0, width: 9, height: 5, slices: Slices::ONE };
+        interpreter::run(&program, Precision::F64, &bindings, &Flat, window, None).outputs
+    };
+    for objective in [
+        model.value_objective(ValueKind::Entry).unwrap(),
+        model.objective(&[model.parameter("p").unwrap()], Method::Newton).unwrap(),
+    ] {
+        for (with, without) in sums(true, &objective).into_iter().zip(sums(false, &objective)) {
+            assert!((with - without).abs() <= 1e-12 * without.abs().max(1.0), "{with} {without}");
+        }
+    }
+}
+
+struct Flat;
+impl Pixels for Flat {
+    fn at(&self, _: usize, x: usize, y: usize) -> f64 {
+        (3 * x + 5 * y) as f64
     }
 }
 

@@ -18,29 +18,8 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Cost;
+use crate::proof::claim::Part;
 use crate::proof::likelihood::Shape;
-
-/// Which derivatives a loop sums.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Part {
-    /// The gradient.
-    Gradient,
-    /// The upper triangle of the Hessian.
-    Hessian,
-    /// Both, in one loop.
-    Both,
-}
-
-impl Part {
-    /// The gradient is part of it.
-    pub fn has_gradient(self) -> bool {
-        self != Part::Hessian
-    }
-    /// The Hessian is part of it.
-    pub fn has_hessian(self) -> bool {
-        self != Part::Gradient
-    }
-}
 
 /// What is differentiated: the same for every choice.
 #[derive(Clone, Copy)]

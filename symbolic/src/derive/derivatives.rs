@@ -5,7 +5,6 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::derivation::Part;
 use crate::derive::expressions::Expressions;
 use crate::derive::jet::{jet, pair};
 use crate::derive::objective::{Origin, residual, variance};
@@ -13,6 +12,7 @@ use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
+use crate::proof::claim::Part;
 
 /// Derivatives of one pixel's F, F itself left out.
 #[derive(Clone, Debug)]

@@ -292,19 +292,33 @@ fn binary(
             form.add_product(graph, mixed, jb, jb, true);
         }
         Function2::Pow => {
-            // With the base: b a^b / a and b (b−1) a^b / a². At a = 0 both count as 0, which is right where they exist.
+            // With the base: b a^(b−1) and b (b−1) a^(b−2), from a^b by division; at a = 0 a^(b−1) is 1 for b = 1 and 0 for
+            // all larger b, and a^(b−2) likewise about 2. Where they do not exist they count as 0.
             let less1 = graph.sum(-1.0, [(b, 1.0)]);
             let zero = graph.number(0.0);
             let at_zero = graph.compare(Comparison::Eq, a, zero);
-            let reciprocal = graph.product(1.0, [(a, -1)]);
-            let reciprocal = graph.select(at_zero, zero, reciprocal);
-            let p1 = graph.mul(value, reciprocal);
+            let lowered = |graph: &mut Graph, power: NodeId, exponent: f64| {
+                let divided = graph.product(1.0, [(power, 1), (a, -1)]);
+                let there = match graph.value_of(b) {
+                    Some(number) => graph.number(f64::from(u8::from(number == exponent))),
+                    None => {
+                        let (number, one) = (graph.number(exponent), graph.number(1.0));
+                        let is_it = graph.compare(Comparison::Eq, b, number);
+                        graph.select(is_it, one, zero)
+                    }
+                };
+                graph.select(at_zero, there, divided)
+            };
+            let p1 = lowered(graph, value, 1.0);
             let d1 = graph.product(1.0, [(b, 1), (p1, 1)]);
             form.add(graph, d1, ja);
-            let d2 = graph.product(1.0, [(b, 1), (less1, 1), (p1, 1), (reciprocal, 1)]);
+            let p2 = lowered(graph, p1, 2.0);
+            let d2 = graph.product(1.0, [(b, 1), (less1, 1), (p2, 1)]);
             form.add_product(graph, d2, ja, ja, true);
             if !jb.first.is_empty() {
+                // a^b log a tends to 0 with a.
                 let log = graph.call1(Function1::Log, a);
+                let log = graph.select(at_zero, zero, log);
                 let d1 = graph.product(1.0, [(value, 1), (log, 1)]);
                 form.add(graph, d1, jb);
                 let d2 = graph.product(1.0, [(value, 1), (log, 2)]);

@@ -27,8 +27,8 @@ pub(crate) mod variant;
 use crate::language::diagnostic::Diagnostics;
 use crate::language::model::{Lowering, Method, Model};
 use crate::program::{ParameterId, Program};
-use derivation::Part;
-use objective::{Objective, Prediction, ValueKind};
+use crate::proof::claim::{Part, ValueKind};
+use objective::{Objective, Prediction};
 
 impl Model {
     /// F, its gradient and its Hessian for a subset of the parameters.

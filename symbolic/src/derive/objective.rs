@@ -6,8 +6,10 @@
 //! l_u and l_uv are expanded into pixel and row monomials, so that a few accumulators, each L or Q times a monomial, serve
 //! every entry. Gauss–Newton keeps Σ Q_lm l_u l_v with Q from ∂²F/∂r² alone.
 
+use std::sync::Arc;
+
 use crate::derive::absorb::gather;
-use crate::derive::derivation::{Cuts, Derivation, Part, Target};
+use crate::derive::derivation::{Cuts, Derivation, Target};
 use crate::derive::expressions::Expressions;
 use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
@@ -18,17 +20,12 @@ use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Lowering, Method, Model, Saturated};
-use crate::program::{Comparison, Cost, Input, Level, ParameterId, Program};
-use crate::proof::{Claim, Errors, Form, Proof, is_small_f32};
-
-/// What a value objective sums.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum ValueKind {
-    /// Σ r²/σ², σ² held at the entry parameters: what a pass' steps are compared by. One output, F.
-    Entry,
-    /// Σ r²/σ² + ln σ² at the parameters themselves, for the report. Two outputs: F, and Σ r²/σ².
-    Full,
-}
+use crate::program::{ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
+use crate::proof::claim::{Claim, Part, ValueKind};
+use crate::proof::draft::Draft;
+use crate::proof::plane::{self, Shown};
+use crate::proof::referee::{Referee, Subject};
+use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
 
 /// Units of work that it takes to lower an operation of a formula.
 const LOWERED: usize = 8;
@@ -58,8 +55,10 @@ pub struct Objective {
     names: crate::program::Names,
     domain: Option<NodeId>,
     proof: Option<Proof>,
-    /// The program that was proved: that of [`CHECKED`].
+    /// The program that was proved first: that of [`CHECKED`].
     checked: Option<Program>,
+    /// What its programs are held against.
+    referee: Arc<Referee>,
     origin: Origin,
     forms: Vec<(String, NodeId)>,
 }
@@ -73,18 +72,69 @@ impl Objective {
         &self.subset
     }
 
-    /// The loop nest.
+    /// The loop nest. It was held against the document's formulas: one that does not sum what they say gives way to a plainer
+    /// one.
+    ///
+    /// # Errors
+    /// When it is too long; when no form passes, which is a bug.
     pub fn program(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
         if let (CHECKED, Some(program)) = (lowering, &self.checked) {
             return Ok(program.clone());
         }
-        self.lowered(lowering, Budget::default())
+        let draft = self.draft(lowering, Budget::default())?;
+        if let Some((program, _)) = self.proved(draft, lowering) {
+            return Ok(program);
+        }
+        self.plainer(lowering).ok_or_else(|| self.origin.bug())
     }
 
-    fn lowered(&self, lowering: Lowering, budget: Budget) -> Result<Program, Diagnostics> {
+    /// The loop nest before its check.
+    fn draft(&self, lowering: Lowering, budget: Budget) -> Result<Draft, Diagnostics> {
         let mut graph = self.graph.drawing_on(budget);
-        let program = schedule::sums(&mut graph, &self.sums, self.domain, lowering, self.names.clone());
-        self.origin.checked(&graph, program)
+        let draft = schedule::sums(&mut graph, &self.sums, self.domain, lowering, self.names.clone());
+        self.origin.checked(&graph, draft)
+    }
+
+    fn proved(&self, draft: Draft, lowering: Lowering) -> Option<(Program, Errors)> {
+        let dropped = if lowering.drop_saturated { self.channels() } else { Vec::new() };
+        self.referee.proved(draft, &dropped)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn referee(&self) -> &Referee {
+        &self.referee
+    }
+
+    /// Channels that the sums read.
+    pub(crate) fn channels(&self) -> Vec<ChannelId> {
+        let mut graph = self.graph.drawing_on(Budget::default());
+        let summed = self.sums.summed(&mut graph);
+        let channel = |id: NodeId| match graph.node(id) {
+            Node::Channel(channel) => Some(*channel),
+            _ => None,
+        };
+        graph.reachable(&summed).into_iter().filter_map(channel).collect()
+    }
+
+    /// The same sums in the plainest way that passes: other forms, and none of them contracted.
+    fn plainer(&self, lowering: Lowering) -> Option<Program> {
+        let of = |objective: &Objective, lowering: Lowering| {
+            let draft = objective.draft(lowering, Budget::default()).ok()?;
+            objective.proved(draft, lowering).map(|(program, _)| program)
+        };
+        let forms = || {
+            let Claim::Derivatives { part, .. } = self.referee.claim() else { return Vec::new() };
+            let form = |form| {
+                let derived = Setting::of(&self.referee, &self.subset, Budget::default()).objective(form, part).ok()?;
+                Some(Objective { domain: self.domain, referee: self.referee.clone(), ..derived })
+            };
+            [Form::Plain, Form::Unfactored].into_iter().filter_map(form).collect()
+        };
+        let others = forms();
+        others.iter().find_map(|objective| of(objective, lowering)).or_else(|| {
+            let uncontracted = Lowering { fma: false, ..lowering };
+            std::iter::once(self).chain(&others).find_map(|objective| of(objective, uncontracted))
+        })
     }
 
     /// Takes what is yet to come from the document's budget: the programs that callers ask for, once for all pixels and once
@@ -101,18 +151,17 @@ impl Objective {
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
     /// of a picture.
     pub fn skipping_nan(&self) -> Objective {
-        let mut objective = Objective { checked: None, ..self.clone() };
-        let graph = &mut objective.graph;
-        let summed = objective.sums.summed(graph);
-        for id in graph.reachable(&summed) {
-            if let Node::Channel(_) = graph.node(id) {
-                let is_number = graph.compare(Comparison::Eq, id, id);
-                objective.domain = Some(match objective.domain {
-                    Some(domain) => graph.and(domain, is_number),
-                    None => is_number,
-                });
-            }
-        }
+        let channels = self.channels();
+        let numbers = |graph: &mut Graph, domain: Option<NodeId>| {
+            channels.iter().fold(domain, |domain, channel| {
+                let pixel = graph.channel(*channel);
+                let is_number = graph.compare(Comparison::Eq, pixel, pixel);
+                Some(domain.map_or(is_number, |domain| graph.and(domain, is_number)))
+            })
+        };
+        let referee = Arc::new(self.referee.within(numbers));
+        let mut objective = Objective { checked: None, referee, ..self.clone() };
+        objective.domain = numbers(&mut objective.graph, objective.domain);
         objective
     }
 
@@ -123,8 +172,8 @@ impl Objective {
         if sums.outputs.len() > self.values {
             sums.outputs.drain(..self.values);
         }
-        let program = schedule::sums(&mut graph, &sums, self.domain, lowering, self.names.clone());
-        Ok(self.origin.checked(&graph, program)?.cost())
+        let draft = schedule::sums(&mut graph, &sums, self.domain, lowering, self.names.clone());
+        Ok(self.origin.checked(&graph, draft)?.cost())
     }
 
     /// What [`Self::outputs`] and [`Self::forms`] are made of.
@@ -164,7 +213,10 @@ impl Objective {
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
+        let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| Origin::of(model).costly())?;
+        let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), points));
         let objective = Objective {
+            referee,
             graph,
             sums,
             values: 0,
@@ -180,29 +232,20 @@ impl Objective {
     }
 
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
-        let setting = Setting::new(model, subset, method);
-        let Setting { graph, residual, variance, domain, parameters, newton, .. } = &setting;
-        let claim = Claim {
-            model,
-            graph,
-            residual: *residual,
-            variance: *variance,
-            shape: model.formulas.shape(),
-            domain: *domain,
-            parameters,
-            newton: *newton,
-        };
-        let (budget, mut lowering) = (graph.budget().clone(), 0);
+        let claim = Claim::Derivatives { newton: method == Method::Newton, part: Part::Both };
+        let referee = referee(model, subset, method, claim)?;
+        let setting = Setting::of(&referee, subset, model.budget());
+        let (budget, mut lowering) = (setting.graph.budget().clone(), 0);
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
-            let mut objective = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
+            let derived = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
+            let mut objective = Objective { referee: referee.clone(), ..derived };
             let before = budget.work();
-            let program = objective.lowered(CHECKED, budget.clone()).map_err(Refusal::Limit)?;
+            let draft = objective.draft(CHECKED, budget.clone()).map_err(Refusal::Limit)?;
             lowering = budget.work() - before;
-            if claim.is_too_large() {
-                return Err(Refusal::Limit(Origin::of(model).growth(subset.len())));
-            }
-            let Some(Errors { exact, error, f32_error }) = claim.check(&program) else { return Err(Refusal::Wrong) };
-            objective.proof = Some(Proof { form, exact, error, f32_error });
+            let Some((program, Errors { exact, error })) = objective.proved(draft, CHECKED) else {
+                return Err(Refusal::Wrong);
+            };
+            objective.proof = Some(Proof { form, exact, error, f32_error: referee.f32_error(&program) });
             objective.checked = Some(program);
             Ok(objective)
         };
@@ -223,7 +266,10 @@ impl Objective {
         let joint = Objective::derive(model, subset, method)?;
         match (part, joint.proof) {
             (Part::Gradient | Part::Hessian, Some(proof)) => {
-                Setting::new(model, subset, method).objective(proof.form, part)
+                let claim = Claim::Derivatives { newton: method == Method::Newton, part };
+                let referee = referee(model, subset, method, claim)?;
+                let derived = Setting::of(&referee, subset, model.budget()).objective(proof.form, part)?;
+                Ok(Objective { referee, ..derived })
             }
             _ => Ok(joint),
         }
@@ -235,9 +281,32 @@ impl Objective {
     }
 }
 
+/// What the sums are of, as the document says it.
+fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
+    // A referee outlives the derivation: what it works out is bounded by its own limits.
+    let mut graph = model.formulas.graph.drawing_on(Budget::default());
+    let residual = residual(&mut graph, model);
+    let is_held = !matches!(claim, Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full));
+    let variance = variance(&mut graph, model, is_held);
+    let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
+    let domain = entry_domain(&mut graph, model);
+    let shape = model.formulas.shape();
+    Subject { model: model.clone(), graph, residual, variance, shape, domain, parameters, claim }
+}
+
+/// Who judges derivatives, when the document's budget has room for it.
+fn referee(model: &Model, subset: &[ParameterId], method: Method, claim: Claim) -> Result<Arc<Referee>, Diagnostics> {
+    let points = budget::points(model, subset, method).ok_or_else(|| Origin::of(model).costly())?;
+    let referee = Referee::new(subject(model, subset, claim), points);
+    if referee.is_too_large() {
+        return Err(Origin::of(model).growth(subset.len()));
+    }
+    Ok(Arc::new(referee))
+}
+
 /// What is derived from, the same for every form.
 struct Setting<'a> {
-    model: &'a Model,
+    referee: &'a Arc<Referee>,
     graph: Graph,
     residual: NodeId,
     variance: Option<NodeId>,
@@ -248,21 +317,23 @@ struct Setting<'a> {
 }
 
 impl<'a> Setting<'a> {
-    fn new(model: &'a Model, subset: &[ParameterId], method: Method) -> Setting<'a> {
-        let mut graph = model.formulas.graph.drawing_on(model.budget());
+    fn of(referee: &'a Arc<Referee>, subset: &[ParameterId], budget: Budget) -> Setting<'a> {
+        let model = referee.model();
+        let mut graph = model.formulas.graph.drawing_on(budget);
         let residual = residual(&mut graph, model);
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
-        let newton = method == Method::Newton;
+        let newton = matches!(referee.claim(), Claim::Derivatives { newton: true, .. });
         let variance = variance(&mut graph, model, !newton);
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model);
-        Setting { model, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
+        Setting { referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
     }
 
     /// The sums in one form, not yet checked.
     fn objective(&self, form: Form, part: Part) -> Result<Objective, Diagnostics> {
-        let Setting { model, graph, residual, variance, domain, subset, parameters, newton } = self;
+        let Setting { referee, graph, residual, variance, domain, subset, parameters, newton } = self;
+        let model = referee.model();
         let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
         let newton = *newton && (part.has_hessian() || variance.is_some());
@@ -280,6 +351,7 @@ impl<'a> Setting<'a> {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
             sums,
             values: 1,
+            referee: (*referee).clone(),
             subset: subset.clone(),
             domain: *domain,
             origin,
@@ -361,7 +433,13 @@ impl Origin {
         vec![Diagnostic::error(&self.text, "limit", "model.intensity", self.span, message).help(help)]
     }
 
-    pub fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
+    /// The check of the document's programs would take too long.
+    fn costly(&self) -> Diagnostics {
+        let most = LIMITS.proof;
+        self.fault("limit", format!("checking the derivatives of all stages would take more than {most} operations"))
+    }
+
+    pub fn checked(&self, graph: &Graph, program: Draft) -> Result<Draft, Diagnostics> {
         let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
             pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
             _ => (program.instructions().len(), LIMITS.nodes),
@@ -393,8 +471,27 @@ pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Di
         _ => None,
     };
     let intensity = graph.substitute(model.formulas.shown, &mut shifted);
-    let program = schedule::plane(&mut graph, intensity, lowering, model.names(vec!["intensity".into()]));
-    Origin::of(model).checked(&graph, program)
+    let read = &model.formulas.graph;
+    let shown = Shown { model, graph: read, value: model.formulas.shown, domain: None, is_shifted: true };
+    filling(&mut graph, &shown, intensity, lowering, "intensity")
+}
+
+/// The program that fills a plane with `value`, which must be what is to be shown.
+fn filling(
+    graph: &mut Graph,
+    shown: &Shown<'_>,
+    value: NodeId,
+    lowering: Lowering,
+    name: &str,
+) -> Result<Program, Diagnostics> {
+    let origin = Origin::of(shown.model);
+    for lowering in [lowering, Lowering { fma: false, ..lowering }] {
+        let draft = schedule::plane(graph, value, lowering, shown.model.names(vec![name.into()]));
+        if let Some(program) = plane::proved(shown, origin.checked(graph, draft)?) {
+            return Ok(program);
+        }
+    }
+    Err(origin.bug())
 }
 
 /// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
@@ -421,8 +518,15 @@ pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) ->
     if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
         return None;
     }
-    let program = schedule::plane(&mut graph, value, lowering, model.names(vec!["prediction".into()]));
-    Some(Origin::of(model).checked(&graph, program))
+    // As it was read: what is predicted, and where.
+    let mut read = Graph::clone(&model.formulas.graph);
+    let (formula, domain) = match what {
+        Prediction::Intensity => (model.formulas.intensity, model.formulas.domain),
+        Prediction::Unbounded => (model.formulas.intensity, None),
+        Prediction::Variance => (model.formulas.noise.unwrap_or_else(|| read.number(1.0)), None),
+    };
+    let shown = Shown { model, graph: &read, value: formula, domain, is_shifted: false };
+    Some(filling(&mut graph, &shown, value, lowering, "prediction"))
 }
 
 /// The pixel's variance; `held` reads it at the entry parameters.

@@ -13,6 +13,7 @@ use crate::program::{
     AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink,
     TotalId, Value,
 };
+use crate::proof::draft::Draft;
 
 /// Units of work that an instruction takes until it is in its place.
 const EMISSION: usize = 3;
@@ -20,13 +21,7 @@ const EMISSION: usize = 3;
 const COST: usize = 2;
 
 /// The loop nest for sums over the pixels of `domain`.
-pub(crate) fn sums(
-    graph: &mut Graph,
-    sums: &Sums,
-    domain: Option<NodeId>,
-    lowering: Lowering,
-    names: Names,
-) -> Program {
+pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lowering: Lowering, names: Names) -> Draft {
     let mut builder = Builder::new(graph);
     let pixels = sums.summed(builder.graph);
     builder.wanted.extend(pixels.iter().copied());
@@ -95,7 +90,7 @@ pub(crate) fn pixel_cost(graph: &mut Graph, pixels: &[NodeId], lowering: Lowerin
 }
 
 /// The loop nest that adds `value` to a plane.
-pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Program {
+pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Draft {
     let mut builder = Builder::new(graph);
     let value = builder.pixel_value(value);
     builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names)
@@ -263,7 +258,7 @@ impl<'g> Builder<'g> {
         self.emit(op)
     }
 
-    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Program {
+    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Draft {
         let mut program = Program {
             coordinates: names.coordinates.len() as u32,
             channels: names.channels.len() as u32,
@@ -275,6 +270,6 @@ impl<'g> Builder<'g> {
             fused: lowering.fma,
         };
         crate::program::peephole::improve(&mut program, lowering.fma);
-        program
+        Draft::new(program)
     }
 }

@@ -42,6 +42,8 @@ pub struct Limits {
     pub work: usize,
     /// Operations that its programs and their formulas hold, all stages together.
     pub kept: usize,
+    /// Operations of the check that all programs of a document are held against its formulas in.
+    pub proof: usize,
     /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
     /// Faults that are told of one document.
@@ -69,6 +71,7 @@ pub const LIMITS: Limits = Limits {
     nodes: 32_768,
     work: 4_000_000,
     kept: 262_144,
+    proof: 40_000_000,
     instructions: 8192,
     diagnostics: 64,
 };

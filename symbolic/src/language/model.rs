@@ -240,6 +240,8 @@ pub(crate) struct Formulas {
     pub clipped: Option<ChannelId>,
     /// All entries of `observed`; never empty.
     pub entries: Vec<Observation>,
+    /// Models whose F add up to the document's, this one among them.
+    pub siblings: usize,
 }
 
 /// One entry of `observed` and its prediction.
@@ -372,8 +374,9 @@ impl Model {
     pub fn summands(&self) -> Vec<Summand> {
         let mut summands = Vec::new();
         let budget = Some(Budget::after(self.reading));
+        let siblings = self.siblings();
         for entry in &self.formulas.entries {
-            let formulas = self.formulas.of_entry(*entry);
+            let formulas = Formulas { siblings, ..self.formulas.of_entry(*entry) };
             let clipped = match (self.formulas.saturated, formulas.graph.node(entry.observed)) {
                 (Saturated::Censored, Node::Channel(channel)) => {
                     Some(Formulas { clipped: Some(*channel), ..formulas.clone() })
@@ -388,6 +391,12 @@ impl Model {
             summands.extend(clipped.map(|formulas| of(formulas, true)));
         }
         summands
+    }
+
+    /// How many models' F the document's is the sum of.
+    pub(crate) fn siblings(&self) -> usize {
+        let each = if self.formulas.saturated == Saturated::Censored { 2 } else { 1 };
+        self.formulas.siblings.max(each * self.formulas.entries.len())
     }
 
     /// The parameter nearest in spelling, for messages.

@@ -5,7 +5,9 @@ use crate::program::{Instruction, Level, Opcode, Program, Sink, Value};
 /// Improves the instructions in place and sorts them by level.
 pub(crate) fn improve(program: &mut Program, fma: bool) {
     let mut uses = count_uses(program);
-    for i in 0..program.instructions.len() {
+    // What nothing reads has no part in the counts.
+    let live = live(program);
+    for i in (0..program.instructions.len()).filter(|i| live[*i]) {
         let Instruction { op, level, .. } = program.instructions[i];
         let &[a, b] = op.parts().1 else { continue };
         let same_level = |v: Value| program.instructions[v.index()].level == level;

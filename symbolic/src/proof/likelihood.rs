@@ -31,6 +31,11 @@ impl Formulas {
 }
 
 impl Shape {
+    /// True when F is put together of pieces.
+    pub fn is_conditional(self) -> bool {
+        self != Shape::Seen(Loss::Squares)
+    }
+
     /// True when F has ln σ² as well.
     pub fn has_logarithm(self) -> bool {
         matches!(self, Shape::Seen(_))

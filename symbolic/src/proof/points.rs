@@ -7,18 +7,23 @@ use crate::program::Input;
 use crate::program::interpreter::{Pixels, Slices, Window};
 use crate::proof::evaluate::Number;
 use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::modular::Modular;
 
 /// Columns of a picture.
 const WIDTH: usize = 36;
 /// How large the target is, px.
-const SIZE: f64 = 12.0;
+pub(crate) const SIZE: f64 = 12.0;
 /// Where the made-up target is, px: in the middle of a camera's picture for f32, and where terms are as small as their sum
 /// for f64.
 pub(crate) const FAR: [f64; 4] = [300.3, 200.7, 20.3, 10.7];
 pub(crate) const NEAR: [f64; 4] = [0.3, -0.3, 0.3, -0.3];
+/// Beside that, so that a centre has the other sign.
+pub(crate) const BESIDE: [f64; 4] = [-3.7, 3.3, -3.7, 3.3];
 
-/// The limit of every channel, a pixel value of the targets.
-pub(crate) const LIMIT: f64 = 120.0;
+/// The limit of a channel, a pixel value of the targets; each has its own.
+pub(crate) fn limit(channel: usize) -> f64 {
+    120.0 + 1.5 * channel as f64
+}
 
 /// Random numbers that are the same every time.
 pub(crate) struct Random(pub u64);
@@ -38,9 +43,14 @@ impl Random {
 }
 
 /// Numbers for everything that formulas read.
+#[derive(Clone, Debug)]
 pub(crate) struct Point<N> {
     pub parameters: Vec<N>,
+    /// Those that the pass was entered with: near the others, and never the same.
+    pub entry: Vec<N>,
     pub constants: Vec<N>,
+    /// One a coordinate.
+    pub shift: Vec<N>,
     /// Values of the inner coordinate.
     pub columns: Vec<N>,
     /// Values of the outer coordinates, one list a row.
@@ -52,10 +62,11 @@ pub(crate) struct Point<N> {
 impl<N: Number> Point<N> {
     pub fn input(&self, input: Input) -> N {
         match input {
-            Input::Parameter(p) | Input::Entry(p) => self.parameters[p.index()],
+            Input::Parameter(p) => self.parameters[p.index()],
+            Input::Entry(p) => self.entry[p.index()],
             Input::Constant(c) => self.constants[c.index()],
-            Input::Saturation(_) => N::from(LIMIT),
-            Input::Shift(_) => N::from(0.0),
+            Input::Saturation(c) => N::from(limit(c.index())),
+            Input::Shift(c) => self.shift[c.index()],
         }
     }
 
@@ -67,11 +78,41 @@ impl<N: Number> Point<N> {
         let all = |list: &[N]| list.iter().map(|x| to(*x)).collect::<Vec<M>>();
         Point {
             parameters: all(&self.parameters),
+            entry: all(&self.entry),
             constants: all(&self.constants),
+            shift: all(&self.shift),
             columns: all(&self.columns),
             rows: self.rows.iter().map(|row| all(row)).collect(),
             pixels: all(&self.pixels),
         }
+    }
+}
+
+impl Point<f64> {
+    /// All parameters by nearly the same factor: shapes that are far from round cancel more digits than there are.
+    pub fn move_far(&mut self, random: &mut Random) {
+        let far = 3.0 * random.signed();
+        for (parameter, entry) in self.parameters.iter_mut().zip(&mut self.entry) {
+            let factor = 10.0_f64.powf(far + 0.3 * random.signed());
+            *parameter *= factor;
+            *entry *= factor;
+        }
+    }
+}
+
+/// Random residues for all that a model reads, on two columns of up to two rows.
+pub(crate) fn residues(model: &Model, random: &mut Random) -> Point<Modular> {
+    let coordinates = model.coordinates.len();
+    let mut some = |count: usize| (0..count).map(|_| Modular::of_bits(random.bits())).collect::<Vec<_>>();
+    let (columns, rows) = (2, if coordinates == 1 { 1 } else { 2 });
+    Point {
+        parameters: some(model.parameters.len()),
+        constants: some(model.constants.len()),
+        columns: some(columns),
+        rows: (0..rows).map(|_| some(coordinates - 1)).collect(),
+        pixels: some(model.channels.len() * columns * rows),
+        entry: some(model.parameters.len()),
+        shift: some(coordinates),
     }
 }
 
@@ -120,14 +161,13 @@ pub(crate) fn plausible(model: &Model, centre: [f64; 4], random: &mut Random) ->
     let columns: Vec<f64> = (0..3).map(|_| near(centre[0], random)).collect();
     let outer = |random: &mut Random| (1..coordinates).map(|i| near(centre[i], random)).collect::<Vec<_>>();
     let rows: Vec<Vec<f64>> = (0..if coordinates == 1 { 1 } else { 2 }).map(|_| outer(random)).collect();
-    let pixels = model.channels.len() * columns.len() * rows.len();
-    Point {
-        parameters,
-        constants: model.constants.iter().map(|c| c.value).collect(),
-        pixels: (0..pixels).map(|_| 110.0 + 90.0 * random.signed()).collect(),
-        columns,
-        rows,
-    }
+    let count = model.channels.len() * columns.len() * rows.len();
+    let pixels = (0..count).map(|_| 110.0 + 90.0 * random.signed()).collect();
+    let beside = |p: &f64| if *p == 0.0 { 1e-3 } else { p * (1.0 + 0.01 * random.signed()) };
+    let entry = parameters.iter().map(beside).collect();
+    let shift = (0..coordinates).map(|_| 0.4 * random.signed()).collect();
+    let constants = model.constants.iter().map(|c| c.value).collect();
+    Point { parameters, entry, constants, shift, columns, rows, pixels }
 }
 
 /// What the model shows with its parameters a little off, and some noise.
@@ -176,12 +216,13 @@ pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: 
     Picture { window, pixels }
 }
 
-pub(crate) fn columns_around(centre: f64) -> Vec<f64> {
+fn columns_around(centre: f64) -> Vec<f64> {
     let first = (centre - 0.5 * WIDTH as f64).round();
     (0..WIDTH).map(|i| first + i as f64).collect()
 }
 
 /// What a camera might see; of a third and fourth coordinate it has two slices.
+#[derive(Clone, Debug)]
 pub(crate) struct Picture {
     pub window: Window,
     pixels: Vec<f64>,

@@ -138,6 +138,7 @@ pub(crate) fn read_model(
         saturated,
         clipped,
         entries: list,
+        siblings: 1,
     })
 }
 

@@ -1,0 +1,275 @@
+//! Which pixels a program sums: bounds, masks and limits against the domain itself, at single rims and over a window that is
+//! hard on them.
+//!
+//! What comes in: what the sums are of, and a program. What goes out: whether it takes the pixels that the document says, and
+//! whether rows without any leave no trace.
+
+use crate::language::graph::{Node, NodeId};
+use crate::program::{ChannelId, Program};
+use crate::proof::TOLERANCE;
+use crate::proof::double_double::DoubleDouble;
+use crate::proof::evaluate::evaluate_at;
+use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::likelihood::Shape;
+use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
+use crate::proof::referee::{Subject, is_finite, is_rounding, sample, worst};
+use crate::proof::weighed::Weighed;
+
+/// How near a rim, px, a pixel may belong or not.
+pub(super) const RIM: f64 = 1e-6;
+/// Halvings of the widest step between columns that come nearer than that.
+const HALVINGS: u32 = 32;
+/// Steps between columns, px: each way from the target the first and its doubles.
+const STEP: f64 = 1.37;
+const STEPS: i32 = 11;
+/// Windows tried until one has pixels.
+const WINDOWS: u64 = 3;
+
+/// Whether a place is in the domain, at fixed parameters and pixels.
+struct Inside<'a> {
+    evaluator: Option<Evaluator<'a, f64>>,
+    point: &'a Point<f64>,
+}
+
+impl<'a> Inside<'a> {
+    fn of(subject: &'a Subject, roots: &'a [NodeId], point: &'a Point<f64>) -> Inside<'a> {
+        let inputs = |node: &Node| match node {
+            Node::Input(input) => point.input(*input),
+            _ => f64::NAN,
+        };
+        let evaluator = (!roots.is_empty()).then(|| Evaluator::new(&subject.graph, roots, &[], Order::First, &inputs));
+        Inside { evaluator, point }
+    }
+
+    fn holds(&mut self, x: f64, outer: &[f64], pixel: &dyn Fn(usize) -> f64) -> bool {
+        let point = self.point;
+        self.evaluator.as_mut().is_none_or(|evaluator| {
+            evaluator.holds_at(&|node| match node {
+                Node::Coordinate(c) if c.0 == 0 => x,
+                Node::Coordinate(c) => outer[c.index() - 1],
+                Node::Channel(c) => pixel(c.index()),
+                Node::Input(input) => point.input(*input),
+                _ => f64::NAN,
+            })
+        })
+    }
+
+    /// True where a step along a coordinate may decide otherwise.
+    fn is_rim(&mut self, x: f64, outer: &[f64], pixel: &dyn Fn(usize) -> f64, near: f64) -> bool {
+        let here = self.holds(x, outer, pixel);
+        let mut differs = |x: f64, outer: &[f64]| self.holds(x, outer, pixel) != here;
+        let mut found = differs(x - near, outer) || differs(x + near, outer);
+        for i in 0..outer.len() {
+            for step in [-near, near] {
+                let mut beside = outer.to_vec();
+                beside[i] += step;
+                found |= differs(x, &beside);
+            }
+        }
+        found
+    }
+}
+
+/// Columns from the middle outwards, and both sides of every rim between them.
+pub(super) fn columns_at_rims(middle: f64, inside: &mut dyn FnMut(f64) -> bool) -> Vec<f64> {
+    let outwards = (0..STEPS).map(|i| STEP * 2.0_f64.powi(i));
+    let mut columns: Vec<f64> = outwards.clone().rev().map(|step| middle - step).collect();
+    columns.push(middle);
+    columns.extend(outwards.map(|step| middle + step));
+    for i in 1..columns.len() {
+        let (mut left, mut right) = (columns[i - 1], columns[i]);
+        let at_left = inside(left);
+        if at_left != inside(right) {
+            for _ in 0..HALVINGS {
+                let between = 0.5 * (left + right);
+                if inside(between) == at_left { left = between } else { right = between }
+            }
+            columns.extend([left - RIM, right + RIM]);
+        }
+    }
+    columns
+}
+
+fn roots(subject: &Subject) -> Vec<NodeId> {
+    subject.domain.into_iter().collect()
+}
+
+/// A row, and which columns of it are in the domain: whole ones, and both sides of every rim between them.
+#[derive(Clone, Debug)]
+pub(super) struct Rim {
+    point: Point<f64>,
+    inside: Vec<bool>,
+    /// The domain says nothing certain there.
+    open: Vec<bool>,
+}
+
+impl Rim {
+    /// Of a row near the target, one through it, and one that is far from it; then of a target elsewhere, so that centres
+    /// have either sign.
+    pub fn all(subject: &Subject) -> Vec<Rim> {
+        if subject.domain.is_none() {
+            return Vec::new();
+        }
+        let mut rims = Vec::new();
+        for (seed, place, far) in [(0, NEAR, true), (1, FAR, false)] {
+            let middle = centre(&subject.model, place);
+            let base = plausible(&subject.model, middle, &mut Random(seed));
+            let mut rows = vec![base.rows[0].clone()];
+            if let [y, ..] = base.rows[0][..] {
+                let along = |y: f64| {
+                    let mut row = base.rows[0].clone();
+                    row[0] = y;
+                    row
+                };
+                rows.push(along(middle[1].round()));
+                rows.extend(far.then(|| along(y + 40.0 * SIZE)));
+            }
+            let of = |row| Rim::of(subject, Point { rows: vec![row], ..base.clone() }, middle[0]);
+            rims.extend(rows.into_iter().map(of));
+        }
+        rims
+    }
+
+    fn of(subject: &Subject, mut point: Point<f64>, middle: f64) -> Rim {
+        let at_limit = matches!(subject.shape, Shape::Clipped(_));
+        let channels = subject.model.channels.len();
+        let shown = |channel: usize| if at_limit { limit(channel) + 5.0 } else { limit(channel) - 5.0 };
+        let outer = point.rows[0].clone();
+        let roots = roots(subject);
+        let (columns, inside, open) = {
+            let mut domain = Inside::of(subject, &roots, &point);
+            let columns = columns_at_rims(middle, &mut |x| domain.holds(x, &outer, &shown));
+            let inside = columns.iter().map(|x| domain.holds(*x, &outer, &shown)).collect();
+            let open = columns.iter().map(|x| domain.is_rim(*x, &outer, &shown, 0.5 * RIM)).collect();
+            (columns, inside, open)
+        };
+        point.pixels = (0..channels).flat_map(|c| std::iter::repeat_n(shown(c), columns.len())).collect();
+        point.columns = columns;
+        Rim { point, inside, open }
+    }
+
+    /// True when the program takes these pixels of the row.
+    pub fn is_of(&self, program: &Program) -> bool {
+        let pixel = |channel, column, row| self.point.pixel(channel, column, row);
+        let taken = evaluate_at(program, &sample(program, &self.point, &pixel, false)).taken;
+        self.inside.iter().zip(&self.open).zip(taken).all(|((inside, open), taken)| *open || *inside == taken)
+    }
+}
+
+/// A window with rows in the domain and out of it, one all of whose pixels are at their limit, and single such pixels; or one
+/// that is all outside.
+#[derive(Clone, Debug)]
+pub(super) struct Windowed {
+    point: Point<f64>,
+    /// Row by row.
+    taken: Vec<bool>,
+    open: Vec<bool>,
+    /// The sums; nothing where they are not finite.
+    sums: Option<Vec<Weighed>>,
+}
+
+impl Windowed {
+    /// What there is to be taken; `dropped`: channels whose limit leaves a pixel out.
+    pub fn all(subject: &Subject, dropped: &[ChannelId]) -> Vec<Windowed> {
+        if subject.domain.is_none() && dropped.is_empty() {
+            return Vec::new();
+        }
+        let at = |seed: u64| Windowed::of(subject, dropped, &mut Random(seed));
+        let tried: Vec<Windowed> = (0..WINDOWS).map(at).collect();
+        let is_good = |window: &&Windowed| window.sums.is_some() && window.taken.contains(&true);
+        let good = tried.iter().find(is_good).or(tried.first()).cloned();
+        let away = good.as_ref().filter(|window| window.sums.is_some()).map(|window| window.far_away(subject, dropped));
+        good.into_iter().chain(away).collect()
+    }
+
+    fn of(subject: &Subject, dropped: &[ChannelId], random: &mut Random) -> Windowed {
+        let model = &subject.model;
+        let middle = centre(model, NEAR);
+        let mut point = plausible(model, middle, random);
+        // One column and one row go through the target: there, one pixel is at its limit in one channel alone.
+        point.columns.truncate(1);
+        point.columns.push(middle[0].round());
+        point.columns.extend(subject.domain.map(|_| (middle[0] + 40.0 * SIZE).round()));
+        if let Some(y) = point.rows[0].first_mut() {
+            *y = middle[1].round() + 1.0;
+        }
+        let near = point.rows[0].clone();
+        point.rows.truncate(1);
+        if !near.is_empty() {
+            let along = |y: f64| {
+                let mut row = near.clone();
+                row[0] = y.round();
+                row
+            };
+            if subject.domain.is_some() {
+                point.rows.extend([along(middle[1] - 40.0 * SIZE), along(middle[1] + 40.0 * SIZE)]);
+            }
+            // One more, in which every pixel is at the limit of a channel.
+            point.rows.push(along(near[0] + 1.0));
+        }
+        let (width, height) = (point.columns.len(), point.rows.len());
+        let last = model.channels.len() - 1;
+        let pixel = |channel: usize, index: usize, random: &mut Random| {
+            let is_last_row = height > 1 && index / width + 1 == height;
+            let through = index % width == 1;
+            limit(channel)
+                + match (is_last_row, through) {
+                    (true, false) => (random.bits() % 3) as f64,
+                    (true, true) if channel == last => 0.0,
+                    (false, true) if channel == 0 => 0.0,
+                    _ => -1.0 - 70.0 * random.signed().abs(),
+                }
+        };
+        let channels = 0..model.channels.len();
+        point.pixels =
+            channels.flat_map(|c| (0..width * height).map(move |i| (c, i))).map(|(c, i)| pixel(c, i, random)).collect();
+        Windowed::at(subject, dropped, point)
+    }
+
+    fn far_away(&self, subject: &Subject, dropped: &[ChannelId]) -> Windowed {
+        let mut point = self.point.clone();
+        point.columns.iter_mut().for_each(|x| *x += 80.0 * SIZE);
+        Windowed::at(subject, dropped, point)
+    }
+
+    fn at(subject: &Subject, dropped: &[ChannelId], point: Point<f64>) -> Windowed {
+        let roots = roots(subject);
+        let (mut taken, mut open) = (Vec::new(), Vec::new());
+        {
+            let mut domain = Inside::of(subject, &roots, &point);
+            for (row, outer) in point.rows.iter().enumerate() {
+                for (column, x) in point.columns.iter().enumerate() {
+                    let pixel = |channel: usize| point.pixel(channel, column, row);
+                    let at_limit = dropped.iter().any(|c| limit(c.index()) <= pixel(c.index()));
+                    taken.push(!at_limit && domain.holds(*x, outer, &pixel));
+                    open.push(domain.is_rim(*x, outer, &pixel, RIM));
+                }
+            }
+        }
+        let mut window = Windowed { point, taken, open, sums: None };
+        let sums = subject.direct(&window.point.map(Weighed::from), |column, row| window.takes(column, row));
+        window.sums = (is_finite(&sums) && !window.open.contains(&true)).then_some(sums);
+        window
+    }
+
+    fn takes(&self, column: usize, row: usize) -> bool {
+        self.taken[row * self.point.columns.len() + column]
+    }
+
+    /// True when the program takes these pixels, and sums what the document says of them.
+    pub fn is_summed_by(&self, subject: &Subject, program: &Program) -> bool {
+        let pixel = |channel, column, row| self.point.pixel(channel, column, row);
+        let found = evaluate_at(program, &sample(program, &self.point, &pixel, false));
+        let is_taken = |((expected, open), taken): ((&bool, &bool), &bool)| *open || expected == taken;
+        if !self.taken.iter().zip(&self.open).zip(&found.taken).all(is_taken) {
+            return false;
+        }
+        let Some(sums) = &self.sums else { return true };
+        worst(&found.outputs, sums) <= TOLERANCE || {
+            let point = self.point.map(DoubleDouble::from);
+            let exact = subject.direct(&point, |column, row| self.takes(column, row));
+            let pixel = |channel, column, row| point.pixel(channel, column, row);
+            is_rounding(&evaluate_at(program, &sample(program, &point, &pixel, false)).outputs, &exact, sums)
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! The check of programs that fill a plane: predictions, variances, rendered pictures.
+//!
+//! What comes in: a draft, and the formula that each of its pixels is to show. What goes out: the program, if its pixels are
+//! that formula's values, exactly modulo a prime and in f64; and nothing if not. The reference is the formula's graph as it was
+//! read, at the shifted coordinates, evaluated node by node.
+
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::Model;
+use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, TotalId, Value};
+use crate::proof::double_double::DoubleDouble;
+use crate::proof::draft::Draft;
+use crate::proof::evaluate::{Number, Sample, evaluate_at};
+use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::pixels::{RIM, columns_at_rims};
+use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, plausible, residues};
+use crate::proof::weighed::Weighed;
+use crate::proof::{CONDITIONAL_POINTS, REFEREE, SMALLEST, TOLERANCE};
+
+/// What a plane is to show.
+pub(crate) struct Shown<'a> {
+    pub model: &'a Model,
+    pub graph: &'a Graph,
+    pub value: NodeId,
+    /// Only there; NaN elsewhere.
+    pub domain: Option<NodeId>,
+    /// At the coordinates plus their shifts.
+    pub is_shifted: bool,
+}
+
+/// The program, when it shows that.
+pub(crate) fn proved(shown: &Shown<'_>, draft: Draft) -> Option<Program> {
+    shown.is_what(draft.program()).then(|| draft.passed())
+}
+
+impl Shown<'_> {
+    fn is_what(&self, program: &Program) -> bool {
+        let Some(summing) = summing(program) else { return false };
+        let exact = (0..CONDITIONAL_POINTS).all(|seed| {
+            let point = residues(self.model, &mut Random(seed));
+            self.values(&point) == pixels(&summing, &point)
+        });
+        let mut compared = 0;
+        let right = (0..CONDITIONAL_POINTS).all(|seed| {
+            let mut random = Random(seed);
+            let mut point = plausible(self.model, centre(self.model, NEAR), &mut random);
+            if seed > 0 && seed % 2 == 0 {
+                point.move_far(&mut random);
+            }
+            self.is_right_at(&summing, &point, &mut compared)
+        });
+        right && (exact || compared > 0) && self.is_right_at_rims(&summing)
+    }
+
+    /// True when the plane ends where the domain does.
+    fn is_right_at_rims(&self, summing: &Program) -> bool {
+        let Some(domain) = self.domain else { return true };
+        let roots = [domain];
+        [(NEAR, 0.0), (FAR, 0.0), (NEAR, 2.0 * SIZE)].into_iter().all(|(place, off)| {
+            let middle = centre(self.model, place);
+            let mut point = plausible(self.model, middle, &mut Random(1));
+            if let Some(y) = point.rows[0].first_mut() {
+                *y += off;
+            }
+            let inputs = |node: &Node| match node {
+                Node::Input(input) => point.input(*input),
+                _ => f64::NAN,
+            };
+            let mut truths = Evaluator::new(self.graph, &roots, &[], Order::First, &inputs);
+            let outer = point.rows[0].clone();
+            let mut inside = |x: f64| {
+                truths.holds_at(&|node| match node {
+                    Node::Coordinate(c) if c.0 == 0 => x,
+                    Node::Coordinate(c) => outer[c.index() - 1],
+                    node => inputs(node),
+                })
+            };
+            let mut columns = columns_at_rims(middle[0], &mut inside);
+            columns.retain(|x| inside(x - 0.5 * RIM) == inside(x + 0.5 * RIM));
+            let expected: Vec<bool> = columns.iter().map(|x| inside(*x)).collect();
+            point.pixels = vec![0.0; self.model.channels.len() * columns.len()];
+            (point.columns, point.rows) = (columns, vec![outer]);
+            let (shown, formula) = (pixels(summing, &point), self.values(&point));
+            let is_shown =
+                |((inside, shown), formula): ((&bool, &f64), &f64)| shown.is_nan() == (!inside || formula.is_nan());
+            expected.iter().zip(&shown).zip(&formula).all(is_shown)
+        })
+    }
+
+    fn is_right_at(&self, summing: &Program, point: &Point<f64>, compared: &mut usize) -> bool {
+        let expected = self.values(&point.map(Weighed::from));
+        let found = pixels(summing, point);
+        let is_near = |(found, expected): (&f64, &Weighed)| {
+            (found.is_nan() && expected.value.is_nan())
+                || !expected.terms.is_finite()
+                || (found - expected.value).abs() <= TOLERANCE * expected.terms.max(SMALLEST)
+        };
+        *compared += expected.iter().filter(|x| x.value.is_finite() && x.terms.is_finite()).count();
+        found.len() == expected.len()
+            && (found.iter().zip(&expected).all(is_near) || {
+                let point = point.map(DoubleDouble::from);
+                let (found, exact) = (pixels(summing, &point), self.values(&point));
+                found.iter().zip(&exact).zip(&expected).all(|((found, exact), expected)| {
+                    let error = (*found - *exact).to_f64().abs();
+                    !expected.value.is_finite()
+                        || !expected.terms.is_finite()
+                        || error <= REFEREE * expected.terms.max(SMALLEST)
+                })
+            })
+    }
+
+    /// The formula at each pixel, row by row.
+    fn values<N: Number>(&self, point: &Point<N>) -> Vec<N> {
+        let roots: Vec<NodeId> = vec![self.value];
+        let domain: Vec<NodeId> = self.domain.into_iter().collect();
+        let inputs = |node: &Node| match node {
+            Node::Input(input) => point.input(*input),
+            _ => N::from(f64::NAN),
+        };
+        let mut numbers = Evaluator::new(self.graph, &roots, &[], Order::First, &inputs);
+        let mut truths = Evaluator::new(self.graph, &domain, &[], Order::First, &inputs);
+        let shift = |c: usize| if self.is_shifted { point.shift[c] } else { N::from(0.0) };
+        let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
+        for outer in &point.rows {
+            for x in &point.columns {
+                let leaf = |node: &Node| match node {
+                    Node::Coordinate(c) if c.0 == 0 => *x + shift(0),
+                    Node::Coordinate(c) => outer[c.index() - 1] + shift(c.index()),
+                    node => inputs(node),
+                };
+                values.push(match domain.is_empty() || truths.holds_at(&leaf) {
+                    true => numbers.at(&leaf)[0].value,
+                    false => N::from(f64::NAN),
+                });
+            }
+        }
+        values
+    }
+}
+
+/// The same program, its plane's value summed instead: over one pixel the sum is the pixel.
+fn summing(program: &Program) -> Option<Program> {
+    let Sink::Plane(value) = program.sink else { return None };
+    let mut program = program.clone();
+    let first = program.instructions.len() as u32;
+    let ends = [(Opcode::RowTotal(AccumulatorId(0)), Level::RowEnd), (Opcode::PassTotal(TotalId(0)), Level::PassEnd)];
+    program.instructions.extend(ends.map(|(code, level)| Instruction { op: code.of([]), level, span: None }));
+    let (totals, outputs) = (vec![Value(first)], vec![Value(first + 1)]);
+    program.sink = Sink::Sums { accumulators: vec![value], totals, outputs };
+    Some(program)
+}
+
+/// What it shows at each pixel, row by row. A pixel outside of the program's own set shows nothing.
+fn pixels<N: Number>(summing: &Program, point: &Point<N>) -> Vec<N> {
+    let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
+    for (row, outer) in point.rows.iter().enumerate() {
+        for (column, x) in point.columns.iter().enumerate() {
+            let sample = Sample {
+                inputs: summing.inputs().iter().map(|input| point.input(*input)).collect(),
+                columns: vec![*x],
+                rows: vec![outer.clone()],
+                pixel: &|channel, _, _| point.pixel(channel, column, row),
+                every_pixel: false,
+            };
+            values.extend(evaluate_at(summing, &sample).outputs);
+        }
+    }
+    values
+}

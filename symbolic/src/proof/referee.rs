@@ -1,0 +1,453 @@
+//! The check of programs that sum: F, gradients, Hessians, in every lowering.
+//!
+//! What comes in: what a program claims to sum, and drafts of such programs. What goes out: those that do. The reference values
+//! are worked out once, however many drafts are held against them. It never knows how a draft was derived.
+
+use std::sync::OnceLock;
+
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::{Loss, Model};
+use crate::program::function::Function1;
+use crate::program::interpreter;
+use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
+use crate::proof::claim::{Claim, ValueKind};
+use crate::proof::double_double::DoubleDouble;
+use crate::proof::draft::Draft;
+use crate::proof::evaluate::{Number, Sample, evaluate_at};
+use crate::proof::hyper::{Evaluator, Hyper, Order};
+use crate::proof::likelihood::Shape;
+use crate::proof::modular::Modular;
+use crate::proof::pixels::{Rim, Windowed};
+use crate::proof::points::{BESIDE, FAR, NEAR, Picture, Point, Random, centre, limit, picture, plausible, residues};
+use crate::proof::weighed::Weighed;
+use crate::proof::{Errors, POINTS, REFEREE, SMALLEST, TOLERANCE};
+
+/// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
+const UNSEEN: f64 = 1e-12;
+/// Instructions of a program that is run in f32 on one row only.
+const LONG: usize = 2000;
+
+/// Derivatives that forward differentiation may hold at a time: nodes times entries of the Hessian.
+const ENTRIES: usize = 4_000_000;
+
+/// What the sums are of, as the document says it: no rewrite has seen it.
+#[derive(Clone, Debug)]
+pub(crate) struct Subject {
+    pub model: Model,
+    pub graph: Graph,
+    pub residual: NodeId,
+    pub variance: Option<NodeId>,
+    pub shape: Shape,
+    pub domain: Option<NodeId>,
+    pub parameters: Vec<NodeId>,
+    pub claim: Claim,
+}
+
+/// A point, and what the sums are there.
+#[derive(Clone, Debug)]
+struct Known<N, M> {
+    point: Point<N>,
+    sums: Vec<M>,
+}
+
+/// Holds drafts against what they claim; see the module's text.
+#[derive(Clone, Debug)]
+pub(crate) struct Referee {
+    pub(super) subject: Subject,
+    is_conditional: bool,
+    /// Points of a condition's branches: 1 … 8.
+    points: u64,
+    exact: OnceLock<Vec<Known<Modular, Modular>>>,
+    /// Further ones, for branches of the formulas or of a program.
+    exact_further: OnceLock<Vec<Known<Modular, Modular>>>,
+    sampled: OnceLock<Option<Known<f64, Weighed>>>,
+    /// On the other side of the origin, and about the loss' threshold.
+    beside: OnceLock<Vec<Known<f64, Weighed>>>,
+    far: OnceLock<Vec<Known<f64, Weighed>>>,
+    rims: OnceLock<Vec<Rim>>,
+    windows: [OnceLock<Vec<Windowed>>; 2],
+    pictured: OnceLock<(Point<f64>, Picture)>,
+}
+
+impl Referee {
+    /// `points`: how many are made up for the branches of conditions.
+    pub fn new(subject: Subject, points: u64) -> Referee {
+        let reachable = subject.graph.reachable(&subject.roots());
+        let is_conditional = subject.shape.is_conditional()
+            || reachable.iter().any(|n| matches!(subject.graph.node(*n), Node::Select(..) | Node::Abs(_)));
+        Referee {
+            subject,
+            is_conditional,
+            points,
+            exact: OnceLock::new(),
+            exact_further: OnceLock::new(),
+            sampled: OnceLock::new(),
+            beside: OnceLock::new(),
+            far: OnceLock::new(),
+            rims: OnceLock::new(),
+            windows: Default::default(),
+            pictured: OnceLock::new(),
+        }
+    }
+
+    pub fn model(&self) -> &Model {
+        &self.subject.model
+    }
+
+    pub fn claim(&self) -> Claim {
+        self.subject.claim
+    }
+
+    /// True when checking would take more memory than a document is worth.
+    pub fn is_too_large(&self) -> bool {
+        let n = self.subject.parameters.len();
+        let pairs = if self.subject.order() == Order::Second { n * (n + 1) / 2 } else { 0 };
+        self.subject.graph.reachable(&self.subject.roots()).len() * (1 + n + pairs) > ENTRIES
+    }
+
+    /// The same sums over fewer pixels.
+    pub fn within(&self, domain: impl FnOnce(&mut Graph, Option<NodeId>) -> Option<NodeId>) -> Referee {
+        let mut subject = self.subject.clone();
+        subject.domain = domain(&mut subject.graph, subject.domain);
+        Referee { subject, rims: OnceLock::new(), windows: Default::default(), ..self.clone() }
+    }
+
+    /// The program, when it sums what it claims to; `dropped`: without pixels at the limit of one of these channels.
+    pub fn proved(&self, draft: Draft, dropped: &[ChannelId]) -> Option<(Program, Errors)> {
+        let errors = self.check(draft.program(), dropped)?;
+        Some((draft.passed(), errors))
+    }
+
+    pub(super) fn check(&self, program: &Program, dropped: &[ChannelId]) -> Option<Errors> {
+        let outputs = program.sink().outputs().len();
+        let set = program.pixel_set();
+        let is_whole = set.bounds.is_none() && set.mask.is_none();
+        if outputs != self.subject.outputs()
+            || (self.subject.domain.is_none() && !is_whole)
+            || set.saturated.is_some() == dropped.is_empty()
+        {
+            return None;
+        }
+        let agrees = |known: &Known<Modular, Modular>| self.subject.found(program, &known.point) == known.sums;
+        let exact = self.exact.get_or_init(|| self.residues(0..1)).iter().all(agrees)
+            && (!(self.is_conditional || has_branches(program)) || self.further().iter().all(agrees));
+        let (error, right) = match self.sampled() {
+            Some(known) => self.compared(program, known),
+            None => (None, true),
+        };
+        let right = right
+            && (exact || error.is_some())
+            && self.beside().iter().all(|known| self.is_right_far(program, known))
+            && (!self.is_conditional || self.far().iter().all(|known| self.is_right_far(program, known)))
+            && self.rims().iter().all(|rim| rim.is_of(program))
+            && self.windows(dropped).iter().all(|window| window.is_summed_by(&self.subject, program));
+        right.then_some(Errors { exact, error })
+    }
+
+    fn further(&self) -> &[Known<Modular, Modular>] {
+        self.exact_further.get_or_init(|| self.residues(1..self.points))
+    }
+
+    fn residues(&self, seeds: std::ops::Range<u64>) -> Vec<Known<Modular, Modular>> {
+        let at = |seed| {
+            let point = residues(&self.subject.model, &mut Random(seed));
+            let sums = self.subject.direct(&point, |_, _| true);
+            Known { point, sums }
+        };
+        seeds.map(at).collect()
+    }
+
+    /// The first point where all is finite.
+    fn sampled(&self) -> Option<&Known<f64, Weighed>> {
+        let made = || {
+            (0..POINTS).find_map(|seed| {
+                let model = &self.subject.model;
+                let point = plausible(model, centre(model, NEAR), &mut Random(seed));
+                let sums = self.subject.direct(&point.map(Weighed::from), |_, _| true);
+                is_finite(&sums).then_some(Known { point, sums })
+            })
+        };
+        self.sampled.get_or_init(made).as_ref()
+    }
+
+    fn beside(&self) -> &[Known<f64, Weighed>] {
+        self.beside.get_or_init(|| {
+            let (model, subject) = (&self.subject.model, &self.subject);
+            let at = |seed| {
+                let mut point = plausible(model, centre(model, BESIDE), &mut Random(seed));
+                point.columns.truncate(2);
+                point.rows.truncate(1);
+                subject.show_threshold(&mut point);
+                let sums = subject.direct(&point.map(Weighed::from), |_, _| true);
+                is_finite(&sums).then_some(Known { point, sums })
+            };
+            (0..if self.is_conditional { self.points } else { 1 }).filter_map(at).collect()
+        })
+    }
+
+    /// Where every branch that far-off parameters take shows.
+    fn far(&self) -> &[Known<f64, Weighed>] {
+        self.far.get_or_init(|| {
+            let at = |seed| {
+                let mut random = Random(seed);
+                let model = &self.subject.model;
+                let mut point = plausible(model, centre(model, NEAR), &mut random);
+                point.move_far(&mut random);
+                let sums = self.subject.direct(&point.map(Weighed::from), |_, _| true);
+                is_finite(&sums).then_some(Known { point, sums })
+            };
+            (0..self.points).filter_map(at).collect()
+        })
+    }
+
+    fn rims(&self) -> &[Rim] {
+        self.rims.get_or_init(|| Rim::all(&self.subject))
+    }
+
+    fn windows(&self, dropped: &[ChannelId]) -> &[Windowed] {
+        self.windows[usize::from(!dropped.is_empty())].get_or_init(|| Windowed::all(&self.subject, dropped))
+    }
+
+    /// The error in f64, and whether that is rounding only.
+    fn compared(&self, program: &Program, known: &Known<f64, Weighed>) -> (Option<f64>, bool) {
+        let error = worst(&self.subject.found(program, &known.point), &known.sums);
+        (Some(error), error <= TOLERANCE || self.is_rounding(program, known))
+    }
+
+    fn is_right_far(&self, program: &Program, known: &Known<f64, Weighed>) -> bool {
+        let found = self.subject.found(program, &known.point);
+        worst(&found, &known.sums) <= TOLERANCE
+            || found.iter().any(|x| !x.is_finite())
+            || self.is_rounding(program, known)
+    }
+
+    fn is_rounding(&self, program: &Program, known: &Known<f64, Weighed>) -> bool {
+        let point = known.point.map(DoubleDouble::from);
+        let exact = self.subject.direct(&point, |_, _| true);
+        is_rounding(&self.subject.found(program, &point), &exact, &known.sums)
+    }
+
+    /// The gradient's error in f32 on a picture of the target beside its place; `None` when it is finite nowhere.
+    pub fn f32_error(&self, program: &Program) -> Option<f64> {
+        let height = if program.instructions().len() < LONG { 2 } else { 1 };
+        let made = |seed| {
+            let (model, mut random) = (&self.subject.model, Random(seed));
+            let point = plausible(model, centre(model, FAR), &mut random);
+            let picture = picture(model, &point, height, &mut random);
+            (point, picture)
+        };
+        let (point, picture) = self.pictured.get_or_init(|| made(0));
+        self.f32_error_at(program, point, picture).or_else(|| {
+            (1..POINTS).find_map(|seed| {
+                let (point, picture) = made(seed);
+                self.f32_error_at(program, &point, &picture)
+            })
+        })
+    }
+
+    fn f32_error_at(&self, program: &Program, point: &Point<f64>, picture: &Picture) -> Option<f64> {
+        let n = self.subject.parameters.len();
+        let is_clipped = matches!(self.subject.shape, Shape::Clipped(_));
+        let channels = 0..self.subject.model.channels.len();
+        let saturation: Vec<f64> = channels.map(|c| if is_clipped { limit(c) } else { f64::INFINITY }).collect();
+        let bindings = Bindings {
+            parameters: &point.parameters,
+            entry: &point.parameters,
+            constants: &point.constants,
+            saturation: &saturation,
+            shift: &[],
+        };
+        let run = |precision| interpreter::run(program, precision, &bindings, picture, picture.window, None).outputs;
+        let (single, double) = (run(Precision::F32), run(Precision::F64));
+        let mut diagonal = 1 + n;
+        let (mut error, mut largest) = (0.0_f64, 0.0_f64);
+        for i in 0..n {
+            let scale = double[diagonal].abs().sqrt();
+            let seen = double[diagonal].abs() * self.subject.value(i, point).powi(2).max(1.0);
+            diagonal += n - i;
+            if seen > UNSEEN * double[0].abs() {
+                error = error.max((single[1 + i] - double[1 + i]).abs() / scale);
+                largest = largest.max(double[1 + i].abs() / scale);
+            }
+        }
+        let all_finite = single.iter().chain(&double).all(|x| x.is_finite());
+        (all_finite && largest > 0.0).then_some(error / largest)
+    }
+}
+
+/// True when what is summed takes branches, which one point does not show.
+fn has_branches(program: &Program) -> bool {
+    let Sink::Sums { accumulators, totals, outputs } = program.sink() else { return false };
+    let summed = program.made_of(accumulators.iter().chain(totals).chain(outputs).copied());
+    let branches = |op: Op| matches!(op.code, Opcode::Abs | Opcode::Select);
+    program.instructions().iter().zip(summed).any(|(instruction, summed)| summed && branches(instruction.op))
+}
+
+/// What a program reads at a point.
+pub(super) fn sample<'a, N: Number>(
+    program: &Program,
+    point: &'a Point<N>,
+    pixel: &'a dyn Fn(usize, usize, usize) -> N,
+    every_pixel: bool,
+) -> Sample<'a, N> {
+    Sample {
+        inputs: program.inputs().iter().map(|input| point.input(*input)).collect(),
+        columns: point.columns.clone(),
+        rows: point.rows.clone(),
+        pixel,
+        every_pixel,
+    }
+}
+
+pub(super) fn is_finite(sums: &[Weighed]) -> bool {
+    sums.iter().all(|x| x.value.is_finite() && x.terms.is_finite())
+}
+
+/// The largest error over the sum of the absolute terms.
+pub(super) fn worst(found: &[f64], sums: &[Weighed]) -> f64 {
+    let ratio = |(found, direct): (&f64, &Weighed)| {
+        let error = (found - direct.value).abs() / direct.terms.max(SMALLEST);
+        if error.is_nan() { f64::INFINITY } else { error }
+    };
+    found.iter().zip(sums).map(ratio).fold(0.0, f64::max)
+}
+
+/// True when in double-double nothing is left of the difference; `weighed` holds the sums of the absolute terms.
+pub(super) fn is_rounding(found: &[DoubleDouble], exact: &[DoubleDouble], weighed: &[Weighed]) -> bool {
+    let is_near = |((found, exact), weighed): ((&DoubleDouble, &DoubleDouble), &Weighed)| {
+        (*found - *exact).to_f64().abs() <= REFEREE * weighed.terms.max(SMALLEST)
+    };
+    found.iter().zip(exact).zip(weighed).all(is_near)
+}
+
+impl Subject {
+    fn roots(&self) -> Vec<NodeId> {
+        [Some(self.residual), self.variance].into_iter().flatten().collect()
+    }
+
+    /// How many numbers the sums are.
+    fn outputs(&self) -> usize {
+        let n = self.parameters.len();
+        match self.claim {
+            Claim::Value(ValueKind::Entry) => 1,
+            Claim::Value(ValueKind::Full) => 2,
+            Claim::Derivatives { part, .. } => {
+                let gradient = if part.has_gradient() { n } else { 0 };
+                1 + gradient + if part.has_hessian() { n * (n + 1) / 2 } else { 0 }
+            }
+        }
+    }
+
+    /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it.
+    fn show_threshold(&self, point: &mut Point<f64>) {
+        let threshold = match self.shape {
+            Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c)) => c,
+            Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares) => 1.0,
+        };
+        // Without pixels the residual is −intensity, as far as observed values are pixels.
+        point.pixels = vec![0.0; self.model.channels.len() * point.rows.len() * point.columns.len()];
+        let roots = self.roots();
+        let inputs = |node: &Node| match node {
+            Node::Input(input) => point.input(*input),
+            _ => f64::NAN,
+        };
+        let mut evaluator = Evaluator::new(&self.graph, &roots, &[], Order::First, &inputs);
+        let mut pixels = Vec::new();
+        for outer in &point.rows {
+            for x in &point.columns {
+                let values = evaluator.at(&|node| match node {
+                    Node::Coordinate(c) if c.0 == 0 => *x,
+                    Node::Coordinate(c) => outer[c.index() - 1],
+                    Node::Channel(_) => 0.0,
+                    node => inputs(node),
+                });
+                let deviation = values.get(1).map_or(1.0, |variance| variance.value.sqrt());
+                let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
+                pixels.push(side * threshold * deviation - values[0].value);
+            }
+        }
+        point.pixels = (0..self.model.channels.len()).flat_map(|_| pixels.iter().copied()).collect();
+    }
+
+    /// How far the formulas are differentiated.
+    pub(super) fn order(&self) -> Order {
+        match self.claim {
+            Claim::Derivatives { newton: true, .. } => Order::Second,
+            _ => Order::First,
+        }
+    }
+
+    /// What the document's formulas make the sums, over the point's pixels that take part.
+    pub(super) fn direct<N: Number>(&self, point: &Point<N>, takes_part: impl Fn(usize, usize) -> bool) -> Vec<N> {
+        let roots = self.roots();
+        let inputs = |node: &Node| match node {
+            Node::Input(input) => point.input(*input),
+            _ => N::from(f64::NAN),
+        };
+        let mut evaluator = Evaluator::new(&self.graph, &roots, &self.parameters, self.order(), &inputs);
+        let mut sums = vec![N::from(0.0); self.outputs()];
+        for (row, outer) in point.rows.iter().enumerate() {
+            for (column, x) in point.columns.iter().enumerate() {
+                if !takes_part(column, row) {
+                    continue;
+                }
+                let leaf = |node: &Node| match node {
+                    Node::Coordinate(c) if c.0 == 0 => *x,
+                    Node::Coordinate(c) => outer[c.index() - 1],
+                    Node::Channel(c) => point.pixel(c.index(), column, row),
+                    node => inputs(node),
+                };
+                let entries = self.entries(&evaluator.at(&leaf));
+                sums.iter_mut().zip(entries).for_each(|(sum, entry)| *sum = *sum + entry);
+            }
+        }
+        sums
+    }
+
+    /// What one pixel adds, by its residual and variance.
+    fn entries<N: Number>(&self, values: &[Hyper<N>]) -> Vec<N> {
+        let n = self.parameters.len() as u16;
+        let pairs = || (0..n).flat_map(|i| (i..n).map(move |j| (i, j)));
+        let (residual, variance) = (&values[0], values.get(1));
+        let mut entries = Vec::with_capacity(self.outputs());
+        match self.claim {
+            Claim::Value(kind) => {
+                let variance = variance.map(|v| v.value);
+                let [value, ..] = self.shape.direct(residual.value, variance);
+                if kind == ValueKind::Full {
+                    let logarithm = variance.filter(|_| self.shape.has_logarithm()).map(|v| v.call1(Function1::Log));
+                    entries.push(logarithm.map_or(value, |logarithm| value + logarithm));
+                }
+                entries.push(value);
+            }
+            Claim::Derivatives { newton: true, part } => {
+                let f = self.shape.newton(residual, variance);
+                entries.push(f.value);
+                entries.extend((0..n).filter(|_| part.has_gradient()).map(|u| f.gradient(u)));
+                entries.extend(pairs().filter(|_| part.has_hessian()).map(|(u, v)| f.hessian(u, v)));
+            }
+            Claim::Derivatives { newton: false, part } => {
+                let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value));
+                let slope = |u| residual.gradient(u);
+                entries.push(value);
+                entries.extend((0..n).filter(|_| part.has_gradient()).map(|u| l * slope(u)));
+                entries.extend(pairs().filter(|_| part.has_hessian()).map(|(u, v)| q * slope(u) * slope(v)));
+            }
+        }
+        entries
+    }
+
+    /// What the program makes the sums, every pixel of the point taking part.
+    fn found<N: Number>(&self, program: &Program, point: &Point<N>) -> Vec<N> {
+        let pixel = |channel, column, row| point.pixel(channel, column, row);
+        evaluate_at(program, &sample(program, point, &pixel, true)).outputs
+    }
+
+    /// The value of the i-th free parameter.
+    fn value(&self, i: usize, point: &Point<f64>) -> f64 {
+        match self.graph.node(self.parameters[i]) {
+            Node::Input(input) => point.input(*input),
+            _ => f64::NAN,
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Documents whose programs once were not what was proved: a wrong sign by contraction, rows without pixels, powers at 0.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
+use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
+
+const HEAD: &str = "name = \"proved\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n";
+
+struct Ramp;
+impl Pixels for Ramp {
+    fn at(&self, _: usize, x: usize, y: usize) -> f64 {
+        (3 * x + 5 * y) as f64
+    }
+}
+
+fn sums(program: &Program, parameters: &[f64], constants: &[f64]) -> Vec<f64> {
+    let bindings = Bindings { parameters, entry: parameters, constants, saturation: &[255.0], shift: &[] };
+    let window = Window { x: 0, y: 0, width: 24, height: 24, slices: Slices::ONE };
+    interpreter::run(program, Precision::F64, &bindings, &Ramp, window, None).outputs
+}
+
+fn all(model: &Model) -> Vec<ParameterId> {
+    (0..model.parameters().len() as u32).map(ParameterId).collect()
+}
+
+/// The formula is NaN above and below the disc, where no pixel takes part.
+#[test]
+fn rows_without_pixels_leave_no_trace() {
+    for domain in ["(x - bx)^2 + (y - by)^2 < r^2", "(x - bx)^2 + (y - by)^2 <= r^2", "g > 0 or g > 1"] {
+        let text = format!(
+            "{HEAD}[parameters]\nbx = {{ start = 12.0 }}\nby = {{ start = 12.0 }}\nv1 = {{ start = 9.0 }}\n[constants]\nr = 8.0\n\
+             [definitions]\ng = \"sqrt(r^2 - (y - by)^2)\"\n[model]\nintensity = \"v1*g*exp(-((x - bx)/5)^2)\"\ndomain = \"{domain}\"\n"
+        );
+        let model = Model::from_toml(&text).unwrap();
+        for fma in [false, true] {
+            let program = model.objective(&all(&model), Method::LevenbergMarquardt).unwrap();
+            let program = program.program(Lowering { fma, drop_saturated: true }).unwrap();
+            let found = sums(&program, &[12.2, 12.3, 9.0], &[8.0]);
+            assert!(found.iter().all(|sum| sum.is_finite()), "{domain}: {found:?}");
+        }
+    }
+}
+
+/// d/da aᵇ and d²/da² aᵇ at a = 0, b a constant of the session.
+#[test]
+fn powers_have_their_derivatives_at_zero() {
+    let text = format!(
+        "{HEAD}[parameters]\na = {{ start = 0.5 }}\nc = {{ start = 1.0 }}\n[constants]\nb = 2.5\n[model]\nintensity = \"c * (a * x)^b\"\n"
+    );
+    let model = Model::from_toml(&text).unwrap();
+    let program = model.objective(&all(&model), Method::Newton).unwrap().program(Lowering::default()).unwrap();
+    // F, a, c, aa, ac, cc.
+    let at = |b: f64| sums(&program, &[0.0, 1.5], &[b]);
+    let sum = |f: fn(f64, f64) -> f64| -> f64 {
+        (0..24).flat_map(|y| (0..24).map(move |x| f(f64::from(x), f64::from(y)))).sum()
+    };
+    let near = |found: f64, expected: f64, what: &str| {
+        assert!((found - expected).abs() <= 1e-9 * expected.abs(), "{what}: {found} {expected}");
+    };
+    // r = φ − c a x: F_a = −2 Σ φ c x, F_aa = 2 Σ (c x)².
+    let one = at(1.0);
+    near(one[1], sum(|x, y| -2.0 * (3.0 * x + 5.0 * y) * 1.5 * x), "gradient, b = 1");
+    near(one[3], sum(|x, _| 2.0 * (1.5 * x).powi(2)), "curvature, b = 1");
+    // r = φ − c a² x²: F_a = 0, F_aa = −2 Σ φ 2 c x².
+    let two = at(2.0);
+    near(two[1], 0.0, "gradient, b = 2");
+    near(two[3], sum(|x, y| -2.0 * (3.0 * x + 5.0 * y) * 2.0 * 1.5 * x * x), "curvature, b = 2");
+    assert!(at(3.0).iter().all(|sum| sum.is_finite()));
+}
+
+/// The exponent is free: its derivatives vanish with the base.
+#[test]
+fn a_free_exponent_is_finite_at_zero() {
+    let text = format!(
+        "{HEAD}[parameters]\na = {{ start = 0.5 }}\nb = {{ start = 2.5 }}\n[model]\nintensity = \"(a * x)^b\"\n"
+    );
+    let model = Model::from_toml(&text).unwrap();
+    let program = model.objective(&all(&model), Method::Newton).unwrap().program(Lowering::default()).unwrap();
+    for b in [2.0, 3.0] {
+        let found = sums(&program, &[0.0, b], &[]);
+        assert!(found.iter().all(|sum| sum.is_finite()), "{b}: {found:?}");
+    }
+}
+
+/// Every program of a document whose minuend is a factor as well has the value that its formulas have without contraction.
+#[test]
+fn contracted_values_are_the_values() {
+    let text = format!(
+        "{HEAD}[parameters]\nbx = {{ start = 12.0 }}\nby = {{ start = 11.0 }}\nw = {{ start = 50.0, min = 1.0 }}\nv0 = {{ start = 110.0 }}\n\
+         v1 = {{ start = 0.4 }}\n[definitions]\nf = \"exp(-((x - bx)^2 + (y - by)^2)/w)\"\nlevel = \"v0 + v1*y\"\nlost = \"f*v0 + f*v1*y\"\n\
+         [model]\nintensity = \"level - lost\"\n"
+    );
+    let model = Model::from_toml(&text).unwrap();
+    let objective = model.value_objective(ValueKind::Entry).unwrap();
+    let of = |fma: bool| {
+        sums(&objective.program(Lowering { fma, drop_saturated: false }).unwrap(), &[12.3, 10.7, 60.0, 120.0, 0.5], &[])
+            [0]
+    };
+    assert!((of(true) - of(false)).abs() <= 1e-9 * of(false), "{} {}", of(true), of(false));
+}
