@@ -13,6 +13,7 @@ use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{Output, Sums};
+use crate::language::budget::Budget;
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
@@ -28,6 +29,9 @@ pub enum ValueKind {
     /// Σ r²/σ² + ln σ² at the parameters themselves, for the report. Two outputs: F, and Σ r²/σ².
     Full,
 }
+
+/// Units of work that it takes to lower an operation of a formula.
+const LOWERED: usize = 8;
 
 /// Predicted to be within so many standard deviations of the limit is near it.
 const NEAR_LIMIT: f64 = 3.0;
@@ -74,9 +78,24 @@ impl Objective {
         if let (CHECKED, Some(program)) = (lowering, &self.checked) {
             return Ok(program.clone());
         }
-        let mut graph = self.graph.clone();
+        self.lowered(lowering, Budget::default())
+    }
+
+    fn lowered(&self, lowering: Lowering, budget: Budget) -> Result<Program, Diagnostics> {
+        let mut graph = self.graph.drawing_on(budget);
         let program = schedule::sums(&mut graph, &self.sums, self.domain, lowering, self.names.clone());
         self.origin.checked(&graph, program)
+    }
+
+    /// Takes what is yet to come from the document's budget: the programs that callers ask for, once for all pixels and once
+    /// without saturated ones, and the memory that stays in use. After that the objective is its holder's.
+    fn paid(mut self, work: usize) -> Result<Objective, Diagnostics> {
+        let mut budget = self.graph.budget().clone();
+        self.graph.draw_on(Budget::default());
+        budget.charge(work);
+        let instructions = self.checked.as_ref().map_or(0, |program| program.instructions().len());
+        let is_room = budget.keep(self.graph.len() + 2 * instructions);
+        if budget.is_spent() || !is_room { Err(self.origin.spent(&budget)) } else { Ok(self) }
     }
 
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
@@ -99,7 +118,7 @@ impl Objective {
 
     /// What the loop nest costs, F itself left out (the convention of the flops table).
     pub fn cost(&self, lowering: Lowering) -> Result<Cost, Diagnostics> {
-        let mut graph = self.graph.clone();
+        let mut graph = self.graph.drawing_on(Budget::default());
         let mut sums = self.sums.clone();
         if sums.outputs.len() > self.values {
             sums.outputs.drain(..self.values);
@@ -126,7 +145,7 @@ impl Objective {
     }
 
     pub(crate) fn value(model: &Model, kind: ValueKind) -> Result<Objective, Diagnostics> {
-        let mut graph = model.formulas.graph.clone();
+        let mut graph = model.formulas.graph.drawing_on(model.budget());
         let residual = residual(&mut graph, model);
         let variance = variance(&mut graph, model, kind == ValueKind::Entry);
         let shape = model.formulas.shape();
@@ -143,8 +162,9 @@ impl Objective {
         };
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());
         let domain = entry_domain(&mut graph, model);
+        let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
-        Ok(Objective {
+        let objective = Objective {
             graph,
             sums,
             values: 0,
@@ -155,7 +175,8 @@ impl Objective {
             checked: None,
             origin: Origin::of(model),
             forms: Vec::new(),
-        })
+        };
+        objective.paid(2 * work)
     }
 
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
@@ -171,9 +192,12 @@ impl Objective {
             parameters,
             newton: *newton,
         };
+        let (budget, mut lowering) = (graph.budget().clone(), 0);
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
             let mut objective = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
-            let program = objective.program(CHECKED).map_err(Refusal::Limit)?;
+            let before = budget.work();
+            let program = objective.lowered(CHECKED, budget.clone()).map_err(Refusal::Limit)?;
+            lowering = budget.work() - before;
             if claim.is_too_large() {
                 return Err(Refusal::Limit(Origin::of(model).growth(subset.len())));
             }
@@ -182,10 +206,11 @@ impl Objective {
             objective.checked = Some(program);
             Ok(objective)
         };
-        safest(&mut candidate).map_err(|refusal| match refusal {
+        let found = safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
             Refusal::Wrong => Origin::of(model).bug(),
-        })
+        });
+        found.and_then(|objective| objective.paid(lowering))
     }
 
     /// Gradient or Hessian in a loop of its own, in the form of the joint loop.
@@ -224,7 +249,7 @@ struct Setting<'a> {
 
 impl<'a> Setting<'a> {
     fn new(model: &'a Model, subset: &[ParameterId], method: Method) -> Setting<'a> {
-        let mut graph = model.formulas.graph.clone();
+        let mut graph = model.formulas.graph.drawing_on(model.budget());
         let residual = residual(&mut graph, model);
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
@@ -245,12 +270,12 @@ impl<'a> Setting<'a> {
         let shape = model.formulas.shape();
         let target = Target { parameters, names: &names, residual, variance, shape, newton, part };
         let derived = match form {
-            Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
+            Form::Unfactored => Derivation::new(graph.copied(), &target, &Cuts::default())
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
             _ => search::fewest_flops(graph, &target, form == Form::Factored),
         };
         let origin = Origin::of(model);
-        let (derivation, sums) = derived.ok_or_else(|| origin.growth(subset.len()))?;
+        let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
         Ok(Objective {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
             sums,
@@ -317,10 +342,23 @@ impl Origin {
 
     pub fn growth(&self, parameters: usize) -> Diagnostics {
         let most = LIMITS.nodes;
-        let message = format!(
-            "the derivatives for {parameters} parameters grow past {most} distinct operations, or take too long"
-        );
+        let message = format!("the derivatives for {parameters} parameters grow past {most} distinct operations");
         self.fault("limit", message)
+    }
+
+    /// Past the budget, or too large.
+    fn outgrown(&self, graph: &Graph, parameters: usize) -> Diagnostics {
+        if graph.budget().is_spent() { self.spent(graph.budget()) } else { self.growth(parameters) }
+    }
+
+    /// The document's budget is spent.
+    fn spent(&self, budget: &Budget) -> Diagnostics {
+        let message = match budget.is_spent() {
+            true => format!("deriving what the stages need takes more than {} units of work", LIMITS.work),
+            false => format!("the programs of all stages hold more than {} operations", LIMITS.kept),
+        };
+        let help = "free fewer parameters per stage, merge stages, or give shared parts a definition";
+        vec![Diagnostic::error(&self.text, "limit", "model.intensity", self.span, message).help(help)]
     }
 
     pub fn checked(&self, graph: &Graph, program: Program) -> Result<Program, Diagnostics> {
@@ -328,11 +366,11 @@ impl Origin {
             pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
             _ => (program.instructions().len(), LIMITS.nodes),
         };
+        if graph.budget().is_spent() {
+            return Err(self.spent(graph.budget()));
+        }
         if graph.overflowed() {
-            return Err(self.fault(
-                "limit",
-                format!("the loop grows past {} distinct operations, or takes too long", LIMITS.nodes),
-            ));
+            return Err(self.fault("limit", format!("the loop grows past {} distinct operations", LIMITS.nodes)));
         }
         if count > most {
             return Err(
@@ -345,7 +383,7 @@ impl Origin {
 
 /// The program that adds the intensity, at shifted coordinates, to a plane.
 pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Diagnostics> {
-    let mut graph = model.formulas.graph.clone();
+    let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let mut shifted = |graph: &mut Graph, node: &Node| match node {
         Node::Coordinate(c) => {
             let shift = graph.input(Input::Shift(*c));
@@ -362,7 +400,7 @@ pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Di
 /// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
 /// NaN outside; or its variance, where that reads no channel.
 pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-    let mut graph = model.formulas.graph.clone();
+    let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let value = match what {
         Prediction::Intensity => {
             let intensity = model.formulas.intensity;

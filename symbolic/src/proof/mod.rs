@@ -363,7 +363,7 @@ domain = "s <= 1"
         let objective = model.objective(&subset, method).unwrap();
         let mut program = objective.program(Lowering { fma: true, drop_saturated: false }).unwrap();
         change(&mut program);
-        let mut graph = model.formulas.graph.clone();
+        let mut graph = Graph::clone(&model.formulas.graph);
         let residual = graph.sub(model.formulas.observed, model.formulas.intensity);
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let claim = Claim {
