@@ -33,24 +33,6 @@ fn all_that_is_derived_for_one_schedule_draws_on_one_budget() {
     );
 }
 
-#[test]
-fn stages_alike_are_known_as_such() {
-    let stage = |names: &str, method: &str| format!("[[stages]]\nparameters = [{names}]\nmethod = \"{method}\"\n");
-    let stages = [
-        stage("\"a\", \"b\"", "newton"),
-        stage("\"b\", \"a\"", "newton"),
-        stage("\"a\", \"b\"", "gauss-newton"),
-        stage("\"a\", \"b\"", "newton"),
-    ];
-    let text = format!(
-        "name = \"line\"\ncoordinates = [\"x\"]\nchannels = [\"y\"]\n[parameters]\na = {{ start = 1.0 }}\nb = {{ start = 1.0 }}\n\
-         [model]\nintensity = \"a*x + b\"\n{}",
-        stages.concat()
-    );
-    let model = Model::from_toml(&text).unwrap();
-    assert_eq!((0..4).map(|stage| model.first_alike(stage)).collect::<Vec<_>>(), [0, 1, 2, 0]);
-}
-
 /// Every shipped model fits its budget, with all that a fit asks for.
 #[test]
 fn shipped_models_are_within_their_budget() {

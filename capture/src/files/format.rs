@@ -27,6 +27,9 @@ impl Format {
     }
 }
 
+/// Opens a file, or of one that holds several things that which is named.
+pub(crate) type Open = fn(&Path, Option<&str>) -> Result<Box<dyn Pages>, PageFault>;
+
 /// What is in a file of a format.
 pub(crate) enum Content {
     /// One picture, of all bytes of the file; and its width and height, for which no pixel is decoded.
@@ -35,7 +38,7 @@ pub(crate) enum Content {
     Pages {
         /// For people: what a file is called, and its pictures.
         words: [&'static str; 2],
-        open: fn(&Path, Option<&str>) -> Result<Box<dyn Pages>, PageFault>,
+        open: Open,
         /// Whose pictures they are can be named behind the file.
         topics: Topics,
     },

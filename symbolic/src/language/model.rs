@@ -333,13 +333,6 @@ impl Model {
     pub fn stages(&self) -> &[Stage] {
         &self.stages
     }
-    /// The first stage that frees the same parameters, in the same order and by the same method: what is derived for that one
-    /// serves this one.
-    pub fn first_alike(&self, stage: usize) -> usize {
-        let key = |stage: &Stage| (stage.parameters.clone(), stage.method);
-        let own = self.stages.get(stage).map(key);
-        self.stages.iter().position(|other| Some(key(other)) == own).unwrap_or(stage)
-    }
     /// The document as JSON with sorted keys.
     pub fn document(&self) -> &serde_json::Value {
         &self.document

@@ -7,8 +7,14 @@ pub fn derive(model: &Model) -> Result<(), Diagnostics> {
     let lowerings = [false, true].map(|drop_saturated| Lowering { fma: true, drop_saturated });
     let mut held = Vec::new();
     for Summand { model, .. } in model.summands() {
-        let own = (0..model.stages().len()).filter(|stage| model.first_alike(*stage) == *stage);
-        for stage in own.map(|stage| &model.stages()[stage]) {
+        let mut known = Vec::new();
+        for stage in model.stages() {
+            // Stages alike are derived once.
+            let key = (&stage.parameters, stage.method);
+            if known.contains(&key) {
+                continue;
+            }
+            known.push(key);
             held.push(model.objective(&stage.parameters, stage.method)?);
         }
         if let Some(last) = model.stages().last().filter(|last| last.method == Method::Newton) {

@@ -28,7 +28,7 @@ const ORDER: [&str; 4] = ["program", "language", "proof", "derive"];
 const GROUND: [&str; 2] = ["language/diagnostic", "language/limits"];
 
 /// Lines of symbolic/src, tests left out.
-const CORE_LINES_MAX: usize = 14_000;
+const CORE_LINES_MAX: usize = 15_400;
 
 /// What a room holds that it should not, or lacks.
 fn strangers(rooms: &Rooms, files: &[File]) -> Vec<String> {

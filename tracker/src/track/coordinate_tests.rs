@@ -97,7 +97,7 @@ fn predictions_are_as_sure_as_they_may_be() {
         for rate_hz in [30.0, 60.0, 200.0] {
             let found = followed(&case, rate_hz, runs);
             let [near, far] = found.nees;
-            println!(
+            eprintln!(
                 "{:18} {rate_hz:3} Hz: NEES {near:.2} at 0.1 s, {far:.2} at 0.5 s; next frame {:.3} px off, last {:.3}",
                 case.name, found.next_px, found.last_px
             );

@@ -81,7 +81,7 @@ fn a_shaken_target_is_followed_without_searching() {
         (SPOT, [20.0, 14.0], &swing),
     ] {
         let tally = shaken(document, half, 1.0, 120, path);
-        println!("{half:?}: {tally:?}");
+        eprintln!("{half:?}: {tally:?}");
         assert!(tally.tracking == 120 && tally.wrong == 0 && tally.worst_px < 0.2, "{half:?}: {tally:?}");
         assert!(tally.searched <= 4, "{half:?}: {tally:?}");
     }
@@ -90,7 +90,8 @@ fn a_shaken_target_is_followed_without_searching() {
 /// From pixels to predictions: the covariance of the fits is what the filters start from.
 #[test]
 fn predictions_from_pixels_are_as_sure_as_they_may_be() {
-    let paths: [(&str, f64, &dyn Fn(f64) -> [f64; 2]); 4] = [
+    type Path<'a> = (&'a str, f64, &'a dyn Fn(f64) -> [f64; 2]);
+    let paths: [Path; 4] = [
         ("shaken", 1.0, &|_| [150.3, 70.6]),
         ("steady", 0.0, &|t| [20.0 + 50.0 * t, 40.0 + 15.0 * t]),
         ("swinging", 0.0, &|t| [140.0 + 80.0 * (std::f64::consts::TAU * 0.2 * t).sin(), 70.6]),
@@ -99,7 +100,7 @@ fn predictions_from_pixels_are_as_sure_as_they_may_be() {
     let mut sums = [[0.0; 2]; 2];
     for (name, jitter, path) in paths {
         let Tally { nees, wrong, searched, .. } = shaken(SPOT, [8.0, 6.0], jitter, 240, path);
-        println!("{name}: NEES {nees:.2?}, searched {searched}");
+        eprintln!("{name}: NEES {nees:.2?}, searched {searched}");
         assert!(wrong == 0 && searched <= 4, "{name}: {wrong} {searched}");
         for (sum, one) in sums.iter_mut().flatten().zip(nees.iter().flatten()) {
             *sum += one / 4.0;
