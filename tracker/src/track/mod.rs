@@ -50,6 +50,9 @@ const MARGIN_DEVIATIONS: f64 = 3.0;
 /// … but by no more than this, px.
 pub(crate) const MARGIN_PX_MAX: f64 = 32.0;
 
+/// Times that are sums of periods differ by less than this from what they should be.
+const ROUNDING_S: f64 = 1e-6;
+
 /// What a frame says about one target.
 pub(crate) enum Outcome {
     /// There it is.
@@ -170,7 +173,7 @@ impl Track {
     fn missing(&self, solver: &Solver, look: &Look, attempt: Attempt, time_s: f64) -> Outcome {
         let TrackerOptions { motion, .. } = &solver.options;
         let predicted = self.memory.predicted(time_s).filter(|_| self.is_confirmed() && self.memory.is_complete());
-        let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s);
+        let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s + ROUNDING_S);
         match predicted.filter(|_| recent) {
             Some(predicted) if inside(solver, look, &predicted) => Outcome::Coasting(attempt, predicted),
             _ => Outcome::Missing(attempt),
