@@ -83,6 +83,8 @@ fn of_clif(line: &str) -> (String, Option<Value>) {
 
 #[cfg(target_arch = "x86_64")]
 mod machine {
+    use std::collections::BTreeSet;
+
     use super::{Source, Value};
     use iced_x86::{Decoder, DecoderOptions, Formatter, Instruction, IntelFormatter, Mnemonic};
 
@@ -98,7 +100,7 @@ mod machine {
         style.set_rip_relative_addresses(false);
         let mut decoder = Decoder::with_ip(64, bytes, 0, DecoderOptions::NONE);
         let mut instruction = Instruction::default();
-        let mut constants: Vec<usize> = Vec::new();
+        let mut constants: BTreeSet<usize> = BTreeSet::new();
         let mut lines = Vec::new();
         let mut at = 0;
         while at < bytes.len() && !constants.contains(&at) {
@@ -109,11 +111,11 @@ mod machine {
             let value = sources.get(source).filter(|source| source.start <= at).map(|source| source.value);
             lines.push((format!("{at:5x}  {text}"), value));
             if instruction.is_ip_rel_memory_operand() {
-                constants.push(instruction.ip_rel_memory_address() as usize);
+                constants.insert(instruction.ip_rel_memory_address() as usize);
             }
             at = instruction.next_ip() as usize;
             let is_left = matches!(instruction.mnemonic(), Mnemonic::Ret | Mnemonic::Jmp | Mnemonic::Ud2);
-            let gap = constants.iter().min().map_or(0, |first| first.saturating_sub(at));
+            let gap = constants.first().map_or(0, |first| first.saturating_sub(at));
             if is_left && gap > 0 && bytes[at..at + gap].iter().all(|byte| *byte == 0) {
                 at += gap;
             }

@@ -91,3 +91,26 @@ fn faults_end_at_their_limit() {
         assert_eq!(faults.len() - names, usize::from(count > LIMITS.diagnostics));
     }
 }
+
+/// A fault in a formula that is spelled in an unusual way stands at the characters that spell it.
+#[test]
+fn faults_stand_where_they_are_spelled() {
+    let before = "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"y\"]\n[parameters]\nv = { start = 1.0 }\n[model]\nintensity = ";
+    for (literal, name) in [
+        ("\"\"\"\\\n\\\n  v + g\\u0072\\xf6\\U000000dfe*x\"\"\"", "g\\u0072\\xf6\\U000000dfe"),
+        ("\"\"\"\r\nv*x\\\r\n \t \r\n + größe\\\n\n\"\"\"", "größe"),
+        ("'''\nv*x + größe'''", "größe"),
+        ("\"v*x\\t+\\u00a0größe\"", "größe"),
+    ] {
+        let document = format!("{before}{literal}\n");
+        let faults = Model::from_toml(&document).unwrap_err();
+        assert_eq!(faults.len(), 1, "{faults:?}");
+        let (start, end) = (faults[0].span.start as usize, faults[0].span.end as usize);
+        assert_eq!(&document[start..end], name, "{document}");
+        assert_eq!(faults[0].line as usize, document[..start].split('\n').count(), "{document}");
+    }
+    let json = "{\"name\": \"m\", \"coordinates\": [\"x\"], \"channels\": [\"y\"], \"parameters\": {\"v\": {\"start\": 1}},\n\
+                \"model\": {\"intensity\": \"v\\/x + \\ud835\\udefc\"}}";
+    let faults = Model::from_json(json).unwrap_err();
+    assert_eq!(&json[faults[0].span.start as usize..faults[0].span.end as usize], "\\ud835\\udefc", "{faults:?}");
+}

@@ -92,17 +92,18 @@ impl<'a> Writer<'a> {
 
     fn lines(mut self, objective: &Objective, forms: &[(String, NodeId)]) -> Vec<Equation> {
         let mut numbers: BTreeMap<&str, (usize, String)> = BTreeMap::new();
-        let several = |name: &str| forms.iter().filter(|(other, _)| other == name).count() > 1;
+        let mut times: BTreeMap<&str, usize> = BTreeMap::new();
+        forms.iter().for_each(|(name, _)| *times.entry(name).or_default() += 1);
         for (name, node) in forms {
             let letter = name.chars().next().unwrap_or('L');
             let (number, word) = numbers.entry(name).or_insert_with(|| (0, word(letter, self.names)));
-            let left = if several(name) { format!("{word}{number}") } else { word.clone() };
+            let left = if times[name.as_str()] > 1 { format!("{word}{number}") } else { word.clone() };
             *number += 1;
             let right = self.at(*node);
             self.lines.push(Equation { left: Tree::name(left), right });
         }
         let (function, total) = (word('F', self.names), word('S', self.names));
-        let mut shown: Vec<NodeId> = Vec::new();
+        let mut shown = BTreeMap::new();
         let parameters: Vec<&str> =
             objective.subset().iter().map(|p| self.names.parameters[p.index()].as_str()).collect();
         let entries = entries(&function, &parameters);
@@ -123,7 +124,9 @@ impl<'a> Writer<'a> {
             };
             self.lines.push(Equation { left, right: Tree { kind, span: None } });
         }
-        for (i, pixel) in shown.into_iter().enumerate() {
+        let mut shown: Vec<(usize, NodeId)> = shown.into_iter().map(|(pixel, number)| (number, pixel)).collect();
+        shown.sort_unstable();
+        for (i, pixel) in shown {
             let inside = self.at(pixel);
             let right =
                 Tree { span: self.expressions.span(pixel), kind: Expression::Total("pixels", Box::new(inside)) };
@@ -133,14 +136,12 @@ impl<'a> Writer<'a> {
     }
 
     /// coefficient · Σ_rows row · Σ_pixels pixel.
-    fn term(&self, term: &OutputTerm, total: &str, shown: &mut Vec<NodeId>) -> Addend {
+    fn term(&self, term: &OutputTerm, total: &str, shown: &mut BTreeMap<NodeId, usize>) -> Addend {
         let plain = |kind: Expression| Tree { kind, span: None };
         let inner =
             term.pixel.map_or(plain(Expression::Total("pixels", Box::new(plain(Expression::Number(1.0))))), |pixel| {
-                let at = shown.iter().position(|other| *other == pixel).unwrap_or_else(|| {
-                    shown.push(pixel);
-                    shown.len() - 1
-                });
+                let next = shown.len();
+                let at = *shown.entry(pixel).or_insert(next);
                 Tree::name(format!("{total}{at}"))
             });
         let inner = match term.row.map(|row| self.at(row)) {

@@ -15,6 +15,7 @@ use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
 use crate::derive::sums::{Output, Sums, Term};
 use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Cost;
 use crate::proof::claim::Part;
@@ -115,6 +116,7 @@ impl Derivation {
         let slopes: Vec<_> = target.parameters.iter().map(slopes).collect();
         for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
             for (j, v) in target.parameters.iter().enumerate().skip(i) {
+                graph.charge(slopes[i].len() * slopes[j].len());
                 let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {
                     for (m, m_v) in &slopes[j] {
@@ -140,6 +142,14 @@ impl Derivation {
             }
         }
         Some(Derivation { graph, forms, value, entries, factors: FxHashMap::default() })
+    }
+
+    /// A copy to try something with.
+    pub fn copied(&self) -> Derivation {
+        let mut copy = self.clone();
+        let terms: usize = self.factors.values().map(Polynomial::len).sum();
+        copy.graph.charge(self.graph.len() / 2 + 4 * self.entries.len() + 4 * terms);
+        copy
     }
 
     /// True when a form is a sum, so that it can be taken apart.
@@ -172,21 +182,21 @@ impl Derivation {
     /// What the pixel loop of a layout costs, F left out; terms that cancel between forms are counted.
     pub fn pixel_cost(&mut self, layout: &Layout, lowering: Lowering) -> Option<Cost> {
         let parts = self.parts(layout);
-        let mut seen = FxHashSet::default();
-        let mut pixels = Vec::new();
+        let (mut seen, mut distinct) = (FxHashSet::default(), FxHashSet::default());
+        let (mut pixels, mut nodes) = (Vec::new(), Vec::new());
+        let graph = &mut self.graph;
         for (form, factor) in self.entries.iter().flat_map(|e| &e.uses) {
+            if graph.overflowed() {
+                return None;
+            }
             if seen.insert((*form, *factor)) {
                 parts[*form].pixels_with(&self.factors[&(*factor, layout.expand)], &mut pixels)?;
+                graph.charge(4 * pixels.len());
+                let found = pixels.drain(..).filter(|monomial: &Vec<_>| !monomial.is_empty());
+                let found = found.map(|monomial| graph.product(1.0, monomial));
+                nodes.extend(found.filter(|node| distinct.insert(*node)));
             }
         }
-        let mut distinct = FxHashSet::default();
-        let graph = &mut self.graph;
-        let nodes: Vec<NodeId> = pixels
-            .into_iter()
-            .filter(|monomial| !monomial.is_empty())
-            .map(|monomial| graph.product(1.0, monomial))
-            .filter(|node| distinct.insert(*node))
-            .collect();
         let cost = schedule::pixel_cost(graph, &nodes, lowering);
         (!graph.overflowed()).then_some(cost)
     }
@@ -220,12 +230,20 @@ impl Derivation {
     }
 }
 
+/// Values worked out in the search of combinations, beyond which there is none.
+const RANK: usize = LIMITS.work / 16;
+
 /// The sums without those that are combinations of others, F's own left alone.
 pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
     let own =
         sums.outputs.first().map(|f| f.terms.iter().filter_map(|t| t.pixel).collect::<Vec<_>>()).unwrap_or_default();
     let mut pixels: Vec<NodeId> = sums.pixels().into_iter().filter(|pixel| !own.contains(pixel)).collect();
     pixels.sort_by_key(|pixel| (schedule::degree(graph, *pixel), *pixel));
+    let looked_at = graph.reachable(&pixels).len() * pixels.len();
+    if looked_at > RANK {
+        return sums;
+    }
+    graph.charge(looked_at);
     let combinations: FxHashMap<NodeId, Combination> = dependent(graph, &pixels).into_iter().collect();
     if combinations.is_empty() {
         return sums;

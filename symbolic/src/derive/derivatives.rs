@@ -38,7 +38,7 @@ impl Model {
     /// # Errors
     /// Derivatives that grow past a limit.
     pub fn derivatives(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Derivatives, Diagnostics> {
-        let mut graph = self.formulas.graph.clone();
+        let mut graph = self.formulas.graph.drawing_on(self.budget());
         let entries = entries(&mut graph, self, subset, method, part);
         match graph.overflowed() {
             true => Err(Origin::of(self).growth(subset.len())),

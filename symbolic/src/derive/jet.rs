@@ -23,6 +23,9 @@ pub(crate) fn pair(a: NodeId, b: NodeId) -> (NodeId, NodeId) {
     if a <= b { (a, b) } else { (b, a) }
 }
 
+/// Units of work that an entry takes besides its node.
+const ENTRY: usize = 2;
+
 /// Sums of weighted entries, collected before they become nodes.
 #[derive(Default)]
 struct Form {
@@ -33,6 +36,7 @@ struct Form {
 impl Form {
     /// Adds derivative · jet.
     fn add(&mut self, graph: &mut Graph, derivative: NodeId, jet: &Jet) {
+        graph.charge(ENTRY * (jet.first.len() + jet.second.len()));
         for (variable, entry) in &jet.first {
             let node = graph.mul(derivative, *entry);
             self.first.entry(*variable).or_default().push((node, 1.0));
@@ -49,6 +53,7 @@ impl Form {
             if graph.overflowed() {
                 return;
             }
+            graph.charge(ENTRY * b.first.len());
             for (m, mb) in &b.first {
                 // second[l, m] of a product of first orders: a_l b_m + a_m b_l; for a square each ordered pair once.
                 if square && l > m {
@@ -83,7 +88,9 @@ impl Form {
 /// Second derivatives are left out unless `second` is asked for.
 pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>, second: bool) -> Jet {
     let mut jets: FxHashMap<NodeId, Jet> = FxHashMap::default();
-    for id in segment(graph, root, variables) {
+    let segment = segment(graph, root, variables);
+    graph.charge(ENTRY * segment.len());
+    for id in segment {
         let jet = if id != root && variables.contains(&id) {
             let one = graph.number(1.0);
             Jet { first: BTreeMap::from([(id, one)]), second: BTreeMap::new() }

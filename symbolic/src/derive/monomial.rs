@@ -54,12 +54,18 @@ impl Polynomial {
         };
     }
 
+    /// Its terms.
+    pub fn len(&self) -> usize {
+        self.terms.len()
+    }
+
     /// The product, or nothing when it has too many terms.
     pub fn times(&self, graph: &mut Graph, other: &Polynomial) -> Option<Polynomial> {
         let mut product = Polynomial::default();
         if self.terms.len() * other.terms.len() > 4 * TERMS {
             return None;
         }
+        graph.charge(4 * self.terms.len() * other.terms.len());
         for (a, ca) in &self.terms {
             for (b, cb) in &other.terms {
                 let monomial = Monomial { pixel: multiply(&a.pixel, &b.pixel), row: multiply(&a.row, &b.row) };

@@ -15,6 +15,7 @@ use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{Output, Sums};
+use crate::language::budget::Budget;
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
@@ -25,6 +26,9 @@ use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
 use crate::proof::referee::{Referee, Subject};
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
+
+/// Units of work that it takes to lower an operation of a formula.
+const LOWERED: usize = 8;
 
 /// Predicted to be within so many standard deviations of the limit is near it.
 const NEAR_LIMIT: f64 = 3.0;
@@ -77,7 +81,7 @@ impl Objective {
         if let (CHECKED, Some(program)) = (lowering, &self.checked) {
             return Ok(program.clone());
         }
-        let draft = self.draft(lowering)?;
+        let draft = self.draft(lowering, Budget::default())?;
         if let Some((program, _)) = self.proved(draft, lowering) {
             return Ok(program);
         }
@@ -85,8 +89,8 @@ impl Objective {
     }
 
     /// The loop nest before its check.
-    fn draft(&self, lowering: Lowering) -> Result<Draft, Diagnostics> {
-        let mut graph = self.graph.clone();
+    fn draft(&self, lowering: Lowering, budget: Budget) -> Result<Draft, Diagnostics> {
+        let mut graph = self.graph.drawing_on(budget);
         let draft = schedule::sums(&mut graph, &self.sums, self.domain, lowering, self.names.clone());
         self.origin.checked(&graph, draft)
     }
@@ -103,7 +107,7 @@ impl Objective {
 
     /// Channels that the sums read.
     pub(crate) fn channels(&self) -> Vec<ChannelId> {
-        let mut graph = self.graph.clone();
+        let mut graph = self.graph.drawing_on(Budget::default());
         let summed = self.sums.summed(&mut graph);
         let channel = |id: NodeId| match graph.node(id) {
             Node::Channel(channel) => Some(*channel),
@@ -115,7 +119,7 @@ impl Objective {
     /// The same sums in the plainest way that passes: other forms, and none of them contracted.
     fn plainer(&self, lowering: Lowering) -> Option<Program> {
         let of = |objective: &Objective, lowering: Lowering| {
-            let draft = objective.draft(lowering).ok()?;
+            let draft = objective.draft(lowering, Budget::default()).ok()?;
             objective.proved(draft, lowering).map(|(program, _)| program)
         };
         let forms = || {
@@ -131,6 +135,17 @@ impl Objective {
             let uncontracted = Lowering { fma: false, ..lowering };
             std::iter::once(self).chain(&others).find_map(|objective| of(objective, uncontracted))
         })
+    }
+
+    /// Takes what is yet to come from the document's budget: the programs that callers ask for, once for all pixels and once
+    /// without saturated ones, and the memory that stays in use. After that the objective is its holder's.
+    fn paid(mut self, work: usize) -> Result<Objective, Diagnostics> {
+        let mut budget = self.graph.budget().clone();
+        self.graph.draw_on(Budget::default());
+        budget.charge(work);
+        let instructions = self.checked.as_ref().map_or(0, |program| program.instructions().len());
+        let is_room = budget.keep(self.graph.len() + self.referee.kept() + 2 * instructions);
+        if budget.is_spent() || !is_room { Err(self.origin.spent(&budget)) } else { Ok(self) }
     }
 
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
@@ -152,7 +167,7 @@ impl Objective {
 
     /// What the loop nest costs, F itself left out (the convention of the flops table).
     pub fn cost(&self, lowering: Lowering) -> Result<Cost, Diagnostics> {
-        let mut graph = self.graph.clone();
+        let mut graph = self.graph.drawing_on(Budget::default());
         let mut sums = self.sums.clone();
         if sums.outputs.len() > self.values {
             sums.outputs.drain(..self.values);
@@ -179,7 +194,7 @@ impl Objective {
     }
 
     pub(crate) fn value(model: &Model, kind: ValueKind) -> Result<Objective, Diagnostics> {
-        let mut graph = model.formulas.graph.clone();
+        let mut graph = model.formulas.graph.drawing_on(model.budget());
         let residual = residual(&mut graph, model);
         let variance = variance(&mut graph, model, kind == ValueKind::Entry);
         let shape = model.formulas.shape();
@@ -196,10 +211,11 @@ impl Objective {
         };
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());
         let domain = entry_domain(&mut graph, model);
+        let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
         let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| Origin::of(model).costly())?;
         let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), points));
-        Ok(Objective {
+        let objective = Objective {
             referee,
             graph,
             sums,
@@ -211,17 +227,22 @@ impl Objective {
             checked: None,
             origin: Origin::of(model),
             forms: Vec::new(),
-        })
+        };
+        objective.paid(2 * work)
     }
 
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         let claim = Claim::Derivatives { newton: method == Method::Newton, part: Part::Both };
         let referee = referee(model, subset, method, claim)?;
         let setting = Setting::of(&referee, subset);
+        let (mut budget, mut lowering) = (setting.graph.budget().clone(), 0);
+        budget.charge(referee.work());
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
             let derived = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
             let mut objective = Objective { referee: referee.clone(), ..derived };
-            let draft = objective.draft(CHECKED).map_err(Refusal::Limit)?;
+            let before = budget.work();
+            let draft = objective.draft(CHECKED, budget.clone()).map_err(Refusal::Limit)?;
+            lowering = budget.work() - before;
             let Some((program, Errors { exact, error })) = objective.proved(draft, CHECKED) else {
                 return Err(Refusal::Wrong);
             };
@@ -229,10 +250,11 @@ impl Objective {
             objective.checked = Some(program);
             Ok(objective)
         };
-        safest(&mut candidate).map_err(|refusal| match refusal {
+        let found = safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
             Refusal::Wrong => Origin::of(model).bug(),
-        })
+        });
+        found.and_then(|objective| objective.paid(lowering))
     }
 
     /// Gradient or Hessian in a loop of its own, in the form of the joint loop.
@@ -262,7 +284,7 @@ impl Objective {
 
 /// What the sums are of, as the document says it.
 fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
-    let mut graph = model.formulas.graph.clone();
+    let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let residual = residual(&mut graph, model);
     let is_held = !matches!(claim, Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full));
     let variance = variance(&mut graph, model, is_held);
@@ -297,7 +319,7 @@ struct Setting<'a> {
 impl<'a> Setting<'a> {
     fn of(referee: &'a Arc<Referee>, subset: &[ParameterId]) -> Setting<'a> {
         let model = referee.model();
-        let mut graph = model.formulas.graph.clone();
+        let mut graph = model.formulas.graph.drawing_on(model.budget());
         let residual = residual(&mut graph, model);
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
@@ -319,12 +341,12 @@ impl<'a> Setting<'a> {
         let shape = model.formulas.shape();
         let target = Target { parameters, names: &names, residual, variance, shape, newton, part };
         let derived = match form {
-            Form::Unfactored => Derivation::new(graph.clone(), &target, &Cuts::default())
+            Form::Unfactored => Derivation::new(graph.copied(), &target, &Cuts::default())
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
             _ => search::fewest_flops(graph, &target, form == Form::Factored),
         };
         let origin = Origin::of(model);
-        let (derivation, sums) = derived.ok_or_else(|| origin.growth(subset.len()))?;
+        let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
         Ok(Objective {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
             sums,
@@ -392,9 +414,7 @@ impl Origin {
 
     pub fn growth(&self, parameters: usize) -> Diagnostics {
         let most = LIMITS.nodes;
-        let message = format!(
-            "the derivatives for {parameters} parameters grow past {most} distinct operations, or take too long"
-        );
+        let message = format!("the derivatives for {parameters} parameters grow past {most} distinct operations");
         self.fault("limit", message)
     }
 
@@ -404,16 +424,31 @@ impl Origin {
         self.fault("limit", format!("checking the derivatives of all stages would take more than {most} operations"))
     }
 
+    /// Past the budget, or too large.
+    fn outgrown(&self, graph: &Graph, parameters: usize) -> Diagnostics {
+        if graph.budget().is_spent() { self.spent(graph.budget()) } else { self.growth(parameters) }
+    }
+
+    /// The document's budget is spent.
+    fn spent(&self, budget: &Budget) -> Diagnostics {
+        let message = match budget.is_spent() {
+            true => format!("deriving what the stages need takes more than {} units of work", LIMITS.work),
+            false => format!("the programs of all stages hold more than {} operations", LIMITS.kept),
+        };
+        let help = "free fewer parameters per stage, merge stages, or give shared parts a definition";
+        vec![Diagnostic::error(&self.text, "limit", "model.intensity", self.span, message).help(help)]
+    }
+
     pub fn checked(&self, graph: &Graph, program: Draft) -> Result<Draft, Diagnostics> {
         let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
             pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
             _ => (program.instructions().len(), LIMITS.nodes),
         };
+        if graph.budget().is_spent() {
+            return Err(self.spent(graph.budget()));
+        }
         if graph.overflowed() {
-            return Err(self.fault(
-                "limit",
-                format!("the loop grows past {} distinct operations, or takes too long", LIMITS.nodes),
-            ));
+            return Err(self.fault("limit", format!("the loop grows past {} distinct operations", LIMITS.nodes)));
         }
         if count > most {
             return Err(
@@ -426,7 +461,7 @@ impl Origin {
 
 /// The program that adds the intensity, at shifted coordinates, to a plane.
 pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Diagnostics> {
-    let mut graph = model.formulas.graph.clone();
+    let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let mut shifted = |graph: &mut Graph, node: &Node| match node {
         Node::Coordinate(c) => {
             let shift = graph.input(Input::Shift(*c));
@@ -462,7 +497,7 @@ fn filling(
 /// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
 /// NaN outside; or its variance, where that reads no channel.
 pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-    let mut graph = model.formulas.graph.clone();
+    let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let value = match what {
         Prediction::Intensity => {
             let intensity = model.formulas.intensity;
@@ -484,7 +519,7 @@ pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) ->
         return None;
     }
     // As it was read: what is predicted, and where.
-    let mut read = model.formulas.graph.clone();
+    let mut read = model.formulas.graph.drawing_on(Budget::default());
     let (formula, domain) = match what {
         Prediction::Intensity => (model.formulas.intensity, model.formulas.domain),
         Prediction::Unbounded => (model.formulas.intensity, None),

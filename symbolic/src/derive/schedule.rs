@@ -15,6 +15,11 @@ use crate::program::{
 };
 use crate::proof::draft::Draft;
 
+/// Units of work that an instruction takes until it is in its place.
+const EMISSION: usize = 3;
+/// The same for counting what it costs, spills above all.
+const COST: usize = 2;
+
 /// The loop nest for sums over the pixels of `domain`.
 pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lowering: Lowering, names: Names) -> Draft {
     let mut builder = Builder::new(graph);
@@ -35,6 +40,7 @@ pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lower
     let accumulator = |node: NodeId| numbers[&node];
 
     let mut totals: Vec<Value> = Vec::new();
+    let mut total_ids: FxHashMap<Value, usize> = FxHashMap::default();
     let mut outputs = Vec::new();
     for output in &sums.outputs {
         let mut sum: Option<Value> = None;
@@ -50,7 +56,7 @@ pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lower
                         }
                         None => row_sum,
                     };
-                    let id = totals.iter().position(|t| *t == total).unwrap_or_else(|| {
+                    let id = *total_ids.entry(total).or_insert_with(|| {
                         totals.push(total);
                         totals.len() - 1
                     });
@@ -79,6 +85,7 @@ pub(crate) fn pixel_cost(graph: &mut Graph, pixels: &[NodeId], lowering: Lowerin
     builder.wanted.extend(pixels.iter().copied());
     let accumulators = builder.pixel_values(pixels);
     let sink = Sink::Sums { accumulators, totals: Vec::new(), outputs: Vec::new() };
+    builder.graph.charge(COST * builder.instructions.len());
     builder.finish(PixelSet::default(), sink, lowering, Names::default()).cost()
 }
 
@@ -126,6 +133,7 @@ impl<'g> Builder<'g> {
             return *value;
         }
         let level = op.level(|v| self.instructions[v.index()].level);
+        self.graph.charge(EMISSION);
         let value = Value(self.instructions.len() as u32);
         self.instructions.push(Instruction { op, level, span: self.span });
         self.known.insert(op, value);

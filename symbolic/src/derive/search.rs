@@ -19,8 +19,8 @@ use crate::program::Cost;
 
 /// Derivations tried at most.
 const DERIVATIONS: usize = 32;
-/// Work (see [`Graph::work`]) after which no other way is tried: that of all derivations, and that of one with its layouts.
-const WORK: usize = LIMITS.work / 2;
+/// Work (see [`Graph::work`]) after which no other way is tried: that of all derivations, and that of all layouts.
+const WORK: usize = LIMITS.work / 8;
 
 struct Found {
     cuts: Cuts,
@@ -79,7 +79,7 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
     let sums = best.derivation.sums(&best.layout)?;
     let sums = reduced(&mut best.derivation.graph, sums);
     // Tried on a copy: what does not pay leaves nothing behind, not even a full graph.
-    let mut trial = best.derivation.graph.clone();
+    let mut trial = best.derivation.graph.copied();
     let of = |sums: &Sums, graph: &mut Graph| {
         let pixels = sums.summed(graph);
         weight(&pixel_cost(graph, &pixels, LOWERING))
@@ -97,10 +97,11 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
 impl Search<'_> {
     /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
     fn attempt(&mut self, cuts: Cuts) {
-        if self.derivations >= DERIVATIONS || self.work >= WORK || !self.tried.insert(cuts.clone()) {
+        let is_spent = self.work >= WORK || self.graph.budget().is_spent();
+        if self.derivations >= DERIVATIONS || is_spent || !self.tried.insert(cuts.clone()) {
             return;
         }
-        let (mut graph, mut residual) = (self.graph.clone(), self.target.residual);
+        let (mut graph, mut residual) = (self.graph.copied(), self.target.residual);
         if let Some(variable) = cuts.collect {
             residual = collected(&mut graph, residual, variable);
             residual = gather(&mut graph, residual);
@@ -128,17 +129,21 @@ impl Search<'_> {
     /// Improves the layout of the best: factors whole, forms taken apart one by one.
     fn layouts(&mut self) {
         let Some(mut best) = self.best.take() else { return };
+        let mut work = 0;
         if !best.cuts.unify {
             let whole = Layout { expand: false, ..best.layout.clone() };
-            try_layout(&mut best, whole);
+            work += try_layout(&mut best, whole);
         }
         for form in 0..best.derivation.forms.len() {
-            if !best.derivation.has_terms(form) || best.derivation.graph.work() >= WORK {
+            if work >= WORK || best.derivation.graph.budget().is_spent() {
+                break;
+            }
+            if !best.derivation.has_terms(form) {
                 continue;
             }
             let mut layout = best.layout.clone();
             layout.split.insert(form);
-            try_layout(&mut best, layout);
+            work += try_layout(&mut best, layout);
         }
         self.best = Some(best);
     }
@@ -160,13 +165,16 @@ fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
     graph.sum(constant, list)
 }
 
-fn try_layout(best: &mut Found, layout: Layout) {
-    let mut trial = best.derivation.clone();
-    let Some(cost) = trial.pixel_cost(&layout, LOWERING) else { return };
-    let weight = weight(&cost);
-    if weight < best.weight {
+/// Takes the layout where it is better; the work that the look took.
+fn try_layout(best: &mut Found, layout: Layout) -> usize {
+    let before = best.derivation.graph.work();
+    let mut trial = best.derivation.copied();
+    let cost = trial.pixel_cost(&layout, LOWERING);
+    let work = trial.graph.work() - before;
+    if let Some(weight) = cost.map(|cost| weight(&cost)).filter(|weight| *weight < best.weight) {
         (best.derivation, best.layout, best.weight) = (trial, layout, weight);
     }
+    work
 }
 
 const LOWERING: Lowering = Lowering { fma: true, drop_saturated: false };

@@ -1,6 +1,8 @@
 //! How one node of the graph is computed from others: Horner for sums, shared powers for products, one reciprocal a
 //! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
 
+use rustc_hash::FxHashMap;
+
 use crate::derive::schedule::Builder;
 use crate::language::graph::{Bits, Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level, Op, Opcode};
@@ -172,13 +174,11 @@ impl Builder<'_> {
 
     /// The factor at `level` that most of the terms share, at least two of them.
     fn common_factor(&self, terms: &[(NodeId, f64)], level: Level) -> Option<NodeId> {
-        let mut counts: Vec<(NodeId, usize, i32)> = Vec::new();
-        let mut count = |node: NodeId, exponent: i32| match counts.iter_mut().find(|(n, ..)| *n == node) {
-            Some(entry) => {
-                entry.1 += 1;
-                entry.2 += exponent;
-            }
-            None => counts.push((node, 1, exponent)),
+        let mut counts: FxHashMap<NodeId, (usize, i32)> = FxHashMap::default();
+        let mut count = |node: NodeId, exponent: i32| {
+            let (times, total) = counts.entry(node).or_default();
+            *times += 1;
+            *total += exponent;
         };
         for (node, _) in terms {
             match self.graph.node(*node) {
@@ -192,9 +192,9 @@ impl Builder<'_> {
         }
         counts
             .into_iter()
-            .filter(|(_, times, _)| *times > 1)
-            .max_by_key(|(n, times, total)| (*times, *total, *n))
-            .map(|(n, ..)| n)
+            .filter(|(_, (times, _))| *times > 1)
+            .max_by_key(|(n, (times, total))| (*times, *total, *n))
+            .map(|(n, _)| n)
     }
 
     /// The terms with the factor, divided by it once, and those without.

@@ -3,6 +3,9 @@
 //! What comes in: a checked model. What goes out: a model with the same parameters and constants and a few more, and with one
 //! stage that frees those of the last stage and the new ones. It never knows a picture.
 
+use std::sync::Arc;
+
+use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{
     Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage, Start,
@@ -45,7 +48,7 @@ impl Model {
         for (name, value) in origins.chain(others) {
             model.constants.push(Constant { name, value, span: Default::default() });
         }
-        let mut graph = model.formulas.graph.clone();
+        let mut graph = model.formulas.graph.drawing_on(Budget::default());
         let mut new = Vec::new();
         let terms = self.new_terms(variant.degree, axes);
         let mut entries = model.formulas.entries.clone();
@@ -83,6 +86,7 @@ impl Model {
         let domain = self.near(&mut graph, variant.reach);
         let Observation { observed, intensity, shown, noise } = entries[0];
         let (loss, saturated) = (variant.loss, variant.saturated);
+        let graph = Arc::new(graph);
         let formulas =
             Formulas { graph, observed, intensity, shown, noise, domain, entries, loss, saturated, ..model.formulas };
         let mut free = self.stages.last().map_or_else(Vec::new, |stage| stage.parameters.clone());
@@ -135,7 +139,7 @@ impl Model {
         if terms.is_empty() {
             return terms;
         }
-        let mut graph = self.formulas.graph.clone();
+        let mut graph = self.formulas.graph.drawing_on(Budget::default());
         let free = self.stages.last().map_or(&[][..], |stage| &stage.parameters);
         let parameters: Vec<NodeId> = free.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let point = plausible(self, centre(self, NEAR), &mut Random(0));

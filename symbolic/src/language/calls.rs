@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{
-    Binding, Elaborator, Function, Local, Matrix, Poison, Shape, Worked, fault, shape_of,
+    Binding, Elaborator, Function, Local, Matrix, Poison, REMEMBERED, Shape, Worked, fault, shape_of,
 };
 use crate::language::graph::NodeId;
 use crate::language::limits::LIMITS;
@@ -16,6 +16,9 @@ use crate::program::function::{Function1, Function2};
 
 /// Calls within calls.
 const CALLS_MAX: usize = LIMITS.depth / 4;
+
+/// What a remembered call takes beside its entries, in entries.
+const CALL: usize = 32;
 
 /// A number whose value is not known.
 const SCALAR: Poison = Poison::Numbers(Shape::SCALAR);
@@ -187,6 +190,8 @@ impl Elaborator<'_> {
         // The body itself is checked where it stands.
         let values =
             locals.iter().map(|l| l.value.clone()).collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Unknown)?;
+        let entries = values.iter().map(|value| value.entries.len()).sum::<usize>();
+        self.charge(4 + entries / 4, at)?;
         let key = (name.to_string(), values);
         if let Some(known) = self.workings.results.get(&key) {
             return Ok(known.clone());
@@ -197,7 +202,7 @@ impl Elaborator<'_> {
         }
         let outer_locals = std::mem::replace(&mut self.locals, locals);
         let outer_text = std::mem::replace(&mut self.text, function.text.clone());
-        let outer_faults = std::mem::take(&mut self.faults);
+        let outer_faults = (std::mem::take(&mut self.faults), std::mem::take(&mut self.told));
         let context = self.cache.enter_call(at);
         self.calls += 1;
         let result = self.expr(&function.body);
@@ -205,7 +210,8 @@ impl Elaborator<'_> {
         self.cache.leave_call(context);
         self.locals = outer_locals;
         self.text = outer_text;
-        let inner = std::mem::replace(&mut self.faults, outer_faults);
+        let inner = std::mem::take(&mut self.faults);
+        (self.faults, self.told) = outer_faults;
         // The caller sees the first: its arguments are what the body cannot do with.
         if let Some(mut first) = inner.into_iter().next() {
             if first.code != "limit" {
@@ -214,7 +220,11 @@ impl Elaborator<'_> {
             return Err(self.tell(crate::language::parser::Fault { start: at.start, end: at.end, ..first }));
         }
         if let Ok(value) = &result {
-            self.workings.results.insert(key, value.clone());
+            let entries = entries + value.entries.len() + CALL;
+            if self.workings.remembered + entries <= REMEMBERED {
+                self.workings.remembered += entries;
+                self.workings.results.insert(key, value.clone());
+            }
         }
         result
     }

@@ -1,6 +1,9 @@
 //! `Diagnostic`: the user's fault, with its place and the remedy.
 
 use serde::{Deserialize, Serialize};
+use unicode_width::UnicodeWidthStr;
+
+use crate::language::limits::LIMITS;
 
 /// Bytes `start..end` of the document as sent.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
@@ -67,8 +70,8 @@ const ECHO_CHARACTERS: usize = 80;
 impl Diagnostic {
     /// An error at `span` of `document`; line, column and the line's text follow from it.
     pub fn error(document: &str, code: &str, key: &str, span: Span, message: impl Into<String>) -> Diagnostic {
-        let start = floor_boundary(document, span.start as usize);
-        let end = floor_boundary(document, (span.end as usize).max(start));
+        let start = document.floor_char_boundary(span.start as usize);
+        let end = document.floor_char_boundary((span.end as usize).max(start));
         let line_start = document[..start].rfind('\n').map_or(0, |i| i + 1);
         let line_end = document[start..].find('\n').map_or(document.len(), |i| start + i);
         Diagnostic {
@@ -131,9 +134,10 @@ impl Diagnostic {
         let end = start + line[start..].iter().take_while(is_inside).count();
         let first = if line.len() <= ECHO_CHARACTERS { 0 } else { start.saturating_sub(ECHO_CHARACTERS / 2) };
         let last = (first + ECHO_CHARACTERS).min(line.len());
-        let width = |part: &[char]| part.iter().map(|c| columns(*c)).sum::<usize>();
+        let look = |part: &[char]| part.iter().map(|c| visible(*c)).collect::<String>();
+        let width = |part: &[char]| look(part).width();
         let (head, tail) = (if first > 0 { "…" } else { "" }, if last < line.len() { "…" } else { "" });
-        let shown: String = line[first..last].iter().map(|c| visible(*c)).collect();
+        let shown = look(&line[first..last]);
         let before = usize::from(first > 0) + width(&line[first..start.max(first)]);
         (format!("{head}{shown}{tail}"), before, width(&line[start..end.min(last).max(start)]).max(1))
     }
@@ -149,55 +153,57 @@ pub(crate) fn visible(c: char) -> char {
     }
 }
 
-/// Columns of a terminal that a character takes: two for the wide scripts, none for what stands on the letter before.
-fn columns(c: char) -> usize {
-    match u32::from(c) {
-        0x300..=0x36f | 0x483..=0x489 | 0x591..=0x5bd | 0x610..=0x61a | 0x64b..=0x65f | 0x1ab0..=0x1aff => 0,
-        0x1dc0..=0x1dff | 0x20d0..=0x20ff | 0xfe00..=0xfe0f | 0xfe20..=0xfe2f => 0,
-        0x1100..=0x115f | 0x2e80..=0x303e | 0x3041..=0xa4cf | 0xac00..=0xd7a3 | 0xf900..=0xfaff => 2,
-        0xfe30..=0xfe6f | 0xff00..=0xff60 | 0xffe0..=0xffe6 | 0x1f300..=0x1f64f | 0x1f900..=0x1f9ff => 2,
-        0x20000..=0x3fffd => 2,
-        _ => 1,
-    }
-}
-
-fn floor_boundary(text: &str, mut index: usize) -> usize {
-    index = index.min(text.len());
-    while !text.is_char_boundary(index) {
-        index -= 1;
-    }
-    index
-}
-
 /// At most 40 characters of user text for a message.
 pub(crate) fn quoted(text: &str) -> String {
     let clean: String = text.chars().take(40).map(visible).collect();
     if text.chars().count() > 40 { format!("`{clean}…`") } else { format!("`{clean}`") }
 }
 
-/// The candidate nearest to `name` by edit distance, when it is near enough to be meant.
-pub(crate) fn nearest_name<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let length = name.chars().count();
-    let limit = 1 + length / 4;
-    // Of a name of one letter nothing would be left.
-    let is_near = |(d, c): &(usize, &str)| *d <= limit && *d < c.len().max(2) && *d < length;
-    candidates.into_iter().map(|c| (distance(name, c), c)).filter(is_near).min().map(|(_, c)| c)
+/// Finds the names that were meant: of one document so many letters are compared and no more, because what it says and
+/// what it declares may both be many.
+pub(crate) struct Spellings {
+    /// Pairs of letters still to be compared.
+    pairs_left: usize,
 }
 
-fn distance(a: &str, b: &str) -> usize {
-    if a.len() > 64 || b.len() > 64 {
-        return usize::MAX;
+/// Pairs of letters that one document is worth: about 5 ms.
+const PAIRS: usize = 1 << 21;
+
+impl Default for Spellings {
+    fn default() -> Spellings {
+        Spellings { pairs_left: PAIRS }
     }
-    let (a, b): (Vec<char>, Vec<char>) = (a.to_lowercase().chars().collect(), b.to_lowercase().chars().collect());
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.iter().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, cb) in b.iter().enumerate() {
-            let substitute = diagonal + usize::from(ca != cb);
-            diagonal = row[j + 1];
-            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
+}
+
+impl Spellings {
+    /// The candidate nearest to `name` by edit distance, when it is near enough to be meant.
+    pub fn nearest<'a>(&mut self, name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+        let length = name.chars().count();
+        let limit = 1 + length / 4;
+        if length > LIMITS.name_bytes || self.pairs_left == 0 {
+            return None;
         }
+        let lower = name.to_lowercase();
+        let mut best: Option<(usize, &str)> = None;
+        for candidate in candidates {
+            let count = if candidate.len() <= LIMITS.name_bytes { candidate.chars().count() } else { usize::MAX };
+            let is_far = count.abs_diff(length) > limit;
+            // What is too long or too short costs a look.
+            let pairs = if is_far { 8 } else { (length + 4) * (count + 4) };
+            self.pairs_left = self.pairs_left.saturating_sub(pairs);
+            if self.pairs_left == 0 {
+                return None;
+            }
+            if is_far {
+                continue;
+            }
+            let distance = strsim::levenshtein(&lower, &candidate.to_lowercase());
+            // Of a name of one letter nothing would be left.
+            let is_near = distance <= limit && distance < candidate.len().max(2) && distance < length;
+            if is_near && best.is_none_or(|best| (distance, candidate) < best) {
+                best = Some((distance, candidate));
+            }
+        }
+        best.map(|(_, candidate)| candidate)
     }
-    row[b.len()]
 }

@@ -7,69 +7,29 @@ use std::rc::Rc;
 
 use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::limits::LIMITS;
+use crate::language::spelling::Spelling;
 
 /// A string of the document and where each of its bytes stands there.
 #[derive(Clone, Debug)]
 pub(crate) struct Text {
     pub value: Rc<str>,
-    /// Document offsets of the value's bytes, and one more for the end.
-    offsets: Rc<[u32]>,
+    pub spelling: Spelling,
 }
 
 impl Text {
     /// The place in the document of bytes `start..end` of the value.
     pub fn span(&self, start: usize, end: usize) -> Span {
-        let last = self.offsets.len() - 1;
-        Span { start: self.offsets[start.min(last)], end: self.offsets[end.min(last)] }
+        self.spelling.span(start, end, self.value.len())
     }
 
     /// A text that stands alone: its own document.
     pub fn alone(value: &str) -> Text {
-        Text { value: value.into(), offsets: (0..=value.len() as u32).collect() }
+        Text { value: value.into(), spelling: Spelling::Plain(0) }
     }
 
     /// `raw` is the literal with its quotes, standing at `start` of the document.
     fn literal(value: &str, raw: &str, start: usize) -> Text {
-        let quotes = ["\"\"\"", "'''", "\"", "'"].into_iter().find(|q| raw.starts_with(q)).map_or(0, str::len);
-        let escapes = !raw.starts_with('\'');
-        let mut offsets = Vec::with_capacity(value.len() + 1);
-        let mut at = quotes;
-        if quotes == 3 {
-            at += if raw[3..].starts_with("\r\n") { 2 } else { usize::from(raw[3..].starts_with('\n')) };
-        }
-        for c in value.chars() {
-            let rest = &raw[at.min(raw.len())..];
-            // A backslash at a line's end swallows the white space that follows it.
-            let trimmed = if escapes && rest.starts_with('\\') && rest[1..].starts_with(['\n', '\r', ' ', '\t']) {
-                let white = rest[1..].find(|c: char| !c.is_whitespace()).unwrap_or(rest.len() - 1);
-                1 + white
-            } else {
-                0
-            };
-            at += trimmed;
-            let rest = &raw[at.min(raw.len())..];
-            let length = match rest.as_bytes() {
-                [b'\\', b'u', ..] if escapes => {
-                    if u32::from(c) > 0xffff {
-                        12
-                    } else {
-                        6
-                    }
-                }
-                [b'\\', b'U', ..] if escapes => 10,
-                [b'\\', b'x', ..] if escapes => 4,
-                [b'\\', ..] if escapes => 2,
-                _ => c.len_utf8(),
-            };
-            offsets.extend(std::iter::repeat_n((start + at.min(raw.len())) as u32, c.len_utf8()));
-            at += length;
-        }
-        offsets.push((start + at.min(raw.len())) as u32);
-        // Bytes inside a character are never asked for; a plain run counts byte by byte.
-        if raw.len() == value.len() + 2 * quotes && raw[quotes..].starts_with(value) {
-            offsets = (0..=value.len()).map(|i| (start + quotes + i) as u32).collect();
-        }
-        Text { value: value.into(), offsets: offsets.into() }
+        Text { value: value.into(), spelling: Spelling::of(value, raw, start) }
     }
 }
 
@@ -117,10 +77,7 @@ const SYNTAX_FAULTS: usize = 5;
 /// The key that a place in broken TOML belongs to, as far as its lines tell: the last table header, and what stands before
 /// the `=` of the place's own line.
 fn key_at(text: &str, at: usize) -> String {
-    let mut end = at.min(text.len());
-    while !text.is_char_boundary(end) {
-        end -= 1;
-    }
+    let end = text.floor_char_boundary(at);
     let line_start = text[..end].rfind('\n').map_or(0, |i| i + 1);
     let line = text[line_start..].lines().next().unwrap_or_default();
     let name = |text: &str| text.trim().trim_matches(['"', '\'']).chars().take(LIMITS.name_bytes).collect::<String>();
@@ -139,11 +96,7 @@ fn key_at(text: &str, at: usize) -> String {
 
 /// The key that a place in broken JSON belongs to: the last `"key":` before it.
 fn json_key_at(text: &str, at: usize) -> String {
-    let mut end = at.min(text.len());
-    while !text.is_char_boundary(end) {
-        end -= 1;
-    }
-    let colon = text[..end].rfind("\":");
+    let colon = text[..text.floor_char_boundary(at)].rfind("\":");
     let key = colon.and_then(|colon| text[..colon].rfind('"').map(|open| &text[open + 1..colon]));
     key.unwrap_or_default().chars().take(LIMITS.name_bytes).collect()
 }
@@ -247,8 +200,7 @@ fn unclosed_above(text: &str, at: usize) -> Option<(usize, Range<usize>)> {
 
 /// The bytes of the line that `at` stands on, without its end.
 fn line_around(text: &str, at: usize) -> Range<usize> {
-    let at = (0..=at.min(text.len())).rev().find(|i| text.is_char_boundary(*i)).unwrap_or(0);
-    let start = text[..at].rfind('\n').map_or(0, |i| i + 1);
+    let start = text[..text.floor_char_boundary(at)].rfind('\n').map_or(0, |i| i + 1);
     start..text[start..].find('\n').map_or(text.len(), |i| start + i)
 }
 

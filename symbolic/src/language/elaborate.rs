@@ -8,10 +8,10 @@ mod conditions;
 mod matrices;
 mod unknown;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::rc::Rc;
 
-use crate::language::diagnostic::{Span, quoted};
+use crate::language::diagnostic::{Span, Spellings, quoted};
 use crate::language::document::Text;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::limits::LIMITS;
@@ -99,29 +99,25 @@ pub(crate) enum Binding {
     Poisoned,
 }
 
+/// Units of work of a step: a part of a formula is looked at.
+const STEP: usize = 3;
+
+/// Entries of the user's calls that are remembered, arguments and values together.
+pub(crate) const REMEMBERED: usize = 1 << 18;
+
 /// What all formulas of a document share.
+#[derive(Default)]
 pub(crate) struct Workings {
-    steps_left: usize,
     /// A limit is met and told: nothing more is worked out.
     exhausted: bool,
     /// Values of the user's functions.
     pub results: HashMap<(String, Vec<Matrix>), Matrix>,
-    /// Spellings still to be compared: only what is shown needs help.
-    near_misses_left: usize,
+    /// Entries in there.
+    pub remembered: usize,
+    /// Names that were meant.
+    spellings: Spellings,
     /// Some names could not be read: one that nothing declares is silent.
     pub lacks_names: bool,
-}
-
-impl Default for Workings {
-    fn default() -> Workings {
-        Workings {
-            steps_left: LIMITS.steps,
-            exhausted: false,
-            results: HashMap::new(),
-            near_misses_left: 2 * LIMITS.diagnostics,
-            lacks_names: false,
-        }
-    }
 }
 
 /// A name that is known in one place only: an argument, or the index of a sum.
@@ -140,6 +136,8 @@ pub(crate) struct Elaborator<'a> {
     pub workings: &'a mut Workings,
     pub locals: Vec<Local>,
     pub faults: Vec<Fault>,
+    /// Where they are, and what.
+    pub told: HashSet<(usize, usize, &'static str)>,
     pub calls: usize,
     depth: usize,
     /// Locals have no values now: only what does not depend on them is judged.
@@ -166,6 +164,7 @@ impl<'a> Elaborator<'a> {
             workings,
             locals,
             faults,
+            told: HashSet::new(),
             calls: 0,
             depth: 0,
             blind: false,
@@ -179,8 +178,7 @@ impl<'a> Elaborator<'a> {
 
     /// Tells a fault, once a place.
     pub fn tell(&mut self, fault: Fault) -> Poison {
-        let told = |f: &Fault| (f.start, f.end, f.code) == (fault.start, fault.end, fault.code);
-        if !self.faults.iter().any(told) {
+        if self.told.insert((fault.start, fault.end, fault.code)) {
             self.faults.push(fault);
         }
         Poison::Unknown
@@ -191,17 +189,22 @@ impl<'a> Elaborator<'a> {
         if self.workings.exhausted {
             return Err(Poison::Unknown);
         }
-        let message = if self.graph.overflowed() {
+        self.graph.charge(STEP * steps);
+        let message = if self.graph.budget().is_spent() {
+            format!("working the formulas out takes more than {} units of work", LIMITS.work)
+        } else if self.graph.overflowed() {
             format!("the model's formulas grow past {} distinct operations", LIMITS.nodes)
-        } else if self.workings.steps_left < steps {
-            format!("working the formulas out takes more than {} steps", LIMITS.steps)
         } else {
-            self.workings.steps_left -= steps;
             return Ok(());
         };
         self.workings.exhausted = true;
         let fault = fault("limit", at, message).help("shorten the sums, or give repeated parts a definition");
         Err(self.tell(fault))
+    }
+
+    /// For a matrix that is copied, or compared.
+    pub fn charge_copy(&mut self, value: &Worked, at: &Expr) -> Result<(), Poison> {
+        self.charge(value.as_ref().map_or(0, |matrix| matrix.entries.len() / 16), at)
     }
 
     pub fn expr(&mut self, at: &Expr) -> Worked {
@@ -218,6 +221,7 @@ impl<'a> Elaborator<'a> {
         if !self.blind
             && let Some(known) = self.cache.get(task, at)
         {
+            self.charge_copy(&known, at)?;
             return known;
         }
         let outer = self.cache.begin();
@@ -370,13 +374,15 @@ impl<'a> Elaborator<'a> {
     fn name(&mut self, name: &str, at: &Expr) -> Worked {
         if let Some(local) = self.locals.iter().rev().find(|l| l.name == name) {
             self.cache.reads(local.levels);
-            return if self.blind { Err(poisoned(shape_of(&local.value))) } else { local.value.clone() };
+            let value = if self.blind { Err(poisoned(shape_of(&local.value))) } else { local.value.clone() };
+            self.charge_copy(&value, at)?;
+            return value;
         }
         let fault = match self.names.get(name) {
             Some(Binding::Value(value)) => {
-                let value = value.clone();
-                self.charge(value.entries.len() / 16, at)?;
-                return Ok(value);
+                let value = Ok(value.clone());
+                self.charge_copy(&value, at)?;
+                return value;
             }
             Some(Binding::Poisoned) => return Err(Poison::Unknown),
             Some(Binding::Function(function)) => {

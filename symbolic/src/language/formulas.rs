@@ -213,10 +213,11 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
             let at = model.iter().find(|(k, _)| k.name == name).map_or_else(Default::default, |(_, e)| e.span);
             reader.faults.tell("bad-formula", key, at, message, help);
         };
-        let reads = |reader: &Self, node: NodeId, wanted: fn(&Node) -> bool| {
-            reader.graph.reachable(&[node]).iter().any(|n| wanted(reader.graph.node(*n)))
+        let reads = |reader: &Self, roots: &[NodeId], wanted: fn(&Node) -> bool| {
+            reader.graph.reachable(roots).iter().any(|n| wanted(reader.graph.node(*n)))
         };
-        if observed.iter().any(|node| reads(self, *node, |n| matches!(n, Node::Input(Input::Parameter(_))))) {
+        let is_parameter = |n: &Node| matches!(n, Node::Input(Input::Parameter(_)));
+        if reads(self, observed, is_parameter) {
             tell(
                 self,
                 "model.observed",
@@ -225,7 +226,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
             );
         }
         if let Some(node) = domain
-            && reads(self, node, |n| matches!(n, Node::Channel(_)))
+            && reads(self, &[node], |n| matches!(n, Node::Channel(_)))
         {
             tell(
                 self,
@@ -234,10 +235,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
                 "it is a condition on coordinates and parameters",
             );
         }
-        if !intensity.is_empty()
-            && !self.workings.lacks_names
-            && !intensity.iter().any(|node| reads(self, *node, |n| matches!(n, Node::Input(Input::Parameter(_)))))
-        {
+        if !intensity.is_empty() && !self.workings.lacks_names && !reads(self, intensity, is_parameter) {
             tell(self, "model.intensity", "`intensity` depends on no parameter", "there is nothing to fit");
         }
         if constraints.iter().flatten().any(|c| self.graph.level(*c) > Level::Pass) {

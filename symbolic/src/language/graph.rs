@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
 
+use crate::language::budget::Budget;
 use crate::language::diagnostic::Span;
 use crate::language::limits::LIMITS;
 use crate::program::function::{Function1, Function2};
@@ -63,8 +64,9 @@ pub(crate) struct Graph {
     index: FxHashMap<Node, NodeId>,
     span: Option<Span>,
     overflowed: bool,
-    /// Operands that constructors have looked at.
+    /// Units of work that this graph has taken, and those that it was cloned from.
     work: usize,
+    budget: Budget,
     positive: BTreeSet<ParameterId>,
 }
 
@@ -104,19 +106,43 @@ impl Graph {
         self.opaque[id.index()]
     }
 
-    /// Operands that constructors have looked at so far: what building the graph has cost.
+    /// Units of work so far: operands that constructors have looked at, and what else was done with the graph.
     pub fn work(&self) -> usize {
         self.work
     }
 
-    /// Counts work; beyond the limit the graph is as if it were full.
-    fn spend(&mut self, operands: usize) {
-        self.work += 1 + operands;
-        self.overflowed |= self.work > LIMITS.work;
+    /// Takes units of work; beyond the budget the graph is as if it were full.
+    pub fn charge(&mut self, units: usize) {
+        self.work += units;
+        self.overflowed |= !self.budget.charge(units);
+    }
+
+    /// The document's budget.
+    pub fn budget(&self) -> &Budget {
+        &self.budget
+    }
+
+    /// A copy that draws on a budget, which pays for it.
+    pub fn drawing_on(&self, budget: Budget) -> Graph {
+        let mut graph = Graph { budget, overflowed: false, work: 0, ..self.clone() };
+        graph.charge(self.len() / 2);
+        graph
+    }
+
+    /// A copy that draws on the same budget.
+    pub fn copied(&self) -> Graph {
+        let mut graph = self.clone();
+        graph.charge(self.len() / 2);
+        graph
+    }
+
+    /// From here on another budget pays.
+    pub fn draw_on(&mut self, budget: Budget) {
+        self.budget = budget;
     }
 
     fn add(&mut self, node: Node) -> NodeId {
-        self.spend(0);
+        self.charge(1);
         if let Some(&id) = self.index.get(&node) {
             return id;
         }
@@ -185,7 +211,7 @@ impl Graph {
                 _ => collected.push((node, coefficient)),
             }
         }
-        self.spend(collected.len());
+        self.charge(1 + collected.len());
         collected.sort_by_key(|(node, _)| *node);
         let mut merged: Vec<(NodeId, f64)> = Vec::with_capacity(collected.len());
         for (node, coefficient) in collected {
@@ -276,7 +302,7 @@ impl Graph {
         if coefficient == 0.0 {
             return self.number(0.0);
         }
-        self.spend(collected.len());
+        self.charge(1 + collected.len());
         collected.sort_by_key(|(node, _)| *node);
         let mut merged: Vec<(NodeId, i32)> = Vec::with_capacity(collected.len());
         for (node, exponent) in collected {
@@ -379,7 +405,9 @@ impl Graph {
     /// The same expression with every leaf replaced as `leaf` says (`None` keeps it); opaqueness is kept.
     pub fn substitute(&mut self, root: NodeId, leaf: &mut dyn FnMut(&mut Graph, &Node) -> Option<NodeId>) -> NodeId {
         let mut map: FxHashMap<NodeId, NodeId> = FxHashMap::default();
-        for id in self.reachable(&[root]) {
+        let reachable = self.reachable(&[root]);
+        self.charge(reachable.len());
+        for id in reachable {
             let node = self.node(id).clone();
             let replaced = leaf(self, &node);
             let new = replaced.unwrap_or_else(|| self.rebuild(id, &map));
@@ -391,7 +419,9 @@ impl Graph {
     /// `node` with `new` in the place of `old`.
     pub fn replaced(&mut self, node: NodeId, old: NodeId, new: NodeId) -> NodeId {
         let mut map = FxHashMap::default();
-        for id in self.reachable(&[node]) {
+        let reachable = self.reachable(&[node]);
+        self.charge(reachable.len());
+        for id in reachable {
             let next = if id == old { new } else { self.rebuild(id, &map) };
             map.insert(id, next);
         }

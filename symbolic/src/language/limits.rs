@@ -35,14 +35,15 @@ pub struct Limits {
     pub entries: usize,
     /// Magnitude of an integer exponent.
     pub exponent: i64,
-    /// Steps of working a document's formulas out (sums and calls repeat theirs).
-    pub steps: usize,
     /// Nodes of the expression graph, counted while it grows.
     pub nodes: usize,
-    /// Operands looked at while the graph grows, by one derivation.
+    /// Units of work that a document is worth, reading and the derivation of all its stages together; a unit takes 50
+    /// to 100 ns of one processor.
     pub work: usize,
     /// Operations of the check that all programs of a document are held against its formulas in.
     pub proof: usize,
+    /// Operations that its programs and their formulas hold, all stages together.
+    pub kept: usize,
     /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
     /// Faults that are told of one document.
@@ -67,9 +68,9 @@ pub const LIMITS: Limits = Limits {
     arguments: 16,
     entries: 256,
     exponent: 64,
-    steps: 262_144,
     nodes: 32_768,
-    work: 500_000,
+    work: 4_000_000,
+    kept: 262_144,
     proof: 40_000_000,
     instructions: 8192,
     diagnostics: 64,

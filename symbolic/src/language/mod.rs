@@ -3,6 +3,7 @@
 //! What comes in: TOML or JSON. What goes out: a `Model`, or every fault of the document as diagnostics with a place and a
 //! remedy. It must never know: derivatives, programs, pixels.
 
+pub(crate) mod budget;
 pub(crate) mod calls;
 pub(crate) mod diagnostic;
 pub(crate) mod document;
@@ -16,4 +17,5 @@ pub(crate) mod parser;
 pub(crate) mod places;
 pub(crate) mod reader;
 pub(crate) mod remark;
+pub(crate) mod spelling;
 pub(crate) mod words;

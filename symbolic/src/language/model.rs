@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::language::budget::Budget;
 use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId};
@@ -224,7 +225,7 @@ pub struct Lowering {
 /// The formulas of a model, as nodes: those of one entry of `observed`, the first as a rule.
 #[derive(Clone, Debug)]
 pub(crate) struct Formulas {
-    pub graph: Graph,
+    pub graph: Arc<Graph>,
     pub observed: NodeId,
     /// The mean over the pixel's Gauss points.
     pub intensity: NodeId,
@@ -282,9 +283,13 @@ pub struct Model {
     pub(crate) constants: Vec<Constant>,
     pub(crate) roles: Vec<Roles>,
     pub(crate) stages: Vec<Stage>,
-    pub(crate) document: serde_json::Value,
+    pub(crate) document: Arc<serde_json::Value>,
     pub(crate) digest: String,
     pub(crate) formulas: Formulas,
+    /// Units of work that reading it took.
+    pub(crate) reading: usize,
+    /// What is derived draws on it; absent, each derivation has a budget of its own.
+    pub(crate) budget: Option<Budget>,
 }
 
 impl Model {
@@ -328,6 +333,13 @@ impl Model {
     pub fn stages(&self) -> &[Stage] {
         &self.stages
     }
+    /// The first stage that frees the same parameters, in the same order and by the same method: what is derived for that one
+    /// serves this one.
+    pub fn first_alike(&self, stage: usize) -> usize {
+        let key = |stage: &Stage| (stage.parameters.clone(), stage.method);
+        let own = self.stages.get(stage).map(key);
+        self.stages.iter().position(|other| Some(key(other)) == own).unwrap_or(stage)
+    }
     /// The document as JSON with sorted keys.
     pub fn document(&self) -> &serde_json::Value {
         &self.document
@@ -356,9 +368,13 @@ impl Model {
     /// Models whose F add up to this one's: one for each entry of `observed`, this model itself when there is one only,
     /// each followed by one of the pixels at their limit where those are censored. What is derived from a model is of
     /// its first entry, and of pixels below their limit.
+    ///
+    /// They share one budget, [`crate::LIMITS`]`.work`: so much is derived of all of them together, for all stages, and then
+    /// no more. Whoever derives a whole schedule takes the summands once.
     pub fn summands(&self) -> Vec<Summand> {
         let mut summands = Vec::new();
         let siblings = self.siblings();
+        let budget = Some(Budget::after(self.reading));
         for entry in &self.formulas.entries {
             let formulas = Formulas { siblings, ..self.formulas.of_entry(*entry) };
             let clipped = match (self.formulas.saturated, formulas.graph.node(entry.observed)) {
@@ -367,7 +383,10 @@ impl Model {
                 }
                 _ => None,
             };
-            let of = |formulas: Formulas, is_clipped| Summand { model: Model { formulas, ..self.clone() }, is_clipped };
+            let of = |formulas: Formulas, is_clipped| {
+                let budget = budget.clone();
+                Summand { model: Model { formulas, budget, ..self.clone() }, is_clipped }
+            };
             summands.push(of(formulas, false));
             summands.extend(clipped.map(|formulas| of(formulas, true)));
         }
@@ -384,7 +403,7 @@ impl Model {
     pub fn nearest_name(&self, name: &str) -> Option<&str> {
         let names =
             self.parameters.iter().map(|p| p.name.as_str()).chain(self.constants.iter().map(|c| c.name.as_str()));
-        crate::language::diagnostic::nearest_name(name, names)
+        crate::language::diagnostic::Spellings::default().nearest(name, names)
     }
 
     /// True when every exclusive bound and every constraint holds; false for NaN.
@@ -414,6 +433,11 @@ impl Model {
     /// True when the model says something about a place: no domain, or one that holds there. One value a coordinate.
     pub fn domain_holds(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> bool {
         self.formulas.domain.is_none_or(|domain| self.at_place(domain, place, parameters, constants) == 1.0)
+    }
+
+    /// What a derivation may cost.
+    pub(crate) fn budget(&self) -> Budget {
+        self.budget.clone().unwrap_or_else(|| Budget::after(self.reading))
     }
 
     /// What its programs call everything.

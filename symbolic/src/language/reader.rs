@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use sha2::{Digest, Sha256};
 
-use crate::language::diagnostic::{Diagnostics, Span, nearest_name, quoted};
+use crate::language::diagnostic::{Diagnostics, Span, quoted};
 use crate::language::document::{Entry, Item, Key, read_json, read_toml, to_json};
 use crate::language::elaborate::{Binding, Matrix};
 use crate::language::formulas::{Definition, FormulaReader};
@@ -104,6 +104,8 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
     let digest = format!("sha256:{}", digest.iter().map(|b| format!("{b:02x}")).collect::<String>());
     match (formulas, faults.is_empty()) {
         (Some(formulas), true) => Ok(Model {
+            reading: formulas.graph.budget().work(),
+            budget: None,
             name: name.unwrap_or_default(),
             description: description.unwrap_or_default(),
             text: text.into(),
@@ -114,7 +116,7 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
             roles,
             stages,
             places: crate::language::places::places(&root),
-            document,
+            document: document.into(),
             digest,
             formulas,
         }),
@@ -295,7 +297,7 @@ fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span
     let found = Estimator::ALL.into_iter().find(|e| e.name() == &*text.value);
     let known = || Estimator::ALL.into_iter().filter(|e| e.coordinates() <= coordinates.max(1)).map(Estimator::name);
     if found.is_none() {
-        let help = match nearest_name(&text.value, known()) {
+        let help = match faults.nearest(&text.value, known()) {
             Some(near) => format!("did you mean \"{near}\"?"),
             None => format!("estimators: {}", known().collect::<Vec<_>>().join(", ")),
         };

@@ -11,6 +11,8 @@ use crate::language::limits::LIMITS;
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
 use crate::proof::CONDITIONAL_POINTS;
+use crate::proof::hyper::Order;
+use crate::proof::referee::Subject;
 
 /// Pixels at which all is worked out once: in exact arithmetic, in f64, and over the window.
 const ONCE: usize = 18;
@@ -50,6 +52,19 @@ pub(crate) fn points(model: &Model, subset: &[ParameterId], method: Method) -> O
     }
     let plan = Plan { pixel: pixel.saturating_mul(model.siblings()), is_conditional };
     (1..=CONDITIONAL_POINTS).rev().find(|points| plan.operations(*points) <= LIMITS.proof)
+}
+
+/// Operations of the check of one set of sums.
+pub(crate) fn of_sums(subject: &Subject, is_conditional: bool, points: u64) -> usize {
+    let graph = &subject.graph;
+    let parameter = |n: &NodeId| match graph.node(*n) {
+        Node::Input(Input::Parameter(p)) => Some(*p),
+        _ => None,
+    };
+    let parameters: Vec<ParameterId> = subject.parameters.iter().filter_map(parameter).collect();
+    let reachable = graph.reachable(&subject.roots());
+    let pixel = at_a_pixel(graph, &reachable, &parameters, subject.order() == Order::Second);
+    Plan { pixel, is_conditional }.operations(points)
 }
 
 /// Operations of forward differentiation at one pixel: each operand of a node has as many derivatives as it has parameters

@@ -317,7 +317,7 @@ fn every_fault_in_a_plane_is_caught() {
         let formulas = &model.formulas;
         for fma in [false, true] {
             let lowering = Lowering { fma, drop_saturated: false };
-            let mut graph = formulas.graph.clone();
+            let mut graph = formulas.graph.drawing_on(Default::default());
             let variance = formulas.noise.unwrap_or_else(|| graph.number(1.0));
             let mut planes = vec![(
                 model.rendering(lowering).unwrap(),

@@ -20,13 +20,15 @@ use crate::proof::modular::Modular;
 use crate::proof::pixels::{Rim, Windowed};
 use crate::proof::points::{BESIDE, FAR, NEAR, Picture, Point, Random, centre, limit, picture, plausible, residues};
 use crate::proof::weighed::Weighed;
-use crate::proof::{Errors, POINTS, REFEREE, SMALLEST, TOLERANCE};
+use crate::proof::{Errors, POINTS, REFEREE, SMALLEST, TOLERANCE, budget};
 
 /// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
 const UNSEEN: f64 = 1e-12;
 /// Instructions of a program that is run in f32 on one row only.
 const LONG: usize = 2000;
 
+/// Operations on numbers that are a unit of work.
+const OPERATIONS: usize = 16;
 /// Derivatives that forward differentiation may hold at a time: nodes times entries of the Hessian.
 const ENTRIES: usize = 4_000_000;
 
@@ -96,6 +98,16 @@ impl Referee {
 
     pub fn claim(&self) -> Claim {
         self.subject.claim
+    }
+
+    /// Units of the document's budget that the check takes.
+    pub fn work(&self) -> usize {
+        budget::of_sums(&self.subject, self.is_conditional, self.points) / OPERATIONS
+    }
+
+    /// Operations that stay in use.
+    pub fn kept(&self) -> usize {
+        self.subject.graph.len()
     }
 
     /// True when checking would take more memory than a document is worth.
@@ -321,7 +333,7 @@ pub(super) fn is_rounding(found: &[DoubleDouble], exact: &[DoubleDouble], weighe
 }
 
 impl Subject {
-    fn roots(&self) -> Vec<NodeId> {
+    pub(super) fn roots(&self) -> Vec<NodeId> {
         [Some(self.residual), self.variance].into_iter().flatten().collect()
     }
 

@@ -1,5 +1,12 @@
 //! Documents that try to cost more than they should, and how each must end. The test and the example share them.
 
+#[path = "names.rs"]
+mod names;
+#[path = "schedules.rs"]
+mod schedules;
+
+use isophote_symbolic::{Diagnostics, Model};
+
 /// How a document must end.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Ending {
@@ -17,6 +24,13 @@ pub struct Hostile {
     pub is_json: bool,
     #[allow(dead_code)] // the example only prints
     pub ending: Ending,
+}
+
+impl Hostile {
+    /// What stops the reader, if anything does.
+    pub fn read(&self) -> Result<Model, Diagnostics> {
+        if self.is_json { Model::from_json(&self.text) } else { Model::from_toml(&self.text) }
+    }
 }
 
 fn document(parameters: usize, definitions: &[(String, String)], intensity: &str) -> String {
@@ -279,7 +293,7 @@ pub fn all() -> Vec<Hostile> {
     add(
         "functions in sums in functions",
         document(1, &functions(10, "sin(x*t)", |f| format!("sum({f}(t + i*x)*{f}(t), i, 0, 30)")), "f9(p0)"),
-        limit,
+        Honest,
     );
     let wide = format!("[{}]", (0..256).map(|i| format!("x^{}*p0", i % 60)).collect::<Vec<_>>().join(","));
     add("dot products of 256", document(1, &[("v".into(), wide.clone())], "(v' * v)^60 + p0"), Honest);
@@ -314,6 +328,8 @@ pub fn all() -> Vec<Hostile> {
     add("16 000 broken lines", one("p0*x") + &"a b\n".repeat(16_000), Refused("syntax"));
     add("14 000 open quotes", one("p0*x") + &"a='\n".repeat(14_000), Refused("syntax"));
 
+    schedules::all(&mut add);
+    names::all(&mut add);
     let mut add = |name, text: String, ending| list.push(Hostile { name, text, is_json: true, ending });
     add("JSON: arrays in arrays", wrapped("[", "", "]", 30_000), limit);
     add("JSON: open arrays", "[".repeat(60_000), limit);

@@ -21,7 +21,7 @@ fn hostile_documents_end_well() {
     for hostile in documents::all() {
         let before = MEMORY.current_usage();
         MEMORY.reset_peak_usage();
-        let model = ending::read(&hostile);
+        let model = hostile.read();
         let refused = model.as_ref().err().cloned();
         let derived = model.map_or(Ok(()), |model| ending::derive(&model));
         let bytes = MEMORY.peak_usage().saturating_sub(before);

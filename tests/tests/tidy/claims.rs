@@ -28,10 +28,10 @@ fn wrong_absence(page: &str, routes: &str) -> Vec<String> {
 
 /// Commands that the page says to need no service and that do, or the other way round.
 fn wrong_company(page: &str) -> Vec<String> {
-    let Some(sentence) = page.split(". ").find(|sentence| sentence.contains("need no service")) else {
+    let Some((before, _)) = page.split_once(" need no service") else {
         return vec!["no sentence says which commands need no service".into()];
     };
-    let told: Vec<&str> = code(sentence);
+    let told: Vec<&str> = code(before.rsplit(". ").next().unwrap_or_default());
     let alone: Vec<&str> = OFFLINE.into_iter().filter(|command| !command.starts_with("--")).collect();
     let unknown = told.iter().filter(|one| !alone.iter().any(|command| one.starts_with(command)));
     let untold = alone.iter().filter(|command| !told.iter().any(|one| one.starts_with(**command)));
@@ -81,7 +81,7 @@ fn planted_faults_are_caught() {
     assert_eq!(wrong_absence(&page("`/a`, `/b`"), routes).len(), 1);
     assert_eq!(wrong_absence(&page("nothing"), routes).len(), 1);
     let alone = "`model check`, `model explain`, `model export`, `fit`, `render`, `tune`, `compare`";
-    assert_eq!(wrong_company(&format!("A. {alone} need no service. B")), ["`calibrate` needs no service"]);
+    assert_eq!(wrong_company(&format!("A `b`. {alone} need no service.\nB `c`")), ["`calibrate` needs no service"]);
     assert_eq!(wrong_company(&format!("{alone}, `calibrate colours` and `watch` need no service.")).len(), 1);
     assert_eq!(wrong_company("Nothing."), ["no sentence says which commands need no service"]);
     let counted = |text: &str| wrong_numbers(&File { path: "a.md".into(), text: text.into() }, 25).len();

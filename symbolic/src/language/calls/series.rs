@@ -90,7 +90,8 @@ impl Elaborator<'_> {
 
     /// Σ or Π of `body`, which may be a part of what the formula sums.
     fn total(&mut self, series: &Series<'_>, body: &Expr) -> Worked {
-        self.charge(1, body)?;
+        // What follows walks the body's text, to see what depends on the index.
+        self.charge(1 + (body.end - body.start) / 32, body)?;
         self.remembered(Task::Total, body, |e| {
             e.cache.reads(series.levels);
             e.total_anew(series, body)

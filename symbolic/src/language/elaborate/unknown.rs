@@ -1,7 +1,7 @@
 //! Names that nothing declares, and what was probably meant.
 
 use super::{Binding, Elaborator, Poison, fault};
-use crate::language::diagnostic::{nearest_name, quoted};
+use crate::language::diagnostic::quoted;
 use crate::language::parser::Expr;
 use crate::language::words::RESERVED;
 use crate::program::function::Function1;
@@ -58,10 +58,6 @@ impl Elaborator<'_> {
 
     fn meant(&mut self, name: &str) -> String {
         let declare = "declare it under [parameters], [constants] or [definitions]";
-        if self.workings.near_misses_left == 0 {
-            return declare.into();
-        }
-        self.workings.near_misses_left -= 1;
         let is_power = |c: char| "⁰¹²³⁴⁵⁶⁷⁸⁹".contains(c);
         if let Some(base) = name.find(is_power).map(|i| &name[..i])
             && !base.is_empty()
@@ -71,11 +67,10 @@ impl Elaborator<'_> {
         if let Some((_, help)) = FOREIGN.iter().find(|(foreign, _)| *foreign == name) {
             return (*help).into();
         }
-        let mut candidates: Vec<&str> = Function1::ALL.iter().map(|f| f.name()).chain(RESERVED).collect();
         let declared = self.names.iter().filter(|(_, b)| !matches!(b, Binding::Poisoned));
-        candidates.extend(declared.map(|(name, _)| name.as_str()));
-        candidates.extend(self.locals.iter().map(|l| l.name.as_str()));
-        match nearest_name(name, candidates) {
+        let of_language = Function1::ALL.iter().map(|f| f.name()).chain(RESERVED);
+        let of_document = declared.map(|(name, _)| name.as_str()).chain(self.locals.iter().map(|l| l.name.as_str()));
+        match self.workings.spellings.nearest(name, of_language.chain(of_document)) {
             Some(near) => format!("did you mean `{near}`?"),
             None => declare.into(),
         }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::language::diagnostic::{Diagnostic, Diagnostics, Span, nearest_name, quoted};
+use crate::language::diagnostic::{Diagnostic, Diagnostics, Span, Spellings, quoted};
 use crate::language::document::{Entry, Item, Key, Text};
 use crate::language::limits::LIMITS;
 use crate::language::model::Parameter;
@@ -28,12 +28,14 @@ pub(crate) struct Faults<'a> {
     list: Vec<Found>,
     /// What the document's reader already told: its syntax.
     of_syntax: Diagnostics,
+    /// Names that were meant.
+    spellings: Spellings,
 }
 
 impl<'a> Faults<'a> {
     /// No faults yet of this document.
     pub fn of(document: &'a str) -> Faults<'a> {
-        Faults { document, list: Vec::new(), of_syntax: Vec::new() }
+        Faults { document, list: Vec::new(), of_syntax: Vec::new(), spellings: Spellings::default() }
     }
 
     /// Faults of a document that could be read in spite of these.
@@ -58,7 +60,7 @@ impl<'a> Faults<'a> {
 
     /// All faults in the order of the document, each once.
     pub fn finish(self) -> Diagnostics {
-        let Faults { document, mut list, mut of_syntax } = self;
+        let Faults { document, mut list, mut of_syntax, .. } = self;
         // What is told of a key that stands twice follows from that.
         let stands_twice = |f: &Found| of_syntax.iter().any(|d| d.code == "duplicate" && d.key == f.key);
         list.retain(|found| !stands_twice(found));
@@ -109,6 +111,11 @@ impl<'a> Faults<'a> {
         for Fault { code, message, help, start, end } in faults {
             self.list.push(Found { code: code.into(), key: key.clone(), span: text.span(start, end), message, help });
         }
+    }
+
+    /// The name that was probably meant.
+    pub fn nearest<'n>(&mut self, name: &str, candidates: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
+        self.spellings.nearest(name, candidates)
     }
 
     pub fn wrong_type(&mut self, key: &str, entry: &Entry, wanted: &str) {
@@ -171,9 +178,10 @@ impl<'a> Faults<'a> {
 
     /// Tells every key that is not among `known`.
     pub fn known(&mut self, path: &str, table: &[(Key, Entry)], known: &[&str]) {
+        let path: String = path.chars().take(KEY_CHARACTERS).collect();
         for (key, _) in table {
             if !known.contains(&key.name.as_str()) {
-                let help = match nearest_name(&key.name, known.iter().copied()) {
+                let help = match self.nearest(&key.name, known.iter().copied()) {
                     Some(near) => format!("did you mean `{near}`?"),
                     None => format!("known keys here: {}", known.join(", ")),
                 };
@@ -228,7 +236,7 @@ pub(crate) fn parameter_named(
     let found = parameters.iter().position(|p| p.name == *text.value);
     // Where parameters could not be read, that is told already.
     if found.is_none() && !parameters.is_empty() && !faults.is_partial() {
-        let help = match nearest_name(&text.value, parameters.iter().map(|p| p.name.as_str())) {
+        let help = match faults.nearest(&text.value, parameters.iter().map(|p| p.name.as_str())) {
             Some(near) => format!("did you mean `{near}`?"),
             None => "name one of the [parameters]".to_string(),
         };

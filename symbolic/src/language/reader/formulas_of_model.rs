@@ -1,5 +1,7 @@
 //! `[model]`: its formulas.
 
+use std::sync::Arc;
+
 use crate::language::diagnostic::Span;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
@@ -125,7 +127,7 @@ pub(crate) fn read_model(
     let domain = domain.flatten();
     let clipped = None;
     Some(Formulas {
-        graph,
+        graph: Arc::new(graph),
         observed,
         intensity,
         shown,

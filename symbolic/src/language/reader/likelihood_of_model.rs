@@ -1,6 +1,6 @@
 //! `[model]`: what becomes of saturated pixels and of outliers, and how a pixel is sampled.
 
-use crate::language::diagnostic::{nearest_name, quoted};
+use crate::language::diagnostic::quoted;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Loss, Saturated};
@@ -51,7 +51,7 @@ fn read_loss(faults: &mut Faults, entry: &Entry) -> Option<Loss> {
     let (name, rest) = text.split_once('(').map_or((text.as_str(), None), |(name, rest)| (name.trim(), Some(rest)));
     if !NAMES[1..].contains(&name) {
         let message = format!("{} is not a robust loss", quoted(name));
-        let help = match nearest_name(name, NAMES) {
+        let help = match faults.nearest(name, NAMES) {
             Some(near) => format!("did you mean `{near}`?"),
             None => "write \"tukey(5)\", \"huber(1.345)\", or remove the key for least squares".into(),
         };

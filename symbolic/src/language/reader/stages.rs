@@ -1,6 +1,6 @@
 //! `[[stages]]`: the schedule.
 
-use crate::language::diagnostic::{nearest_name, quoted};
+use crate::language::diagnostic::quoted;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Method, Parameter, Stage};
@@ -76,7 +76,7 @@ fn read_method(faults: &mut Faults, key: &str, entry: &Entry) -> Option<Method> 
     let methods = [Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt];
     let found = methods.into_iter().find(|m| m.name() == &*text.value);
     if found.is_none() {
-        let help = match nearest_name(&text.value, methods.map(Method::name)) {
+        let help = match faults.nearest(&text.value, methods.map(Method::name)) {
             Some(near) => format!("did you mean \"{near}\"?"),
             None => "newton, gauss-newton or levenberg-marquardt".to_string(),
         };

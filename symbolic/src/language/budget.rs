@@ -1,0 +1,92 @@
+//! What a document may cost, counted: symbolic has no clock.
+//!
+//! What comes in: units of work, and operations that are kept, where they are spent: while a document is read, and while all
+//! of its stages are derived, whatever thread does it. What goes out: whether the document has gone past [`LIMITS`]. It never
+//! knows what the work was.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+use crate::language::limits::LIMITS;
+
+/// Units that one holder may have spent before all others know.
+const UNTOLD: usize = 1024;
+
+/// What is spent of one document's budget.
+#[derive(Debug, Default)]
+struct Spent {
+    work: AtomicUsize,
+    kept: AtomicUsize,
+}
+
+/// A document's budget. Its clones draw on the same one.
+#[derive(Debug, Default)]
+pub(crate) struct Budget {
+    spent: Arc<Spent>,
+    untold: usize,
+}
+
+impl Budget {
+    /// Of a document whose reading took so much.
+    pub fn after(work: usize) -> Budget {
+        let budget = Budget::default();
+        budget.spent.work.store(work, Relaxed);
+        budget
+    }
+
+    /// Takes units of work; false when the budget is known to be spent.
+    pub fn charge(&mut self, units: usize) -> bool {
+        self.untold += units;
+        self.untold < UNTOLD || self.tell() <= LIMITS.work
+    }
+
+    /// Takes memory that stays in use, in operations; false when there is no more.
+    pub fn keep(&self, operations: usize) -> bool {
+        self.spent.kept.fetch_add(operations, Relaxed) + operations <= LIMITS.kept
+    }
+
+    /// Units spent so far, by all holders.
+    pub fn work(&self) -> usize {
+        self.spent.work.load(Relaxed) + self.untold
+    }
+
+    /// True when all holders together went past the limit: what was made by then may have been cut short.
+    pub fn is_spent(&self) -> bool {
+        self.work() > LIMITS.work
+    }
+
+    fn tell(&mut self) -> usize {
+        let units = std::mem::take(&mut self.untold);
+        self.spent.work.fetch_add(units, Relaxed) + units
+    }
+}
+
+impl Clone for Budget {
+    fn clone(&self) -> Budget {
+        Budget { spent: self.spent.clone(), untold: 0 }
+    }
+}
+
+impl Drop for Budget {
+    fn drop(&mut self) {
+        self.tell();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holders_draw_on_one_budget() {
+        let mut one = Budget::after(LIMITS.work - 10);
+        let mut other = one.clone();
+        assert!(one.charge(10) && !one.is_spent(), "at the limit");
+        drop(one);
+        assert!(other.charge(1) && other.is_spent(), "past the limit, but not yet told");
+        assert!(!other.charge(UNTOLD));
+        assert!(!Budget::default().is_spent(), "another document");
+        let kept = Budget::default();
+        assert!(kept.keep(LIMITS.kept) && !kept.clone().keep(1));
+    }
+}
