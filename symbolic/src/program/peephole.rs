@@ -116,7 +116,7 @@ fn count_uses(program: &Program) -> Vec<u32> {
 }
 
 /// Drops dead instructions and orders the rest: by level, operands first, otherwise as they were emitted.
-fn arrange(program: &mut Program) {
+pub(crate) fn arrange(program: &mut Program) {
     let live = live(program);
     // Depth-first order within a level, because contraction may have appended operands behind their users.
     let mut order: Vec<usize> = Vec::with_capacity(live.len());

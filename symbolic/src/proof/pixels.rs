@@ -5,7 +5,8 @@
 //! whether rows without any leave no trace.
 
 use crate::language::graph::{Node, NodeId};
-use crate::program::{ChannelId, Program};
+use crate::program::peephole::arrange;
+use crate::program::{ChannelId, Program, Sink};
 use crate::proof::TOLERANCE;
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::evaluate_at;
@@ -99,8 +100,6 @@ fn roots(subject: &Subject) -> Vec<NodeId> {
 pub(super) struct Rim {
     point: Point<f64>,
     inside: Vec<bool>,
-    /// The domain says nothing certain there.
-    open: Vec<bool>,
 }
 
 impl Rim {
@@ -111,10 +110,13 @@ impl Rim {
             return Vec::new();
         }
         let mut rims = Vec::new();
-        for (seed, place, far) in [(0, NEAR, true), (1, FAR, false)] {
+        for (seed, place, is_near) in [(0, NEAR, true), (1, FAR, false)] {
             let middle = centre(&subject.model, place);
             let base = plausible(&subject.model, middle, &mut Random(seed));
-            let mut rows = vec![base.rows[0].clone()];
+            let mut rows = Vec::new();
+            if is_near || base.rows[0].is_empty() {
+                rows.push(base.rows[0].clone());
+            }
             if let [y, ..] = base.rows[0][..] {
                 let along = |y: f64| {
                     let mut row = base.rows[0].clone();
@@ -122,7 +124,7 @@ impl Rim {
                     row
                 };
                 rows.push(along(middle[1].round()));
-                rows.extend(far.then(|| along(y + 40.0 * SIZE)));
+                rows.extend(is_near.then(|| along(y + 40.0 * SIZE)));
             }
             let of = |row| Rim::of(subject, Point { rows: vec![row], ..base.clone() }, middle[0]);
             rims.extend(rows.into_iter().map(of));
@@ -136,24 +138,48 @@ impl Rim {
         let shown = |channel: usize| if at_limit { limit(channel) + 5.0 } else { limit(channel) - 5.0 };
         let outer = point.rows[0].clone();
         let roots = roots(subject);
-        let (columns, inside, open) = {
+        let (columns, inside) = {
             let mut domain = Inside::of(subject, &roots, &point);
             let columns = columns_at_rims(middle, &mut |x| domain.holds(x, &outer, &shown));
             let inside = columns.iter().map(|x| domain.holds(*x, &outer, &shown)).collect();
-            let open = columns.iter().map(|x| domain.is_rim(*x, &outer, &shown, 0.5 * RIM)).collect();
-            (columns, inside, open)
+            (columns, inside)
         };
         point.pixels = (0..channels).flat_map(|c| std::iter::repeat_n(shown(c), columns.len())).collect();
         point.columns = columns;
-        Rim { point, inside, open }
+        Rim { point, inside }
     }
 
-    /// True when the program takes these pixels of the row.
-    pub fn is_of(&self, program: &Program) -> bool {
+    /// True when the program, or only its pixel set, takes these pixels of the row.
+    pub fn is_of(&self, subject: &Subject, program: &Program) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
         let taken = evaluate_at(program, &sample(program, &self.point, &pixel, false)).taken;
-        self.inside.iter().zip(&self.open).zip(taken).all(|((inside, open), taken)| *open || *inside == taken)
+        let wrong = differing(&self.inside, &taken);
+        are_rims(subject, &self.point, &wrong, 0.5 * RIM)
     }
+}
+
+/// Where two lists differ.
+fn differing(a: &[bool], b: &[bool]) -> Vec<usize> {
+    (0..a.len()).filter(|i| b.get(*i) != Some(&a[*i])).collect()
+}
+
+/// True when a step along a coordinate may decide otherwise at all of these pixels, numbered row by row.
+fn are_rims(subject: &Subject, point: &Point<f64>, pixels: &[usize], near: f64) -> bool {
+    let roots = roots(subject);
+    let mut domain = Inside::of(subject, &roots, point);
+    pixels.iter().all(|index| {
+        let (column, row) = (index % point.columns.len(), index / point.columns.len());
+        let pixel = |channel: usize| point.pixel(channel, column, row);
+        domain.is_rim(point.columns[column], &point.rows[row], &pixel, near)
+    })
+}
+
+/// What of a program says which pixels it takes, and nothing else.
+pub(super) fn set_of(program: &Program) -> Program {
+    let mut set = program.clone();
+    set.sink = Sink::Sums { accumulators: Vec::new(), totals: Vec::new(), outputs: Vec::new() };
+    arrange(&mut set);
+    set
 }
 
 /// A window with rows in the domain and out of it, one all of whose pixels are at their limit, and single such pixels; or one
@@ -163,7 +189,6 @@ pub(super) struct Windowed {
     point: Point<f64>,
     /// Row by row.
     taken: Vec<bool>,
-    open: Vec<bool>,
     /// The sums; nothing where they are not finite.
     sums: Option<Vec<Weighed>>,
 }
@@ -175,9 +200,8 @@ impl Windowed {
             return Vec::new();
         }
         let at = |seed: u64| Windowed::of(subject, dropped, &mut Random(seed));
-        let tried: Vec<Windowed> = (0..WINDOWS).map(at).collect();
-        let is_good = |window: &&Windowed| window.sums.is_some() && window.taken.contains(&true);
-        let good = tried.iter().find(is_good).or(tried.first()).cloned();
+        let is_good = |window: &Windowed| window.sums.is_some() && window.taken.contains(&true);
+        let good = (0..WINDOWS).map(at).find(is_good).or_else(|| Some(at(0)));
         let away = good.as_ref().filter(|window| window.sums.is_some()).map(|window| window.far_away(subject, dropped));
         good.into_iter().chain(away).collect()
     }
@@ -234,7 +258,7 @@ impl Windowed {
 
     fn at(subject: &Subject, dropped: &[ChannelId], point: Point<f64>) -> Windowed {
         let roots = roots(subject);
-        let (mut taken, mut open) = (Vec::new(), Vec::new());
+        let mut taken = Vec::new();
         {
             let mut domain = Inside::of(subject, &roots, &point);
             for (row, outer) in point.rows.iter().enumerate() {
@@ -242,13 +266,12 @@ impl Windowed {
                     let pixel = |channel: usize| point.pixel(channel, column, row);
                     let at_limit = dropped.iter().any(|c| limit(c.index()) <= pixel(c.index()));
                     taken.push(!at_limit && domain.holds(*x, outer, &pixel));
-                    open.push(domain.is_rim(*x, outer, &pixel, RIM));
                 }
             }
         }
-        let mut window = Windowed { point, taken, open, sums: None };
+        let mut window = Windowed { point, taken, sums: None };
         let sums = subject.direct(&window.point.map(Weighed::from), |column, row| window.takes(column, row));
-        window.sums = (is_finite(&sums) && !window.open.contains(&true)).then_some(sums);
+        window.sums = is_finite(&sums).then_some(sums);
         window
     }
 
@@ -260,9 +283,9 @@ impl Windowed {
     pub fn is_summed_by(&self, subject: &Subject, program: &Program) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
         let found = evaluate_at(program, &sample(program, &self.point, &pixel, false));
-        let is_taken = |((expected, open), taken): ((&bool, &bool), &bool)| *open || expected == taken;
-        if !self.taken.iter().zip(&self.open).zip(&found.taken).all(is_taken) {
-            return false;
+        let wrong = differing(&self.taken, &found.taken);
+        if !wrong.is_empty() {
+            return are_rims(subject, &self.point, &wrong, RIM);
         }
         let Some(sums) = &self.sums else { return true };
         worst(&found.outputs, sums) <= TOLERANCE || {

@@ -17,7 +17,7 @@ use crate::proof::evaluate::{Number, Sample, evaluate_at};
 use crate::proof::hyper::{Evaluator, Hyper, Order};
 use crate::proof::likelihood::Shape;
 use crate::proof::modular::Modular;
-use crate::proof::pixels::{Rim, Windowed};
+use crate::proof::pixels::{Rim, Windowed, set_of};
 use crate::proof::points::{BESIDE, FAR, NEAR, Picture, Point, Random, centre, limit, picture, plausible, residues};
 use crate::proof::weighed::Weighed;
 use crate::proof::{Errors, POINTS, REFEREE, SMALLEST, TOLERANCE};
@@ -139,7 +139,7 @@ impl Referee {
             && (exact || error.is_some())
             && self.beside().iter().all(|known| self.is_right_far(program, known))
             && (!self.is_conditional || self.far().iter().all(|known| self.is_right_far(program, known)))
-            && self.rims().iter().all(|rim| rim.is_of(program))
+            && self.has_its_rims(program)
             && self.windows(dropped).iter().all(|window| window.is_summed_by(&self.subject, program));
         right.then_some(Errors { exact, error })
     }
@@ -198,6 +198,16 @@ impl Referee {
             };
             (0..self.points).filter_map(at).collect()
         })
+    }
+
+    /// True when the pixel set ends where the domain does.
+    fn has_its_rims(&self, program: &Program) -> bool {
+        let rims = self.rims();
+        rims.is_empty() || {
+            let mut set = set_of(program);
+            set.pixel_set.saturated = None;
+            rims.iter().all(|rim| rim.is_of(&self.subject, &set))
+        }
     }
 
     fn rims(&self) -> &[Rim] {
