@@ -8,6 +8,15 @@ use crate::derive::jet::Jet;
 use crate::language::graph::{Bits, Graph, Node, NodeId, content};
 use crate::program::Level;
 
+/// What was rewritten, as it was given.
+pub(crate) struct Absorbed {
+    pub tops: Vec<NodeId>,
+    pub jets: Vec<Jet>,
+    pub variance: Option<NodeId>,
+    /// Some factor could change sides, whether it was allowed to or not.
+    pub is_unifiable: bool,
+}
+
 /// Takes invariant factors into sums that nothing else uses (v1 · (k1 + 2 k2 s) with both coefficients known per pass), so
 /// that the factor costs nothing per pixel, and sums into sums likewise. With `unify` a sum n that occurs both alone and with
 /// invariant factors c known to be positive is computed as N = c n only, and n becomes N / c, whose 1 / c leaves the loop.
@@ -17,14 +26,18 @@ pub(crate) fn absorb(
     jets: &[Jet],
     variance: Option<NodeId>,
     unify: bool,
-) -> (Vec<NodeId>, Vec<Jet>, Option<NodeId>) {
+) -> Absorbed {
     let mut roots = tops.to_vec();
     roots.extend(variance);
     roots.extend(jets.iter().flat_map(|j| j.first.values().chain(j.second.values()).copied()));
     let counts = graph.use_counts(&roots);
     let held: BTreeSet<NodeId> = roots.iter().copied().collect();
     let lone = |n: NodeId| counts.get(n.index()) == Some(&1) && !held.contains(&n);
-    let scales = if unify { scales(graph, &roots, &lone) } else { FxHashMap::default() };
+    let mut scales = scales(graph, &roots, &lone);
+    let is_unifiable = !scales.is_empty();
+    if !unify {
+        scales.clear();
+    }
     let mut kept = BTreeSet::new();
     let mut map = FxHashMap::default();
     for id in graph.reachable(&roots) {
@@ -77,7 +90,8 @@ pub(crate) fn absorb(
     };
     let new_tops: Vec<NodeId> = tops.iter().map(at).collect();
     new_tops.iter().for_each(|t| graph.set_opaque(*t));
-    (new_tops, jets.iter().map(mapped).collect(), variance.map(|v| at(&v)))
+    let jets = jets.iter().map(mapped).collect();
+    Absorbed { tops: new_tops, jets, variance: variance.map(|v| at(&v)), is_unifiable }
 }
 
 /// Takes invariant factors that several terms of a sum share out of them (v1 + v1 k1 s is v1 (1 + k1 s)), so that the

@@ -1,13 +1,43 @@
 //! Which shared nodes the chain rule may treat as variables.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::BuildHasher;
+use std::mem::discriminant;
+
+use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::program::Level;
 
+/// The candidates, those together that are made alike but for numbers and for which parameters, coordinates and channels are
+/// read (one target in several channels, or at several points of a pixel): what pays for one of them pays for all.
+pub(crate) fn cut_classes(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> Vec<BTreeSet<NodeId>> {
+    let counts = graph.use_counts(&[residual]);
+    let mut likeness: FxHashMap<NodeId, u64> = FxHashMap::default();
+    for id in graph.reachable(&[residual]) {
+        let node = graph.node(id);
+        let mut below: Vec<u64> = operands(node).map(|n| likeness[&n]).collect();
+        if let Node::Product(factors) = node {
+            below.iter_mut().zip(factors.iter()).for_each(|(n, (_, e))| *n = FxBuildHasher.hash_one((*n, e)));
+        }
+        if matches!(node, Node::Sum(..) | Node::Product(_)) {
+            below.sort_unstable();
+        }
+        let own = (discriminant(node), graph.level(id), parameters.contains(&id), below);
+        likeness.insert(id, FxBuildHasher.hash_one(own));
+    }
+    let mut classes: BTreeMap<(u64, u32), BTreeSet<NodeId>> = BTreeMap::new();
+    for cut in cut_candidates(graph, residual, parameters) {
+        classes.entry((likeness[&cut], counts[cut.index()])).or_default().insert(cut);
+    }
+    let mut classes: Vec<_> = classes.into_values().collect();
+    classes.sort_unstable();
+    classes
+}
+
 /// Shared pixel nodes that the chain rule may treat as variables: used more than once or nonlinearly, not mere offsets,
 /// and finite wherever their operands are when a condition might choose another branch.
-pub(crate) fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
+fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
     let reachable = graph.reachable(&[residual]);
     let conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..)));
     let counts = graph.use_counts(&[residual]);

@@ -8,9 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use crate::derive::absorb::{absorb, absorb_numbers};
+use crate::derive::absorb::{Absorbed, absorb, absorb_numbers};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
-use crate::derive::monomial::{Polynomial, Splitter, whole_output};
+use crate::derive::monomial::{Polynomial, Powers, Splitter, whole_output};
 use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
 use crate::derive::sums::{Output, Sums, Term};
@@ -68,6 +68,8 @@ struct Entry {
 pub(crate) struct Derivation {
     pub graph: Graph,
     pub forms: Vec<(String, NodeId)>,
+    /// A factor could change sides, see [`absorb`].
+    pub is_unifiable: bool,
     value: NodeId,
     entries: Vec<Entry>,
     /// Factors as polynomials, multiplied out (`true`) or whole.
@@ -82,7 +84,8 @@ impl Derivation {
         let mut tops = vec![target.residual];
         tops.extend(target.variance.filter(|_| target.newton));
         let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.newton)).collect();
-        let (tops, jets, variance) = absorb(&mut graph, &tops, &jets, target.variance, cuts.unify);
+        let Absorbed { tops, jets, variance, is_unifiable } =
+            absorb(&mut graph, &tops, &jets, target.variance, cuts.unify);
         let (value, mut form) = top_form(&mut graph, target, &tops, &jets, variance)?;
         if !target.part.has_hessian() {
             form.second.clear();
@@ -141,7 +144,7 @@ impl Derivation {
                 }
             }
         }
-        Some(Derivation { graph, forms, value, entries, factors: FxHashMap::default() })
+        Some(Derivation { graph, forms, is_unifiable, value, entries, factors: FxHashMap::default() })
     }
 
     /// A copy to try something with.
@@ -165,7 +168,7 @@ impl Derivation {
         for (i, (_, node)) in self.forms.iter().enumerate() {
             parts.push(Splitter::form(&mut self.graph, *node, layout.split.contains(&i), &mut atoms));
         }
-        let splitter = Splitter::new(&atoms);
+        let mut splitter = Splitter::new(&atoms);
         for (_, factor) in self.entries.iter().flat_map(|e| &e.uses) {
             let key = (*factor, layout.expand);
             if !self.factors.contains_key(&key) {
@@ -192,7 +195,7 @@ impl Derivation {
             if seen.insert((*form, *factor)) {
                 parts[*form].pixels_with(&self.factors[&(*factor, layout.expand)], &mut pixels)?;
                 graph.charge(4 * pixels.len());
-                let found = pixels.drain(..).filter(|monomial: &Vec<_>| !monomial.is_empty());
+                let found = pixels.drain(..).filter(|monomial: &Powers| !monomial.is_empty());
                 let found = found.map(|monomial| graph.product(1.0, monomial));
                 nodes.extend(found.filter(|node| distinct.insert(*node)));
             }

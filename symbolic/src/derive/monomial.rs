@@ -1,20 +1,30 @@
 //! Polynomials in pixel and row monomials with coefficients known per pass: how outputs are taken apart into sums.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+
+use rustc_hash::FxHashMap;
+use smallvec::SmallVec;
 
 use crate::derive::sums::{Output, Term};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
 
+/// Factors with their exponents.
+pub(crate) type Powers = SmallVec<[(NodeId, i32); 4]>;
+
 /// A product of powers: of pixel values (summed over the row) and of row values (applied to the row's total).
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
 pub(crate) struct Monomial {
-    pub pixel: Vec<(NodeId, i32)>,
-    pub row: Vec<(NodeId, i32)>,
+    pub pixel: Powers,
+    pub row: Powers,
 }
 
-fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Vec<(NodeId, i32)> {
-    let mut product = [a, b].concat();
+fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Powers {
+    let mut product = Powers::from_slice(a);
+    if b.is_empty() && a.len() < 2 {
+        return product;
+    }
+    product.extend_from_slice(b);
     product.sort_unstable_by_key(|(n, _)| *n);
     product.dedup_by(|next, kept| {
         let same = next.0 == kept.0;
@@ -28,7 +38,8 @@ fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Vec<(NodeId, i32)> {
 /// Σ coefficient · monomial.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polynomial {
-    terms: BTreeMap<Monomial, NodeId>,
+    /// Ascending.
+    terms: Vec<(Monomial, NodeId)>,
 }
 
 /// Terms that an expansion may have.
@@ -36,7 +47,7 @@ const TERMS: usize = 256;
 
 impl Polynomial {
     fn of(monomial: Monomial, coefficient: NodeId) -> Polynomial {
-        Polynomial { terms: BTreeMap::from([(monomial, coefficient)]) }
+        Polynomial { terms: vec![(monomial, coefficient)] }
     }
 
     pub fn add(&mut self, graph: &mut Graph, other: &Polynomial) {
@@ -44,14 +55,17 @@ impl Polynomial {
     }
 
     fn add_term(&mut self, graph: &mut Graph, monomial: Monomial, coefficient: NodeId) {
-        let total = match self.terms.get(&monomial) {
-            Some(old) => graph.add2(*old, coefficient),
-            None => coefficient,
+        let place = self.terms.binary_search_by(|(known, _)| known.cmp(&monomial));
+        let total = match place {
+            Ok(at) => graph.add2(self.terms[at].1, coefficient),
+            Err(_) => coefficient,
         };
-        match graph.value_of(total) {
-            Some(0.0) => self.terms.remove(&monomial),
-            _ => self.terms.insert(monomial, total),
-        };
+        match (place, graph.value_of(total) == Some(0.0)) {
+            (Ok(at), true) => drop(self.terms.remove(at)),
+            (Ok(at), false) => self.terms[at].1 = total,
+            (Err(_), true) => {}
+            (Err(at), false) => self.terms.insert(at, (monomial, total)),
+        }
     }
 
     /// Its terms.
@@ -76,13 +90,23 @@ impl Polynomial {
         (product.terms.len() <= TERMS).then_some(product)
     }
 
+    /// c · self.
+    fn scaled(mut self, graph: &mut Graph, c: f64) -> Polynomial {
+        if c != 1.0 {
+            graph.charge(4 * self.terms.len());
+            let number = graph.number(c);
+            self.terms.iter_mut().for_each(|(_, coefficient)| *coefficient = graph.mul(*coefficient, number));
+        }
+        self
+    }
+
     /// Appends the pixel monomials of the product; nothing when [`Polynomial::times`] would give nothing.
-    pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Vec<(NodeId, i32)>>) -> Option<()> {
+    pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Powers>) -> Option<()> {
         if self.terms.len() * other.terms.len() > TERMS {
             return None;
         }
-        for a in self.terms.keys() {
-            pixels.extend(other.terms.keys().map(|b| multiply(&a.pixel, &b.pixel)));
+        for (a, _) in &self.terms {
+            pixels.extend(other.terms.iter().map(|(b, _)| multiply(&a.pixel, &b.pixel)));
         }
         Some(())
     }
@@ -106,18 +130,20 @@ pub(crate) fn whole_output(graph: &mut Graph, name: &str, node: NodeId) -> Outpu
 /// Takes nodes apart; `atoms` are never looked into.
 pub(crate) struct Splitter<'a> {
     atoms: &'a BTreeSet<NodeId>,
+    /// What was multiplied out.
+    expanded: FxHashMap<NodeId, Polynomial>,
 }
 
 impl<'a> Splitter<'a> {
     pub fn new(atoms: &'a BTreeSet<NodeId>) -> Splitter<'a> {
-        Splitter { atoms }
+        Splitter { atoms, expanded: FxHashMap::default() }
     }
 
     /// The node's invariant factors, row factors and pixel factors; no sum is looked into.
     pub fn whole(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
-        let mut factors = Vec::new();
+        let mut factors = Powers::new();
         let mut coefficient = 1.0;
-        let mut pending = vec![(node, 1)];
+        let mut pending = Powers::from_slice(&[(node, 1)]);
         while let Some((node, exponent)) = pending.pop() {
             match graph.node(node) {
                 Node::Number(bits) => coefficient *= bits.get().powi(exponent),
@@ -133,7 +159,7 @@ impl<'a> Splitter<'a> {
                 _ => factors.push((node, exponent)),
             }
         }
-        let at = |graph: &Graph, level: Level| -> Vec<(NodeId, i32)> {
+        let at = |graph: &Graph, level: Level| -> Powers {
             factors.iter().copied().filter(|(n, _)| graph.level(*n) == level).collect()
         };
         let pass = at(graph, Level::Pass);
@@ -145,15 +171,25 @@ impl<'a> Splitter<'a> {
 
     /// The node as a polynomial: sums and small powers of sums are multiplied out, down to atoms, offsets of coordinates
     /// and whatever is not a polynomial.
-    pub fn expand(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
+    pub fn expand(&mut self, graph: &mut Graph, node: NodeId) -> Polynomial {
         self.expand_at(graph, node, 12).unwrap_or_else(|| self.whole(graph, node))
     }
 
-    fn expand_at(&self, graph: &mut Graph, node: NodeId, depth: u32) -> Option<Polynomial> {
+    fn expand_at(&mut self, graph: &mut Graph, node: NodeId, depth: u32) -> Option<Polynomial> {
         let depth = depth.checked_sub(1)?;
         if graph.level(node) != Level::Pixel || self.atoms.contains(&node) {
             return Some(self.whole(graph, node));
         }
+        if let Some(known) = self.expanded.get(&node) {
+            graph.charge(known.len());
+            return Some(known.clone());
+        }
+        let found = self.multiplied_out(graph, node, depth)?;
+        self.expanded.insert(node, found.clone());
+        Some(found)
+    }
+
+    fn multiplied_out(&mut self, graph: &mut Graph, node: NodeId, depth: u32) -> Option<Polynomial> {
         match graph.node(node).clone() {
             Node::Product(factors) => {
                 let one = graph.number(1.0);
@@ -178,10 +214,7 @@ impl<'a> Splitter<'a> {
             Node::Sum(constant, terms) if !self.is_atom(graph, node) => {
                 let mut total = Polynomial::default();
                 for (term, coefficient) in terms.iter().copied() {
-                    let coefficient = graph.number(coefficient.get());
-                    let part = self.expand_at(graph, term, depth)?;
-                    let scale = Polynomial::of(Monomial::default(), coefficient);
-                    let part = part.times(graph, &scale)?;
+                    let part = self.expand_at(graph, term, depth)?.scaled(graph, coefficient.get());
                     total.add(graph, &part);
                 }
                 if constant.get() != 0.0 {
@@ -222,7 +255,7 @@ impl<'a> Splitter<'a> {
                 continue;
             }
             let part = Splitter::new(&BTreeSet::new()).whole(graph, piece);
-            for monomial in part.terms.keys() {
+            for (monomial, _) in &part.terms {
                 atoms.extend(monomial.pixel.iter().map(|(n, _)| *n));
             }
             total.add(graph, &part);

@@ -8,7 +8,7 @@
 //! do sums over the branches of a condition, where one is all of a value at some points; these are left as they are.)
 
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::Values;
 use crate::proof::modular::Modular;
 use crate::proof::points::Random;
 
@@ -38,7 +38,7 @@ pub(crate) fn dependent(graph: &Graph, values: &[NodeId]) -> Vec<(NodeId, Combin
             let place = leaves.iter().position(|n| graph.node(*n) == node);
             place.map_or(Modular::of_bits(0), |i| residues[i])
         };
-        let at = Evaluator::new(graph, values, &[], Order::First, &leaf).at(&leaf);
+        let at = Values::of(graph, values, &leaf).at(&leaf);
         insert(&mut reduced, std::iter::once(Modular::of_bits(1)).chain(at.into_iter().map(|x| x.value)).collect());
         if reduced.len() == width {
             return Vec::new();

@@ -6,7 +6,7 @@
 use crate::language::graph::Node;
 use crate::language::model::Model;
 use crate::program::Input;
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::Values;
 
 /// A model at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,8 +31,8 @@ impl Model {
         };
         let roots: Vec<_> = std::iter::once(formulas.intensity).chain(formulas.noise).collect();
         let domain: Vec<_> = formulas.domain.into_iter().collect();
-        let mut numbers = Evaluator::<f64>::new(&formulas.graph, &roots, &[], Order::First, &given);
-        let mut bounds = Evaluator::<f64>::new(&formulas.graph, &domain, &[], Order::First, &given);
+        let mut numbers = Values::of(&formulas.graph, &roots, &given);
+        let mut bounds = Values::of(&formulas.graph, &domain, &given);
         let sample = |place: &Vec<f64>| {
             let leaf = |node: &Node| match node {
                 Node::Coordinate(c) => place.get(c.index()).copied().unwrap_or(f64::NAN),

@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 
 use crate::derive::absorb::gather;
-use crate::derive::cuts::cut_candidates;
+use crate::derive::cuts::cut_classes;
 use crate::derive::derivation::{Cuts, Derivation, Layout, Target, reduced};
 use crate::derive::polynomials::collected;
 use crate::derive::schedule::pixel_cost;
@@ -34,42 +34,57 @@ struct Search<'a> {
     target: &'a Target<'a>,
     best: Option<Found>,
     tried: BTreeSet<Cuts>,
+    /// Tried ones that leave a factor which could change sides.
+    unifiable: BTreeSet<Cuts>,
     derivations: usize,
     work: usize,
 }
 
 /// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
 pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
-    let candidates = cut_candidates(graph, target.residual, target.parameters);
-    let mut search = Search { graph, target, best: None, tried: BTreeSet::new(), derivations: 0, work: 0 };
-    // Seeds: all candidates, and each of them alone.
-    search.attempt(Cuts { nodes: candidates.clone(), ..Cuts::default() });
-    for cut in candidates.iter().filter(|_| candidates.len() > 1) {
-        search.attempt(Cuts { nodes: BTreeSet::from([*cut]), ..Cuts::default() });
+    let classes = cut_classes(graph, target.residual, target.parameters);
+    let mut search = Search {
+        graph,
+        target,
+        best: None,
+        tried: BTreeSet::new(),
+        unifiable: BTreeSet::new(),
+        derivations: 0,
+        work: 0,
+    };
+    // Seeds: all candidates, none where there is a choice, and each class of them alone.
+    search.attempt(Cuts { nodes: classes.iter().flatten().copied().collect(), ..Cuts::default() });
+    if classes.len() > 1 {
+        search.attempt(Cuts::default());
     }
-    // One cut more or less, while that pays. Without any, every pair of parameters has a form of its own.
+    for class in &classes {
+        search.attempt(Cuts { nodes: class.clone(), ..Cuts::default() });
+    }
+    // One class more or less, while that pays. Without any, every pair of parameters has a form of its own.
     let pairs = target.parameters.len() * (target.parameters.len() + 3) / 2;
-    while candidates.len() > 1 || search.best.as_ref()?.derivation.forms.len() >= pairs {
+    while classes.len() > 1 || search.best.as_ref()?.derivation.forms.len() >= pairs {
         let before = search.best.as_ref()?.cuts.nodes.clone();
-        for cut in candidates.iter().rev() {
-            let mut nodes = search.best.as_ref()?.cuts.nodes.clone();
-            if !nodes.remove(cut) {
-                nodes.insert(*cut);
-            }
+        for class in classes.iter().rev() {
+            let nodes = &search.best.as_ref()?.cuts.nodes;
+            let nodes = if class.is_subset(nodes) { nodes - class } else { nodes | class };
             search.attempt(Cuts { nodes, ..Cuts::default() });
         }
-        if search.best.as_ref()?.cuts.nodes == before || candidates.len() < 2 {
+        if search.best.as_ref()?.cuts.nodes == before || classes.len() < 2 {
             break;
         }
     }
-    let collecting = |cut: NodeId| Cuts { nodes: BTreeSet::from([cut]), collect: Some(cut), ..Cuts::default() };
-    let collected: Vec<Cuts> = search.best.as_ref()?.cuts.nodes.iter().map(|cut| collecting(*cut)).collect();
+    // A value with others like it is not collected: theirs would be left.
+    let best = &search.best.as_ref()?.cuts.nodes;
+    let alone = classes.into_iter().filter(|class| class.len() == 1 && class.is_subset(best));
+    let collected: Vec<Cuts> =
+        alone.map(|nodes| Cuts { collect: nodes.first().copied(), nodes, ..Cuts::default() }).collect();
     collected.iter().for_each(|cuts| search.attempt(cuts.clone()));
     search.layouts();
     let plain = search.best.take()?;
     if unify {
-        search.attempt(Cuts { unify, ..plain.cuts.clone() });
-        collected.into_iter().for_each(|cuts| search.attempt(Cuts { unify, ..cuts }));
+        let tried = [plain.cuts.clone()].into_iter().chain(collected);
+        let unifiable: Vec<Cuts> = tried.filter(|cuts| search.unifiable.contains(cuts)).collect();
+        unifiable.into_iter().for_each(|cuts| search.attempt(Cuts { unify, ..cuts }));
         search.layouts();
     }
     let mut best = match search.best {
@@ -119,6 +134,9 @@ impl Search<'_> {
         };
         let weight = derivation.pixel_cost(&layout, LOWERING).map(|cost| weight(&cost));
         self.work += derivation.graph.work() - self.graph.work();
+        if derivation.is_unifiable {
+            self.unifiable.insert(cuts.clone());
+        }
         if let Some(weight) = weight
             && self.best.as_ref().is_none_or(|best| weight < best.weight)
         {

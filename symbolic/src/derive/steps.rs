@@ -2,29 +2,32 @@
 //! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
 
 use rustc_hash::FxHashMap;
+use smallvec::{SmallVec, smallvec};
 
 use crate::derive::schedule::Builder;
 use crate::language::graph::{Bits, Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level, Op, Opcode};
 
+type Operands = SmallVec<[NodeId; 3]>;
+
 /// How one node is computed from others.
 pub(crate) enum Step {
     Leaf(Op),
-    Of(Opcode, Vec<NodeId>),
+    Of(Opcode, Operands),
     /// a · b + c
     MulAdd(NodeId, NodeId, NodeId),
 }
 
 impl Step {
     fn of<const N: usize>(code: Opcode, operands: [NodeId; N]) -> Step {
-        Step::Of(code, operands.to_vec())
+        Step::Of(code, SmallVec::from_slice(&operands))
     }
 
-    pub fn operands(&self) -> Vec<NodeId> {
+    pub fn operands(&self) -> Operands {
         match self {
-            Step::Leaf(_) => vec![],
+            Step::Leaf(_) => smallvec![],
             Step::Of(_, operands) => operands.clone(),
-            Step::MulAdd(a, b, c) => vec![*a, *b, *c],
+            Step::MulAdd(a, b, c) => smallvec![*a, *b, *c],
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::language::model::{
     Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage, Start,
 };
 use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::{Evaluator, Hyper, Order};
 use crate::proof::points::{NEAR, Random, centre, plausible};
 
 /// What differs.
@@ -148,7 +148,7 @@ impl Model {
             _ => f64::NAN,
         };
         let roots = [self.formulas.intensity];
-        let mut evaluator = Evaluator::new(&graph, &roots, &parameters, Order::First, &inputs);
+        let mut evaluator = Evaluator::<Hyper<f64>>::new(&graph, &roots, &parameters, Order::First, &inputs);
         let middle = centre(self, NEAR);
         let step = |i: usize| REACH_PX * (i as f64 / (GRID - 1) as f64 - 0.5) * 2.0;
         let mut columns = vec![Vec::new(); free.len() + terms.len()];

@@ -4,9 +4,12 @@
 //! equal ids; an operand's id is smaller than its user's. It never knows where a formula came from beyond a span per node.
 
 use std::collections::BTreeSet;
+use std::hash::BuildHasher;
 use std::sync::Arc;
 
-use rustc_hash::FxHashMap;
+use hashbrown::HashTable;
+use rustc_hash::{FxBuildHasher, FxHashMap};
+use smallvec::SmallVec;
 
 use crate::language::budget::Budget;
 use crate::language::diagnostic::Span;
@@ -61,7 +64,8 @@ pub(crate) struct Graph {
     levels: Vec<Level>,
     spans: Vec<Option<Span>>,
     opaque: Vec<bool>,
-    index: FxHashMap<Node, NodeId>,
+    /// By the hash of the node.
+    index: HashTable<NodeId>,
     span: Option<Span>,
     overflowed: bool,
     /// Units of work that this graph has taken, and those that it was cloned from.
@@ -142,10 +146,17 @@ impl Graph {
     }
 
     fn add(&mut self, node: Node) -> NodeId {
+        let hash = hash(&node);
+        self.entry(hash, |known| *known == node).unwrap_or_else(|| self.push(hash, node))
+    }
+
+    /// The node with this hash that is the one looked for.
+    fn entry(&mut self, hash: u64, is_it: impl Fn(&Node) -> bool) -> Option<NodeId> {
         self.charge(1);
-        if let Some(&id) = self.index.get(&node) {
-            return id;
-        }
+        self.index.find(hash, |id| is_it(&self.nodes[id.index()])).copied()
+    }
+
+    fn push(&mut self, hash: u64, node: Node) -> NodeId {
         if self.nodes.len() >= LIMITS.nodes || self.overflowed {
             self.overflowed = true;
             return NodeId(0);
@@ -157,8 +168,8 @@ impl Graph {
             _ => Level::Pass,
         };
         let level = operands(&node).map(|n| self.level(n)).max().unwrap_or(own);
-        self.index.insert(node.clone(), id);
         self.nodes.push(node);
+        self.index.insert_unique(hash, id, |id| self::hash(&self.nodes[id.index()]));
         self.levels.push(level);
         self.spans.push(self.span);
         self.opaque.push(false);
@@ -197,7 +208,7 @@ impl Graph {
     /// constant + Σ coefficient · node. Like terms are collected; sums that are not opaque are taken in.
     pub fn sum(&mut self, constant: f64, terms: impl IntoIterator<Item = (NodeId, f64)>) -> NodeId {
         let mut constant = constant;
-        let mut collected: Vec<(NodeId, f64)> = Vec::new();
+        let mut collected: Few<f64> = SmallVec::new();
         for (node, coefficient) in terms {
             if coefficient == 0.0 {
                 continue;
@@ -212,20 +223,28 @@ impl Graph {
             }
         }
         self.charge(1 + collected.len());
-        collected.sort_by_key(|(node, _)| *node);
-        let mut merged: Vec<(NodeId, f64)> = Vec::with_capacity(collected.len());
-        for (node, coefficient) in collected {
-            match merged.last_mut() {
-                Some((last, total)) if *last == node => *total += coefficient,
-                _ => merged.push((node, coefficient)),
-            }
-        }
-        merged.retain(|(_, coefficient)| *coefficient != 0.0);
-        match merged[..] {
+        merge(&mut collected, |total, coefficient| total + coefficient);
+        collected.retain(|(_, coefficient)| *coefficient != 0.0);
+        match collected[..] {
             [] => self.number(constant),
             [(node, 1.0)] if constant == 0.0 => node,
-            _ => self.add(Node::Sum(Bits::new(constant), merged.into_iter().map(|(n, c)| (n, Bits::new(c))).collect())),
+            _ => self.sum_of(Bits::new(constant), &collected),
         }
+    }
+
+    /// The node of a sum in its canonical form.
+    fn sum_of(&mut self, constant: Bits, terms: &[(NodeId, f64)]) -> NodeId {
+        let terms: Few<Bits> = terms.iter().map(|(n, c)| (*n, Bits::new(*c))).collect();
+        let hash = hash_sum(constant, &terms);
+        let is_it = |known: &Node| matches!(known, Node::Sum(c, list) if *c == constant && list[..] == terms[..]);
+        self.entry(hash, is_it).unwrap_or_else(|| self.push(hash, Node::Sum(constant, terms[..].into())))
+    }
+
+    /// The node of a product in its canonical form.
+    fn product_of(&mut self, factors: &[(NodeId, i32)]) -> NodeId {
+        let hash = hash_product(factors);
+        let is_it = |known: &Node| matches!(known, Node::Product(list) if list[..] == *factors);
+        self.entry(hash, is_it).unwrap_or_else(|| self.push(hash, Node::Product(factors.into())))
     }
 
     /// Terms of a sum, factors of a product.
@@ -258,7 +277,7 @@ impl Graph {
             && coefficient != 1.0
             && coefficient != 0.0
         {
-            return self.add(Node::Sum(Bits::new(0.0), Arc::new([(a, Bits::new(coefficient))])));
+            return self.sum_of(Bits::new(0.0), &[(a, coefficient)]);
         }
         self.sum(0.0, [(a, coefficient)])
     }
@@ -273,8 +292,8 @@ impl Graph {
     /// outside, on a sum of one term. 0 · x is 0.
     pub fn product(&mut self, coefficient: f64, factors: impl IntoIterator<Item = (NodeId, i32)>) -> NodeId {
         let mut coefficient = coefficient;
-        let mut collected: Vec<(NodeId, i32)> = Vec::new();
-        let mut pending: Vec<(NodeId, i32)> = factors.into_iter().filter(|(_, e)| *e != 0).collect();
+        let mut collected: Few<i32> = SmallVec::new();
+        let mut pending: Few<i32> = factors.into_iter().filter(|(_, e)| *e != 0).collect();
         while let Some((node, exponent)) = pending.pop() {
             match self.node(node) {
                 Node::Number(bits) => coefficient *= bits.get().powi(exponent),
@@ -287,11 +306,10 @@ impl Graph {
                         coefficient *= list[0].1.get().powi(exponent);
                         pending.push((list[0].0, exponent));
                     } else if content != 1.0 && !self.is_opaque(node) {
-                        let (constant, list) = (constant.get() / content, list.clone());
-                        let list = list.iter().map(|(n, c)| (*n, Bits::new(c.get() / content))).collect();
+                        let constant = Bits::new(constant.get() / content);
+                        let list: Few<f64> = list.iter().map(|(n, c)| (*n, c.get() / content)).collect();
                         coefficient *= content.powi(exponent);
-                        let primitive = self.add(Node::Sum(Bits::new(constant), list));
-                        collected.push((primitive, exponent));
+                        collected.push((self.sum_of(constant, &list), exponent));
                     } else {
                         collected.push((node, exponent));
                     }
@@ -303,21 +321,14 @@ impl Graph {
             return self.number(0.0);
         }
         self.charge(1 + collected.len());
-        collected.sort_by_key(|(node, _)| *node);
-        let mut merged: Vec<(NodeId, i32)> = Vec::with_capacity(collected.len());
-        for (node, exponent) in collected {
-            match merged.last_mut() {
-                Some((last, total)) if *last == node => *total = total.saturating_add(exponent),
-                _ => merged.push((node, exponent)),
-            }
-        }
-        merged.retain(|(_, exponent)| *exponent != 0);
+        merge(&mut collected, i32::saturating_add);
+        collected.retain(|(_, exponent)| *exponent != 0);
         // Beyond what an exponent can be.
-        self.overflowed |= merged.iter().any(|(_, exponent)| exponent.unsigned_abs() >= i32::MAX as u32);
-        let body = match merged[..] {
+        self.overflowed |= collected.iter().any(|(_, exponent)| exponent.unsigned_abs() >= i32::MAX as u32);
+        let body = match collected[..] {
             [] => return self.number(coefficient),
             [(node, 1)] => node,
-            _ => self.add(Node::Product(merged.into())),
+            _ => self.product_of(&collected),
         };
         self.scale(coefficient, body)
     }
@@ -488,6 +499,37 @@ impl Graph {
         }
         values[&root]
     }
+}
+
+/// Terms or factors, mostly few.
+type Few<T> = SmallVec<[(NodeId, T); 8]>;
+
+/// Sorts by node and makes one of those of the same node.
+fn merge<T: Copy>(list: &mut Few<T>, both: impl Fn(T, T) -> T) {
+    list.sort_by_key(|(node, _)| *node);
+    list.dedup_by(|next, kept| {
+        let is_same = next.0 == kept.0;
+        if is_same {
+            kept.1 = both(kept.1, next.1);
+        }
+        is_same
+    });
+}
+
+fn hash(node: &Node) -> u64 {
+    match node {
+        Node::Sum(constant, terms) => hash_sum(*constant, terms),
+        Node::Product(factors) => hash_product(factors),
+        _ => FxBuildHasher.hash_one(node),
+    }
+}
+
+fn hash_sum(constant: Bits, terms: &[(NodeId, Bits)]) -> u64 {
+    FxBuildHasher.hash_one((constant, terms))
+}
+
+fn hash_product(factors: &[(NodeId, i32)]) -> u64 {
+    FxBuildHasher.hash_one(factors)
 }
 
 /// What can be divided out of a sum exactly: the common magnitude, or the greatest common divisor of whole coefficients,

@@ -4,8 +4,10 @@
 //! of [`crate::derive::jet`], and all that is made of them, are compared with. Only variables that a value depends on take room.
 
 use rustc_hash::FxHashMap;
+use smallvec::{SmallVec, smallvec};
 
 use crate::language::graph::{Graph, Node, NodeId};
+use crate::program::function::{Function1, Function2};
 use crate::program::{Level, holds};
 use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::evaluate::Number;
@@ -15,36 +17,42 @@ use crate::proof::evaluate::Number;
 pub(crate) struct Hyper<N> {
     pub value: N,
     /// The variables that it depends on, ascending.
-    active: Vec<u16>,
-    first: Vec<N>,
-    /// Upper triangle over the active variables, row by row; empty where only first orders are asked for.
-    second: Vec<N>,
+    active: Active,
+    /// The gradient over the active variables; then the upper triangle of the Hessian, row by row, or nothing where only
+    /// first orders are asked for.
+    derivatives: Vec<N>,
 }
+
+type Active = SmallVec<[u16; 12]>;
 
 impl<N: Number> Hyper<N> {
     pub fn fixed(value: N) -> Hyper<N> {
-        Hyper { value, active: Vec::new(), first: Vec::new(), second: Vec::new() }
+        Hyper { value, active: SmallVec::new(), derivatives: Vec::new() }
     }
 
-    fn variable(value: N, variable: u16, order: Order) -> Hyper<N> {
-        let second = if order == Order::Second { vec![N::from(0.0)] } else { Vec::new() };
-        Hyper { value, active: vec![variable], first: vec![N::from(1.0)], second }
+    fn first(&self) -> &[N] {
+        &self.derivatives[..self.active.len()]
+    }
+
+    fn second(&self) -> &[N] {
+        &self.derivatives[self.active.len()..]
     }
 
     /// f(self) from f, f′, f″.
     pub fn unary(&self, (value, slope, bend): (N, N, N)) -> Hyper<N> {
-        let mut second = Vec::with_capacity(self.second.len());
-        if !self.second.is_empty() {
-            let mut k = 0;
-            for i in 0..self.first.len() {
-                for j in i..self.first.len() {
-                    second.push(slope * self.second[k] + bend * (self.first[i] * self.first[j]));
-                    k += 1;
-                }
-            }
+        let first = self.first();
+        let mut derivatives = Vec::with_capacity(self.derivatives.len());
+        derivatives.extend(first.iter().map(|d| slope * *d));
+        let mut second = self.second().iter();
+        for (i, a) in first.iter().enumerate() {
+            derivatives.extend(first[i..].iter().zip(&mut second).map(|(b, s)| slope * *s + bend * (*a * *b)));
         }
-        let first = self.first.iter().map(|d| slope * *d).collect();
-        Hyper { value, active: self.active.clone(), first, second }
+        Hyper { value, active: self.active.clone(), derivatives }
+    }
+
+    /// c · self.
+    fn linear(&self, value: N, c: N) -> Hyper<N> {
+        Hyper { value, active: self.active.clone(), derivatives: self.derivatives.iter().map(|d| c * *d).collect() }
     }
 
     /// f(self, b).
@@ -54,45 +62,60 @@ impl<N: Number> Hyper<N> {
             (true, _) => return b.unary((f.value, f.b, f.bb)),
             _ => {}
         }
+        let second = |[sa, sb, ai, aj, bi, bj]: [N; 6]| {
+            f.a * sa + f.b * sb + f.aa * (ai * aj) + f.bb * (bi * bj) + f.ab * (ai * bj + aj * bi)
+        };
+        self.combined(b, f.value, &|a, b| f.a * a + f.b * b, &second)
+    }
+
+    /// Over the variables of both: `first` of the two first derivatives, `second` of the two second ones and of a_i, a_j, b_i
+    /// and b_j.
+    fn combined(&self, b: &Hyper<N>, value: N, first: &impl Fn(N, N) -> N, second: &impl Fn([N; 6]) -> N) -> Hyper<N> {
+        let has_second = !self.second().is_empty() || !b.second().is_empty();
+        if self.active == b.active && self.derivatives.len() == b.derivatives.len() {
+            let (in_a, in_b) = (self.first(), b.first());
+            let mut derivatives = Vec::with_capacity(self.derivatives.len());
+            derivatives.extend(in_a.iter().zip(in_b).map(|(a, b)| first(*a, *b)));
+            let mut pairs = self.second().iter().zip(b.second());
+            for (i, (ai, bi)) in in_a.iter().zip(in_b).enumerate() {
+                let row = in_a[i..].iter().zip(&in_b[i..]).zip(&mut pairs);
+                derivatives.extend(row.map(|((aj, bj), (sa, sb))| second([*sa, *sb, *ai, *aj, *bi, *bj])));
+            }
+            return Hyper { value, active: self.active.clone(), derivatives };
+        }
         let zero = N::from(0.0);
-        let mut active = [&self.active[..], &b.active[..]].concat();
+        let mut active: Active = self.active.iter().chain(&b.active).copied().collect();
         active.sort_unstable();
         active.dedup();
-        let places = |x: &Hyper<N>| -> Vec<Option<usize>> {
+        let places = |x: &Hyper<N>| -> SmallVec<[Option<usize>; 12]> {
             active.iter().map(|variable| x.active.binary_search(variable).ok()).collect()
         };
         let (in_a, in_b) = (places(self), places(b));
-        let first_of = |x: &Hyper<N>, i: Option<usize>| i.map_or(zero, |i| x.first[i]);
-        let first: Vec<N> =
-            (0..active.len()).map(|i| f.a * first_of(self, in_a[i]) + f.b * first_of(b, in_b[i])).collect();
-        let mut second = Vec::new();
-        if !self.second.is_empty() || !b.second.is_empty() {
-            second.reserve(active.len() * (active.len() + 1) / 2);
-            for i in 0..active.len() {
-                for j in i..active.len() {
-                    let (ai, aj) = (first_of(self, in_a[i]), first_of(self, in_a[j]));
-                    let (bi, bj) = (first_of(b, in_b[i]), first_of(b, in_b[j]));
-                    let own = f.a * self.second_at(in_a[i], in_a[j]) + f.b * b.second_at(in_b[i], in_b[j]);
-                    second.push(own + f.aa * (ai * aj) + f.bb * (bi * bj) + f.ab * (ai * bj + aj * bi));
-                }
+        let first_of = |x: &Hyper<N>, i: Option<usize>| i.map_or(zero, |i| x.derivatives[i]);
+        let n = active.len();
+        let mut derivatives = Vec::with_capacity(if has_second { n * (n + 3) / 2 } else { n });
+        derivatives.extend((0..n).map(|i| first(first_of(self, in_a[i]), first_of(b, in_b[i]))));
+        for i in (0..n).filter(|_| has_second) {
+            let (ai, bi) = (first_of(self, in_a[i]), first_of(b, in_b[i]));
+            for j in i..n {
+                let (sa, sb) = (self.second_at(in_a[i], in_a[j]), b.second_at(in_b[i], in_b[j]));
+                derivatives.push(second([sa, sb, ai, first_of(self, in_a[j]), bi, first_of(b, in_b[j])]));
             }
         }
-        Hyper { value: f.value, active, first, second }
+        Hyper { value, active, derivatives }
     }
 
     fn second_at(&self, i: Option<usize>, j: Option<usize>) -> N {
+        let n = self.active.len();
         match (i, j) {
-            (Some(i), Some(j)) if !self.second.is_empty() => {
-                let n = self.first.len();
-                self.second[i * n - i * (i + 1) / 2 + j]
-            }
+            (Some(i), Some(j)) if self.derivatives.len() > n => self.derivatives[n + i * n - i * (i + 1) / 2 + j],
             _ => N::from(0.0),
         }
     }
 
     /// ∂/∂u.
     pub fn gradient(&self, u: u16) -> N {
-        self.active.binary_search(&u).map_or(N::from(0.0), |i| self.first[i])
+        self.active.binary_search(&u).map_or(N::from(0.0), |i| self.derivatives[i])
     }
 
     /// ∂²/∂u∂v, u ≤ v.
@@ -101,18 +124,46 @@ impl<N: Number> Hyper<N> {
     }
 
     pub fn add(&self, b: &Hyper<N>) -> Hyper<N> {
-        let (one, zero) = (N::from(1.0), N::from(0.0));
-        self.binary(b, &Two { value: self.value + b.value, a: one, b: one, aa: zero, ab: zero, bb: zero })
+        let value = self.value + b.value;
+        match (self.active.is_empty(), b.active.is_empty()) {
+            (_, true) => Hyper { value, ..self.clone() },
+            (true, _) => Hyper { value, ..b.clone() },
+            _ => self.combined(b, value, &|a, b| a + b, &|[a, b, ..]| a + b),
+        }
+    }
+
+    /// Adds c · b.
+    fn add_scaled(&mut self, b: &Hyper<N>, c: f64) {
+        let by = N::from(c);
+        let value = self.value + if c == 1.0 { b.value } else { by * b.value };
+        if b.active.is_empty() {
+            self.value = value;
+        } else if self.active.is_empty() {
+            *self = if c == 1.0 { Hyper { value, ..b.clone() } } else { b.linear(value, by) };
+        } else if self.active == b.active {
+            self.value = value;
+            let both = self.derivatives.iter_mut().zip(&b.derivatives);
+            both.for_each(|(a, b)| *a = *a + if c == 1.0 { *b } else { by * *b });
+        } else {
+            *self = self.combined(b, value, &|a, b| a + by * b, &|[a, b, ..]| a + by * b);
+        }
     }
 
     pub fn scaled(&self, by: f64) -> Hyper<N> {
         let by = N::from(by);
-        self.unary((by * self.value, by, N::from(0.0)))
+        self.linear(by * self.value, by)
     }
 
     pub fn mul(&self, b: &Hyper<N>) -> Hyper<N> {
-        let (one, zero) = (N::from(1.0), N::from(0.0));
-        self.binary(b, &Two { value: self.value * b.value, a: b.value, b: self.value, aa: zero, ab: one, bb: zero })
+        let (x, y) = (self.value, b.value);
+        match (self.active.is_empty(), b.active.is_empty()) {
+            (_, true) => self.linear(x * y, y),
+            (true, _) => b.linear(x * y, x),
+            _ => {
+                let second = |[sa, sb, ai, aj, bi, bj]: [N; 6]| y * sa + x * sb + (ai * bj + aj * bi);
+                self.combined(b, x * y, &|a, b| y * a + x * b, &second)
+            }
+        }
     }
 
     /// The whole power n ≠ 0.
@@ -120,15 +171,7 @@ impl<N: Number> Hyper<N> {
         if n == 1 {
             return self.clone();
         }
-        let whole = |exponent: i32| -> N {
-            let (mut square, mut power, mut left) = (self.value, N::from(1.0), exponent.unsigned_abs());
-            while left > 0 {
-                power = if left & 1 == 1 { power * square } else { power };
-                square = square * square;
-                left >>= 1;
-            }
-            if exponent < 0 { N::from(1.0) / power } else { power }
-        };
+        let whole = |exponent| whole_power(self.value, exponent);
         let (first, second) = (f64::from(n), f64::from(n) * (f64::from(n) - 1.0));
         let (slope, bend) = (whole(n.saturating_sub(1)), whole(n.saturating_sub(2)));
         self.unary((whole(n), N::from(first) * slope, N::from(second) * bend))
@@ -148,32 +191,149 @@ pub(crate) enum Order {
     Second,
 }
 
+/// What an evaluation works out at every node: a number alone, or with its derivatives.
+pub(crate) trait Quantity: Clone {
+    type Number: Number;
+    fn fixed(value: Self::Number) -> Self;
+    fn variable(value: Self::Number, variable: u16, order: Order) -> Self;
+    fn value(&self) -> Self::Number;
+    fn add_scaled(&mut self, b: &Self, c: f64);
+    fn scaled(&self, c: f64) -> Self;
+    fn mul(&self, b: &Self) -> Self;
+    fn power(&self, n: i32) -> Self;
+    fn sqrt(&self) -> Self;
+    fn call1(&self, function: Function1) -> Self;
+    fn call2(&self, function: Function2, b: &Self) -> Self;
+}
+
+/// A number without derivatives.
+#[derive(Clone, Copy)]
+pub(crate) struct Bare<N> {
+    pub value: N,
+}
+
+impl<N: Number> Quantity for Bare<N> {
+    type Number = N;
+    fn fixed(value: N) -> Self {
+        Bare { value }
+    }
+    fn variable(value: N, _: u16, _: Order) -> Self {
+        Bare { value }
+    }
+    fn value(&self) -> N {
+        self.value
+    }
+    fn add_scaled(&mut self, b: &Self, c: f64) {
+        self.value = self.value + N::from(c) * b.value;
+    }
+    fn scaled(&self, c: f64) -> Self {
+        Bare { value: N::from(c) * self.value }
+    }
+    fn mul(&self, b: &Self) -> Self {
+        Bare { value: self.value * b.value }
+    }
+    fn power(&self, n: i32) -> Self {
+        Bare { value: whole_power(self.value, n) }
+    }
+    fn sqrt(&self) -> Self {
+        Bare { value: self.value.sqrt() }
+    }
+    fn call1(&self, function: Function1) -> Self {
+        Bare { value: self.value.call1(function) }
+    }
+    fn call2(&self, function: Function2, b: &Self) -> Self {
+        Bare { value: self.value.call2(function, b.value) }
+    }
+}
+
+impl<N: Number> Quantity for Hyper<N> {
+    type Number = N;
+    fn fixed(value: N) -> Self {
+        Hyper::fixed(value)
+    }
+    fn variable(value: N, variable: u16, order: Order) -> Self {
+        let (one, zero) = (N::from(1.0), N::from(0.0));
+        let derivatives = if order == Order::Second { vec![one, zero] } else { vec![one] };
+        Hyper { value, active: smallvec![variable], derivatives }
+    }
+    fn value(&self) -> N {
+        self.value
+    }
+    fn add_scaled(&mut self, b: &Self, c: f64) {
+        self.add_scaled(b, c);
+    }
+    fn scaled(&self, c: f64) -> Self {
+        self.scaled(c)
+    }
+    fn mul(&self, b: &Self) -> Self {
+        self.mul(b)
+    }
+    fn power(&self, n: i32) -> Self {
+        self.power(n)
+    }
+    fn sqrt(&self) -> Self {
+        self.sqrt()
+    }
+    fn call1(&self, function: Function1) -> Self {
+        match self.active.is_empty() {
+            true => Hyper::fixed(self.value.call1(function)),
+            false => self.unary(derivatives(function, self.value)),
+        }
+    }
+    fn call2(&self, function: Function2, b: &Self) -> Self {
+        match self.active.is_empty() && b.active.is_empty() {
+            true => Hyper::fixed(self.value.call2(function, b.value)),
+            false => self.binary(b, &derivatives2(function, self.value, b.value)),
+        }
+    }
+}
+
+fn whole_power<N: Number>(x: N, exponent: i32) -> N {
+    let (mut square, mut power, mut left) = (x, N::from(1.0), exponent.unsigned_abs());
+    while left > 0 {
+        power = if left & 1 == 1 { power * square } else { power };
+        left >>= 1;
+        square = if left > 0 { square * square } else { square };
+    }
+    if exponent < 0 { N::from(1.0) / power } else { power }
+}
+
 #[derive(Clone)]
-enum Cell<N> {
-    Number(Hyper<N>),
+enum Cell<Q> {
+    Number(Q),
     Truth(bool),
 }
 
 /// Evaluates `roots` again and again at changing pixels; what is known per pass is worked out once.
-pub(crate) struct Evaluator<'a, N> {
+pub(crate) struct Evaluator<'a, Q> {
     graph: &'a Graph,
     roots: &'a [NodeId],
     order: Order,
     variables: FxHashMap<NodeId, u16>,
     /// By node.
-    cells: Vec<Cell<N>>,
+    cells: Vec<Cell<Q>>,
     inner: Vec<NodeId>,
 }
 
-impl<'a, N: Number> Evaluator<'a, N> {
+/// An evaluation without derivatives.
+pub(crate) type Values<'a, N> = Evaluator<'a, Bare<N>>;
+
+impl<'a, N: Number> Values<'a, N> {
+    /// `leaf` gives inputs.
+    pub fn of(graph: &'a Graph, roots: &'a [NodeId], leaf: &dyn Fn(&Node) -> N) -> Values<'a, N> {
+        Evaluator::new(graph, roots, &[], Order::First, leaf)
+    }
+}
+
+impl<'a, Q: Quantity> Evaluator<'a, Q> {
     /// `variables` are the nodes to differentiate by; `leaf` gives inputs.
     pub fn new(
         graph: &'a Graph,
         roots: &'a [NodeId],
         variables: &[NodeId],
         order: Order,
-        leaf: &dyn Fn(&Node) -> N,
-    ) -> Evaluator<'a, N> {
+        leaf: &dyn Fn(&Node) -> Q::Number,
+    ) -> Evaluator<'a, Q> {
         let variables = variables.iter().enumerate().map(|(i, node)| (*node, i as u16)).collect();
         let (outer, inner): (Vec<_>, Vec<_>) =
             graph.reachable(roots).into_iter().partition(|node| graph.level(*node) == Level::Pass);
@@ -184,24 +344,24 @@ impl<'a, N: Number> Evaluator<'a, N> {
     }
 
     /// The roots at one pixel; `leaf` gives coordinates and channels.
-    pub fn at(&mut self, leaf: &dyn Fn(&Node) -> N) -> Vec<Hyper<N>> {
+    pub fn at(&mut self, leaf: &dyn Fn(&Node) -> Q::Number) -> Vec<Q> {
         self.step(leaf);
         self.roots.iter().map(|root| self.number(*root).clone()).collect()
     }
 
     /// The first root, a truth value, at one pixel.
-    pub fn holds_at(&mut self, leaf: &dyn Fn(&Node) -> N) -> bool {
+    pub fn holds_at(&mut self, leaf: &dyn Fn(&Node) -> Q::Number) -> bool {
         self.step(leaf);
         self.roots.first().is_some_and(|root| self.truth(*root))
     }
 
-    fn step(&mut self, leaf: &dyn Fn(&Node) -> N) {
+    fn step(&mut self, leaf: &dyn Fn(&Node) -> Q::Number) {
         for i in 0..self.inner.len() {
             self.work_out(self.inner[i], leaf);
         }
     }
 
-    fn number(&self, node: NodeId) -> &Hyper<N> {
+    fn number(&self, node: NodeId) -> &Q {
         match &self.cells[node.index()] {
             Cell::Number(number) => number,
             Cell::Truth(_) => unreachable!("the elaborator keeps truth values and numbers apart"),
@@ -212,48 +372,47 @@ impl<'a, N: Number> Evaluator<'a, N> {
         matches!(self.cells[node.index()], Cell::Truth(true))
     }
 
-    fn work_out(&mut self, id: NodeId, leaf: &dyn Fn(&Node) -> N) {
+    fn work_out(&mut self, id: NodeId, leaf: &dyn Fn(&Node) -> Q::Number) {
         let at = |n: &NodeId| self.number(*n);
-        let cell = Cell::Number(match self.graph.node(id) {
-            Node::Number(bits) => Hyper::fixed(N::from(bits.get())),
-            node @ (Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => match self.variables.get(&id) {
-                Some(variable) => Hyper::variable(leaf(node), *variable, self.order),
-                None => Hyper::fixed(leaf(node)),
-            },
+        let number = |x: f64| Q::Number::from(x);
+        let cell = match self.graph.node(id) {
+            Node::Number(bits) => Cell::Number(Q::fixed(number(bits.get()))),
+            node @ (Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => {
+                Cell::Number(match self.variables.get(&id) {
+                    Some(variable) => Q::variable(leaf(node), *variable, self.order),
+                    None => Q::fixed(leaf(node)),
+                })
+            }
             Node::Sum(constant, terms) => {
-                let constant = Hyper::fixed(N::from(constant.get()));
-                terms.iter().fold(constant, |sum, (n, c)| sum.add(&at(n).scaled(c.get())))
+                let mut sum = Q::fixed(number(constant.get()));
+                terms.iter().for_each(|(n, c)| sum.add_scaled(at(n), c.get()));
+                Cell::Number(sum)
             }
             Node::Product(factors) => {
-                let mut powers = factors.iter().map(|(n, e)| at(n).power(*e));
-                let first = powers.next().unwrap_or_else(|| Hyper::fixed(N::from(1.0)));
-                powers.fold(first, |product, power| product.mul(&power))
+                let mut product: Option<Q> = None;
+                for (n, exponent) in factors.iter() {
+                    let power = if *exponent == 1 { None } else { Some(at(n).power(*exponent)) };
+                    let factor = power.as_ref().unwrap_or_else(|| at(n));
+                    product = Some(match product {
+                        None => factor.clone(),
+                        Some(product) => product.mul(factor),
+                    });
+                }
+                Cell::Number(product.unwrap_or_else(|| Q::fixed(number(1.0))))
             }
-            Node::Sqrt(a) => at(a).sqrt(),
+            Node::Sqrt(a) => Cell::Number(at(a).sqrt()),
             Node::Abs(a) => {
                 let a = at(a);
-                a.scaled(if a.value < N::from(0.0) { -1.0 } else { 1.0 })
+                Cell::Number(a.scaled(if a.value() < number(0.0) { -1.0 } else { 1.0 }))
             }
-            Node::Call1(f, a) => at(a).unary(derivatives(*f, at(a).value)),
-            Node::Call2(f, a, b) => at(a).binary(at(b), &derivatives2(*f, at(a).value, at(b).value)),
-            Node::Select(c, a, b) => at(if self.truth(*c) { a } else { b }).clone(),
-            Node::Compare(comparison, a, b) => {
-                let holds = holds(*comparison, at(a).value, at(b).value);
-                self.cells[id.index()] = Cell::Truth(holds);
-                return;
-            }
-            Node::And(a, b) | Node::Or(a, b) => {
-                let (a, b) = (self.truth(*a), self.truth(*b));
-                let both = matches!(self.graph.node(id), Node::And(..));
-                self.cells[id.index()] = Cell::Truth(if both { a && b } else { a || b });
-                return;
-            }
-            Node::Not(a) => {
-                let not = !self.truth(*a);
-                self.cells[id.index()] = Cell::Truth(not);
-                return;
-            }
-        });
+            Node::Call1(f, a) => Cell::Number(at(a).call1(*f)),
+            Node::Call2(f, a, b) => Cell::Number(at(a).call2(*f, at(b))),
+            Node::Select(c, a, b) => Cell::Number(at(if self.truth(*c) { a } else { b }).clone()),
+            Node::Compare(comparison, a, b) => Cell::Truth(holds(*comparison, at(a).value(), at(b).value())),
+            Node::And(a, b) => Cell::Truth(self.truth(*a) && self.truth(*b)),
+            Node::Or(a, b) => Cell::Truth(self.truth(*a) || self.truth(*b)),
+            Node::Not(a) => Cell::Truth(!self.truth(*a)),
+        };
         self.cells[id.index()] = cell;
     }
 }

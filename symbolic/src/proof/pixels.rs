@@ -10,7 +10,7 @@ use crate::program::{ChannelId, Program, Sink};
 use crate::proof::TOLERANCE;
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::evaluate_at;
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::Values;
 use crate::proof::likelihood::Shape;
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
 use crate::proof::referee::{Subject, is_finite, is_rounding, sample, worst};
@@ -28,7 +28,7 @@ const WINDOWS: u64 = 3;
 
 /// Whether a place is in the domain, at fixed parameters and pixels.
 struct Inside<'a> {
-    evaluator: Option<Evaluator<'a, f64>>,
+    evaluator: Option<Values<'a, f64>>,
     point: &'a Point<f64>,
 }
 
@@ -38,7 +38,7 @@ impl<'a> Inside<'a> {
             Node::Input(input) => point.input(*input),
             _ => f64::NAN,
         };
-        let evaluator = (!roots.is_empty()).then(|| Evaluator::new(&subject.graph, roots, &[], Order::First, &inputs));
+        let evaluator = (!roots.is_empty()).then(|| Values::of(&subject.graph, roots, &inputs));
         Inside { evaluator, point }
     }
 

@@ -10,7 +10,7 @@ use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, T
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::Values;
 use crate::proof::pixels::{RIM, columns_at_rims};
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, plausible, residues};
 use crate::proof::weighed::Weighed;
@@ -65,7 +65,7 @@ impl Shown<'_> {
                 Node::Input(input) => point.input(*input),
                 _ => f64::NAN,
             };
-            let mut truths = Evaluator::new(self.graph, &roots, &[], Order::First, &inputs);
+            let mut truths = Values::of(self.graph, &roots, &inputs);
             let outer = point.rows[0].clone();
             let mut inside = |x: f64| {
                 truths.holds_at(&|node| match node {
@@ -116,8 +116,8 @@ impl Shown<'_> {
             Node::Input(input) => point.input(*input),
             _ => N::from(f64::NAN),
         };
-        let mut numbers = Evaluator::new(self.graph, &roots, &[], Order::First, &inputs);
-        let mut truths = Evaluator::new(self.graph, &domain, &[], Order::First, &inputs);
+        let mut numbers = Values::of(self.graph, &roots, &inputs);
+        let mut truths = Values::of(self.graph, &domain, &inputs);
         let shift = |c: usize| if self.is_shifted { point.shift[c] } else { N::from(0.0) };
         let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
         for outer in &point.rows {

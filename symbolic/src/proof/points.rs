@@ -6,7 +6,7 @@ use crate::language::model::{Estimator, Model, Parameter, Start};
 use crate::program::Input;
 use crate::program::interpreter::{Pixels, Slices, Window};
 use crate::proof::evaluate::Number;
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::Values;
 use crate::proof::modular::Modular;
 
 /// Columns of a picture.
@@ -199,7 +199,7 @@ pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: 
     };
     let formulas = &model.formulas;
     let roots = [formulas.shown];
-    let mut evaluator = Evaluator::new(&formulas.graph, &roots, &[], Order::First, &inputs);
+    let mut evaluator = Values::of(&formulas.graph, &roots, &inputs);
     for _ in 0..channels {
         for row in 0..height * depth * length {
             let (slice, y) = (row / height, window.y + row % height);

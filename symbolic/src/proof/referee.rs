@@ -14,7 +14,7 @@ use crate::proof::claim::{Claim, ValueKind};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
-use crate::proof::hyper::{Evaluator, Hyper, Order};
+use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
 use crate::proof::likelihood::Shape;
 use crate::proof::modular::Modular;
 use crate::proof::pixels::{Rim, Windowed, set_of};
@@ -361,7 +361,7 @@ impl Subject {
             Node::Input(input) => point.input(*input),
             _ => f64::NAN,
         };
-        let mut evaluator = Evaluator::new(&self.graph, &roots, &[], Order::First, &inputs);
+        let mut evaluator = Values::of(&self.graph, &roots, &inputs);
         let mut pixels = Vec::new();
         for outer in &point.rows {
             for x in &point.columns {

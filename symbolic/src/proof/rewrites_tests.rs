@@ -7,7 +7,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::absorb::{absorb, absorb_numbers, gather};
+use crate::derive::absorb::{Absorbed, absorb, absorb_numbers, gather};
 use crate::derive::jet::jet;
 use crate::derive::monomial::{Splitter, whole_output};
 use crate::derive::polynomials::collected;
@@ -23,7 +23,7 @@ use crate::program::{
     Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
 use crate::proof::evaluate::{Sample, evaluate_at};
-use crate::proof::hyper::{Evaluator, Order};
+use crate::proof::hyper::Values;
 use crate::proof::modular::Modular;
 use crate::proof::points::Random;
 
@@ -55,7 +55,7 @@ fn outputs(program: &Program) -> Vec<Modular> {
 }
 
 fn values(graph: &Graph, roots: &[NodeId]) -> Vec<Modular> {
-    Evaluator::new(graph, roots, &[], Order::First, &leaf).at(&leaf).into_iter().map(|root| root.value).collect()
+    Values::of(graph, roots, &leaf).at(&leaf).into_iter().map(|root| root.value).collect()
 }
 
 /// The sums of some values over one pixel, by instructions as they stand.
@@ -262,7 +262,7 @@ fn rewritten_formulas_are_the_same_formulas() {
             let mut all = vec![roots[0], roots[1]];
             all.extend(own.first.values().chain(own.second.values()));
             changed[2] += keeps(seed, "absorb", &mut trial, &all, |graph| {
-                let (tops, jets, variance) = absorb(graph, &roots[..1], &[own], Some(roots[1]), unify);
+                let Absorbed { tops, jets, variance, .. } = absorb(graph, &roots[..1], &[own], Some(roots[1]), unify);
                 let jets = jets[0].first.values().chain(jets[0].second.values()).copied();
                 tops.into_iter().chain(variance).chain(jets).collect()
             });
