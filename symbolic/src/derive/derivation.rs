@@ -14,7 +14,7 @@ use crate::derive::monomial::{Polynomial, Powers, Splitter, whole_output};
 use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
 use crate::derive::sums::{Output, Sums, Term};
-use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, Mark, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Cost;
@@ -147,12 +147,10 @@ impl Derivation {
         Some(Derivation { graph, forms, is_unifiable, value, entries, factors: FxHashMap::default() })
     }
 
-    /// A copy to try something with.
-    pub fn copied(&self) -> Derivation {
-        let mut copy = self.clone();
-        let terms: usize = self.factors.values().map(Polynomial::len).sum();
-        copy.graph.charge(self.graph.len() / 2 + 4 * self.entries.len() + 4 * terms);
-        copy
+    /// Takes back what was tried since, and leaves what `layout` needs.
+    pub fn roll_back(&mut self, mark: Mark, layout: &Layout) {
+        self.graph.roll_back(mark);
+        self.factors.retain(|(_, is_expanded), _| *is_expanded == layout.expand);
     }
 
     /// True when a form is a sum, so that it can be taken apart.

@@ -111,6 +111,8 @@ pub(crate) struct Builder<'g> {
     pub values: FxHashMap<NodeId, Value>,
     /// Products that are needed anyway: others are built upon them.
     pub wanted: FxHashSet<NodeId>,
+    /// Sums no two of whose terms share a factor.
+    pub apart: FxHashSet<NodeId>,
     span: Option<Span>,
 }
 
@@ -123,6 +125,7 @@ impl<'g> Builder<'g> {
             known: FxHashMap::default(),
             values: FxHashMap::default(),
             wanted: FxHashSet::default(),
+            apart: FxHashSet::default(),
             span: None,
         }
     }

@@ -185,14 +185,13 @@ fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
 
 /// Takes the layout where it is better; the work that the look took.
 fn try_layout(best: &mut Found, layout: Layout) -> usize {
-    let before = best.derivation.graph.work();
-    let mut trial = best.derivation.copied();
-    let cost = trial.pixel_cost(&layout, LOWERING);
-    let work = trial.graph.work() - before;
-    if let Some(weight) = cost.map(|cost| weight(&cost)).filter(|weight| *weight < best.weight) {
-        (best.derivation, best.layout, best.weight) = (trial, layout, weight);
+    let (before, mark) = (best.derivation.graph.work(), best.derivation.graph.mark());
+    let cost = best.derivation.pixel_cost(&layout, LOWERING);
+    match cost.map(|cost| weight(&cost)).filter(|weight| *weight < best.weight) {
+        Some(weight) => (best.layout, best.weight) = (layout, weight),
+        None => best.derivation.roll_back(mark, &best.layout),
     }
-    work
+    best.derivation.graph.work() - before
 }
 
 const LOWERING: Lowering = Lowering { fma: true, drop_saturated: false };

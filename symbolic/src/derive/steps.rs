@@ -43,7 +43,7 @@ impl Builder<'_> {
             Node::Coordinate(CoordinateId(0)) => Step::of(Opcode::Offset, [self.graph.number(0.0)]),
             Node::Coordinate(c) => Step::Leaf(Opcode::Outer(c).of([])),
             Node::Channel(c) => Step::Leaf(Opcode::Channel(c).of([])),
-            Node::Sum(constant, terms) => self.sum(constant.get(), &terms),
+            Node::Sum(constant, terms) => self.sum(node, constant.get(), &terms),
             Node::Product(factors) => self.product(node, &factors),
             Node::Sqrt(a) => Step::of(Opcode::Sqrt, [a]),
             Node::Abs(a) => Step::of(Opcode::Abs, [a]),
@@ -57,7 +57,8 @@ impl Builder<'_> {
         }
     }
 
-    fn sum(&mut self, constant: f64, terms: &[(NodeId, Bits)]) -> Step {
+    fn sum(&mut self, node: NodeId, constant: f64, terms: &[(NodeId, Bits)]) -> Step {
+        let has_factor = !self.apart.contains(&node);
         let level = terms.iter().map(|(n, _)| self.graph.level(*n)).max().unwrap_or(Level::Pass);
         let all = terms.iter().map(|(n, c)| (*n, c.get()));
         let (high, low): (Vec<_>, Vec<_>) = all.partition(|(n, _)| self.graph.level(*n) == level);
@@ -80,7 +81,7 @@ impl Builder<'_> {
             if let [(node, coefficient)] = high[..] {
                 return self.term_plus(node, coefficient, rest);
             }
-            return match self.common_factor(&high, level) {
+            return match has_factor.then(|| self.common_factor(&high, level)).flatten() {
                 Some(factor) => {
                     let (inside, outside) = self.divide(&high, factor);
                     if outside.is_empty() {
@@ -98,7 +99,7 @@ impl Builder<'_> {
         if let [(node, coefficient)] = high[..] {
             return self.scaled(node, coefficient);
         }
-        match self.common_factor(&high, level) {
+        match has_factor.then(|| self.common_factor(&high, level)).flatten() {
             Some(factor) => {
                 let (inside, outside) = self.divide(&high, factor);
                 let inside = self.graph.sum(0.0, inside);
@@ -223,20 +224,25 @@ impl Builder<'_> {
     }
 
     /// One term and the sum of the others; a positive term comes first, products last (they contract).
+    /// No two of the terms share a factor, so that none of those that are left do.
     fn chain(&mut self, terms: &[(NodeId, f64)], rest: Option<NodeId>) -> Step {
         let at = terms.iter().rposition(|(n, c)| self.is_plain_product(*n) && *c > 0.0);
         let at = at.or_else(|| terms.iter().rposition(|(n, _)| self.is_plain_product(*n))).unwrap_or(terms.len() - 1);
         let (node, coefficient) = terms[at];
         let others: Vec<_> =
             terms.iter().enumerate().filter(|(i, _)| *i != at).map(|(_, t)| *t).chain(rest.map(|r| (r, 1.0))).collect();
-        let all_negative = others.iter().all(|(_, c)| *c < 0.0);
-        if all_negative && coefficient == 1.0 {
-            let others: Vec<_> = others.into_iter().map(|(n, c)| (n, -c)).collect();
-            let others = self.graph.sum(0.0, others);
-            return Step::of(Opcode::Sub, [node, others]);
+        let is_negative = coefficient == 1.0 && others.iter().all(|(_, c)| *c < 0.0);
+        let sign = if is_negative { -1.0 } else { 1.0 };
+        let left = terms.len() - 1;
+        let others = self.graph.sum(0.0, others.into_iter().map(|(n, c)| (n, sign * c)));
+        // A sum among them that was taken in brings factors of its own.
+        if left > 1 && self.graph.operand_count(others) == left + usize::from(rest.is_some()) {
+            self.apart.insert(others);
         }
-        let others = self.graph.sum(0.0, others);
-        self.term_plus(node, coefficient, others)
+        match is_negative {
+            true => Step::of(Opcode::Sub, [node, others]),
+            false => self.term_plus(node, coefficient, others),
+        }
     }
 
     fn product(&mut self, node: NodeId, factors: &[(NodeId, i32)]) -> Step {

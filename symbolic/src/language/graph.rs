@@ -64,6 +64,8 @@ pub(crate) struct Graph {
     levels: Vec<Level>,
     spans: Vec<Option<Span>>,
     opaque: Vec<bool>,
+    /// Of sums, see [`content`]; 1 of others.
+    contents: Vec<f64>,
     /// By the hash of the node.
     index: HashTable<NodeId>,
     span: Option<Span>,
@@ -72,6 +74,13 @@ pub(crate) struct Graph {
     work: usize,
     budget: Budget,
     positive: BTreeSet<ParameterId>,
+}
+
+/// How far a graph was filled.
+#[derive(Clone, Copy)]
+pub(crate) struct Mark {
+    nodes: usize,
+    overflowed: bool,
 }
 
 impl Graph {
@@ -140,6 +149,26 @@ impl Graph {
         graph
     }
 
+    /// What is made from here on can be taken back.
+    pub fn mark(&self) -> Mark {
+        Mark { nodes: self.nodes.len(), overflowed: self.overflowed }
+    }
+
+    /// Takes back the nodes made since. Nobody may hold one of them, and no older one may have become opaque.
+    pub fn roll_back(&mut self, mark: Mark) {
+        for id in mark.nodes..self.nodes.len() {
+            if let Ok(entry) = self.index.find_entry(hash(&self.nodes[id]), |known| known.index() == id) {
+                entry.remove();
+            }
+        }
+        self.nodes.truncate(mark.nodes);
+        self.levels.truncate(mark.nodes);
+        self.spans.truncate(mark.nodes);
+        self.opaque.truncate(mark.nodes);
+        self.contents.truncate(mark.nodes);
+        self.overflowed = mark.overflowed;
+    }
+
     /// From here on another budget pays.
     pub fn draw_on(&mut self, budget: Budget) {
         self.budget = budget;
@@ -168,6 +197,10 @@ impl Graph {
             _ => Level::Pass,
         };
         let level = operands(&node).map(|n| self.level(n)).max().unwrap_or(own);
+        self.contents.push(match &node {
+            Node::Sum(constant, terms) => content(*constant, terms),
+            _ => 1.0,
+        });
         self.nodes.push(node);
         self.index.insert_unique(hash, id, |id| self::hash(&self.nodes[id.index()]));
         self.levels.push(level);
@@ -301,7 +334,7 @@ impl Graph {
                     pending.extend(list.iter().map(|(n, e)| (*n, e.saturating_mul(exponent))));
                 }
                 Node::Sum(constant, list) => {
-                    let content = content(*constant, list);
+                    let content = self.contents[node.index()];
                     if list.len() == 1 && constant.get() == 0.0 {
                         coefficient *= list[0].1.get().powi(exponent);
                         pending.push((list[0].0, exponent));

@@ -113,14 +113,21 @@ impl<N: Number> Hyper<N> {
         }
     }
 
-    /// ∂/∂u.
-    pub fn gradient(&self, u: u16) -> N {
-        self.active.binary_search(&u).map_or(N::from(0.0), |i| self.derivatives[i])
+    /// Where each of `n` variables is among the active ones.
+    fn places(&self, n: u16) -> Vec<Option<usize>> {
+        (0..n).map(|variable| self.active.binary_search(&variable).ok()).collect()
     }
 
-    /// ∂²/∂u∂v, u ≤ v.
-    pub fn hessian(&self, u: u16, v: u16) -> N {
-        self.second_at(self.active.binary_search(&u).ok(), self.active.binary_search(&v).ok())
+    /// ∂/∂u for each of `n` variables.
+    pub fn gradient(&self, n: u16) -> impl Iterator<Item = N> + '_ {
+        self.places(n).into_iter().map(|i| i.map_or(N::from(0.0), |i| self.derivatives[i]))
+    }
+
+    /// ∂²/∂u∂v for each pair u ≤ v of `n` variables, row by row.
+    pub fn hessian(&self, n: u16) -> impl Iterator<Item = N> + '_ {
+        let places = self.places(n);
+        let pairs = (0..places.len()).flat_map(move |i| (i..usize::from(n)).map(move |j| (i, j)));
+        pairs.map(move |(i, j)| self.second_at(places[i], places[j]))
     }
 
     pub fn add(&self, b: &Hyper<N>) -> Hyper<N> {

@@ -417,7 +417,6 @@ impl Subject {
     /// What one pixel adds, by its residual and variance.
     fn entries<N: Number>(&self, values: &[Hyper<N>]) -> Vec<N> {
         let n = self.parameters.len() as u16;
-        let pairs = || (0..n).flat_map(|i| (i..n).map(move |j| (i, j)));
         let (residual, variance) = (&values[0], values.get(1));
         let mut entries = Vec::with_capacity(self.outputs());
         match self.claim {
@@ -433,15 +432,24 @@ impl Subject {
             Claim::Derivatives { newton: true, part } => {
                 let f = self.shape.newton(residual, variance);
                 entries.push(f.value);
-                entries.extend((0..n).filter(|_| part.has_gradient()).map(|u| f.gradient(u)));
-                entries.extend(pairs().filter(|_| part.has_hessian()).map(|(u, v)| f.hessian(u, v)));
+                if part.has_gradient() {
+                    entries.extend(f.gradient(n));
+                }
+                if part.has_hessian() {
+                    entries.extend(f.hessian(n));
+                }
             }
             Claim::Derivatives { newton: false, part } => {
                 let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value));
-                let slope = |u| residual.gradient(u);
+                let slopes: Vec<N> = residual.gradient(n).collect();
                 entries.push(value);
-                entries.extend((0..n).filter(|_| part.has_gradient()).map(|u| l * slope(u)));
-                entries.extend(pairs().filter(|_| part.has_hessian()).map(|(u, v)| q * slope(u) * slope(v)));
+                if part.has_gradient() {
+                    entries.extend(slopes.iter().map(|slope| l * *slope));
+                }
+                if part.has_hessian() {
+                    let rows = slopes.iter().enumerate();
+                    entries.extend(rows.flat_map(|(i, u)| slopes[i..].iter().map(move |v| q * *u * *v)));
+                }
             }
         }
         entries
