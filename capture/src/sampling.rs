@@ -1,7 +1,7 @@
 //! The scene: a model and its numbers in, the expected value of every pixel out.
 //!
 //! A pixel's value is the mean of the intensity at samples² points, the centres of a grid of equal squares that fill the
-//! pixel. A slice of a stack is thin and a volume of a series short: they are taken at their z and w. One native pass ([`Kernel::render`]) adds one such point for all pixels of a window, so the image is
+//! pixel, those of them where it is a number: a root outside of its disc says nothing of the light there. A slice of a stack is thin and a volume of a series short: they are taken at their z and w. One native pass ([`Kernel::render`]) adds one such point for all pixels of a window, so the image is
 //! made in bands of rows that stay in the first-level cache.
 //!
 //! Where the intensity is smooth the mean follows from the centres alone. With u, v the offsets of the samples,
@@ -113,11 +113,35 @@ impl Scene {
             }
         }
         let share = 1.0 / (n * n) as f32;
+        if sums.iter().any(|sum| sum.is_nan()) {
+            self.fill_undefined(numbers, window, sums)?;
+        }
         for (row, sums) in sums.chunks_exact(width).enumerate() {
             let means = &mut means[row * band.width + from..row * band.width + to];
             for (mean, sum) in means.iter_mut().zip(sums) {
                 *mean = sum * share;
             }
+        }
+        Ok(())
+    }
+
+    /// Puts in the place of sums that are not a number those of the samples that are, as if they were all.
+    fn fill_undefined(&self, numbers: &Numbers, window: Window, sums: &mut [f32]) -> Result<(), String> {
+        let n = self.samples;
+        let shift = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
+        let mut plane = vec![0.0; sums.len()];
+        let mut found = vec![(0.0_f32, 0_u32); sums.len()];
+        for j in 0..n {
+            for i in 0..n {
+                self.pass(numbers, window, [shift(i), shift(j)], &mut plane)?;
+                for ((sum, count), value) in found.iter_mut().zip(&plane).filter(|(_, value)| !value.is_nan()) {
+                    *sum += value;
+                    *count += 1;
+                }
+            }
+        }
+        for (sum, (known, count)) in sums.iter_mut().zip(found).filter(|(sum, _)| sum.is_nan()) {
+            *sum = known / count as f32 * (n * n) as f32;
         }
         Ok(())
     }
@@ -250,6 +274,24 @@ mod tests {
                     assert!(*uneven || !near, "({ox}, {oy}) at {x}");
                 }
             }
+        }
+    }
+
+    /// Half of a pixel at the rim of a disc has no light that the formula could tell.
+    #[test]
+    fn samples_without_a_value_are_left_out() {
+        let text = "name = \"half\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"c\"]\n[parameters]\nby = { start = 0.0 }\n\
+                    [model]\nintensity = \"10 + sqrt(by - y) + 0*x\"\n[[stages]]\nparameters = [\"by\"]\nmethod = \"newton\"\n";
+        let scene = Scene::new(&Arc::new(Model::from_toml(text).unwrap()), 8).unwrap();
+        let numbers = Numbers { parameters: &[3.0], constants: &[], origin: [0.0, 0.0] };
+        let mut means = [0.0; 3 * 6];
+        let band = Window::whole(3, 6);
+        scene.render(&numbers, band, &mut Scratch::default(), &mut means).unwrap();
+        let offsets = [0.0625, 0.1875, 0.3125, 0.4375];
+        let expected = 10.0 + offsets.iter().map(|x: &f32| x.sqrt()).sum::<f32>() / 4.0;
+        for x in 0..3 {
+            assert!((means[3 * 3 + x] - expected).abs() < 1e-4, "{means:?} for {expected}");
+            assert!(means[2 * 3 + x] > expected && means[4 * 3 + x].is_nan(), "{means:?}");
         }
     }
 }
