@@ -20,8 +20,10 @@ use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Lowering, Method, Model, Saturated};
-use crate::program::{ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
+use crate::program::interpreter::{Pixels, Window};
+use crate::program::{Bindings, ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
 use crate::proof::claim::{Claim, Part, ValueKind};
+use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
 use crate::proof::referee::{Referee, Subject};
@@ -85,7 +87,7 @@ impl Objective {
         if let Some((program, _)) = self.proved(draft, lowering) {
             return Ok(program);
         }
-        self.plainer(lowering).ok_or_else(|| self.origin.bug())
+        self.plainer(lowering).ok_or_else(|| self.origin.unproved(&self.referee))
     }
 
     /// The loop nest before its check.
@@ -96,8 +98,25 @@ impl Objective {
     }
 
     fn proved(&self, draft: Draft, lowering: Lowering) -> Option<(Program, Errors)> {
-        let dropped = if lowering.drop_saturated { self.channels() } else { Vec::new() };
-        self.referee.proved(draft, &dropped)
+        self.referee.proved(draft, &self.dropped(lowering))
+    }
+
+    /// Channels whose limit leaves a pixel out.
+    fn dropped(&self, lowering: Lowering) -> Vec<ChannelId> {
+        if lowering.drop_saturated { self.channels() } else { Vec::new() }
+    }
+
+    /// What the formulas make of a picture, for tests; see [`DirectSums`].
+    #[doc(hidden)]
+    pub fn direct(
+        &self,
+        lowering: Lowering,
+        bindings: &Bindings<'_>,
+        pixels: &dyn Pixels,
+        window: Window,
+        nudge: f64,
+    ) -> DirectSums {
+        self.referee.direct(&self.dropped(lowering), bindings, pixels, window, nudge)
     }
 
     #[cfg(test)]
@@ -251,7 +270,7 @@ impl Objective {
         };
         let found = safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
-            Refusal::Wrong => Origin::of(model).bug(),
+            Refusal::Wrong => Origin::of(model).unproved(&referee),
         });
         found.and_then(|objective| objective.paid(lowering))
     }
@@ -405,6 +424,17 @@ impl Origin {
         vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
     }
 
+    /// No program passes: ours is the fault, if the formulas have a value anywhere.
+    fn unproved(&self, referee: &Referee) -> Diagnostics {
+        if referee.is_blind() { self.undefined() } else { self.bug() }
+    }
+
+    fn undefined(&self) -> Diagnostics {
+        let message = "the formulas have no finite value at any place that was tried";
+        let help = "look for roots and logarithms of what is negative; `start` and `[roles]` say where a target may be";
+        vec![Diagnostic::error(&self.text, "undefined", "model.intensity", self.span, message).help(help)]
+    }
+
     fn bug(&self) -> Diagnostics {
         let message =
             "no program that was derived for this model passes its check: a fault of isophote, not of the document";
@@ -491,7 +521,7 @@ fn filling(
             return Ok(program);
         }
     }
-    Err(origin.bug())
+    Err(if shown.is_blind() { origin.undefined() } else { origin.bug() })
 }
 
 /// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
