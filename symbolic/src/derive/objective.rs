@@ -56,6 +56,8 @@ pub struct Objective {
     subset: Vec<ParameterId>,
     names: crate::program::Names,
     domain: Option<NodeId>,
+    /// Pixels that are no number take no part.
+    is_seeing: bool,
     proof: Option<Proof>,
     /// The program that was proved first: that of [`CHECKED`].
     checked: Option<Program>,
@@ -136,7 +138,7 @@ impl Objective {
     }
 
     /// The same sums in the plainest way that passes: other forms, and none of them contracted.
-    fn plainer(&self, lowering: Lowering) -> Option<Program> {
+    pub(crate) fn plainer(&self, lowering: Lowering) -> Option<Program> {
         let of = |objective: &Objective, lowering: Lowering| {
             let draft = objective.draft(lowering, Budget::default()).ok()?;
             objective.proved(draft, lowering).map(|(program, _)| program)
@@ -145,7 +147,11 @@ impl Objective {
             let Claim::Derivatives { part, .. } = self.referee.claim() else { return Vec::new() };
             let form = |form| {
                 let derived = Setting::of(&self.referee, &self.subset, Budget::default()).objective(form, part).ok()?;
-                Some(Objective { domain: self.domain, referee: self.referee.clone(), ..derived })
+                let mut objective = Objective { referee: self.referee.clone(), ..derived };
+                if self.is_seeing {
+                    objective.domain = seeing(&mut objective.graph, objective.domain, &self.channels());
+                }
+                Some(objective)
             };
             [Form::Plain, Form::Unfactored].into_iter().filter_map(form).collect()
         };
@@ -170,17 +176,10 @@ impl Objective {
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
     /// of a picture.
     pub fn skipping_nan(&self) -> Objective {
+        let mut objective = Objective { checked: None, is_seeing: true, ..self.clone() };
         let channels = self.channels();
-        let numbers = |graph: &mut Graph, domain: Option<NodeId>| {
-            channels.iter().fold(domain, |domain, channel| {
-                let pixel = graph.channel(*channel);
-                let is_number = graph.compare(Comparison::Eq, pixel, pixel);
-                Some(domain.map_or(is_number, |domain| graph.and(domain, is_number)))
-            })
-        };
-        let referee = Arc::new(self.referee.within(numbers));
-        let mut objective = Objective { checked: None, referee, ..self.clone() };
-        objective.domain = numbers(&mut objective.graph, objective.domain);
+        objective.referee = Arc::new(self.referee.within(|graph, domain| seeing(graph, domain, &channels)));
+        objective.domain = seeing(&mut objective.graph, objective.domain, &channels);
         objective
     }
 
@@ -242,6 +241,7 @@ impl Objective {
             subset: Vec::new(),
             names,
             domain,
+            is_seeing: false,
             proof: None,
             checked: None,
             origin: Origin::of(model),
@@ -298,6 +298,15 @@ impl Objective {
     pub fn proof(&self) -> Option<&Proof> {
         self.proof.as_ref()
     }
+}
+
+/// The part of a domain whose pixels are numbers in these channels.
+fn seeing(graph: &mut Graph, domain: Option<NodeId>, channels: &[ChannelId]) -> Option<NodeId> {
+    channels.iter().fold(domain, |domain, channel| {
+        let pixel = graph.channel(*channel);
+        let is_number = graph.compare(Comparison::Eq, pixel, pixel);
+        Some(domain.map_or(is_number, |domain| graph.and(domain, is_number)))
+    })
 }
 
 /// What the sums are of, as the document says it.
@@ -373,6 +382,7 @@ impl<'a> Setting<'a> {
             referee: (*referee).clone(),
             subset: subset.clone(),
             domain: *domain,
+            is_seeing: false,
             origin,
             forms: derivation.forms,
             graph: derivation.graph,

@@ -308,6 +308,17 @@ fn every_fault_in_sums_without_blind_pixels_is_caught() {
     tally.all_caught("skipping NaN", 500);
 }
 
+/// Plainer forms have graphs of their own: the pixels that are left out are left out of those as well.
+#[test]
+fn plainer_sums_leave_blind_pixels_out() {
+    each(|model, what| {
+        let all: Vec<ParameterId> = [1, 3].map(ParameterId).to_vec();
+        let objective = model.objective(&all, Method::GaussNewton).unwrap().skipping_nan();
+        let program = objective.plainer(Lowering { fma: true, drop_saturated: false }).unwrap();
+        assert!(program.pixel_set().mask.is_some(), "{what}\n{program}");
+    });
+}
+
 #[test]
 fn every_fault_in_a_plane_is_caught() {
     let mut tally = Tally::default();
