@@ -1,5 +1,5 @@
 //! The long run: `cargo run --release -p isophote-jit --example soak`; behind `--` the parts that are wanted, of `cycles`,
-//! `swaps`, `largest`, `cache`.
+//! `swaps`, `largest`, `cache`, `documents`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
 
 #[path = "../tests/common/mod.rs"]
@@ -8,6 +8,7 @@ mod common;
 use std::time::Instant;
 
 use common::Random;
+use common::documents::{Tally, try_document};
 use common::generate::{self, Variety};
 use common::soak::{admitted, cycles, resident_kib, subjects, swapping};
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, has_fma};
@@ -15,11 +16,17 @@ use isophote_symbolic::{LIMITS, Level, Lowering, Precision, Program};
 
 const CYCLES: usize = 100_000;
 const SWAPS: usize = 10_000;
+const DOCUMENTS: u64 = 10_000;
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let parts: [(&str, fn()); 4] =
-        [("cycles", run_cycles), ("swaps", run_swaps), ("largest", run_largest), ("cache", run_cache)];
+    let parts: [(&str, fn()); 5] = [
+        ("cycles", run_cycles),
+        ("swaps", run_swaps),
+        ("largest", run_largest),
+        ("cache", run_cache),
+        ("documents", run_documents),
+    ];
     parts
         .iter()
         .filter(|(name, _)| words.is_empty() || words.iter().any(|word| word == name))
@@ -143,4 +150,23 @@ fn run_cache() {
     let grown = (resident_kib() - live) as f64 / held.len() as f64;
     let estimated = counts.bytes as f64 / 1024.0 / counts.kernels as f64;
     println!("a live kernel takes {grown:.1} KiB of resident memory; the cache reckons with {estimated:.1}");
+}
+
+/// Every program of random documents: machine code, interpreter and formulas say the same.
+fn run_documents() {
+    let (start, mut tally) = (Instant::now(), Tally::default());
+    for seed in 1000.. {
+        let (faults, documents) = (tally.faults.len(), tally.documents);
+        try_document(seed, &mut tally);
+        tally.faults[faults..].iter().for_each(|fault| println!("{fault}"));
+        if tally.documents % 1000 == 0 && tally.documents > documents {
+            println!("{} documents in {:.0} s", tally.documents, start.elapsed().as_secs_f64());
+        }
+        if tally.documents == DOCUMENTS {
+            break;
+        }
+    }
+    let faults = tally.faults.len();
+    tally.faults.clear();
+    println!("{faults} faults in {:.0} s: {tally:?}", start.elapsed().as_secs_f64());
 }

@@ -14,6 +14,9 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate self as isophote_symbolic; // what tests share with those of machine code
+
 mod derive;
 mod language;
 mod program;
@@ -36,6 +39,8 @@ pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::function::{Function1, Function2};
 pub use program::*;
 pub use proof::claim::{Part, ValueKind};
+#[doc(hidden)]
+pub use proof::direct::DirectSums;
 #[doc(hidden)]
 pub use proof::ulps;
 pub use proof::{Form, Proof};

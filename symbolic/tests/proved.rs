@@ -98,3 +98,48 @@ fn contracted_values_are_the_values() {
     };
     assert!((of(true) - of(false)).abs() <= 1e-9 * of(false), "{} {}", of(true), of(false));
 }
+
+/// Formulas that have a value far from where targets are put in a check: on a chord about a parameter, near the origin, at
+/// parameters whose powers f64 holds.
+#[test]
+fn formulas_that_are_finite_in_few_places_are_proved() {
+    let few = [
+        ("a * sqrt(32.5 - (y - b)^2)", "domain = \"(x - a)^2 + (y - b)^2 < 26.5\"\n"),
+        ("a + b * asin(0.15 * x)", "noise = \"0.5 + intensity^2\"\nloss = \"tukey(4)\"\n"),
+        ("a + b * acos(x) / sqrt(y)", "noise = \"0.7 + 0.4 * max(x, 0)\"\nsaturated = \"censored\"\n"),
+        ("a + x * sinh(b^3)", "loss = \"huber(1.5)\"\n"),
+    ];
+    for (intensity, further) in few {
+        let parameters = "[parameters]\na = { start = 1.0 }\nb = { start = 1.0, min = 0.0 }\n";
+        let text = format!("{HEAD}{parameters}[model]\nintensity = \"{intensity}\"\n{further}");
+        for summand in Model::from_toml(&text).unwrap().summands() {
+            let model = summand.model;
+            for (fma, method) in [(false, Method::Newton), (true, Method::GaussNewton)] {
+                let derived = model.objective(&all(&model), method);
+                let program = derived.and_then(|objective| objective.program(Lowering { fma, drop_saturated: false }));
+                assert!(program.is_ok(), "{intensity}, {method:?}: {program:?}");
+            }
+        }
+    }
+}
+
+/// A root of a negative number at every pixel, and its mean over a pixel, which exact arithmetic cannot follow: the
+/// document's fault, and said so.
+#[test]
+fn formulas_without_a_value_are_told() {
+    let formulas = "intensity = \"a * sqrt(-32.5 - (y - b)^2)\"\nquadrature = 2\n";
+    let text = format!("{HEAD}[parameters]\na = {{ start = 1.0 }}\nb = {{ start = 1.0 }}\n[model]\n{formulas}");
+    let model = Model::from_toml(&text).unwrap();
+    let refused = model.objective(&all(&model), Method::Newton).map(drop);
+    let codes: Vec<String> = refused.err().into_iter().flatten().map(|fault| fault.code).collect();
+    assert_eq!(codes, ["undefined"]);
+}
+
+/// What is shown of a curve reads its predictor, and is what the formula says.
+#[test]
+fn a_picture_of_a_curve_is_proved() {
+    let text = "name = \"curve\"\ncoordinates = [\"i\"]\nchannels = [\"x\", \"y\"]\n[parameters]\na = { start = 1.0 }\n\
+                [model]\nobserved = \"y\"\nintensity = \"a * (1 - exp(-x))\"\n";
+    let model = Model::from_toml(text).unwrap();
+    assert!(model.rendering(Lowering::default()).is_ok());
+}

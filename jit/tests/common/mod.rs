@@ -3,8 +3,11 @@
 #![allow(dead_code, clippy::unwrap_used)] // each test file uses its part
 
 pub mod differential;
+pub mod documents;
 pub mod fault;
 pub mod generate;
+#[path = "../../../symbolic/src/proof/grammar_tests.rs"]
+pub mod grammar;
 pub mod soak;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};

@@ -20,8 +20,10 @@ use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Lowering, Method, Model, Saturated};
-use crate::program::{ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
+use crate::program::interpreter::{Pixels, Window};
+use crate::program::{Bindings, ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
 use crate::proof::claim::{Claim, Part, ValueKind};
+use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
 use crate::proof::referee::{Referee, Subject};
@@ -54,6 +56,8 @@ pub struct Objective {
     subset: Vec<ParameterId>,
     names: crate::program::Names,
     domain: Option<NodeId>,
+    /// Pixels that are no number take no part.
+    is_seeing: bool,
     proof: Option<Proof>,
     /// The program that was proved first: that of [`CHECKED`].
     checked: Option<Program>,
@@ -85,7 +89,7 @@ impl Objective {
         if let Some((program, _)) = self.proved(draft, lowering) {
             return Ok(program);
         }
-        self.plainer(lowering).ok_or_else(|| self.origin.bug())
+        self.plainer(lowering).ok_or_else(|| self.origin.unproved(&self.referee))
     }
 
     /// The loop nest before its check.
@@ -96,8 +100,25 @@ impl Objective {
     }
 
     fn proved(&self, draft: Draft, lowering: Lowering) -> Option<(Program, Errors)> {
-        let dropped = if lowering.drop_saturated { self.channels() } else { Vec::new() };
-        self.referee.proved(draft, &dropped)
+        self.referee.proved(draft, &self.dropped(lowering))
+    }
+
+    /// Channels whose limit leaves a pixel out.
+    fn dropped(&self, lowering: Lowering) -> Vec<ChannelId> {
+        if lowering.drop_saturated { self.channels() } else { Vec::new() }
+    }
+
+    /// What the formulas make of a picture, for tests; see [`DirectSums`].
+    #[doc(hidden)]
+    pub fn direct(
+        &self,
+        lowering: Lowering,
+        bindings: &Bindings<'_>,
+        pixels: &dyn Pixels,
+        window: Window,
+        nudge: f64,
+    ) -> DirectSums {
+        self.referee.direct(&self.dropped(lowering), bindings, pixels, window, nudge)
     }
 
     #[cfg(test)]
@@ -117,7 +138,7 @@ impl Objective {
     }
 
     /// The same sums in the plainest way that passes: other forms, and none of them contracted.
-    fn plainer(&self, lowering: Lowering) -> Option<Program> {
+    pub(crate) fn plainer(&self, lowering: Lowering) -> Option<Program> {
         let of = |objective: &Objective, lowering: Lowering| {
             let draft = objective.draft(lowering, Budget::default()).ok()?;
             objective.proved(draft, lowering).map(|(program, _)| program)
@@ -126,7 +147,11 @@ impl Objective {
             let Claim::Derivatives { part, .. } = self.referee.claim() else { return Vec::new() };
             let form = |form| {
                 let derived = Setting::of(&self.referee, &self.subset, Budget::default()).objective(form, part).ok()?;
-                Some(Objective { domain: self.domain, referee: self.referee.clone(), ..derived })
+                let mut objective = Objective { referee: self.referee.clone(), ..derived };
+                if self.is_seeing {
+                    objective.domain = seeing(&mut objective.graph, objective.domain, &self.channels());
+                }
+                Some(objective)
             };
             [Form::Plain, Form::Unfactored].into_iter().filter_map(form).collect()
         };
@@ -151,17 +176,10 @@ impl Objective {
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
     /// of a picture.
     pub fn skipping_nan(&self) -> Objective {
+        let mut objective = Objective { checked: None, is_seeing: true, ..self.clone() };
         let channels = self.channels();
-        let numbers = |graph: &mut Graph, domain: Option<NodeId>| {
-            channels.iter().fold(domain, |domain, channel| {
-                let pixel = graph.channel(*channel);
-                let is_number = graph.compare(Comparison::Eq, pixel, pixel);
-                Some(domain.map_or(is_number, |domain| graph.and(domain, is_number)))
-            })
-        };
-        let referee = Arc::new(self.referee.within(numbers));
-        let mut objective = Objective { checked: None, referee, ..self.clone() };
-        objective.domain = numbers(&mut objective.graph, objective.domain);
+        objective.referee = Arc::new(self.referee.within(|graph, domain| seeing(graph, domain, &channels)));
+        objective.domain = seeing(&mut objective.graph, objective.domain, &channels);
         objective
     }
 
@@ -223,6 +241,7 @@ impl Objective {
             subset: Vec::new(),
             names,
             domain,
+            is_seeing: false,
             proof: None,
             checked: None,
             origin: Origin::of(model),
@@ -251,7 +270,7 @@ impl Objective {
         };
         let found = safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
-            Refusal::Wrong => Origin::of(model).bug(),
+            Refusal::Wrong => Origin::of(model).unproved(&referee),
         });
         found.and_then(|objective| objective.paid(lowering))
     }
@@ -279,6 +298,15 @@ impl Objective {
     pub fn proof(&self) -> Option<&Proof> {
         self.proof.as_ref()
     }
+}
+
+/// The part of a domain whose pixels are numbers in these channels.
+fn seeing(graph: &mut Graph, domain: Option<NodeId>, channels: &[ChannelId]) -> Option<NodeId> {
+    channels.iter().fold(domain, |domain, channel| {
+        let pixel = graph.channel(*channel);
+        let is_number = graph.compare(Comparison::Eq, pixel, pixel);
+        Some(domain.map_or(is_number, |domain| graph.and(domain, is_number)))
+    })
 }
 
 /// What the sums are of, as the document says it.
@@ -354,6 +382,7 @@ impl<'a> Setting<'a> {
             referee: (*referee).clone(),
             subset: subset.clone(),
             domain: *domain,
+            is_seeing: false,
             origin,
             forms: derivation.forms,
             graph: derivation.graph,
@@ -403,6 +432,17 @@ impl Origin {
     fn fault(&self, code: &'static str, message: String) -> Diagnostics {
         let help = "free fewer parameters per stage, or give shared parts a definition";
         vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
+    }
+
+    /// No program passes: ours is the fault, if the formulas have a value anywhere.
+    fn unproved(&self, referee: &Referee) -> Diagnostics {
+        if referee.is_blind() { self.undefined() } else { self.bug() }
+    }
+
+    fn undefined(&self) -> Diagnostics {
+        let message = "the formulas have no finite value at any place that was tried";
+        let help = "look for roots and logarithms of what is negative; `start` and `[roles]` say where a target may be";
+        vec![Diagnostic::error(&self.text, "undefined", "model.intensity", self.span, message).help(help)]
     }
 
     fn bug(&self) -> Diagnostics {
@@ -491,7 +531,7 @@ fn filling(
             return Ok(program);
         }
     }
-    Err(origin.bug())
+    Err(if shown.is_blind() { origin.undefined() } else { origin.bug() })
 }
 
 /// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and

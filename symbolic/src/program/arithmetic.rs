@@ -29,6 +29,14 @@ pub(crate) trait Number:
     fn call1(self, function: Function1) -> Self;
     /// An elementary function of two arguments.
     fn call2(self, function: Function2, other: Self) -> Self;
+    /// The number as one to begin with: what it was made of is forgotten, …
+    fn alone(self) -> Self {
+        self
+    }
+    /// … until something is made of it, and of another.
+    fn made_of(self, _a: Self, _b: Option<Self>) -> Self {
+        self
+    }
     /// 2 / √π.
     fn two_over_root_pi() -> Self {
         Self::from(std::f64::consts::FRAC_2_SQRT_PI)

@@ -1,5 +1,6 @@
 //! Hyper-dual numbers over any arithmetic.
 
+use super::grammar::PARAMETERS;
 use crate::program::function::{Function1, Function2};
 use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::double_double::DoubleDouble;
@@ -21,7 +22,6 @@ impl Scalar for Weighed {
     }
 }
 
-pub const PARAMETERS: usize = 6;
 const PAIRS: usize = PARAMETERS * (PARAMETERS + 1) / 2;
 
 /// Value, gradient and upper Hessian.

@@ -3,21 +3,23 @@
 //! those. Where rounding exceeds that, both are worked out again in double-double, and these must agree.
 
 use std::cell::Cell;
-use std::fmt::Write;
 
+#[path = "grammar_tests.rs"]
+mod grammar;
 #[path = "duals_numbers_tests.rs"]
 mod numbers;
 #[path = "duals_random_tests.rs"]
 mod random;
 
-use numbers::{Hyper, PARAMETERS, Scalar, pair};
-use random::{Condition, Place, Random, Scope, Tree};
+use grammar::{Document, PARAMETERS, Variety};
+use numbers::{Hyper, Scalar, pair};
+use random::{Place, Random};
 
 use crate::program::function::Function1;
 use crate::program::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
 use crate::proof::double_double::DoubleDouble;
-use crate::proof::evaluate::evaluate;
+use crate::proof::evaluate::{Sample, evaluate_at};
 use crate::proof::weighed::Weighed;
 use crate::{Lowering, Method, Model};
 
@@ -30,14 +32,7 @@ const SMALLEST: f64 = 1e-290;
 
 /// A random model and what was asked of it.
 struct Case {
-    scope: Scope,
-    functions: Vec<Tree>,
-    definitions: Vec<Tree>,
-    intensity: Tree,
-    noise: Option<Tree>,
-    domain: Option<Condition>,
-    /// Declared positive.
-    positive: [bool; PARAMETERS],
+    document: Document,
     /// The free ones.
     subset: Vec<usize>,
     method: Method,
@@ -45,85 +40,14 @@ struct Case {
 
 impl Case {
     fn new(random: &mut Random) -> Case {
-        let parameters = 1 + random.below(PARAMETERS);
-        let coordinates = 1 + random.below(2);
-        let (functions, definitions) = (random.below(3), random.below(4));
-        let predictor = random.one_in(4);
-        let bare =
-            Scope { coordinates, parameters, definitions: 0, functions: 0, predictor, argument: false, index: false };
-        let depth = random.pick(&[1, 2, 3, 3, 4, 4, 5]);
-        let functions: Vec<Tree> = (0..functions).map(|_| Scope { argument: true, ..bare }.tree(random, 2)).collect();
-        let with = Scope { functions: functions.len(), ..bare };
-        let definitions: Vec<Tree> =
-            (0..definitions).map(|i| Scope { definitions: i, ..with }.tree(random, depth.min(3))).collect();
-        let scope = Scope { definitions: definitions.len(), ..with };
-        let intensity = match random.below(3) {
-            // As models are: a height times a shape on a background.
-            0 => {
-                let shape = Box::new(scope.tree(random, depth));
-                let height = Tree::Mul(Box::new(Tree::Parameter(random.below(parameters))), shape);
-                Tree::Add(Box::new(Tree::Parameter(random.below(parameters))), Box::new(height))
-            }
-            _ => scope.tree(random, depth),
-        };
-        let noise = random.one_in(5).then(|| {
-            let base = if random.one_in(2) { Tree::Intensity } else { scope.tree(random, 2) };
-            match random.below(2) {
-                0 => Tree::Add(Box::new(Tree::Number(0.5)), Box::new(Tree::Whole(Box::new(base), 2))),
-                _ => {
-                    let above = Box::new(Tree::Extreme(true, Box::new(base), Box::new(Tree::Number(0.0))));
-                    Tree::Add(Box::new(Tree::Number(0.7)), Box::new(Tree::Mul(Box::new(Tree::Constant), above)))
-                }
-            }
-        });
-        let positive = std::array::from_fn(|_| random.one_in(3));
-        let domain = random.one_in(4).then(|| Case::domain(random, &Scope { predictor: false, ..bare }, &positive));
+        let document = Document::new(random, Variety::Plain);
+        let parameters = document.scope.parameters;
         let mut subset: Vec<usize> = (0..parameters).filter(|_| !random.one_in(4)).collect();
         if subset.is_empty() {
             subset.push(0);
         }
         let method = random.pick(&[Method::Newton, Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt]);
-        Case { scope, functions, definitions, intensity, noise, domain, positive, subset, method }
-    }
-
-    fn domain(random: &mut Random, scope: &Scope, positive: &[bool]) -> Condition {
-        let p = |i: usize| Tree::Parameter(i % scope.parameters);
-        let first = positive[..scope.parameters].iter().position(|&p| p);
-        match (random.below(3), first) {
-            // A quadratic inequality: bounds of a row.
-            (0 | 1, Some(a)) => {
-                let offset = Tree::Sub(Box::new(Tree::Coordinate(0)), Box::new(p(random.below(6))));
-                let y = Tree::Coordinate(scope.coordinates - 1);
-                let form = Tree::Form(Box::new([offset, y, p(a), Tree::Number(0.1), p(a)]));
-                Condition::Compare("<=", form, Tree::Number(random.between(5.0, 80.0).round() + 0.5))
-            }
-            _ => scope.condition(random, 2),
-        }
-    }
-
-    fn text(&self) -> String {
-        let mut text = String::from("name = \"random\"\n");
-        let coordinates = ["[\"x\"]", "[\"x\", \"y\"]"][self.scope.coordinates - 1];
-        writeln!(text, "coordinates = {coordinates}\nchannels = [\"phi\", \"u\"]\n[parameters]").unwrap();
-        for i in 0..self.scope.parameters {
-            let bound = if self.positive[i] { ", min = 0.0" } else { "" };
-            writeln!(text, "p{i} = {{ start = 1.0{bound} }}").unwrap();
-        }
-        writeln!(text, "[constants]\nk = 0.4\n[definitions]").unwrap();
-        for (i, g) in self.functions.iter().enumerate() {
-            writeln!(text, "\"g{i}(t)\" = \"{g}\"").unwrap();
-        }
-        for (i, d) in self.definitions.iter().enumerate() {
-            writeln!(text, "d{i} = \"{d}\"").unwrap();
-        }
-        writeln!(text, "[model]\nobserved = \"phi\"\nintensity = \"{}\"", self.intensity).unwrap();
-        if let Some(noise) = &self.noise {
-            writeln!(text, "noise = \"{noise}\"").unwrap();
-        }
-        if let Some(domain) = &self.domain {
-            writeln!(text, "domain = \"{domain}\"").unwrap();
-        }
-        text
+        Case { document, subset, method }
     }
 
     /// The free parameters as variables, the others as numbers; all as numbers when `held`.
@@ -138,9 +62,9 @@ impl Case {
             predictor: 0.0,
             constant: at.constant,
             parameters: std::array::from_fn(parameter),
-            definitions: &self.definitions,
-            functions: &self.functions,
-            intensity: &self.intensity,
+            definitions: &self.document.definitions,
+            functions: &self.document.functions,
+            intensity: &self.document.intensities[0],
             argument: None,
             index: 0.0,
             undecided,
@@ -161,12 +85,13 @@ impl Case {
                 place.coordinates = [x as f64, y as f64];
                 place.predictor = Noise.at(1, x, y);
             }
-            if self.domain.as_ref().is_some_and(|domain| !entry.inside(domain)) {
+            if self.document.domain.as_ref().is_some_and(|domain| !entry.inside(domain)) {
                 continue;
             }
-            let residual = Hyper::fixed(Noise.at(0, x, y).into()).sub(&here.value(&self.intensity));
+            let residual = Hyper::fixed(Noise.at(0, x, y).into()).sub(&here.value(&self.document.intensities[0]));
             let full = self.method == Method::Newton;
-            let variance = self.noise.as_ref().map(|noise| if full { here.value(noise) } else { entry.value(noise) });
+            let variance =
+                self.document.noise.as_ref().map(|noise| if full { here.value(noise) } else { entry.value(noise) });
             let square = residual.mul(&residual);
             let chi = variance.map_or(square, |v| square.mul(&v.inverse()));
             let term = match variance.filter(|_| full) {
@@ -198,7 +123,7 @@ struct Point {
 
 impl Point {
     fn new(random: &mut Random, case: &Case) -> Point {
-        let mut draw = |i: usize| match case.positive[i] {
+        let mut draw = |i: usize| match case.document.positive[i] {
             true => random.between(0.2, 2.5),
             false => random.between(-2.0, 2.0),
         };
@@ -207,8 +132,8 @@ impl Point {
             true => parameters.clone(),
             false => parameters.iter().map(|p| p * random.between(0.9, 1.1)).collect(),
         };
-        let height = if case.scope.coordinates == 1 { 1 } else { 2 };
-        let y = if case.scope.coordinates == 1 { 0 } else { random.below(4) };
+        let height = if case.document.scope.coordinates == 1 { 1 } else { 2 };
+        let y = if case.document.scope.coordinates == 1 { 0 } else { random.below(4) };
         let window = Window { x: random.below(5), y, width: 2 + random.below(2), height, slices: Slices::ONE };
         Point { parameters, entry, constant: random.between(0.1, 0.9), window }
     }
@@ -225,6 +150,18 @@ impl Pixels for Noise {
     fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
         Random((channel * 10_007 + x * 101 + y) as u64).between(-1.0, 4.0)
     }
+}
+
+/// The outputs of a sums program over the pixels of a window; empty for a plane program.
+fn evaluate<N: Scalar>(program: &Program, bindings: &Bindings<'_>, pixels: &dyn Pixels, window: Window) -> Vec<N> {
+    let sample = Sample {
+        inputs: program.gather(bindings).map(N::from).collect(),
+        columns: (window.x..window.x + window.width).map(|x| N::from(x as f64)).collect(),
+        rows: (window.y..window.y + window.height).map(|y| vec![N::from(y as f64)]).collect(),
+        pixel: &|channel, column, row| pixels.at(channel, window.x + column, window.y + row).into(),
+        every_pixel: false,
+    };
+    evaluate_at(program, &sample).outputs
 }
 
 /// What became of the points.
@@ -295,7 +232,7 @@ fn compare(case: &Case, program: &Program, at: &Point, tally: &mut Tally, strict
 
 /// A program for a case; `None` when the document is refused (its formulas may have lost all parameters).
 fn lowered(case: &Case, random: &mut Random) -> Option<Program> {
-    let model = Model::from_toml(&case.text()).ok()?;
+    let model = Model::from_toml(&case.document.text()).ok()?;
     let subset: Vec<ParameterId> = case.subset.iter().map(|&i| ParameterId(i as u32)).collect();
     let lowering = Lowering { fma: random.one_in(2), drop_saturated: random.one_in(4) };
     model.objective(&subset, case.method).ok()?.program(lowering).ok()
@@ -315,7 +252,7 @@ fn check(seed: u64, tally: &mut Tally, spoil: impl FnOnce(&mut Program, &mut Ran
         let at = Point::new(&mut random, &case);
         let strict = i == 0 && seed % 10 < 2;
         compare(&case, &program, &at, tally, strict).map_err(|fault| {
-            format!("seed {seed}, {:?}, parameters {:?}\n{}{fault}", case.method, case.subset, case.text())
+            format!("seed {seed}, {:?}, parameters {:?}\n{}{fault}", case.method, case.subset, case.document.text())
         })?;
     }
     Ok(())

@@ -43,24 +43,6 @@ pub(crate) struct Sample<'a, N> {
     pub every_pixel: bool,
 }
 
-/// The outputs of a sums program over the pixels of a window; empty for a plane program.
-#[cfg(test)]
-pub(crate) fn evaluate<N: Number>(
-    program: &Program,
-    bindings: &crate::program::Bindings<'_>,
-    pixels: &dyn crate::program::interpreter::Pixels,
-    window: crate::program::interpreter::Window,
-) -> Vec<N> {
-    let sample = Sample {
-        inputs: program.gather(bindings).map(N::from).collect(),
-        columns: (window.x..window.x + window.width).map(|x| N::from(x as f64)).collect(),
-        rows: (window.y..window.y + window.height).map(|y| vec![N::from(y as f64)]).collect(),
-        pixel: &|channel, column, row| pixels.at(channel, window.x + column, window.y + row).into(),
-        every_pixel: false,
-    };
-    evaluate_at(program, &sample).outputs
-}
-
 /// What a sums program makes of a sample.
 pub(crate) struct Evaluated<N> {
     /// Empty for a plane program.

@@ -56,7 +56,7 @@ impl<N: Number> Hyper<N> {
     }
 
     /// f(self, b).
-    fn binary(&self, b: &Hyper<N>, f: &Two<N>) -> Hyper<N> {
+    pub fn binary(&self, b: &Hyper<N>, f: &Two<N>) -> Hyper<N> {
         match (self.active.is_empty(), b.active.is_empty()) {
             (_, true) => return self.unary((f.value, f.a, f.aa)),
             (true, _) => return b.unary((f.value, f.b, f.bb)),

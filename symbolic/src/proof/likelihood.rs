@@ -5,9 +5,9 @@
 
 use crate::language::model::{Formulas, Loss};
 use crate::program::function::Function1;
-use crate::proof::calculus::derivatives;
+use crate::proof::calculus::{Two, derivatives};
 use crate::proof::evaluate::Number;
-use crate::proof::hyper::Hyper;
+use crate::proof::hyper::{Hyper, Order, Quantity};
 
 /// F of a pixel as a function of r and σ².
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -42,8 +42,21 @@ impl Shape {
     }
 
     /// F, gradient and upper Hessian of one pixel value, in any arithmetic: of Newton's method, …
-    #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
+    ///
+    /// F is differentiated by r and σ² alone, which no program multiplies out, and then put together with theirs.
     pub fn newton<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>) -> Hyper<N> {
+        let variable = |x: &Hyper<N>, i| Hyper::variable(x.value.alone(), i, Order::Second);
+        let (r, v) = (variable(residual, 0), variance.map(|v| variable(v, 1)));
+        let f = self.differentiated(&r, v.as_ref());
+        let made = |y: N| y.made_of(residual.value, variance.map(|v| v.value));
+        let (value, a, aa) = (made(f.value), made(f.gradient(0)), made(f.hessian(0, 0)));
+        let Some(variance) = variance else { return residual.unary((value, a, aa)) };
+        let [b, ab, bb] = [f.gradient(1), f.hessian(0, 1), f.hessian(1, 1)].map(made);
+        residual.binary(variance, &Two { value, a, b, aa, ab, bb })
+    }
+
+    #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
+    fn differentiated<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>) -> Hyper<N> {
         let square = variance.map_or_else(|| residual.power(2), |v| residual.power(2).mul(&v.power(-1)));
         let f = match self {
             Shape::Seen(Loss::Squares) => square,

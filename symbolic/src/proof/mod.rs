@@ -15,6 +15,7 @@
 pub(crate) mod budget;
 pub(crate) mod calculus;
 pub(crate) mod claim;
+pub(crate) mod direct;
 pub(crate) mod double_double;
 pub(crate) mod draft;
 #[cfg(test)]
@@ -66,12 +67,17 @@ pub struct Proof {
 const TOLERANCE: f64 = 1e-12;
 /// The same in double-double: numbers that were folded in f64 are all that may differ.
 const REFEREE: f64 = 1e-13;
-/// Terms below this have lost digits to the smallest numbers of f64.
-const SMALLEST: f64 = 1e-290;
+/// Terms below this have lost digits to the smallest numbers of f64, if not themselves, so what they are made of.
+const SMALLEST: f64 = 1e-80;
 /// Error in f32 that no form is turned down for.
 const F32_TOLERANCE: f64 = 1e-5;
-/// Points tried before a model is said to be finite nowhere.
+/// Terms beyond this have powers that f64 does not hold: what is said of such a point is not held against a program.
+const LARGEST: f64 = 1e100;
+/// Points tried around the target, …
 const POINTS: u64 = 6;
+/// … single pixels anywhere, before a model is said to be finite nowhere, and how many of those are enough.
+const ANYWHERE: u64 = 400;
+const ENOUGH: usize = 4;
 /// Points of exact arithmetic for formulas with conditions: each point sees one branch of a condition.
 const CONDITIONAL_POINTS: u64 = 8;
 

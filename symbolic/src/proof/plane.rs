@@ -12,9 +12,9 @@ use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
 use crate::proof::hyper::Values;
 use crate::proof::pixels::{RIM, columns_at_rims};
-use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, plausible, residues};
+use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, anywhere, centre, plausible, residues};
 use crate::proof::weighed::Weighed;
-use crate::proof::{CONDITIONAL_POINTS, REFEREE, SMALLEST, TOLERANCE};
+use crate::proof::{ANYWHERE, CONDITIONAL_POINTS, ENOUGH, REFEREE, SMALLEST, TOLERANCE};
 
 /// What a plane is to show.
 pub(crate) struct Shown<'a> {
@@ -48,7 +48,22 @@ impl Shown<'_> {
             }
             self.is_right_at(&summing, &point, &mut compared)
         });
-        right && (exact || compared > 0) && self.is_right_at_rims(&summing)
+        let mut is_right_anywhere = || {
+            compared > 0
+                || self.anywhere().all(|point| self.is_right_at(&summing, &point, &mut compared)) && compared > 0
+        };
+        right && (exact || is_right_anywhere()) && self.is_right_at_rims(&summing)
+    }
+
+    /// Places where there is something to be shown.
+    fn anywhere(&self) -> impl Iterator<Item = Point<f64>> {
+        let points = (0..ANYWHERE).map(|seed| anywhere(self.model, &mut Random(seed)));
+        points.filter(|point| self.values(point).iter().all(|x| x.is_finite())).take(ENOUGH)
+    }
+
+    /// True when none was found: nothing is known of any program.
+    pub fn is_blind(&self) -> bool {
+        self.anywhere().next().is_none()
     }
 
     /// True when the plane ends where the domain does.
@@ -61,27 +76,23 @@ impl Shown<'_> {
             if let Some(y) = point.rows[0].first_mut() {
                 *y += off;
             }
-            let inputs = |node: &Node| match node {
-                Node::Input(input) => point.input(*input),
-                _ => f64::NAN,
-            };
-            let mut truths = Values::of(self.graph, &roots, &inputs);
+            let mut truths = Values::of(self.graph, &roots, &|node| point.given(node));
             let outer = point.rows[0].clone();
-            let mut inside = |x: f64| {
-                truths.holds_at(&|node| match node {
-                    Node::Coordinate(c) if c.0 == 0 => x,
-                    Node::Coordinate(c) => outer[c.index() - 1],
-                    node => inputs(node),
-                })
-            };
+            let mut inside = |x: f64| truths.holds_at(&|node| point.read(node, x, &outer, &|_| 0.0));
             let mut columns = columns_at_rims(middle[0], &mut inside);
-            columns.retain(|x| inside(x - 0.5 * RIM) == inside(x + 0.5 * RIM));
+            columns.retain(|x| {
+                let here = inside(*x);
+                [0.5, -0.5, 0.31, -0.19, 0.11].into_iter().all(|part| inside(x + part * RIM) == here)
+            });
             let expected: Vec<bool> = columns.iter().map(|x| inside(*x)).collect();
             point.pixels = vec![0.0; self.model.channels.len() * columns.len()];
             (point.columns, point.rows) = (columns, vec![outer]);
             let (shown, formula) = (pixels(summing, &point), self.values(&point));
-            let is_shown =
-                |((inside, shown), formula): ((&bool, &f64), &f64)| shown.is_nan() == (!inside || formula.is_nan());
+            // Of infinite parts it shows what it likes.
+            let is_shown = |((inside, shown), formula): ((&bool, &f64), &f64)| match inside {
+                true => !formula.is_finite() || !shown.is_nan(),
+                false => shown.is_nan(),
+            };
             expected.iter().zip(&shown).zip(&formula).all(is_shown)
         })
     }
@@ -112,21 +123,16 @@ impl Shown<'_> {
     fn values<N: Number>(&self, point: &Point<N>) -> Vec<N> {
         let roots: Vec<NodeId> = vec![self.value];
         let domain: Vec<NodeId> = self.domain.into_iter().collect();
-        let inputs = |node: &Node| match node {
-            Node::Input(input) => point.input(*input),
-            _ => N::from(f64::NAN),
-        };
-        let mut numbers = Values::of(self.graph, &roots, &inputs);
-        let mut truths = Values::of(self.graph, &domain, &inputs);
+        let given = |node: &Node| point.given(node);
+        let mut numbers = Values::of(self.graph, &roots, &given);
+        let mut truths = Values::of(self.graph, &domain, &given);
         let shift = |c: usize| if self.is_shifted { point.shift[c] } else { N::from(0.0) };
         let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
-        for outer in &point.rows {
-            for x in &point.columns {
-                let leaf = |node: &Node| match node {
-                    Node::Coordinate(c) if c.0 == 0 => *x + shift(0),
-                    Node::Coordinate(c) => outer[c.index() - 1] + shift(c.index()),
-                    node => inputs(node),
-                };
+        for (row, outer) in point.rows.iter().enumerate() {
+            let outer: Vec<N> = outer.iter().enumerate().map(|(i, c)| *c + shift(1 + i)).collect();
+            for (column, x) in point.columns.iter().enumerate() {
+                let pixel = |channel| point.pixel(channel, column, row);
+                let leaf = |node: &Node| point.read(node, *x + shift(0), &outer, &pixel);
                 values.push(match domain.is_empty() || truths.holds_at(&leaf) {
                     true => numbers.at(&leaf)[0].value,
                     false => N::from(f64::NAN),

@@ -49,6 +49,8 @@ pub(crate) struct Point<N> {
     /// Those that the pass was entered with: near the others, and never the same.
     pub entry: Vec<N>,
     pub constants: Vec<N>,
+    /// One a channel.
+    pub limits: Vec<N>,
     /// One a coordinate.
     pub shift: Vec<N>,
     /// Values of the inner coordinate.
@@ -65,8 +67,26 @@ impl<N: Number> Point<N> {
             Input::Parameter(p) => self.parameters[p.index()],
             Input::Entry(p) => self.entry[p.index()],
             Input::Constant(c) => self.constants[c.index()],
-            Input::Saturation(c) => N::from(limit(c.index())),
+            Input::Saturation(c) => self.limits[c.index()],
             Input::Shift(c) => self.shift[c.index()],
+        }
+    }
+
+    /// What a formula reads besides coordinates and pixels.
+    pub fn given(&self, node: &Node) -> N {
+        match node {
+            Node::Input(input) => self.input(*input),
+            _ => N::from(f64::NAN),
+        }
+    }
+
+    /// What it reads at a place.
+    pub fn read(&self, node: &Node, x: N, outer: &[N], pixel: &dyn Fn(usize) -> N) -> N {
+        match node {
+            Node::Coordinate(c) if c.0 == 0 => x,
+            Node::Coordinate(c) => outer[c.index() - 1],
+            Node::Channel(c) => pixel(c.index()),
+            node => self.given(node),
         }
     }
 
@@ -80,6 +100,7 @@ impl<N: Number> Point<N> {
             parameters: all(&self.parameters),
             entry: all(&self.entry),
             constants: all(&self.constants),
+            limits: all(&self.limits),
             shift: all(&self.shift),
             columns: all(&self.columns),
             rows: self.rows.iter().map(|row| all(row)).collect(),
@@ -112,6 +133,7 @@ pub(crate) fn residues(model: &Model, random: &mut Random) -> Point<Modular> {
         rows: (0..rows).map(|_| some(coordinates - 1)).collect(),
         pixels: some(model.channels.len() * columns * rows),
         entry: some(model.parameters.len()),
+        limits: (0..model.channels.len()).map(|c| limit(c).into()).collect(),
         shift: some(coordinates),
     }
 }
@@ -167,7 +189,27 @@ pub(crate) fn plausible(model: &Model, centre: [f64; 4], random: &mut Random) ->
     let entry = parameters.iter().map(beside).collect();
     let shift = (0..coordinates).map(|_| 0.4 * random.signed()).collect();
     let constants = model.constants.iter().map(|c| c.value).collect();
-    Point { parameters, entry, constants, shift, columns, rows, pixels }
+    let limits = (0..model.channels.len()).map(limit).collect();
+    Point { parameters, entry, constants, limits, shift, columns, rows, pixels }
+}
+
+/// One pixel anywhere: at a target, at the origin, where a parameter says; parameters of any size, bright or dark.
+pub(crate) fn anywhere(model: &Model, random: &mut Random) -> Point<f64> {
+    let mut point = plausible(model, centre(model, NEAR), random);
+    if random.signed() > 0.0 {
+        point.move_far(random);
+    }
+    let mut place = |near: f64| {
+        let parameter = point.parameters.get((random.bits() % (1 + point.parameters.len() as u64)) as usize);
+        let middle = [near, 0.0, parameter.copied().unwrap_or(near)][(random.bits() % 3) as usize];
+        middle + [0.7, 3.0, SIZE][(random.bits() % 3) as usize] * random.signed()
+    };
+    point.columns = vec![place(point.columns[0])];
+    point.rows = vec![point.rows[0].iter().map(|y| place(*y)).collect()];
+    point.pixels.truncate(model.channels.len());
+    let scale = [1.0, 0.01][(random.bits() % 2) as usize];
+    point.pixels.iter_mut().for_each(|pixel| *pixel *= scale);
+    point
 }
 
 /// What the model shows with its parameters a little off, and some noise.

@@ -14,16 +14,20 @@ use crate::proof::claim::{Claim, ValueKind};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
-use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
+use crate::proof::hyper::{Bare, Evaluator, Hyper, Order, Values};
 use crate::proof::likelihood::Shape;
 use crate::proof::modular::Modular;
 use crate::proof::pixels::{Rim, Windowed, set_of};
-use crate::proof::points::{BESIDE, FAR, NEAR, Picture, Point, Random, centre, limit, picture, plausible, residues};
+use crate::proof::points::{
+    BESIDE, FAR, NEAR, Picture, Point, Random, anywhere, centre, limit, picture, plausible, residues,
+};
 use crate::proof::weighed::Weighed;
-use crate::proof::{Errors, POINTS, REFEREE, SMALLEST, TOLERANCE};
+use crate::proof::{ANYWHERE, ENOUGH, Errors, LARGEST, POINTS, REFEREE, SMALLEST, TOLERANCE};
 
 /// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
 const UNSEEN: f64 = 1e-12;
+/// How much larger a prediction may be than a residual of which f64 knows on which side of a threshold it is.
+const CERTAIN: f64 = 1e10;
 /// Instructions of a program that is run in f32 on one row only.
 const LONG: usize = 2000;
 
@@ -157,6 +161,23 @@ impl Referee {
         seeds.map(at).collect()
     }
 
+    /// True when no made-up point has a finite value: nothing is known of any program.
+    pub fn is_blind(&self) -> bool {
+        self.sampled().is_none()
+    }
+
+    /// Single pixels somewhere, at any parameters: what formulas have a value for may be elsewhere than targets are put.
+    fn anywhere(&self) -> impl Iterator<Item = Known<f64, Weighed>> {
+        let at = |seed| {
+            let point = anywhere(&self.subject.model, &mut Random(seed));
+            self.subject.is_finite_at(&point).then(|| {
+                let sums = self.subject.direct(&point.map(Weighed::from), |_, _| true);
+                Known { point, sums }
+            })
+        };
+        (0..ANYWHERE).filter_map(at).filter(|known| is_finite(&known.sums)).take(ENOUGH)
+    }
+
     /// The first point where all is finite.
     fn sampled(&self) -> Option<&Known<f64, Weighed>> {
         let made = || {
@@ -167,7 +188,7 @@ impl Referee {
                 is_finite(&sums).then_some(Known { point, sums })
             })
         };
-        self.sampled.get_or_init(made).as_ref()
+        self.sampled.get_or_init(|| made().or_else(|| self.anywhere().next())).as_ref()
     }
 
     fn beside(&self) -> &[Known<f64, Weighed>] {
@@ -177,11 +198,14 @@ impl Referee {
                 let mut point = plausible(model, centre(model, BESIDE), &mut Random(seed));
                 point.columns.truncate(2);
                 point.rows.truncate(1);
-                subject.show_threshold(&mut point);
+                if !subject.show_threshold(&mut point) {
+                    return None;
+                }
                 let sums = subject.direct(&point.map(Weighed::from), |_, _| true);
                 is_finite(&sums).then_some(Known { point, sums })
             };
-            (0..if self.is_conditional { self.points } else { 1 }).filter_map(at).collect()
+            let found: Vec<_> = (0..if self.is_conditional { self.points } else { 1 }).filter_map(at).collect();
+            if found.is_empty() { self.anywhere().collect() } else { found }
         })
     }
 
@@ -310,7 +334,7 @@ pub(super) fn sample<'a, N: Number>(
 }
 
 pub(super) fn is_finite(sums: &[Weighed]) -> bool {
-    sums.iter().all(|x| x.value.is_finite() && x.terms.is_finite())
+    sums.iter().all(|x| x.value.is_finite() && x.terms < LARGEST)
 }
 
 /// The largest error over the sum of the absolute terms.
@@ -348,35 +372,41 @@ impl Subject {
         }
     }
 
-    /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it.
-    fn show_threshold(&self, point: &mut Point<f64>) {
+    /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it; false
+    /// where those are what rounding leaves of much larger numbers.
+    fn show_threshold(&self, point: &mut Point<f64>) -> bool {
         let threshold = match self.shape {
             Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c)) => c,
             Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares) => 1.0,
         };
         // Without pixels the residual is −intensity, as far as observed values are pixels.
         point.pixels = vec![0.0; self.model.channels.len() * point.rows.len() * point.columns.len()];
-        let roots = self.roots();
-        let inputs = |node: &Node| match node {
-            Node::Input(input) => point.input(*input),
-            _ => f64::NAN,
-        };
-        let mut evaluator = Values::of(&self.graph, &roots, &inputs);
-        let mut pixels = Vec::new();
-        for outer in &point.rows {
-            for x in &point.columns {
-                let values = evaluator.at(&|node| match node {
-                    Node::Coordinate(c) if c.0 == 0 => *x,
-                    Node::Coordinate(c) => outer[c.index() - 1],
-                    Node::Channel(_) => 0.0,
-                    node => inputs(node),
-                });
-                let deviation = values.get(1).map_or(1.0, |variance| variance.value.sqrt());
-                let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
-                pixels.push(side * threshold * deviation - values[0].value);
-            }
+        let (mut pixels, mut are_sure) = (Vec::new(), true);
+        for values in self.values(point) {
+            let deviation = values.get(1).map_or(1.0, |variance| variance.value.sqrt());
+            let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
+            are_sure &= values[0].value.abs() < CERTAIN * threshold * deviation;
+            pixels.push(side * threshold * deviation - values[0].value);
         }
         point.pixels = (0..self.model.channels.len()).flat_map(|_| pixels.iter().copied()).collect();
+        are_sure
+    }
+
+    /// Residual and variance at each pixel of a point, row by row.
+    fn values(&self, point: &Point<f64>) -> Vec<Vec<Bare<f64>>> {
+        let roots = self.roots();
+        let mut evaluator = Values::of(&self.graph, &roots, &|node| point.given(node));
+        let places = (0..point.rows.len()).flat_map(|row| (0..point.columns.len()).map(move |column| (column, row)));
+        let mut at = |(column, row): (usize, usize)| {
+            let pixel = |channel| point.pixel(channel, column, row);
+            evaluator.at(&|node| point.read(node, point.columns[column], &point.rows[row], &pixel))
+        };
+        places.map(|place| at(place)).collect()
+    }
+
+    /// True when they are finite.
+    fn is_finite_at(&self, point: &Point<f64>) -> bool {
+        self.values(point).iter().flatten().all(|value| value.value.is_finite())
     }
 
     /// How far the formulas are differentiated.
@@ -390,24 +420,16 @@ impl Subject {
     /// What the document's formulas make the sums, over the point's pixels that take part.
     pub(super) fn direct<N: Number>(&self, point: &Point<N>, takes_part: impl Fn(usize, usize) -> bool) -> Vec<N> {
         let roots = self.roots();
-        let inputs = |node: &Node| match node {
-            Node::Input(input) => point.input(*input),
-            _ => N::from(f64::NAN),
-        };
-        let mut evaluator = Evaluator::new(&self.graph, &roots, &self.parameters, self.order(), &inputs);
+        let given = |node: &Node| point.given(node);
+        let mut evaluator = Evaluator::new(&self.graph, &roots, &self.parameters, self.order(), &given);
         let mut sums = vec![N::from(0.0); self.outputs()];
         for (row, outer) in point.rows.iter().enumerate() {
             for (column, x) in point.columns.iter().enumerate() {
                 if !takes_part(column, row) {
                     continue;
                 }
-                let leaf = |node: &Node| match node {
-                    Node::Coordinate(c) if c.0 == 0 => *x,
-                    Node::Coordinate(c) => outer[c.index() - 1],
-                    Node::Channel(c) => point.pixel(c.index(), column, row),
-                    node => inputs(node),
-                };
-                let entries = self.entries(&evaluator.at(&leaf));
+                let pixel = |channel| point.pixel(channel, column, row);
+                let entries = self.entries(&evaluator.at(&|node| point.read(node, *x, outer, &pixel)));
                 sums.iter_mut().zip(entries).for_each(|(sum, entry)| *sum = *sum + entry);
             }
         }
@@ -417,6 +439,10 @@ impl Subject {
     /// What one pixel adds, by its residual and variance.
     fn entries<N: Number>(&self, values: &[Hyper<N>]) -> Vec<N> {
         let n = self.parameters.len() as u16;
+        // A robust loss of what is no number is a number.
+        if values.iter().any(|x| x.value.partial_cmp(&x.value).is_none()) {
+            return vec![N::from(f64::NAN); self.outputs()];
+        }
         let (residual, variance) = (&values[0], values.get(1));
         let mut entries = Vec::with_capacity(self.outputs());
         match self.claim {

@@ -3,6 +3,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::program::function::{Function1, Function2};
+use crate::proof::SMALLEST;
 use crate::proof::calculus::{derivatives, derivatives2};
 use crate::proof::evaluate::Number;
 
@@ -60,7 +61,26 @@ impl Div for Weighed {
     }
 }
 
+impl Weighed {
+    /// How large the value is; of a difference of equals, how much of one f64 leaves.
+    fn size(self) -> f64 {
+        self.value.abs().max(f64::EPSILON * self.terms).max(SMALLEST)
+    }
+    /// How many times its size the terms are.
+    fn cancelled(self) -> f64 {
+        (self.terms / self.size()).max(1.0)
+    }
+}
+
 impl Number for Weighed {
+    fn alone(self) -> Self {
+        Weighed { terms: self.size(), ..self }
+    }
+    /// To first order: a program that reads a number as it is does not multiply out what it was made of.
+    fn made_of(self, a: Self, b: Option<Self>) -> Self {
+        let cancelled = a.cancelled() + b.map_or(0.0, Weighed::cancelled);
+        Weighed { terms: self.terms * cancelled, ..self }
+    }
     fn abs(self) -> Self {
         Weighed { value: self.value.abs(), ..self }
     }

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use isophote_jit::{Kernel, PlaneView, Window};
+use isophote_jit::{Kernel, PlaneView, Sums, Window};
 use isophote_symbolic::Bindings;
 
 /// One kernel a summand; those of pixels at their limit come after those of the others.
@@ -36,11 +36,11 @@ impl Totals {
     }
 }
 
-fn add(to: &mut Vec<f64>, from: &[f64]) {
-    if to.is_empty() {
-        to.extend_from_slice(from);
-    } else {
-        to.iter_mut().zip(from).for_each(|(sum, value)| *sum += value);
+/// Without a pixel there is nothing to add: a parameter's factor that has no value makes NaN of an empty sum.
+fn add(to: &mut Vec<f64>, from: &Sums) {
+    to.resize(from.outputs.len(), 0.0);
+    if from.pixels > 0 {
+        to.iter_mut().zip(&from.outputs).for_each(|(sum, value)| *sum += value);
     }
 }
 
@@ -61,13 +61,13 @@ impl Loops {
                 let sums = kernel.sums(bindings, planes, *window).ok()?;
                 totals.pixels += sums.pixels;
                 saturated += sums.saturated;
-                add(&mut totals.seen, &sums.outputs);
-                add(&mut totals.outputs, &sums.outputs);
+                add(&mut totals.seen, &sums);
+                add(&mut totals.outputs, &sums);
             }
             totals.saturated += saturated;
             // Where nothing was left out there is nothing to make up for.
             for kernel in self.clipped.iter().filter(|_| saturated > 0) {
-                add(&mut totals.outputs, &kernel.sums(bindings, planes, *window).ok()?.outputs);
+                add(&mut totals.outputs, &kernel.sums(bindings, planes, *window).ok()?);
             }
         }
         Some(())

@@ -1,0 +1,389 @@
+//! Random documents, and every program that is made of one: machine code equals the interpreter bit for bit, and both say what
+//! the document's formulas say, worked out pixel by pixel without a program.
+#![allow(dead_code, clippy::unwrap_used)]
+
+use super::fault::planted;
+use super::grammar::{Document, PARAMETERS, Variety};
+use super::{Image, Planes, Random, lowerings, same};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, Window};
+use isophote_symbolic::interpreter::{self, Outcome};
+use isophote_symbolic::{
+    Bindings, Diagnostics, DirectSums, Lowering, Method, Model, Objective, Opcode, ParameterId, Part, Precision,
+    Prediction, Program, ValueKind,
+};
+
+/// Error in f64 over the sum of the absolute terms.
+const TOLERANCE: f64 = 1e-12;
+/// Every number is moved by this much of itself to see whether rounding decides something.
+const NUDGES: [f64; 4] = [1e-9, -1e-9, 3e-8, -3e-8];
+/// What moves a pixel by more of itself is a decision and no rounding.
+const DECIDED: f64 = 1e-5;
+
+/// What became of the documents.
+#[derive(Default, Debug)]
+pub struct Tally {
+    pub documents: u64,
+    /// Refused: past a limit, or not a document.
+    pub refused: u64,
+    pub programs: u64,
+    /// … that there are none of: past a limit, or of formulas that have a value nowhere.
+    pub costly: u64,
+    pub undefined: u64,
+    /// Rows without a pixel.
+    pub empty_rows: u64,
+    /// Runs of machine code.
+    pub runs: u64,
+    /// … with a finite sum or pixel that was held against the formulas.
+    pub compared: u64,
+    /// … whose formulas are not finite.
+    pub infinite: u64,
+    /// … where rounding decides a comparison.
+    pub undecided: u64,
+    /// The largest error over the sum of the absolute terms.
+    pub worst: f64,
+    pub faults: Vec<String>,
+}
+
+impl Tally {
+    fn refused(&mut self, what: &str, refused: &Diagnostics) {
+        match refused[0].code.as_str() {
+            "limit" => self.costly += 1,
+            "undefined" => self.undefined += 1,
+            _ => self.faults.push(format!("{what}: {}", refused[0].message)),
+        }
+    }
+}
+
+/// What programs of a document are run on.
+struct Scene {
+    image: Image,
+    window: Window,
+    values: Vec<f64>,
+    entry: Vec<f64>,
+    constants: Vec<f64>,
+    saturation: Vec<f64>,
+    shift: [f64; 2],
+}
+
+impl Scene {
+    /// Pixels about the size of what such formulas predict, in some scenes those of a camera; every third row may be all at
+    /// its limit, and with `has_gaps` single pixels are no numbers.
+    fn new(random: &mut Random, document: &Document, model: &Model, has_gaps: bool) -> Scene {
+        let format = if has_gaps { PixelFormat::F64 } else { *random.pick(&PixelFormat::ALL) };
+        let is_dark = random.below(4) > 0;
+        let [low, high, limit] = match (is_dark, format) {
+            (true, PixelFormat::U8 | PixelFormat::U16) => [0.0, 6.0, 4.5],
+            (true, _) => [-1.0, 5.0, 3.9],
+            (false, _) => [0.0, 255.9, 239.5],
+        };
+        let bright = random.below(6);
+        let gaps = *random.pick(&[[0, 0], [2, 1]]);
+        let image = Image::new(format, [18, 11], 2, gaps, |_, _, y| {
+            if has_gaps && random.below(10) == 0 {
+                return f64::NAN;
+            }
+            random.between(if y % 3 == bright { limit + 0.55 } else { low }, high)
+        });
+        let mut draw = |i: usize| match document.positive[i] {
+            true => random.between(0.2, 2.5),
+            false => random.between(-2.0, 2.0),
+        };
+        let values: Vec<f64> = (0..PARAMETERS).map(&mut draw).take(model.parameters().len()).collect();
+        let entry = match random.below(2) {
+            0 => values.clone(),
+            _ => values.iter().map(|p| p * random.between(0.9, 1.1)).collect(),
+        };
+        let height = 1 + random.below(7);
+        let window =
+            Window { x: random.below(5), y: random.below(4), width: 1 + random.below(13), height, slices: Slices::ONE };
+        Scene {
+            image,
+            window,
+            values,
+            entry,
+            constants: vec![random.between(0.1, 0.9)],
+            saturation: vec![limit, limit + 0.25],
+            shift: [random.between(-0.4, 0.4), random.between(-0.4, 0.4)],
+        }
+    }
+
+    fn bindings(&self) -> Bindings<'_> {
+        Bindings {
+            parameters: &self.values,
+            entry: &self.entry,
+            constants: &self.constants,
+            saturation: &self.saturation,
+            shift: &self.shift,
+        }
+    }
+
+    fn options(&self, program: &Program, precision: Precision) -> KernelOptions {
+        let packed = self.image.strides[0] == self.image.format.bytes_per_pixel();
+        KernelOptions { precision, formats: vec![self.image.format; program.channels()], packed }
+    }
+
+    fn interpreted(&self, program: &Program, precision: Precision) -> Outcome {
+        interpreter::run(program, precision, &self.bindings(), &Planes(self.image.views()), self.window.into(), None)
+    }
+}
+
+/// What the formulas say of an outcome.
+#[derive(Debug)]
+enum Verdict {
+    /// The error over the sum of the absolute terms.
+    Right(f64),
+    /// The formulas are not finite.
+    Infinite,
+    /// Rounding decides a comparison, or whether a pixel belongs.
+    Undecided,
+    Wrong(String),
+}
+
+fn judged(objective: &Objective, lowering: Lowering, scene: &Scene, found: &Outcome) -> Verdict {
+    let planes = Planes(scene.image.views());
+    let direct = |nudge| objective.direct(lowering, &scene.bindings(), &planes, scene.window.into(), nudge);
+    let said = direct(0.0);
+    let error = |(found, [sum, terms]): (&f64, &[f64; 2])| {
+        let error = if found == sum { 0.0 } else { (found - sum).abs() / terms };
+        if error.is_nan() { f64::INFINITY } else { error }
+    };
+    let worst = said.sums.as_ref().map(|sums| found.outputs.iter().zip(sums).map(error).fold(0.0, f64::max));
+    match worst {
+        Some(worst) if worst <= TOLERANCE && found.pixels == said.pixels => return Verdict::Right(worst),
+        // Nobody reads the sums of no pixel.
+        _ if found.pixels == 0 && said.pixels == 0 => return Verdict::Infinite,
+        None if found.pixels == said.pixels => return Verdict::Infinite,
+        _ => {}
+    }
+    // A decision moves what is wrong by about as much as it is wrong.
+    let moved = NUDGES.map(direct);
+    let is_decided = |i: usize, sums: &[[f64; 2]]| {
+        let wrong = (found.outputs[i] - sums[i][0]).abs();
+        let by =
+            |moved: &DirectSums| moved.sums.as_ref().map_or(f64::INFINITY, |moved| (moved[i][0] - sums[i][0]).abs());
+        wrong <= TOLERANCE * sums[i][1] || moved.iter().any(|moved| 3.0 * by(moved) >= wrong)
+    };
+    let is_decision = match (&said.sums, found.pixels == said.pixels) {
+        (Some(sums), true) => (0..sums.len()).all(|i| is_decided(i, sums)),
+        _ => moved.iter().any(|moved| moved.pixels != said.pixels),
+    };
+    match is_decision {
+        true => Verdict::Undecided,
+        false => Verdict::Wrong(format!("{worst:?} of the terms: {found:?} instead of {said:?}")),
+    }
+}
+
+/// A program, and how its sums came about.
+struct Summing {
+    what: String,
+    objective: Objective,
+    lowering: Lowering,
+    program: Program,
+}
+
+/// Every program that sums: of values, of derivatives in one loop and in loops of their own, without blind pixels; in every
+/// lowering. What is refused as a bug is a fault.
+fn summing(model: &Model, random: &mut Random, tally: &mut Tally) -> Vec<Summing> {
+    let count = model.parameters().len();
+    let mut subset: Vec<ParameterId> = (0..count as u32).map(ParameterId).filter(|_| random.below(4) > 0).collect();
+    if subset.is_empty() {
+        subset.push(ParameterId(0));
+    }
+    let part = *random.pick(&[Part::Gradient, Part::Hessian]);
+    let of_part = *random.pick(&[Method::Newton, Method::GaussNewton]);
+    let gauss_newton = model.objective(&subset, Method::GaussNewton);
+    let seeing = gauss_newton.clone().map(|objective| objective.skipping_nan());
+    let objectives = [
+        ("value at entry".to_string(), model.value_objective(ValueKind::Entry)),
+        ("value".into(), model.value_objective(ValueKind::Full)),
+        (format!("Newton {subset:?}"), model.objective(&subset, Method::Newton)),
+        (format!("Gauss-Newton {subset:?}"), gauss_newton),
+        (format!("{part:?} {of_part:?} {subset:?}"), model.part_objective(&subset, of_part, part)),
+        (format!("seeing {subset:?}"), seeing),
+    ];
+    let mut all = Vec::new();
+    for (what, objective) in objectives {
+        for lowering in lowerings() {
+            let made = objective.clone().and_then(|objective| Ok((objective.program(lowering)?, objective)));
+            let what = format!("{what} {lowering:?}");
+            match made {
+                Ok((program, objective)) => all.push(Summing { what, objective, lowering, program }),
+                Err(refused) => tally.refused(&what, &refused),
+            }
+        }
+    }
+    all
+}
+
+/// All programs of the document of a seed.
+pub fn try_document(seed: u64, tally: &mut Tally) {
+    let mut random = Random(seed);
+    let document = Document::new(&mut random, Variety::Any);
+    let text = document.text();
+    let Ok(model) = Model::from_toml(&text) else {
+        tally.refused += 1;
+        return;
+    };
+    tally.documents += 1;
+    let before = tally.faults.len();
+    for summand in model.summands() {
+        let scenes = [false, true].map(|has_gaps| Scene::new(&mut random, &document, &summand.model, has_gaps));
+        try_sums(&summand.model, &scenes, &mut random, tally);
+        try_planes(&summand.model, &scenes[0], &mut random, tally);
+    }
+    tally.faults[before..].iter_mut().for_each(|fault| *fault = format!("seed {seed}, {fault}\n{text}"));
+}
+
+fn try_sums(model: &Model, scenes: &[Scene; 2], random: &mut Random, tally: &mut Tally) {
+    let all = summing(model, random, tally);
+    if let Some(Summing { objective, lowering, .. }) = all.first() {
+        tally.empty_rows += empty_rows(objective, *lowering, &scenes[0]);
+    }
+    for Summing { what, objective, lowering, program } in all {
+        tally.programs += 1;
+        let scene = &scenes[usize::from(what.starts_with("seeing"))];
+        let precision = *random.pick(&[Precision::F32, Precision::F64]);
+        let kernel = Kernel::compile(&program, &scene.options(&program, precision)).unwrap();
+        let native = kernel.sums(&scene.bindings(), &scene.image.views(), scene.window).unwrap();
+        let native = Outcome { outputs: native.outputs, pixels: native.pixels, saturated: native.saturated };
+        let expected = scene.interpreted(&program, precision);
+        tally.runs += 1;
+        if !is_same(&native, &expected) {
+            tally.faults.push(format!("{what} {precision:?}: native {native:?}, interpreter {expected:?}"));
+            continue;
+        }
+        let double = if precision == Precision::F64 { native } else { scene.interpreted(&program, Precision::F64) };
+        match judged(&objective, lowering, scene, &double) {
+            Verdict::Right(error) => {
+                tally.compared += 1;
+                tally.worst = tally.worst.max(error);
+            }
+            Verdict::Infinite => tally.infinite += 1,
+            Verdict::Undecided => tally.undecided += 1,
+            Verdict::Wrong(how) => tally.faults.push(format!("{what}: {how}")),
+        }
+    }
+}
+
+/// Rows of the window none of whose pixels take part.
+fn empty_rows(objective: &Objective, lowering: Lowering, scene: &Scene) -> u64 {
+    let planes = Planes(scene.image.views());
+    let is_empty = |y: &usize| {
+        let row = Window { y: *y, height: 1, ..scene.window };
+        objective.direct(lowering, &scene.bindings(), &planes, row.into(), 0.0).pixels == 0
+    };
+    (scene.window.y..scene.window.y + scene.window.height).filter(is_empty).count() as u64
+}
+
+fn is_same(a: &Outcome, b: &Outcome) -> bool {
+    (a.pixels, a.saturated, a.outputs.len()) == (b.pixels, b.saturated, b.outputs.len())
+        && a.outputs.iter().zip(&b.outputs).all(|(a, b)| same(*a, *b))
+}
+
+/// Predictions and the rendered picture.
+fn try_planes(model: &Model, scene: &Scene, random: &mut Random, tally: &mut Tally) {
+    for fma in lowerings().iter().filter(|lowering| !lowering.drop_saturated).map(|lowering| lowering.fma) {
+        let lowering = Lowering { fma, drop_saturated: false };
+        let mut programs = vec![(None, Some(model.rendering(lowering)))];
+        for prediction in [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance] {
+            programs.push((Some(prediction), model.prediction(prediction, lowering)));
+        }
+        for (prediction, program) in programs {
+            let what = prediction.map_or("rendering".into(), |prediction| format!("{prediction:?}"));
+            let program = match program {
+                Some(Ok(program)) => program,
+                Some(Err(refused)) => {
+                    tally.refused(&format!("{what} {lowering:?}"), &refused);
+                    continue;
+                }
+                None => continue,
+            };
+            // A curve has no picture without its predictor.
+            if program.instructions().iter().any(|i| matches!(i.op.code, Opcode::Channel(_))) {
+                continue;
+            }
+            tally.programs += 1;
+            let precision = *random.pick(&[Precision::F32, Precision::F64]);
+            let mut filled = [Vec::new(), Vec::new()];
+            for (plane, precision) in filled.iter_mut().zip([precision, Precision::F64]) {
+                *plane = vec![0.0; scene.window.pixels()];
+                let planes = Planes(scene.image.views());
+                interpreter::run(&program, precision, &scene.bindings(), &planes, scene.window.into(), Some(plane));
+            }
+            let options = KernelOptions { formats: Vec::new(), packed: true, ..scene.options(&program, precision) };
+            let kernel = Kernel::compile(&program, &options).unwrap();
+            let mut native = vec![0.0; scene.window.pixels()];
+            kernel.render(&scene.bindings(), scene.window, &mut native).unwrap();
+            tally.runs += 1;
+            if !native.iter().zip(&filled[0]).all(|(a, b)| same(f64::from(*a), f64::from(*b))) {
+                tally.faults.push(format!("{what} {lowering:?}: native {native:?}, interpreter {:?}", filled[0]));
+            }
+            judge_plane(model, scene, prediction, &filled[1], &format!("{what} {lowering:?}"), tally);
+        }
+    }
+}
+
+/// Holds a plane against the formulas at single places.
+fn judge_plane(
+    model: &Model,
+    scene: &Scene,
+    prediction: Option<Prediction>,
+    plane: &[f32],
+    what: &str,
+    tally: &mut Tally,
+) {
+    let Window { x, y, width, height, .. } = scene.window;
+    let said = |nudge: f64| -> Vec<f64> {
+        let values: Vec<f64> = scene.values.iter().map(|value| value * (1.0 + nudge)).collect();
+        let shift = if prediction.is_none() { scene.shift } else { [0.0; 2] };
+        let axes = model.coordinates().len();
+        let place = |x: usize, y: usize| [x as f64 + shift[0] - nudge, y as f64 + shift[1] + nudge][..axes].to_vec();
+        let places: Vec<Vec<f64>> = (y..y + height).flat_map(|y| (x..x + width).map(move |x| place(x, y))).collect();
+        let samples = model.samples(&places, &values, &scene.constants);
+        let shown = |(place, sample): (&Vec<f64>, isophote_symbolic::Sample)| match prediction {
+            None => model.predicted(place, &values, &scene.constants),
+            Some(Prediction::Intensity) if !sample.inside => f64::NAN,
+            Some(Prediction::Intensity | Prediction::Unbounded) => sample.intensity,
+            Some(Prediction::Variance) => sample.variance.unwrap_or(1.0),
+        };
+        places.iter().zip(samples).map(shown).collect()
+    };
+    let (here, moved) = (said(0.0), NUDGES.map(said));
+    for (i, (found, value)) in plane.iter().zip(&here).enumerate() {
+        let is_near = |others: &f64, by: f64| (f64::from(*found) - others).abs() <= by;
+        let spread = moved.iter().map(|moved| (moved[i] - value).abs()).fold(0.0, f64::max);
+        let is_sure = spread <= DECIDED * value.abs().max(DECIDED);
+        if found.is_nan() != value.is_nan() || !is_near(value, 1e-6 * value.abs() + 1e-30) && !value.is_nan() {
+            if is_sure && moved.iter().all(|moved| moved[i].is_nan() == value.is_nan()) && value.abs() < 1e30 {
+                tally.faults.push(format!("{what}: {found} instead of {value} at pixel {i}, by nudges {spread:e}"));
+                return;
+            }
+            tally.undecided += 1;
+            return;
+        }
+    }
+    let is_finite = here.iter().any(|value| value.is_finite());
+    if is_finite { tally.compared += 1 } else { tally.infinite += 1 }
+}
+
+/// Of wrong programs of the document of a seed that show in its own picture, how many the formulas tell, and how many there
+/// are.
+pub fn try_faults(seed: u64) -> [u64; 2] {
+    let mut random = Random(seed);
+    let document = Document::new(&mut random, Variety::Any);
+    let Ok(model) = Model::from_toml(&document.text()) else { return [0, 0] };
+    let scene = Scene::new(&mut random, &document, &model, false);
+    let mut counts = [0, 0];
+    for Summing { objective, lowering, program, .. } in summing(&model, &mut random, &mut Tally::default()) {
+        let Some((_, wrong)) = planted(&program, &mut random) else { continue };
+        let [right, wrong] = [&program, &wrong].map(|program| scene.interpreted(program, Precision::F64));
+        let is_plain = matches!(judged(&objective, lowering, &scene, &right), Verdict::Right(_));
+        let differs = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-6 * a.abs() || a.is_nan() != b.is_nan();
+        let shows = right.pixels != wrong.pixels || right.outputs.iter().zip(&wrong.outputs).any(differs);
+        if is_plain && shows {
+            counts[1] += 1;
+            counts[0] += u64::from(!matches!(judged(&objective, lowering, &scene, &wrong), Verdict::Right(_)));
+        }
+    }
+    counts
+}
