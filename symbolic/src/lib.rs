@@ -19,6 +19,8 @@ mod language;
 mod program;
 mod proof;
 
+pub use isophote_elementary::{Function1, Function2};
+
 pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
 pub use derive::objective::{Objective, Prediction};
@@ -33,7 +35,6 @@ pub use language::model::{
     Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Roles, Saturated, Stage, Start, Summand,
 };
 pub use program::check::{Malformed, ProgramParts, Reader, Rule};
-pub use program::function::{Function1, Function2};
 pub use program::*;
 pub use proof::claim::{Part, ValueKind};
 #[doc(hidden)]

@@ -1,14 +1,14 @@
 //! Elementary functions of the pixel level: vector code, or calls where that would be too much code.
 //!
-//! The algorithms are those of [`isophote_symbolic::elementary`], written once over a [`Machine`]; this machine emits an
+//! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine emits an
 //! instruction for each operation, 2 × f64 at a time. Lanes of f32 are widened in two halves and rounded once.
 
 use std::cell::RefCell;
 
 use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
 use cranelift_codegen::ir::{self, BlockArg, InstBuilder, types};
-use isophote_symbolic::elementary::{self, Accuracy, Counter, Machine, Plain};
-use isophote_symbolic::{Function1, Function2, Opcode, Precision};
+use isophote_elementary::{Accuracy, Counter, Function1, Function2, Machine, Plain, call1, call2};
+use isophote_symbolic::{Opcode, Precision};
 
 use super::emit::{Emitter, Form};
 use crate::abi::Functions;
@@ -23,8 +23,8 @@ pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
     let counter = Counter::new(plan.program.is_fused());
     let accuracy = accuracy(precision);
     let mut halves = plan.pixels.iter().map(|v| match plan.program.instruction(*v).op.code {
-        Opcode::Call1(f) => elementary::call1(&counter, f, accuracy, ()),
-        Opcode::Call2(f) => elementary::call2(&counter, f, accuracy, (), ()),
+        Opcode::Call1(f) => call1(&counter, f, accuracy, ()),
+        Opcode::Call2(f) => call2(&counter, f, accuracy, (), ()),
         _ => {}
     });
     // An instruction of the program is a few dozen operations at most, so that the sum stays small.
@@ -47,7 +47,7 @@ impl Emitter<'_, '_> {
             return self.call_lanes(self.number, offset, Form::Lanes1, &[x]);
         }
         let accuracy = accuracy(self.options.precision);
-        self.wide([x], |lanes, [x]| elementary::call1(lanes, function, accuracy, x))
+        self.wide([x], |lanes, [x]| call1(lanes, function, accuracy, x))
     }
 
     /// A function of each pair of lanes.
@@ -58,7 +58,7 @@ impl Emitter<'_, '_> {
             return self.call_lanes(self.number, offset, Form::Lanes2, &[a, b]);
         }
         let accuracy = accuracy(self.options.precision);
-        self.wide([a, b], |lanes, [a, b]| elementary::call2(lanes, function, accuracy, a, b))
+        self.wide([a, b], |lanes, [a, b]| call2(lanes, function, accuracy, a, b))
     }
 
     /// A called function takes its lanes, and leaves its result, in the record.

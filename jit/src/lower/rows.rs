@@ -5,7 +5,7 @@
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, MemFlagsData, types};
-use isophote_symbolic::elementary::MAGIC;
+use isophote_elementary::MAGIC;
 use isophote_symbolic::{Level, Op, Opcode, Precision, Value};
 
 use super::emit::{Emitter, Form, arg};

@@ -4,6 +4,8 @@ mod series;
 
 use std::rc::Rc;
 
+use isophote_elementary::{Function1, Function2};
+
 use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{
     Binding, Elaborator, Function, Local, Matrix, Poison, REMEMBERED, Shape, Worked, fault, shape_of,
@@ -12,7 +14,6 @@ use crate::language::graph::NodeId;
 use crate::language::limits::LIMITS;
 use crate::language::parser::Expr;
 use crate::program::Comparison;
-use crate::program::function::{Function1, Function2};
 
 /// Calls within calls.
 const CALLS_MAX: usize = LIMITS.depth / 4;

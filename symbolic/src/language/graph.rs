@@ -6,12 +6,12 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use isophote_elementary::{Function1, Function2};
 use rustc_hash::FxHashMap;
 
 use crate::language::budget::Budget;
 use crate::language::diagnostic::Span;
 use crate::language::limits::LIMITS;
-use crate::program::function::{Function1, Function2};
 use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, holds, id};
 
 id!(/// A node of the graph.

@@ -2,9 +2,9 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+use isophote_elementary::{Accuracy, Function1, Function2, Plain};
+
 use crate::program::Comparison;
-use crate::program::elementary::{Accuracy, Plain};
-use crate::program::function::{Function1, Function2};
 
 /// An arithmetic.
 pub(crate) trait Number:

@@ -14,8 +14,6 @@
 
 pub(crate) mod arithmetic;
 pub(crate) mod check;
-pub mod elementary;
-pub(crate) mod function;
 pub mod interpreter;
 pub(crate) mod op;
 #[cfg(test)]

@@ -5,8 +5,9 @@
 //! walks read the table; only how it becomes machine code stands elsewhere.
 //! It must never know: the order in which instructions run.
 
+use isophote_elementary::{Function1, Function2};
+
 use crate::program::arithmetic::{Cell, Number, holds};
-use crate::program::function::{Function1, Function2};
 use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, Level, TotalId, Value};
 
 /// A number of a program: the same where its bits are, so that −0 is not 0 and a NaN is itself.

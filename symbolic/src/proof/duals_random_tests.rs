@@ -2,9 +2,10 @@
 
 use std::fmt;
 
+use isophote_elementary::{Function1, Function2};
+
 use super::numbers::{Hyper, PARAMETERS, Scalar};
 use crate::program::Comparison;
-use crate::program::function::{Function1, Function2};
 use crate::program::holds;
 pub(crate) use crate::proof::points::Random;
 

@@ -10,10 +10,11 @@ mod numbers;
 #[path = "duals_random_tests.rs"]
 mod random;
 
+use isophote_elementary::Function1;
+
 use numbers::{Hyper, PARAMETERS, Scalar, pair};
 use random::{Condition, Place, Random, Scope, Tree};
 
-use crate::program::function::Function1;
 use crate::program::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
 use crate::proof::double_double::DoubleDouble;

@@ -5,9 +5,10 @@
 
 use std::sync::OnceLock;
 
+use isophote_elementary::Function1;
+
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Loss, Model};
-use crate::program::function::Function1;
 use crate::program::interpreter;
 use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
 use crate::proof::claim::{Claim, ValueKind};

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use super::machine::Machine;
-use crate::program::function::Function1;
+use crate::function::Function1;
 
 /// How many instructions a function is.
 #[derive(Clone, Debug, Default)]
