@@ -20,7 +20,7 @@ const INLINED_MAX: usize = 3000;
 
 /// Whether the functions of the pixel level become vector code.
 pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
-    let counter = Counter::new(plan.program.is_fused());
+    let counter = Counter::of(&Plain { fused: plan.program.is_fused() });
     let accuracy = accuracy(precision);
     let mut halves = plan.pixels.iter().map(|v| match plan.program.instruction(*v).op.code {
         Opcode::Call1(f) => call1(&counter, f, accuracy, ()),

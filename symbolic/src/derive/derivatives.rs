@@ -12,7 +12,7 @@ use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
-use crate::proof::claim::Part;
+use crate::proof::claim::{Claim, Part};
 
 /// Derivatives of one pixel's F, F itself left out.
 #[derive(Clone, Debug)]
@@ -57,7 +57,7 @@ fn entries(
 ) -> Vec<(String, NodeId)> {
     let newton = method == Method::Newton;
     let residual = residual(graph, model);
-    let variance = variance(graph, model, !newton);
+    let variance = variance(graph, model, Claim::Derivatives { newton, part });
     let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let variables: BTreeSet<NodeId> = parameters.iter().copied().collect();
     let name = |i: usize| &model.parameters[subset[i].index()].name;

@@ -196,7 +196,7 @@ impl Objective {
     pub(crate) fn value(model: &Model, kind: ValueKind) -> Result<Objective, Diagnostics> {
         let mut graph = model.formulas.graph.drawing_on(model.budget());
         let residual = residual(&mut graph, model);
-        let variance = variance(&mut graph, model, kind == ValueKind::Entry);
+        let variance = variance(&mut graph, model, Claim::Value(kind));
         let shape = model.formulas.shape();
         let chi = shape.value(&mut graph, residual, variance);
         let chi_square = whole_output(&mut graph, "chi2", chi);
@@ -286,8 +286,7 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     // A referee outlives the derivation: what it works out is bounded by its own limits.
     let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let residual = residual(&mut graph, model);
-    let is_held = !matches!(claim, Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full));
-    let variance = variance(&mut graph, model, is_held);
+    let variance = variance(&mut graph, model, claim);
     let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let domain = entry_domain(&mut graph, model);
     let shape = model.formulas.shape();
@@ -324,7 +323,7 @@ impl<'a> Setting<'a> {
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
         let newton = matches!(referee.claim(), Claim::Derivatives { newton: true, .. });
-        let variance = variance(&mut graph, model, !newton);
+        let variance = variance(&mut graph, model, referee.claim());
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model);
         Setting { referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
@@ -529,10 +528,13 @@ pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) ->
     Some(filling(&mut graph, &shown, value, lowering, "prediction"))
 }
 
-/// The pixel's variance; `held` reads it at the entry parameters.
-pub(crate) fn variance(graph: &mut Graph, model: &Model, held: bool) -> Option<NodeId> {
+/// The pixel's variance, at the entry parameters where a claim holds it there.
+pub(crate) fn variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
     let node = model.formulas.noise?;
-    let node = if held { at_entry(graph, node) } else { node };
+    let node = match claim {
+        Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full) => node,
+        Claim::Derivatives { .. } | Claim::Value(ValueKind::Entry) => at_entry(graph, node),
+    };
     graph.set_opaque(node);
     Some(node)
 }

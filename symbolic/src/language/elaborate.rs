@@ -276,8 +276,7 @@ impl<'a> Elaborator<'a> {
             Kind::Index(inner, indices) => self.index(inner, indices, at),
             Kind::Call(name, arguments) => self.call(name, arguments, at),
             Kind::Compare(relation, left, right) => self.compare(*relation, left, right, at),
-            Kind::And(parts) => self.logic(parts, at, Graph::and, true),
-            Kind::Or(parts) => self.logic(parts, at, Graph::or, false),
+            Kind::Joined(junction, parts) => self.joined(*junction, parts, at),
             Kind::Not(inner) => self.not(inner, at),
             Kind::Broken(parts) => {
                 for part in parts {

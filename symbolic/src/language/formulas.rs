@@ -257,7 +257,7 @@ fn names_used(expr: &Expr, names: &mut BTreeSet<String>) {
         Kind::Name(name) => {
             names.insert(name.clone());
         }
-        Kind::List(list) | Kind::And(list) | Kind::Or(list) | Kind::Broken(list) => visit(list),
+        Kind::List(list) | Kind::Joined(_, list) | Kind::Broken(list) => visit(list),
         Kind::Sum(parts) | Kind::Product(parts) => parts.iter().for_each(|(_, e)| names_used(e, names)),
         Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => names_used(a, names),
         Kind::Power(a, b) | Kind::Compare(_, a, b) => {

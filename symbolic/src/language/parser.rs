@@ -17,6 +17,13 @@ pub(crate) struct Expr {
     pub end: usize,
 }
 
+/// What joins truth values.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Junction {
+    And,
+    Or,
+}
+
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Relation {
     Lt,
@@ -43,8 +50,7 @@ pub(crate) enum Kind {
     Index(Box<Expr>, Vec<Expr>),
     Call(String, Vec<Expr>),
     Compare(Relation, Box<Expr>, Box<Expr>),
-    And(Vec<Expr>),
-    Or(Vec<Expr>),
+    Joined(Junction, Vec<Expr>),
     Not(Box<Expr>),
     /// What could not be read (its fault is told), and those parts of it that could.
     Broken(Vec<Expr>),
@@ -169,11 +175,11 @@ impl Parser {
     }
 
     fn disjunction(&mut self) -> Expr {
-        self.chain(("or", "||"), Parser::conjunction, Kind::Or)
+        self.chain(("or", "||"), Parser::conjunction, |parts| Kind::Joined(Junction::Or, parts))
     }
 
     fn conjunction(&mut self) -> Expr {
-        self.chain(("and", "&&"), Parser::negation, Kind::And)
+        self.chain(("and", "&&"), Parser::negation, |parts| Kind::Joined(Junction::And, parts))
     }
 
     fn negation(&mut self) -> Expr {
@@ -250,8 +256,10 @@ impl Parser {
             if inverse || self.is_at("*") {
                 self.at += 1;
             } else if self.starts_operand() {
-                self.tell_implicit(&mut parts, broken);
-                broken = true;
+                // The first such slip is told.
+                if !std::mem::replace(&mut broken, true) {
+                    self.tell_implicit(&mut parts);
+                }
             } else if self.tell_modulo() {
                 broken = true;
             } else {

@@ -29,20 +29,14 @@ const KNOWN: &[&str] = &[
 
 /// Functions that take a truth value, and why an enum would not say more.
 const TOLD: &[(&str, &str, &str)] = &[
-    ("symbolic/elementary/src/counter.rs", "new", "the field of that name"),
-    ("symbolic/src/language/elaborate/conditions.rs", "logic", "a truth value of the document's language, not a mode"),
     ("symbolic/src/program/peephole.rs", "improve", STILL),
-    ("symbolic/src/language/parser/recovery.rs", "tell_implicit", STILL),
     ("symbolic/src/proof/referee.rs", "sample", STILL),
-    ("symbolic/src/derive/objective.rs", "variance", STILL),
     ("symbolic/src/derive/search.rs", "fewest_flops", STILL),
     ("symbolic/src/derive/monomial.rs", "form", STILL),
     ("symbolic/src/derive/likelihood.rs", "jet", STILL),
     ("symbolic/src/derive/absorb.rs", "absorb", STILL),
     ("symbolic/src/derive/jet.rs", "jet", STILL),
     ("symbolic/src/derive/jet.rs", "totals", STILL),
-    ("symbolic/export/src/spelling.rs", "declare", STILL),
-    ("symbolic/export/src/vectors.rs", "operation", STILL),
 ];
 
 /// No reason: the list only ever becomes shorter.

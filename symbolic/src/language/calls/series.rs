@@ -246,7 +246,7 @@ fn mentions(expr: &Expr, name: &str) -> bool {
     match &expr.kind {
         Kind::Number(_) => false,
         Kind::Name(own) => own == name,
-        Kind::List(list) | Kind::And(list) | Kind::Or(list) | Kind::Broken(list) | Kind::Call(_, list) => any(list),
+        Kind::List(list) | Kind::Joined(_, list) | Kind::Broken(list) | Kind::Call(_, list) => any(list),
         Kind::Sum(parts) | Kind::Product(parts) => parts.iter().any(|(_, e)| mentions(e, name)),
         Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => mentions(a, name),
         Kind::Power(a, b) | Kind::Compare(_, a, b) => mentions(a, name) || mentions(b, name),

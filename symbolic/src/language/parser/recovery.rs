@@ -136,9 +136,9 @@ impl Parser {
     }
 
     /// An operand stands right behind another one.
-    pub(super) fn tell_implicit(&mut self, parts: &mut Vec<(bool, Expr)>, told: bool) {
+    pub(super) fn tell_implicit(&mut self, parts: &mut Vec<(bool, Expr)>) {
         let last = &parts[parts.len() - 1].1;
-        if matches!(last.kind, Kind::Broken(_)) || told {
+        if matches!(last.kind, Kind::Broken(_)) {
             return;
         }
         if matches!(self.peek(), Token::BadNumber(_)) {
