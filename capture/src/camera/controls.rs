@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use v4l::sys::*;
 
-use super::CameraError;
+use super::error::CameraError;
 use super::ioctl::{ControlEntry, Node};
 
 const INTEGER: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_INTEGER;

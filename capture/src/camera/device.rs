@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::CameraError;
 use super::controls::{self, ControlInfo};
+use super::error::CameraError;
 use super::formats::{self, FormatInfo};
 use super::ioctl::Node;
 

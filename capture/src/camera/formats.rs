@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::CameraError;
+use super::error::CameraError;
 use super::ioctl::{Choice, Interval, Node};
 use crate::pixels::{Colour, Encoding};
 

@@ -10,13 +10,14 @@ use isophote_frame::Frame;
 use rustix::fd::AsFd;
 
 use super::device::{self, Found, Identity};
+use super::error::CameraError;
 use super::formats::{self, Plan};
 use super::ioctl::{Format, Node};
 use super::knob::Knob;
 use super::sequence::Sequence;
 use super::stream::{Lost, Stream, Taken, wait};
 use super::watch::Watch;
-use super::{CameraError, CameraSpec, CameraState, CameraStatus, controls};
+use super::{CameraSpec, CameraState, CameraStatus, controls};
 use crate::exposure::Exposure;
 use crate::pixels::PixelsError;
 use crate::source::Captured;

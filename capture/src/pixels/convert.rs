@@ -3,8 +3,10 @@
 use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
 
+use super::colour::Colour;
+use super::error::PixelsError;
 use super::layout::Layout;
-use super::{Colour, PixelsError, jpeg, mosaic};
+use super::{jpeg, mosaic};
 
 /// `whole` has every byte of the picture and none behind it.
 pub(super) fn frame(

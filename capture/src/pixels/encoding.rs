@@ -3,8 +3,10 @@
 use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
 
+use super::colour::Colour;
+use super::error::PixelsError;
 use super::layout::Layout;
-use super::{Colour, PixelsError, convert, jpeg};
+use super::{convert, jpeg};
 use crate::limits::LIMITS;
 
 /// A pixel format of cameras that is read, with its V4L2 four-character code.
