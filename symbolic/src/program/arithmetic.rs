@@ -4,7 +4,18 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use isophote_elementary::{Accuracy, Function1, Function2, Plain};
 
-use crate::program::Comparison;
+/// Ordered comparisons: false when an operand is NaN, except `Ne`, which is true then.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Comparison {
+    /// <
+    Lt,
+    /// ≤
+    Le,
+    /// =
+    Eq,
+    /// ≠
+    Ne,
+}
 
 /// An arithmetic.
 pub(crate) trait Number:

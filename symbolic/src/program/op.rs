@@ -7,8 +7,23 @@
 
 use isophote_elementary::{Function1, Function2};
 
-use crate::program::arithmetic::{Cell, Number, holds};
-use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, Level, TotalId, Value};
+use crate::program::arithmetic::{Cell, Comparison, Number, holds};
+use crate::program::ids::{AccumulatorId, ChannelId, CoordinateId, InputId, TotalId, Value};
+
+/// Where in the loop nest an instruction stands. The order is the order of execution.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Level {
+    /// Once a call, f64.
+    Pass,
+    /// Once a row, f64.
+    Row,
+    /// Once a group of pixels, lanes.
+    Pixel,
+    /// Once a row that has pixels, f64.
+    RowEnd,
+    /// Once a call, f64.
+    PassEnd,
+}
 
 /// A number of a program: the same where its bits are, so that −0 is not 0 and a NaN is itself.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
