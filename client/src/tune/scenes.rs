@@ -7,7 +7,7 @@ use isophote_capture::{FrameSource, Synthetic, SyntheticError, SyntheticSpec};
 use isophote_symbolic::Model;
 use isophote_tracker::{Camera, Frame, TrackState, TrackerOptions};
 
-use super::TuneArgs;
+use super::arguments::TuneArgs;
 use crate::failure::Failure;
 use crate::offline::{self, Run};
 
