@@ -10,7 +10,7 @@ use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Precision, Prediction, Roles};
 use nalgebra::DMatrix;
 
-use super::ExposureGoal;
+use super::goal::ExposureGoal;
 use crate::scaled;
 use crate::sight::view::Layout;
 use crate::solve::loops::{Loops, Totals};

@@ -6,8 +6,9 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::solve::alternatives::{self, MISFIT, Preparation, Preparing, Starts};
+use crate::solve::alternatives::{self, MISFIT, Starts};
 use crate::solve::fit::Fit;
+use crate::solve::prepare::{Preparation, Preparing};
 use crate::solve::stage_kernels::CompileFailure;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.

@@ -8,7 +8,6 @@
 //! Only models that say how noisy a pixel is (`noise`) have alternatives: without it nothing says what is too much.
 
 mod blind;
-mod prepare;
 mod residuals;
 mod shelf;
 #[cfg(test)]
@@ -20,7 +19,6 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{Blind, Known, Painted};
-pub use self::prepare::{Preparation, Preparing};
 use self::residuals::{Over, Predictions};
 pub(crate) use self::shelf::Shelf;
 use crate::estimate::{StageReport, Substitute};
@@ -129,7 +127,7 @@ impl Alternatives {
     }
 
     /// The kernels of each.
-    fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
+    pub fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
         let grounds = self.grounds.iter().flat_map(|ground| [&ground.plain, &ground.robust]);
         self.own.iter().chain(grounds).map(|variation| &*variation.compiled)
     }
