@@ -10,7 +10,7 @@ use cranelift_codegen::ir::{self, BlockArg, InstBuilder, types};
 use isophote_elementary::{Accuracy, Counter, Function1, Function2, Machine, Plain, call1, call2};
 use isophote_symbolic::{Opcode, Precision};
 
-use super::emit::{Emitter, Form};
+use super::emit::{CallForm, Emitter};
 use crate::abi::Functions;
 use crate::plan::Plan;
 
@@ -44,7 +44,7 @@ impl Emitter<'_, '_> {
         let machine = Plain { fused: self.plan.program.is_fused() };
         if !self.inlined {
             let offset = Functions::lanes1(self.options.precision, machine, function);
-            return self.call_lanes(self.number, offset, Form::Lanes1, &[x]);
+            return self.call_lanes(self.number, offset, CallForm::Lanes1, &[x]);
         }
         let accuracy = accuracy(self.options.precision);
         self.wide([x], |lanes, [x]| call1(lanes, function, accuracy, x))
@@ -55,14 +55,14 @@ impl Emitter<'_, '_> {
         let machine = Plain { fused: self.plan.program.is_fused() };
         if !self.inlined {
             let offset = Functions::lanes2(self.options.precision, machine, function);
-            return self.call_lanes(self.number, offset, Form::Lanes2, &[a, b]);
+            return self.call_lanes(self.number, offset, CallForm::Lanes2, &[a, b]);
         }
         let accuracy = accuracy(self.options.precision);
         self.wide([a, b], |lanes, [a, b]| call2(lanes, function, accuracy, a, b))
     }
 
     /// A called function takes its lanes, and leaves its result, in the record.
-    fn call_lanes(&mut self, kind: ir::Type, offset: i32, form: Form, operands: &[ir::Value]) -> ir::Value {
+    fn call_lanes(&mut self, kind: ir::Type, offset: i32, form: CallForm, operands: &[ir::Value]) -> ir::Value {
         let slots = self.plan.operands;
         operands.iter().zip(slots).for_each(|(value, slot)| self.store(*value, slot));
         let addresses: Vec<ir::Value> = slots[..operands.len()].iter().map(|slot| self.address(*slot)).collect();
@@ -200,7 +200,7 @@ impl Machine for Lanes<'_, '_, '_> {
         emit.b.ins().brif(any, rare, &[], after, &[BlockArg::from(usual)]);
         emit.b.switch_to_block(rare);
         let offset = Functions::lanes1(Precision::F64, Plain { fused: false }, function);
-        let called = emit.call_lanes(types::F64X2, offset, Form::Lanes1, &[x]);
+        let called = emit.call_lanes(types::F64X2, offset, CallForm::Lanes1, &[x]);
         let truth = emit.cast(types::F64X2, truth);
         let picked = emit.b.ins().bitselect(truth, called, usual);
         emit.b.ins().jump(after, &[BlockArg::from(picked)]);
