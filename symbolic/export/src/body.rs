@@ -9,8 +9,8 @@ use isophote_symbolic::{CoordinateId, Level, Op, Opcode, Precision, Program, Sin
 
 use crate::header::comment;
 use crate::names::Words;
-use crate::options::{Language, Source};
-use crate::spelling::{Held, Spelling};
+use crate::options::{ExportSubject, Language};
+use crate::spelling::{Dialect, Held};
 
 /// Statements of each level, a line each.
 #[derive(Default)]
@@ -28,7 +28,7 @@ pub(super) struct Body {
 
 /// Writes statements.
 pub(super) struct Statements<'a> {
-    pub source: &'a Source<'a>,
+    pub source: &'a ExportSubject<'a>,
     pub words: Words,
     pub live: Vec<bool>,
     pub held: Vec<Held>,
@@ -37,7 +37,7 @@ pub(super) struct Statements<'a> {
 }
 
 impl<'a> Statements<'a> {
-    pub fn new(source: &'a Source<'a>) -> Statements<'a> {
+    pub fn new(source: &'a ExportSubject<'a>) -> Statements<'a> {
         let program = source.program;
         let held = |i: u32| if program.is_truth(Value(i)) { Held::Truth } else { Held::Number };
         let held = (0..program.instructions().len() as u32).map(held).collect();
@@ -51,9 +51,9 @@ impl<'a> Statements<'a> {
     }
 
     /// The spelling at a level.
-    pub fn spelling(&self, level: Level) -> Spelling {
+    pub fn spelling(&self, level: Level) -> Dialect {
         let real = if level == Level::Pixel { self.source.options.precision } else { Precision::F64 };
-        Spelling { language: self.source.options.language, real }
+        Dialect { language: self.source.options.language, real }
     }
 
     fn level(&self, value: Value) -> Level {

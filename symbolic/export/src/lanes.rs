@@ -5,13 +5,13 @@ use isophote_symbolic::{Level, Op, Opcode, Sink, Value};
 
 use crate::body::{Body, Statements};
 use crate::lines::File;
-use crate::options::{ExportError, Source};
+use crate::options::{ExportError, ExportSubject};
 use crate::rust;
 use crate::spelling::Held;
 use crate::vectors::Vectors;
 
 /// The whole file.
-pub(super) fn file(source: &Source<'_>) -> Result<String, ExportError> {
+pub(super) fn file(source: &ExportSubject<'_>) -> Result<String, ExportError> {
     let Sink::Sums { accumulators, .. } = source.program.sink() else {
         return Err(ExportError::NotInLanes("renderings"));
     };
@@ -66,7 +66,7 @@ pub(super) fn file(source: &Source<'_>) -> Result<String, ExportError> {
 }
 
 struct Lanes<'a> {
-    source: &'a Source<'a>,
+    source: &'a ExportSubject<'a>,
     statements: &'a Statements<'a>,
     vectors: Vectors,
 }

@@ -13,12 +13,12 @@ pub(super) enum Held {
 
 /// A spelling: a language, and the arithmetic of the place.
 #[derive(Clone, Copy)]
-pub(super) struct Spelling {
+pub(super) struct Dialect {
     pub language: Language,
     pub real: Precision,
 }
 
-impl Spelling {
+impl Dialect {
     /// The type of a number.
     pub fn number(self) -> &'static str {
         match (self.language, self.real) {
@@ -172,7 +172,7 @@ mod tests {
                 (Language::Rust, Precision::F32),
                 (Language::Rust, Precision::F64),
             ] {
-                let text = Spelling { language, real }.operation(op, &operand);
+                let text = Dialect { language, real }.operation(op, &operand);
                 let is_whole = op.operands().all(|v| text.contains(&operand(v))) && !text.contains('$');
                 assert!(is_whole || has_no_word, "{code:?} in {language:?}: `{text}`");
             }

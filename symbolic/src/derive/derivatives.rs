@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use crate::derive::expressions::Expressions;
 use crate::derive::jet::{jet, pair};
-use crate::derive::objective::{Origin, residual, variance};
+use crate::derive::objective::{WholeModel, residual, variance};
 use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
@@ -41,7 +41,7 @@ impl Model {
         let mut graph = self.formulas.graph.drawing_on(self.budget());
         let entries = entries(&mut graph, self, subset, method, part);
         match graph.overflowed() {
-            true => Err(Origin::of(self).growth(subset.len())),
+            true => Err(WholeModel::of(self).growth(subset.len())),
             false => Ok(Derivatives { graph, entries }),
         }
     }

@@ -59,7 +59,7 @@ pub struct Objective {
     checked: Option<Program>,
     /// What its programs are held against.
     referee: Arc<Referee>,
-    origin: Origin,
+    origin: WholeModel,
     forms: Vec<(String, NodeId)>,
 }
 
@@ -213,7 +213,7 @@ impl Objective {
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
-        let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| Origin::of(model).costly())?;
+        let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
         let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), points));
         let objective = Objective {
             referee,
@@ -225,7 +225,7 @@ impl Objective {
             domain,
             proof: None,
             checked: None,
-            origin: Origin::of(model),
+            origin: WholeModel::of(model),
             forms: Vec::new(),
         };
         objective.paid(2 * work)
@@ -251,7 +251,7 @@ impl Objective {
         };
         let found = safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
-            Refusal::Wrong => Origin::of(model).bug(),
+            Refusal::Wrong => WholeModel::of(model).bug(),
         });
         found.and_then(|objective| objective.paid(lowering))
     }
@@ -295,10 +295,10 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
 
 /// Who judges derivatives, when the document's budget has room for it.
 fn referee(model: &Model, subset: &[ParameterId], method: Method, claim: Claim) -> Result<Arc<Referee>, Diagnostics> {
-    let points = budget::points(model, subset, method).ok_or_else(|| Origin::of(model).costly())?;
+    let points = budget::points(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
     let referee = Referee::new(subject(model, subset, claim), points);
     if referee.is_too_large() {
-        return Err(Origin::of(model).growth(subset.len()));
+        return Err(WholeModel::of(model).growth(subset.len()));
     }
     Ok(Arc::new(referee))
 }
@@ -344,7 +344,7 @@ impl<'a> Setting<'a> {
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
             _ => search::fewest_flops(graph, &target, form == Form::Factored),
         };
-        let origin = Origin::of(model);
+        let origin = WholeModel::of(model);
         let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
         Ok(Objective {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
@@ -388,15 +388,15 @@ fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Resu
 
 /// Where the model's intensity stands, for faults that concern the model as a whole.
 #[derive(Clone, Debug)]
-pub(crate) struct Origin {
+pub(crate) struct WholeModel {
     text: std::sync::Arc<str>,
     span: Span,
 }
 
-impl Origin {
-    pub fn of(model: &Model) -> Origin {
+impl WholeModel {
+    pub fn of(model: &Model) -> WholeModel {
         let span = model.formulas.graph.span(model.formulas.intensity).unwrap_or_default();
-        Origin { text: model.text.clone(), span }
+        WholeModel { text: model.text.clone(), span }
     }
 
     fn fault(&self, code: &'static str, message: String) -> Diagnostics {
@@ -483,7 +483,7 @@ fn filling(
     lowering: Lowering,
     name: &str,
 ) -> Result<Program, Diagnostics> {
-    let origin = Origin::of(shown.model);
+    let origin = WholeModel::of(shown.model);
     for lowering in [lowering, Lowering { fma: false, ..lowering }] {
         let draft = schedule::plane(graph, value, lowering, shown.model.names(vec![name.into()]));
         if let Some(program) = plane::proved(shown, origin.checked(graph, draft)?) {
