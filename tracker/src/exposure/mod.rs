@@ -13,4 +13,4 @@ mod trial;
 pub(crate) use advice::{Advisor, outlook};
 pub use controller::{ControllerOptions, ExposureController};
 pub use goal::{ExposureAdvice, ExposureGoal};
-pub(crate) use trial::{Kernels, Light};
+pub(crate) use trial::{Kernels, RenderedLight};
