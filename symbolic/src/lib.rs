@@ -23,7 +23,8 @@ pub use isophote_elementary::{Function1, Function2};
 
 pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
-pub use derive::objective::{Objective, Prediction};
+pub use derive::objective::Objective;
+pub use derive::planes::Prediction;
 pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;

@@ -15,15 +15,14 @@ use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{Output, Sums};
+use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
-use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
+use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::limits::LIMITS;
 use crate::language::model::{Lowering, Method, Model, Saturated};
-use crate::program::{ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
+use crate::program::{ChannelId, Comparison, Cost, Input, ParameterId, Program};
 use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::draft::Draft;
-use crate::proof::plane::{self, Shown};
 use crate::proof::referee::{Referee, Subject};
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
 
@@ -32,17 +31,6 @@ const LOWERED: usize = 8;
 
 /// Predicted to be within so many standard deviations of the limit is near it.
 const NEAR_LIMIT: f64 = 3.0;
-
-/// What a plane of predictions holds.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Prediction {
-    /// The intensity, as it is fitted; NaN outside of the domain.
-    Intensity,
-    /// The intensity everywhere.
-    Unbounded,
-    /// A pixel's variance.
-    Variance,
-}
 
 /// What is to be summed; see the module's text.
 #[derive(Clone, Debug)]
@@ -384,148 +372,6 @@ fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Resu
     let fits = |objective: &Objective| error(objective).is_none_or(|error| error <= bound);
     let found = factored.ok().filter(fits).or_else(|| candidate(Form::Plain).ok().filter(fits));
     Ok(found.unwrap_or(unfactored))
-}
-
-/// Where the model's intensity stands, for faults that concern the model as a whole.
-#[derive(Clone, Debug)]
-pub(crate) struct WholeModel {
-    text: std::sync::Arc<str>,
-    span: Span,
-}
-
-impl WholeModel {
-    pub fn of(model: &Model) -> WholeModel {
-        let span = model.formulas.graph.span(model.formulas.intensity).unwrap_or_default();
-        WholeModel { text: model.text.clone(), span }
-    }
-
-    fn fault(&self, code: &'static str, message: String) -> Diagnostics {
-        let help = "free fewer parameters per stage, or give shared parts a definition";
-        vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
-    }
-
-    fn bug(&self) -> Diagnostics {
-        let message =
-            "no program that was derived for this model passes its check: a fault of isophote, not of the document";
-        let help = "please report the document; spelling the formula in another way may help";
-        vec![Diagnostic::error(&self.text, "bug", "model.intensity", self.span, message).help(help)]
-    }
-
-    pub fn growth(&self, parameters: usize) -> Diagnostics {
-        let most = LIMITS.nodes;
-        let message = format!("the derivatives for {parameters} parameters grow past {most} distinct operations");
-        self.fault("limit", message)
-    }
-
-    /// Past the budget, or too large.
-    fn outgrown(&self, graph: &Graph, parameters: usize) -> Diagnostics {
-        if graph.budget().is_spent() { self.spent(graph.budget()) } else { self.growth(parameters) }
-    }
-
-    /// The document's budget is spent.
-    fn spent(&self, budget: &Budget) -> Diagnostics {
-        let message = match budget.is_spent() {
-            true => format!("deriving what the stages need takes more than {} units of work", LIMITS.work),
-            false => format!("the programs of all stages hold more than {} operations", LIMITS.kept),
-        };
-        let help = "free fewer parameters per stage, merge stages, or give shared parts a definition";
-        vec![Diagnostic::error(&self.text, "limit", "model.intensity", self.span, message).help(help)]
-    }
-
-    /// The check of the document's programs would take too long.
-    fn costly(&self) -> Diagnostics {
-        let most = LIMITS.proof;
-        self.fault("limit", format!("checking the derivatives of all stages would take more than {most} operations"))
-    }
-
-    pub fn checked(&self, graph: &Graph, program: Draft) -> Result<Draft, Diagnostics> {
-        let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
-            pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
-            _ => (program.instructions().len(), LIMITS.nodes),
-        };
-        if graph.budget().is_spent() {
-            return Err(self.spent(graph.budget()));
-        }
-        if graph.overflowed() {
-            return Err(self.fault("limit", format!("the loop grows past {} distinct operations", LIMITS.nodes)));
-        }
-        if count > most {
-            return Err(
-                self.fault("limit", format!("the loop takes {count} instructions; at most {most} are compiled"))
-            );
-        }
-        Ok(program)
-    }
-}
-
-/// The program that adds the intensity, at shifted coordinates, to a plane.
-pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Diagnostics> {
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let mut shifted = |graph: &mut Graph, node: &Node| match node {
-        Node::Coordinate(c) => {
-            let shift = graph.input(Input::Shift(*c));
-            let coordinate = graph.coordinate(*c);
-            Some(graph.add2(coordinate, shift))
-        }
-        _ => None,
-    };
-    let intensity = graph.substitute(model.formulas.shown, &mut shifted);
-    let read = &model.formulas.graph;
-    let shown = Shown { model, graph: read, value: model.formulas.shown, domain: None, is_shifted: true };
-    filling(&mut graph, &shown, intensity, lowering, "intensity")
-}
-
-/// The program that fills a plane with `value`, which must be what is to be shown.
-fn filling(
-    graph: &mut Graph,
-    shown: &Shown<'_>,
-    value: NodeId,
-    lowering: Lowering,
-    name: &str,
-) -> Result<Program, Diagnostics> {
-    let origin = WholeModel::of(shown.model);
-    for lowering in [lowering, Lowering { fma: false, ..lowering }] {
-        let draft = schedule::plane(graph, value, lowering, shown.model.names(vec![name.into()]));
-        if let Some(program) = plane::proved(shown, origin.checked(graph, draft)?) {
-            return Ok(program);
-        }
-    }
-    Err(origin.bug())
-}
-
-/// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
-/// NaN outside; or its variance, where that reads no channel.
-pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let value = match what {
-        Prediction::Intensity => {
-            let intensity = model.formulas.intensity;
-            match model.formulas.domain {
-                Some(domain) => {
-                    let outside = graph.number(f64::NAN);
-                    graph.select(domain, intensity, outside)
-                }
-                None => intensity,
-            }
-        }
-        Prediction::Unbounded => model.formulas.intensity,
-        Prediction::Variance => match model.formulas.noise {
-            Some(noise) => noise,
-            None => graph.number(1.0),
-        },
-    };
-    if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
-        return None;
-    }
-    // As it was read: what is predicted, and where.
-    let mut read = Graph::clone(&model.formulas.graph);
-    let (formula, domain) = match what {
-        Prediction::Intensity => (model.formulas.intensity, model.formulas.domain),
-        Prediction::Unbounded => (model.formulas.intensity, None),
-        Prediction::Variance => (model.formulas.noise.unwrap_or_else(|| read.number(1.0)), None),
-    };
-    let shown = Shown { model, graph: &read, value: formula, domain, is_shifted: false };
-    Some(filling(&mut graph, &shown, value, lowering, "prediction"))
 }
 
 /// The pixel's variance, at the entry parameters where a claim holds it there.
