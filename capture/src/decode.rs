@@ -8,7 +8,7 @@ use isophote_frame::{Buffer, Frame, Plane};
 
 use crate::files::image;
 pub use crate::picture::DecodeError;
-use crate::picture::Picture;
+use crate::picture::StoredPicture;
 
 /// Whether bytes begin as a PNG file does.
 pub fn is_png(bytes: &[u8]) -> bool {
@@ -30,7 +30,7 @@ pub fn is_jpeg(bytes: &[u8]) -> bool {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn decode(bytes: &[u8]) -> Result<Frame, DecodeError> {
-    let Picture { size, format, stored, used, bytes } = image::picture(bytes)?;
+    let StoredPicture { size, format, stored, used, bytes } = image::picture(bytes)?;
     let buffer = Buffer::Owned(bytes.into());
     let planes = (0..used).map(|channel| Plane::interleaved(format, &buffer, size[0], stored, channel)).collect();
     Frame::new(&size, planes).map_err(|error| DecodeError::Damaged(error.to_string()))

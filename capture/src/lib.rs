@@ -52,6 +52,6 @@ pub use moving::Moving;
 pub use pixels::{Colour, Encoding, PixelsError};
 pub use recording::Recording;
 pub use source::{Captured, FrameSource, SourceError};
-pub use spec::{Pace, SyntheticError, SyntheticSpec};
+pub use spec::{SyntheticError, SyntheticSpec};
 pub use synthetic::Synthetic;
 pub use wake::Wake;

@@ -2,7 +2,7 @@
 
 /// Bounds, checked before memory is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub struct FrameLimits {
     /// Pixels of one frame.
     pub frame_pixels: u64,
     /// Pixels of a frame's side.
@@ -30,7 +30,7 @@ pub struct Limits {
 }
 
 /// The bounds in force.
-pub const LIMITS: Limits = Limits {
+pub const LIMITS: FrameLimits = FrameLimits {
     frame_pixels: 64 << 20,
     side_px: 32_768,
     file_bytes: 256 << 20,

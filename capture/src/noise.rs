@@ -41,7 +41,7 @@ pub(crate) struct ReadOut {
     sensor: Sensor,
     /// …and at a gain of 1.
     ungained: Sensor,
-    random: Random,
+    random: FrameRandom,
     /// The last mean, how many pixels it has stood for, and its distribution.
     mean_dn: f32,
     run: u32,
@@ -56,7 +56,7 @@ pub(crate) struct ReadOut {
 impl ReadOut {
     /// For frames from number 0 on.
     pub fn new(sensor: Sensor) -> ReadOut {
-        let (random, poisson) = (Random::of_frame(0, 0), Poisson::new(0.0));
+        let (random, poisson) = (FrameRandom::of_frame(0, 0), Poisson::new(0.0));
         let (ungained, mean_dn) = (sensor, f32::NAN);
         ReadOut { sensor, ungained, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
     }
@@ -64,7 +64,7 @@ impl ReadOut {
     /// Starts a frame: its random numbers are its own. With a gain of g, m electrons read g times as many DN: the means
     /// that follow are g times the light.
     pub fn begin(&mut self, seed: u64, frame: u64, gain: f64) {
-        self.random = Random::of_frame(seed, frame);
+        self.random = FrameRandom::of_frame(seed, frame);
         let sensor = self.ungained.at(gain);
         if sensor != self.sensor {
             // Tables are of the gain that they were made at.
@@ -132,12 +132,12 @@ impl Sensor {
 }
 
 /// The random numbers of one frame.
-pub(crate) struct Random(Pcg64Mcg);
+pub(crate) struct FrameRandom(Pcg64Mcg);
 
-impl Random {
+impl FrameRandom {
     /// A stream of its own for every (seed, frame): a frame does not depend on the frames before it.
-    pub fn of_frame(seed: u64, frame: u64) -> Random {
-        Random(Pcg64Mcg::seed_from_u64(scrambled(scrambled(seed) ^ frame)))
+    pub fn of_frame(seed: u64, frame: u64) -> FrameRandom {
+        FrameRandom(Pcg64Mcg::seed_from_u64(scrambled(scrambled(seed) ^ frame)))
     }
 
     /// Uniform in [0, 1), 53 bits.
@@ -179,7 +179,7 @@ impl Poisson {
         }
     }
 
-    fn sample(&self, random: &mut Random) -> f64 {
+    fn sample(&self, random: &mut FrameRandom) -> f64 {
         match *self {
             Poisson::Zero => 0.0,
             Poisson::Inversion { zero_probability, mean } => inverted(zero_probability, mean, random.uniform()),
@@ -251,7 +251,7 @@ mod tests {
     fn poisson_numbers_follow_the_distribution() {
         const N: usize = 400_000;
         for (seed, mean) in [0.05, 0.7, 3.0, 9.99, 10.0, 12.5, 40.0, 391.0, 5000.0].into_iter().enumerate() {
-            let mut random = Random::of_frame(seed as u64, 0);
+            let mut random = FrameRandom::of_frame(seed as u64, 0);
             let poisson = Poisson::new(mean);
             let mut counts = std::collections::BTreeMap::<u64, u64>::new();
             for _ in 0..N {
@@ -380,7 +380,7 @@ mod tests {
 
     #[test]
     fn frames_have_streams_of_their_own() {
-        let draw = |seed, frame| Random::of_frame(seed, frame).uniform();
+        let draw = |seed, frame| FrameRandom::of_frame(seed, frame).uniform();
         assert_eq!(draw(1, 5), draw(1, 5));
         assert_ne!(draw(1, 5), draw(1, 6));
         assert_ne!(draw(1, 5), draw(2, 5));

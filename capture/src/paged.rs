@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use crate::clock::Stamp;
 use crate::files::{Content, Format, PageFault, Pages, extensions_with_topics};
 use crate::limits::LIMITS;
-use crate::picture::{DecodeError, Picture};
+use crate::picture::{DecodeError, StoredPicture};
 use crate::source::SourceError;
 
 /// What a path names: a file or folder, and of a file with several topics the one behind a `#`.
@@ -148,7 +148,7 @@ impl std::fmt::Debug for OpenFile {
 
 impl OpenFile {
     /// The pixels of a page, from 0.
-    pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<Picture, SourceError> {
+    pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<StoredPicture, SourceError> {
         let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, pages)| pages);
         let known = known.or_else(|| file.kept().take());
         let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.about(&file.path))?;

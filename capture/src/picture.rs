@@ -1,4 +1,4 @@
-//! `Picture`: decoded pixels, before they are a frame; and why there are none.
+//! `StoredPicture`: decoded pixels, before they are a frame; and why there are none.
 
 use std::path::Path;
 
@@ -38,7 +38,7 @@ impl DecodeError {
 }
 
 /// Pixels side by side, row by row.
-pub(crate) struct Picture {
+pub(crate) struct StoredPicture {
     /// Width and height.
     pub size: [usize; 2],
     pub format: PixelFormat,
@@ -49,7 +49,7 @@ pub(crate) struct Picture {
     pub bytes: Vec<u8>,
 }
 
-impl Picture {
+impl StoredPicture {
     /// What pictures of one stack have in common.
     pub fn kind(&self) -> ([usize; 2], PixelFormat, usize, usize) {
         (self.size, self.format, self.stored, self.used)

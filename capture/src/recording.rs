@@ -13,7 +13,7 @@ use crate::files::format_of;
 use crate::limits::LIMITS;
 use crate::paged::{Address, OpenFile, Paged};
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::stack::{Node, entries, picture_size, pictures_of, read};
+use crate::stack::{StackNode, entries, picture_size, pictures_of, read};
 use crate::truth::{self, Truth};
 
 /// Files that are frames, in natural name order, decoded one at a time.
@@ -26,7 +26,7 @@ use crate::truth::{self, Truth};
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
-    frames: Vec<Node>,
+    frames: Vec<StackNode>,
     next: usize,
     sequence: u64,
     channels: Option<Vec<String>>,
@@ -55,8 +55,8 @@ impl Recording {
             format_of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(Node::of_entry))?, true),
-            0..=2 => (pictures([Node::of_file(address)])?, false),
+            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(StackNode::of_entry))?, true),
+            0..=2 => (pictures([StackNode::of_file(address)])?, false),
             _ => stacks(address, dimensions)?,
         };
         // The truth stands beside the frames.
@@ -106,7 +106,7 @@ impl Recording {
     /// The columns that the first file's header names; `None` when it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
         match &self.frames[0] {
-            Node::Table(path) => Ok(Some(Table::parse(path, &read(path)?)?.names)),
+            StackNode::Table(path) => Ok(Some(Table::parse(path, &read(path)?)?.names)),
             _ => Ok(None),
         }
     }
@@ -117,9 +117,9 @@ impl Recording {
         self.clock.rewind();
     }
 
-    fn load(&mut self, node: &Node) -> Result<Frame, SourceError> {
+    fn load(&mut self, node: &StackNode) -> Result<Frame, SourceError> {
         let path = node.path();
-        if let Node::Table(path) = node {
+        if let StackNode::Table(path) = node {
             let table = Table::parse(path, &read(path)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
@@ -154,7 +154,7 @@ impl FrameSource for Recording {
 
     fn size(&self) -> Option<Vec<usize>> {
         let node = &self.frames[0];
-        if let Node::Table(path) = node {
+        if let StackNode::Table(path) = node {
             return Some(vec![Table::parse(path, &read(path).ok()?).ok()?.columns[0].len()]);
         }
         Some([&picture_size(node.first())?[..], &node.outer().ok()?].concat())
@@ -178,14 +178,14 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
 }
 
 /// Every picture, every page and every table is a frame.
-fn pictures(files: impl IntoIterator<Item = Result<Node, SourceError>>) -> Result<Vec<Node>, SourceError> {
+fn pictures(files: impl IntoIterator<Item = Result<StackNode, SourceError>>) -> Result<Vec<StackNode>, SourceError> {
     let mut frames = Vec::new();
     for file in files {
         match file? {
-            Node::Pages(file, range) => add(&mut frames, &file, range)?,
-            Node::Folder(_, volumes) => {
+            StackNode::Pages(file, range) => add(&mut frames, &file, range)?,
+            StackNode::Folder(_, volumes) => {
                 for volume in volumes {
-                    if let Node::Pages(file, range) = volume {
+                    if let StackNode::Pages(file, range) = volume {
                         add(&mut frames, &file, range)?;
                     }
                 }
@@ -196,18 +196,18 @@ fn pictures(files: impl IntoIterator<Item = Result<Node, SourceError>>) -> Resul
     Ok(frames)
 }
 
-fn add(frames: &mut Vec<Node>, file: &Arc<Paged>, pages: Range<usize>) -> Result<(), SourceError> {
+fn add(frames: &mut Vec<StackNode>, file: &Arc<Paged>, pages: Range<usize>) -> Result<(), SourceError> {
     if frames.len() + pages.len() > LIMITS.files {
         return Err(SourceError::too_many(&file.path));
     }
-    frames.extend(pages.map(|page| Node::Page(file.clone(), page)));
+    frames.extend(pages.map(|page| StackNode::Page(file.clone(), page)));
     Ok(())
 }
 
 /// One frame, or all that a folder holds; whether it is the latter.
-fn stacks(address: Address, dimensions: usize) -> Result<(Vec<Node>, bool), SourceError> {
+fn stacks(address: Address, dimensions: usize) -> Result<(Vec<StackNode>, bool), SourceError> {
     let path = address.path.clone();
-    let node = Node::of_path(address, dimensions - 1)?;
+    let node = StackNode::of_path(address, dimensions - 1)?;
     let wanted = match dimensions {
         3 => "a TIFF of several pages, a folder of pictures, or a folder of such stacks",
         _ => "a folder of TIFFs of several pages, a folder of folders of pictures, or a folder of such folders",
@@ -217,12 +217,14 @@ fn stacks(address: Address, dimensions: usize) -> Result<(Vec<Node>, bool), Sour
         Err(SourceError::Dimensions { path: path.clone(), reason })
     };
     let (frames, is_folder) = match node {
-        Node::Folder(_, nodes) if nodes.first().is_some_and(|node| node.dimensions() == dimensions) => (nodes, true),
+        StackNode::Folder(_, nodes) if nodes.first().is_some_and(|node| node.dimensions() == dimensions) => {
+            (nodes, true)
+        }
         node if node.dimensions() == dimensions => (vec![node], false),
         node => return wrong(node.what()),
     };
     // With one slice nothing says where a target is along z.
-    if let Some(flat) = frames.iter().find(|node| matches!(node, Node::Folder(_, nodes) if nodes.len() < 2)) {
+    if let Some(flat) = frames.iter().find(|node| matches!(node, StackNode::Folder(_, nodes) if nodes.len() < 2)) {
         return wrong(flat.what());
     }
     Ok((frames, is_folder))

@@ -63,7 +63,7 @@ impl Scene {
     /// The expected values of `band.width` × `band.height` pixels of one slice, in DN, into `means`.
     pub fn render(
         &self,
-        numbers: &Numbers,
+        numbers: &RenderedNumbers,
         band: Window,
         scratch: &mut Scratch,
         means: &mut [f32],
@@ -94,7 +94,7 @@ impl Scene {
     /// Replaces columns `from..to` of the band by the mean over all samples.
     fn sample(
         &self,
-        numbers: &Numbers,
+        numbers: &RenderedNumbers,
         band: Window,
         from: usize,
         to: usize,
@@ -126,7 +126,7 @@ impl Scene {
     }
 
     /// Puts in the place of sums that are not a number those of the samples that are, as if they were all.
-    fn fill_undefined(&self, numbers: &Numbers, window: Window, sums: &mut [f32]) -> Result<(), String> {
+    fn fill_undefined(&self, numbers: &RenderedNumbers, window: Window, sums: &mut [f32]) -> Result<(), String> {
         let n = self.samples;
         let shift = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
         let mut plane = vec![0.0; sums.len()];
@@ -146,12 +146,18 @@ impl Scene {
         Ok(())
     }
 
-    fn pass(&self, numbers: &Numbers, window: Window, shift: [f64; 2], plane: &mut [f32]) -> Result<(), String> {
+    fn pass(
+        &self,
+        numbers: &RenderedNumbers,
+        window: Window,
+        shift: [f64; 2],
+        plane: &mut [f32],
+    ) -> Result<(), String> {
         plane.fill(0.0);
         self.add(numbers, window, shift, plane)
     }
 
-    fn add(&self, numbers: &Numbers, window: Window, shift: [f64; 2], plane: &mut [f32]) -> Result<(), String> {
+    fn add(&self, numbers: &RenderedNumbers, window: Window, shift: [f64; 2], plane: &mut [f32]) -> Result<(), String> {
         let saturation = &vec![f64::INFINITY; self.kernel.program().channels()];
         let shift = [shift[0] + numbers.origin[0], shift[1] + numbers.origin[1]];
         let bindings = Bindings {
@@ -166,7 +172,7 @@ impl Scene {
 }
 
 /// What a frame is rendered from.
-pub(crate) struct Numbers<'a> {
+pub(crate) struct RenderedNumbers<'a> {
     /// In document order.
     pub parameters: &'a [f64],
     /// In document order.

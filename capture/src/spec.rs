@@ -4,22 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_symbolic::{Diagnostics, Estimator, Model, Start};
-use serde::{Deserialize, Serialize};
 
 use crate::light::Light;
 use crate::limits::LIMITS;
 use crate::moving::{Moving, MovingFault};
-
-/// When the next frame is due. The source itself never waits; its owner obeys.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Pace {
-    /// At `rate_hz`, like a camera: a fit that is too slow misses frames.
-    #[default]
-    Realtime,
-    /// When the last frame has been fitted: no frame is ever lost.
-    Fit,
-}
 
 /// What to render and how to see it. `SyntheticSpec::new(model)` has the contract's defaults.
 #[derive(Clone, Debug)]
@@ -40,8 +28,6 @@ pub struct SyntheticSpec {
     pub length: usize,
     /// Frames a second: t of frame n is n / rate.
     pub rate_hz: f64,
-    /// For the owner of the source.
-    pub pace: Pace,
     /// Of a pixel, 1 to 16; over 8 gives u16 planes.
     pub bits: u32,
     /// Sub-pixel samples per pixel side.
@@ -82,7 +68,6 @@ impl SyntheticSpec {
             depth,
             length,
             rate_hz: 60.0,
-            pace: Pace::Realtime,
             bits: 8,
             samples: 8,
             full_well_e: 0.0,

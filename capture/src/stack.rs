@@ -1,4 +1,4 @@
-//! `Node`: where the pixels of one frame are. A path in, a tree of pictures out, and its pixels when they are asked for.
+//! `StackNode`: where the pixels of one frame are. A path in, a tree of pictures out, and its pixels when they are asked for.
 //!
 //! A picture has two dimensions, a file of several pages three, and a folder one more than what it holds. So a document of
 //! three coordinates takes a file of several pages, or a folder of pictures, as one frame; one of four takes a folder of
@@ -15,12 +15,12 @@ use crate::files::{Beside, Content, format_of};
 use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
-use crate::picture::{DecodeError, Picture};
+use crate::picture::{DecodeError, StoredPicture};
 use crate::source::SourceError;
 
 /// Pictures, and how they lie on each other.
 #[derive(Clone, Debug)]
-pub(crate) enum Node {
+pub(crate) enum StackNode {
     /// A file of one picture.
     Image(PathBuf),
     /// A file of columns.
@@ -30,53 +30,53 @@ pub(crate) enum Node {
     /// Some pages of a file behind each other: all of them, or those of one volume.
     Pages(Arc<Paged>, Range<usize>),
     /// What a folder holds, all of one kind; or the volumes of a file.
-    Folder(PathBuf, Vec<Node>),
+    Folder(PathBuf, Vec<StackNode>),
 }
 
-impl Node {
+impl StackNode {
     /// A file; one of pages by their number.
-    pub fn of_file(address: Address) -> Result<Node, SourceError> {
+    pub fn of_file(address: Address) -> Result<StackNode, SourceError> {
         let path = &address.path;
         let format = format_of(path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         let file = match format.content {
-            Content::Picture { .. } => return Ok(Node::Image(address.path)),
-            Content::Table => return Ok(Node::Table(address.path)),
+            Content::Picture { .. } => return Ok(StackNode::Image(address.path)),
+            Content::Table => return Ok(StackNode::Table(address.path)),
             Content::Pages { .. } => Arc::new(Paged::of(address, format)?),
         };
         let all = 0..file.pages;
         Ok(match file.volume {
-            _ if file.pages == 1 => Node::Page(file, 0),
-            None => Node::Pages(file, all),
+            _ if file.pages == 1 => StackNode::Page(file, 0),
+            None => StackNode::Pages(file, all),
             Some(volume) => {
                 let begins = all.step_by(volume);
-                let volumes = begins.map(|begin| Node::Pages(file.clone(), begin..begin + volume)).collect();
-                Node::Folder(file.path.clone(), volumes)
+                let volumes = begins.map(|begin| StackNode::Pages(file.clone(), begin..begin + volume)).collect();
+                StackNode::Folder(file.path.clone(), volumes)
             }
         })
     }
 
     /// One of the files of a folder.
-    pub fn of_entry(path: PathBuf) -> Result<Node, SourceError> {
-        let node = Node::of_file(path.into())?;
-        if let Node::Page(file, _) | Node::Pages(file, _) = node.first() {
+    pub fn of_entry(path: PathBuf) -> Result<StackNode, SourceError> {
+        let node = StackNode::of_file(path.into())?;
+        if let StackNode::Page(file, _) | StackNode::Pages(file, _) = node.first() {
             file.close();
         }
         Ok(node)
     }
 
     /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
-    pub fn of_path(address: Address, levels: usize) -> Result<Node, SourceError> {
+    pub fn of_path(address: Address, levels: usize) -> Result<StackNode, SourceError> {
         if !address.path.is_dir() {
-            return Node::of_file(address);
+            return StackNode::of_file(address);
         }
         let path = &address.path;
         let entries = entries(path)?;
         let files = pictures_of(entries.iter().filter(|path| path.is_file()).cloned().collect());
         let nodes = match files.is_empty() {
-            false => files.into_iter().map(Node::of_entry).collect::<Result<Vec<_>, _>>()?,
+            false => files.into_iter().map(StackNode::of_entry).collect::<Result<Vec<_>, _>>()?,
             true => {
                 let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
-                let nodes = folders.map(|path| Node::of_path(path.clone().into(), levels - 1));
+                let nodes = folders.map(|path| StackNode::of_path(path.clone().into(), levels - 1));
                 nodes.filter(|node| !matches!(node, Err(SourceError::Empty { .. }))).collect::<Result<_, _>>()?
             }
         };
@@ -85,30 +85,30 @@ impl Node {
             let reason = format!("{} where {} is {}", odd.what(), first.name(), first.what());
             return Err(odd_one(odd.path(), &reason));
         }
-        Ok(Node::Folder(path.into(), nodes))
+        Ok(StackNode::Folder(path.into(), nodes))
     }
 
     /// How many dimensions its pixels have.
     pub fn dimensions(&self) -> usize {
         match self {
-            Node::Table(_) => 1,
-            Node::Image(_) | Node::Page(..) => 2,
-            Node::Pages(..) => 3,
-            Node::Folder(_, nodes) => 1 + nodes.first().map_or(0, Node::dimensions),
+            StackNode::Table(_) => 1,
+            StackNode::Image(_) | StackNode::Page(..) => 2,
+            StackNode::Pages(..) => 3,
+            StackNode::Folder(_, nodes) => 1 + nodes.first().map_or(0, StackNode::dimensions),
         }
     }
 
     /// For people.
     pub fn what(&self) -> String {
         match self {
-            Node::Table(_) => "a table".into(),
-            Node::Image(_) | Node::Page(..) => "one picture".into(),
-            Node::Pages(file, _) => file.what(),
-            Node::Folder(path, nodes) => match (nodes.len(), nodes.first()) {
-                (_, Some(Node::Pages(file, _))) if file.path == *path => file.what(),
+            StackNode::Table(_) => "a table".into(),
+            StackNode::Image(_) | StackNode::Page(..) => "one picture".into(),
+            StackNode::Pages(file, _) => file.what(),
+            StackNode::Folder(path, nodes) => match (nodes.len(), nodes.first()) {
+                (_, Some(StackNode::Pages(file, _))) if file.path == *path => file.what(),
                 (1, Some(first)) => format!("a folder of {}", first.what()),
-                (n, Some(Node::Pages(..))) => format!("a folder of {n} stacks"),
-                (n, Some(Node::Folder(..))) => format!("a folder of {n} folders"),
+                (n, Some(StackNode::Pages(..))) => format!("a folder of {n} stacks"),
+                (n, Some(StackNode::Folder(..))) => format!("a folder of {n} folders"),
                 (n, _) => format!("a folder of {n} pictures"),
             },
         }
@@ -116,24 +116,24 @@ impl Node {
 
     pub fn path(&self) -> &Path {
         match self {
-            Node::Image(path) | Node::Table(path) | Node::Folder(path, _) => path,
-            Node::Page(file, _) | Node::Pages(file, _) => &file.path,
+            StackNode::Image(path) | StackNode::Table(path) | StackNode::Folder(path, _) => path,
+            StackNode::Page(file, _) | StackNode::Pages(file, _) => &file.path,
         }
     }
 
     /// The name of file or folder; of a page with its number behind it.
     pub fn name(&self) -> String {
         match self {
-            Node::Page(file, page) => file.name_of(*page),
-            Node::Pages(file, range) if range.len() < file.pages => file.name_of(range.start / range.len().max(1)),
+            StackNode::Page(file, page) => file.name_of(*page),
+            StackNode::Pages(file, range) if range.len() < file.pages => file.name_of(range.start / range.len().max(1)),
             _ => self.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
         }
     }
 
     /// The first picture.
-    pub fn first(&self) -> &Node {
+    pub fn first(&self) -> &StackNode {
         match self {
-            Node::Folder(_, nodes) => nodes.first().map_or(self, Node::first),
+            StackNode::Folder(_, nodes) => nodes.first().map_or(self, StackNode::first),
             _ => self,
         }
     }
@@ -141,10 +141,10 @@ impl Node {
     /// Pixels beyond x and y: nothing for a picture, slices, or slices and volumes.
     pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
         match self {
-            Node::Image(_) | Node::Table(_) | Node::Page(..) => Ok(Vec::new()),
-            Node::Pages(_, range) => Ok(vec![range.len()]),
-            Node::Folder(_, nodes) => {
-                let mut size = nodes.first().map_or(Ok(Vec::new()), Node::outer)?;
+            StackNode::Image(_) | StackNode::Table(_) | StackNode::Page(..) => Ok(Vec::new()),
+            StackNode::Pages(_, range) => Ok(vec![range.len()]),
+            StackNode::Folder(_, nodes) => {
+                let mut size = nodes.first().map_or(Ok(Vec::new()), StackNode::outer)?;
                 for node in nodes {
                     let other = node.outer()?;
                     if other != size {
@@ -161,10 +161,10 @@ impl Node {
     /// When its first picture was taken, where the file tells; `reader` has just read it.
     pub fn stamp(&self, reader: &OpenFile) -> Option<Stamp> {
         match self {
-            Node::Image(_) | Node::Table(_) => None,
-            Node::Page(file, page) => reader.stamp(file, *page),
-            Node::Pages(file, range) => reader.stamp(file, range.start),
-            Node::Folder(_, nodes) => nodes.first()?.stamp(reader),
+            StackNode::Image(_) | StackNode::Table(_) => None,
+            StackNode::Page(file, page) => reader.stamp(file, *page),
+            StackNode::Pages(file, range) => reader.stamp(file, range.start),
+            StackNode::Folder(_, nodes) => nodes.first()?.stamp(reader),
         }
     }
 
@@ -173,7 +173,7 @@ impl Node {
         let outer = self.outer()?;
         let mut stack = Stack { slices: outer.iter().product(), outer, picture: None, name: String::new() };
         stack.add(self, reader)?;
-        let Some(Picture { size, format, stored, used, bytes }) = stack.picture else {
+        let Some(StoredPicture { size, format, stored, used, bytes }) = stack.picture else {
             return Err(SourceError::Empty { path: self.path().into() });
         };
         let buffer = Buffer::Owned(bytes.into());
@@ -188,30 +188,30 @@ struct Stack {
     outer: Vec<usize>,
     slices: usize,
     /// All so far, one below the other.
-    picture: Option<Picture>,
+    picture: Option<StoredPicture>,
     /// Of the first.
     name: String,
 }
 
 impl Stack {
-    fn add(&mut self, node: &Node, reader: &mut OpenFile) -> Result<(), SourceError> {
+    fn add(&mut self, node: &StackNode, reader: &mut OpenFile) -> Result<(), SourceError> {
         match node {
-            Node::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, reader)),
-            Node::Pages(file, range) => {
-                range.clone().try_for_each(|page| self.add(&Node::Page(file.clone(), page), reader))
+            StackNode::Folder(_, nodes) => nodes.iter().try_for_each(|node| self.add(node, reader)),
+            StackNode::Pages(file, range) => {
+                range.clone().try_for_each(|page| self.add(&StackNode::Page(file.clone(), page), reader))
             }
-            Node::Image(path) => {
+            StackNode::Image(path) => {
                 let Some(Content::Picture { picture, .. }) = format_of(path).map(|format| &format.content) else {
                     return Err(DecodeError::UnknownKind.about(path));
                 };
                 self.push(node, picture(&read(path)?).map_err(|error| error.about(path))?)
             }
-            Node::Table(path) => Err(DecodeError::UnknownKind.about(path)),
-            Node::Page(file, number) => self.push(node, reader.picture(file, *number)?),
+            StackNode::Table(path) => Err(DecodeError::UnknownKind.about(path)),
+            StackNode::Page(file, number) => self.push(node, reader.picture(file, *number)?),
         }
     }
 
-    fn push(&mut self, node: &Node, picture: Picture) -> Result<(), SourceError> {
+    fn push(&mut self, node: &StackNode, picture: StoredPicture) -> Result<(), SourceError> {
         let Some(first) = &mut self.picture else {
             let pixels = (picture.size[0] * picture.size[1]) as u64 * self.slices as u64;
             if pixels > LIMITS.frame_pixels {
@@ -239,15 +239,15 @@ impl Stack {
 }
 
 /// The size of a file's first picture.
-pub(crate) fn picture_size(node: &Node) -> Option<[usize; 2]> {
+pub(crate) fn picture_size(node: &StackNode) -> Option<[usize; 2]> {
     match node {
-        Node::Image(path) => match format_of(path)?.content {
+        StackNode::Image(path) => match format_of(path)?.content {
             Content::Picture { size, .. } => size(&read(path).ok()?).ok(),
             Content::Pages { .. } | Content::Table => None,
         },
-        Node::Page(file, page) => file.size(*page),
-        Node::Pages(file, range) => file.size(range.start),
-        Node::Table(_) | Node::Folder(..) => None,
+        StackNode::Page(file, page) => file.size(*page),
+        StackNode::Pages(file, range) => file.size(range.start),
+        StackNode::Table(_) | StackNode::Folder(..) => None,
     }
 }
 

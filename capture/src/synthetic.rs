@@ -13,7 +13,7 @@ use crate::movement::{Movement, MovementFault};
 use crate::moving::Law;
 use crate::noise::{ReadOut, Sensor};
 use crate::planes::of_channels;
-use crate::sampling::{BAND_ROWS, Numbers, Scene, SceneFault, Scratch};
+use crate::sampling::{BAND_ROWS, RenderedNumbers, Scene, SceneFault, Scratch};
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::spec::{SyntheticError, SyntheticSpec, check, first_message, numbers, unknown, wrong_light};
 
@@ -148,7 +148,7 @@ impl Synthetic {
     fn pixels(&mut self, channel: usize, frame: u64, seen: &Seen) -> Result<Plane, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
-        let numbers = Numbers { parameters: &parameters, constants: &self.constants, origin: [0.0; 2] };
+        let numbers = RenderedNumbers { parameters: &parameters, constants: &self.constants, origin: [0.0; 2] };
         let [width, height, depth, length] = self.sides();
         let (scene, read_out) = (&self.scenes[channel], &mut self.read_outs[channel]);
         // Every channel has noise of its own; the first that of the seed.
@@ -212,13 +212,13 @@ impl Seen {
 /// The light of one slice out of focus; its surroundings are rendered as well, since they shine into it.
 fn blurred(
     scene: &Scene,
-    numbers: &Numbers,
+    numbers: &RenderedNumbers,
     slice: Window,
     blur: &Blur,
     scratch: &mut Scratch,
 ) -> Result<Vec<f32>, String> {
     let [across, along] = blur.reach();
-    let numbers = Numbers { origin: [-(across as f64), -(along as f64)], ..*numbers };
+    let numbers = RenderedNumbers { origin: [-(across as f64), -(along as f64)], ..*numbers };
     let padded = Window { width: slice.width + 2 * across, height: slice.height + 2 * along, ..slice };
     let mut light = vec![0.0; padded.width * padded.height];
     for (band, light) in light.chunks_mut(padded.width * BAND_ROWS).enumerate() {

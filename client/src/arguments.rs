@@ -9,11 +9,11 @@ use isophote_symbolic::Precision;
 
 /// `k=v,…`: numbers by name.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Numbers(pub BTreeMap<String, f64>);
+pub struct NumberArgs(pub BTreeMap<String, f64>);
 
 /// `k=FORMULA,…`: formulas by name; a comma inside brackets belongs to its formula.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Formulas(pub BTreeMap<String, String>);
+pub struct FormulaArgs(pub BTreeMap<String, String>);
 
 /// `k=v,…`: numbers, `true` and `false`, or words, by name.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,16 +45,16 @@ impl From<PrecisionArgument> for Precision {
     }
 }
 
-impl Numbers {
+impl NumberArgs {
     /// All options of one kind as one map; a name may stand once.
-    pub fn merged(options: &[Numbers]) -> Result<BTreeMap<String, f64>, String> {
+    pub fn merged(options: &[NumberArgs]) -> Result<BTreeMap<String, f64>, String> {
         merged(options.iter().map(|option| &option.0))
     }
 }
 
-impl Formulas {
+impl FormulaArgs {
     /// All options of one kind as one map; a name may stand once.
-    pub fn merged(options: &[Formulas]) -> Result<BTreeMap<String, String>, String> {
+    pub fn merged(options: &[FormulaArgs]) -> Result<BTreeMap<String, String>, String> {
         merged(options.iter().map(|option| &option.0))
     }
 }
@@ -78,9 +78,9 @@ fn merged<'a, T: Clone + 'a>(
     Ok(all)
 }
 
-impl FromStr for Numbers {
+impl FromStr for NumberArgs {
     type Err = String;
-    fn from_str(text: &str) -> Result<Numbers, String> {
+    fn from_str(text: &str) -> Result<NumberArgs, String> {
         let mut numbers = BTreeMap::new();
         for (name, value) in pairs(text)? {
             let number: f64 = value.parse().map_err(|_| format!("`{value}` (of `{name}`) is not a number"))?;
@@ -91,20 +91,20 @@ impl FromStr for Numbers {
                 return Err(format!("`{name}` is given twice"));
             }
         }
-        Ok(Numbers(numbers))
+        Ok(NumberArgs(numbers))
     }
 }
 
-impl FromStr for Formulas {
+impl FromStr for FormulaArgs {
     type Err = String;
-    fn from_str(text: &str) -> Result<Formulas, String> {
+    fn from_str(text: &str) -> Result<FormulaArgs, String> {
         let mut formulas = BTreeMap::new();
         for (name, formula) in pairs(text)? {
             if formulas.insert(name.to_string(), formula.to_string()).is_some() {
                 return Err(format!("`{name}` is given twice"));
             }
         }
-        Ok(Formulas(formulas))
+        Ok(FormulaArgs(formulas))
     }
 }
 
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn formulas_keep_their_commas() {
         let text = "bx=320 + max(1, 2)*t , by = if(t <= 1, [1, 2][0], atan2(1, t)),v1=3";
-        let Formulas(formulas) = text.parse().unwrap();
+        let FormulaArgs(formulas) = text.parse().unwrap();
         let expected = [("bx", "320 + max(1, 2)*t"), ("by", "if(t <= 1, [1, 2][0], atan2(1, t))"), ("v1", "3")];
         assert_eq!(formulas.len(), 3);
         for (name, formula) in expected {
@@ -206,9 +206,9 @@ mod tests {
 
     #[test]
     fn numbers_and_rectangles_are_read() {
-        let Numbers(numbers) = "a1=2.5e-3, bx = -7".parse().unwrap();
+        let NumberArgs(numbers) = "a1=2.5e-3, bx = -7".parse().unwrap();
         assert_eq!(numbers, BTreeMap::from([("a1".into(), 2.5e-3), ("bx".into(), -7.0)]));
-        assert_eq!("".parse(), Ok(Numbers::default()));
+        assert_eq!("".parse(), Ok(NumberArgs::default()));
         let window = Window { x: 1, y: 2, width: 30, height: 40, slices: Slices::ALL };
         assert_eq!("1,2, 30,40".parse(), Ok(WindowArgument(window)));
         let slices = Slices { first: [3, 0], count: [5, usize::MAX] };
@@ -230,13 +230,13 @@ mod tests {
 
     #[test]
     fn faults_say_what_would_be_right() {
-        let numbers = |text: &str| text.parse::<Numbers>().unwrap_err();
+        let numbers = |text: &str| text.parse::<NumberArgs>().unwrap_err();
         assert_eq!(numbers("bx"), "`bx` is not name=value");
         assert_eq!(numbers("bx=1,,by=2"), "`` is not name=value");
         assert_eq!(numbers("bx=one"), "`one` (of `bx`) is not a number");
         assert_eq!(numbers("bx=inf"), "`bx` is inf; it must be a finite number");
         assert_eq!(numbers("bx=1,bx=2"), "`bx` is given twice");
-        let twice = Numbers::merged(&["bx=1".parse().unwrap(), "bx=2".parse().unwrap()]);
+        let twice = NumberArgs::merged(&["bx=1".parse().unwrap(), "bx=2".parse().unwrap()]);
         assert_eq!(twice.unwrap_err(), "`bx` is given twice");
         for text in ["1,2,3", "1,2,3,4,5", "1,2,-3,4", "a,b,c,d"] {
             assert!(text.parse::<WindowArgument>().unwrap_err().contains("four whole numbers of pixels"));

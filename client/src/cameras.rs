@@ -8,12 +8,12 @@ use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 
 use crate::arguments::Values;
 use crate::failure::Failure;
-use crate::http::{Refusal, Service, ServiceArgs, segment};
+use crate::http::{Refusal, RemoteService, ServiceArgs, segment};
 use crate::output;
 
 /// List the cameras with their formats and controls
 #[derive(Clone, Debug, clap::Args)]
-pub struct ListArgs {
+pub struct ListCamerasArgs {
     #[command(flatten)]
     service: ServiceArgs,
 }
@@ -31,8 +31,8 @@ pub struct SetArgs {
 }
 
 /// Lists all.
-pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let cameras = match Service::new(&args.service)?.try_get::<Items<CameraInfo>>("/v1/cameras") {
+pub fn list(args: &ListCamerasArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let cameras = match RemoteService::new(&args.service)?.try_get::<Items<CameraInfo>>("/v1/cameras") {
         Ok(cameras) => cameras,
         Err(refusal) => own(&args.service, refusal, || Ok(Items { items: camera::cameras() }))?,
     };
@@ -109,7 +109,7 @@ fn print(camera: &CameraInfo, out: &mut dyn Write) -> Result<(), Failure> {
 pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let values: ControlValues = Values::merged(&args.controls).map_err(Failure::Usage)?;
     let path = format!("/v1/cameras/{}/controls", segment(&args.device));
-    let answer: ControlsAnswer = match Service::new(&args.service)?.try_put(&path, &values) {
+    let answer: ControlsAnswer = match RemoteService::new(&args.service)?.try_put(&path, &values) {
         Ok(answer) => answer,
         Err(refusal) => own(&args.service, refusal, || {
             let controls = camera::set_controls(&args.device, &values);

@@ -13,7 +13,7 @@ use isophote_tracker::{Camera, Estimate, TrackState, TrackerOptions};
 use serde::Serialize;
 
 use crate::failure::Failure;
-use crate::offline::{self, Run};
+use crate::offline::{self, OfflineRun};
 use crate::scatter::{Dot, Scatter};
 use crate::{model_files, output};
 
@@ -79,7 +79,7 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
 /// Follows the target through all frames.
 fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
     let options = TrackerOptions { camera: camera.clone(), ..TrackerOptions::default() };
-    let mut run = Run::open(document, model, &args.frames, None, options)?;
+    let mut run = OfflineRun::open(document, model, &args.frames, None, options)?;
     let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     while let Some(Captured { frame, truth, .. }) = run.recording.next().map_err(Failure::other)? {

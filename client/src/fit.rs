@@ -11,7 +11,7 @@ use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Estimate, ExposureGoal, Pose, TrackState, TrackerOptions, contours};
 use isophote_wire as wire;
 
-use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
+use crate::arguments::{NumberArgs, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
 use crate::output::with_deviation;
 use crate::{model_files, offline, output, overlay};
@@ -30,10 +30,10 @@ pub struct FitArgs {
     pub frames: PathBuf,
     /// Starting values of the first frame, instead of the document's
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
-    pub start: Vec<Numbers>,
+    pub start: Vec<NumberArgs>,
     /// Constants of the model
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
-    pub constant: Vec<Numbers>,
+    pub constant: Vec<NumberArgs>,
     /// Look at these pixels only, in all slices; x,y,z,w,h,d names slices as well
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
@@ -61,7 +61,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     check_overlay(args, &model)?;
     let precision = args.precision.map(Precision::from);
-    let mut run = offline::Run::open(&args.model, &model, &args.frames, precision, options(args)?)?;
+    let mut run = offline::OfflineRun::open(&args.model, &model, &args.frames, precision, options(args)?)?;
     let mut tracker = run.tracker()?;
     let frames = run.recording.path();
     let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, frames)).transpose()?;
@@ -72,7 +72,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
         let start = std::time::Instant::now();
         let estimate = tracker.track(&captured.frame);
         let fit_us = start.elapsed().as_micros() as u64;
-        let mut line = wire::Estimate::new(&model, &model_id, captured.frame.sequence, &estimate);
+        let mut line = wire::EstimateView::new(&model, &model_id, captured.frame.sequence, &estimate);
         line.file = captured.file.clone();
         line.time_s = captured.frame.time_s;
         line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
@@ -93,8 +93,8 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
 fn options(args: &FitArgs) -> Result<TrackerOptions, Failure> {
     Ok(TrackerOptions {
         window: args.window.map(|window| window.0),
-        start: Numbers::merged(&args.start).map_err(Failure::Usage)?,
-        constants: Numbers::merged(&args.constant).map_err(Failure::Usage)?,
+        start: NumberArgs::merged(&args.start).map_err(Failure::Usage)?,
+        constants: NumberArgs::merged(&args.constant).map_err(Failure::Usage)?,
         camera: offline::camera(args.camera.as_deref())?,
         target: args.target.as_deref().map(offline::target).transpose()?,
         exposure: Some(ExposureGoal::Centre),
@@ -142,7 +142,7 @@ fn in_document_order(model: &Model, truth: &BTreeMap<String, f64>) -> wire::Name
 }
 
 /// A frame's line for people: number, file, state, parameters with standard deviations, χ², saturated share.
-fn columns(model: &Model, line: &wire::Estimate, estimate: &Estimate) -> String {
+fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> String {
     let state = serde_json::to_value(line.state).ok().and_then(|v| v.as_str().map(str::to_string)).unwrap_or_default();
     let mut text = format!("{:>6}  {:<24}  {state:<9}", line.frame, line.file.as_deref().unwrap_or("-"));
     if line.state == TrackState::Tracking {

@@ -40,20 +40,20 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 const ANSWER_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
 /// A service that may be running.
-pub struct Service {
+pub struct RemoteService {
     agent: ureq::Agent,
     url: String,
 }
 
-impl Service {
+impl RemoteService {
     /// Nothing is sent yet.
-    pub fn new(args: &ServiceArgs) -> Result<Service, Failure> {
+    pub fn new(args: &ServiceArgs) -> Result<RemoteService, Failure> {
         let url = args.server.trim_end_matches('/').to_string();
         if !url.starts_with("http://") {
             return Err(Failure::Usage(format!("`{url}` is not an address like http://127.0.0.1:7240")));
         }
         let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(TIMEOUT));
-        Ok(Service { agent: config.build().into(), url })
+        Ok(RemoteService { agent: config.build().into(), url })
     }
 
     /// `GET`

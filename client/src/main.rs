@@ -32,7 +32,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use failure::Failure;
-use output::Output;
+use output::StandardOutput;
 
 /// Write down what your target looks like as a formula; get a native-speed tracker, live, in milliseconds
 #[derive(Parser)]
@@ -53,7 +53,7 @@ enum Command {
     #[command(subcommand)]
     Session(SessionCommand),
     Watch(watch::WatchArgs),
-    Cameras(cameras::ListArgs),
+    Cameras(cameras::ListCamerasArgs),
     /// A camera of the service's machine
     #[command(subcommand)]
     Camera(CameraCommand),
@@ -82,26 +82,26 @@ enum ModelCommand {
     Explain(model_files::ExplainArgs),
     Export(export::ExportArgs),
     Push(models::PushArgs),
-    List(models::ListArgs),
-    Show(models::NameArgs),
+    List(models::ListModelsArgs),
+    Show(models::ModelNameArgs),
     /// Remove a model from the service
-    Remove(models::NameArgs),
+    Remove(models::ModelNameArgs),
 }
 
 #[derive(Subcommand)]
 enum SessionCommand {
     Start(sessions::StartArgs),
-    List(sessions::ListArgs),
+    List(sessions::ListSessionsArgs),
     /// Show a session with its document and its last estimate
-    Show(sessions::NameArgs),
+    Show(sessions::SessionNameArgs),
     Swap(sessions::SwapArgs),
     /// Stop and remove a session
-    Stop(sessions::NameArgs),
+    Stop(sessions::SessionNameArgs),
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse(); // bad usage ends here, with 2
-    let mut out = Output::new();
+    let mut out = StandardOutput::new();
     let done = run(&arguments.command, &mut out).and_then(|()| out.flush().map_err(Failure::output));
     match done {
         Ok(()) => ExitCode::SUCCESS,

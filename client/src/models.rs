@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use isophote_wire::{Items, ModelAnswer, ModelItem};
 
 use crate::failure::Failure;
-use crate::http::{self, Refusal, Service, ServiceArgs, segment};
+use crate::http::{self, Refusal, RemoteService, ServiceArgs, segment};
 use crate::output;
 
 /// Send a model document to the service
@@ -27,7 +27,7 @@ pub struct PushArgs {
 
 /// Name a model of the service
 #[derive(Clone, Debug, clap::Args)]
-pub struct NameArgs {
+pub struct ModelNameArgs {
     /// The model's name
     pub name: String,
     #[command(flatten)]
@@ -36,7 +36,7 @@ pub struct NameArgs {
 
 /// List the models of the service
 #[derive(Clone, Debug, clap::Args)]
-pub struct ListArgs {
+pub struct ListModelsArgs {
     #[command(flatten)]
     service: ServiceArgs,
 }
@@ -54,7 +54,7 @@ pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let media = if is_json { "application/json" } else { "application/toml" };
     let tag = args.if_match.as_ref().map(|tag| format!("\"{}\"", tag.trim_matches('"')));
     let path = format!("/v1/models/{}", segment(&name));
-    let answer = Service::new(&args.service)?.put_text(&path, media, &text, tag.as_deref());
+    let answer = RemoteService::new(&args.service)?.put_text(&path, media, &text, tag.as_deref());
     let answer = answer.map_err(|refusal| match refusal {
         Refusal::Problem(problem) if !problem.diagnostics.is_empty() => Failure::model(&file, &problem.diagnostics),
         other => other.into(),
@@ -68,8 +68,8 @@ pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Lists all.
-pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let models: Items<ModelItem> = Service::new(&args.service)?.get("/v1/models")?;
+pub fn list(args: &ListModelsArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let models: Items<ModelItem> = RemoteService::new(&args.service)?.get("/v1/models")?;
     if args.service.json {
         return output::json(out, &models);
     }
@@ -88,15 +88,15 @@ pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Prints a document: as it was sent, or with `--json` in its canonical form with version and digest.
-pub fn show(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+pub fn show(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let path = format!("/v1/models/{}", segment(&args.name));
     let accept = if args.service.json { "application/json" } else { "application/toml, application/json;q=0.5" };
-    let text = Service::new(&args.service)?.get_text(&path, accept)?;
+    let text = RemoteService::new(&args.service)?.get_text(&path, accept)?;
     writeln!(out, "{}", text.trim_end()).map_err(Failure::output)
 }
 
 /// Removes one.
-pub fn remove(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    Service::new(&args.service)?.delete(&format!("/v1/models/{}", segment(&args.name)))?;
+pub fn remove(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    RemoteService::new(&args.service)?.delete(&format!("/v1/models/{}", segment(&args.name)))?;
     if args.service.json { output::json(out, &serde_json::json!({"removed": args.name})) } else { Ok(()) }
 }

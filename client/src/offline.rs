@@ -1,6 +1,6 @@
 //! An offline run: a recording, the arithmetic that suits it, and a model compiled for it, as `fit`, `tune` and `compare` need.
 //!
-//! In: paths and options of a command. Out: a [`Run`], and the documents about camera and target. It never knows what is done
+//! In: paths and options of a command. Out: an [`OfflineRun`], and the documents about camera and target. It never knows what is done
 //! with the frames.
 
 use std::path::Path;
@@ -15,16 +15,16 @@ use isophote_wire::explain;
 use crate::failure::Failure;
 
 /// A recording and what looks at it.
-pub struct Run {
+pub struct OfflineRun {
     /// At its first frame.
     pub recording: Recording,
     /// With the precision of the kernels.
     pub options: TrackerOptions,
-    /// The document at the path that [`Run::open`] was given.
+    /// The document at the path that [`OfflineRun::open`] was given.
     pub compiled: Arc<Compiled>,
 }
 
-impl Run {
+impl OfflineRun {
     /// Opens the frames and compiles the model for them; without a `precision` in f32, for CSV files in f64.
     pub fn open(
         document: &Path,
@@ -32,12 +32,12 @@ impl Run {
         frames: &Path,
         precision: Option<Precision>,
         options: TrackerOptions,
-    ) -> Result<Run, Failure> {
+    ) -> Result<OfflineRun, Failure> {
         let recording = recording(frames, model)?;
         let is_csv = recording.csv_channels().map_err(Failure::other)?.is_some();
         let precision = precision.unwrap_or(if is_csv { Precision::F64 } else { Precision::F32 });
         let compiled = compile(document, model.clone(), precision)?;
-        Ok(Run { recording, options: TrackerOptions { precision, ..options }, compiled })
+        Ok(OfflineRun { recording, options: TrackerOptions { precision, ..options }, compiled })
     }
 
     /// One that has seen nothing yet.

@@ -8,15 +8,15 @@ use serde::Serialize;
 use crate::failure::Failure;
 
 /// Standard output, which knows when its reader has gone away (`isophote watch demo | head`).
-pub struct Output {
+pub struct StandardOutput {
     out: StdoutLock<'static>,
     is_unread: bool,
 }
 
-impl Output {
+impl StandardOutput {
     /// Takes standard output.
-    pub fn new() -> Output {
-        Output { out: io::stdout().lock(), is_unread: false }
+    pub fn new() -> StandardOutput {
+        StandardOutput { out: io::stdout().lock(), is_unread: false }
     }
 
     /// True when nobody reads: there is nothing left to do and nobody to tell.
@@ -30,7 +30,7 @@ impl Output {
     }
 }
 
-impl Write for Output {
+impl Write for StandardOutput {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let result = self.out.write(bytes);
         self.checked(result)

@@ -20,7 +20,7 @@ const MAGNIFICATION_MAX: usize = 8;
 
 /// A picture: r, g, b bytes, row by row.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
+pub struct OverlayPicture {
     /// Pixels of a row.
     pub width: usize,
     /// Rows.
@@ -31,10 +31,10 @@ pub struct Picture {
 
 /// Draws `part` of a frame, magnified to a comfortable size. `white` is the pixel value shown as white. `None` says that the
 /// target was not found: the picture has a red frame.
-pub fn draw(plane: &PlaneView, part: Window, white: f64, contours: Option<&[Contour]>) -> Picture {
+pub fn draw(plane: &PlaneView, part: Window, white: f64, contours: Option<&[Contour]>) -> OverlayPicture {
     let scale = (SIDE_PX / part.width.max(part.height).max(1)).clamp(1, MAGNIFICATION_MAX);
     let (width, height) = (part.width * scale, part.height * scale);
-    let mut picture = Picture { width, height, rgb: Vec::with_capacity(3 * width * height) };
+    let mut picture = OverlayPicture { width, height, rgb: Vec::with_capacity(3 * width * height) };
     for row in 0..height {
         // Position of this picture row in the frame; pixel centres are at whole numbers.
         let y = part.y as f64 + (row as f64 + 0.5) / scale as f64 - 0.5;
@@ -157,7 +157,8 @@ mod tests {
         let contour = contour([10.0625, 20.0625], None);
         let picture = draw(&plane, part, 255.0, Some(&[contour]));
         assert_eq!((picture.width, picture.height), (320, 240));
-        let at = |picture: &Picture, x: usize, y: usize| picture.rgb[3 * (y * picture.width + x)..][..3].to_vec();
+        let at =
+            |picture: &OverlayPicture, x: usize, y: usize| picture.rgb[3 * (y * picture.width + x)..][..3].to_vec();
         assert_eq!(at(&picture, 84, 164), CENTRE.map(|c| c as u8));
         assert_eq!(at(&picture, 200, 100), [100, 100, 100]);
         let lost = draw(&plane, part, 255.0, None);

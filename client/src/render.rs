@@ -11,7 +11,7 @@ use isophote_symbolic::Model;
 use isophote_tracker::Frame;
 use serde::Serialize;
 
-use crate::arguments::{Formulas, Numbers, Size};
+use crate::arguments::{FormulaArgs, NumberArgs, Size};
 use crate::failure::Failure;
 use crate::model_files;
 
@@ -23,7 +23,7 @@ pub struct RenderArgs {
     pub model: PathBuf,
     /// Parameters and constants; what is not set starts in the middle of the frame at an ordinary size and brightness
     #[arg(long, value_name = "k=v,…")]
-    pub set: Vec<Numbers>,
+    pub set: Vec<NumberArgs>,
     /// Where 000000.png, … and truth.jsonl go; 000000.tiff with three coordinates, a folder 000000 of them with four
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -35,7 +35,7 @@ pub struct RenderArgs {
     pub frames: u64,
     /// Parameters as formulas of t, seconds since the first frame
     #[arg(long, value_name = "k=FORMULA,…")]
-    pub motion: Vec<Formulas>,
+    pub motion: Vec<FormulaArgs>,
     /// Frames a second, for motion: frame n is at t = n / rate
     #[arg(long, value_name = "HZ", default_value_t = 60.0)]
     pub rate_hz: f64,
@@ -87,8 +87,8 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let typical = SyntheticSpec::new(model.clone());
     let [width, height, depth, length] = sides(args, &typical)?;
     let spec = SyntheticSpec {
-        set: Numbers::merged(&args.set).map_err(Failure::Usage)?,
-        motion: Formulas::merged(&args.motion).map_err(Failure::Usage)?,
+        set: NumberArgs::merged(&args.set).map_err(Failure::Usage)?,
+        motion: FormulaArgs::merged(&args.motion).map_err(Failure::Usage)?,
         width,
         height,
         depth,

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use isophote_wire::{Items, SessionView, SwapAnswer, SwapDocument};
 use serde_json::{Map, Value, json};
 
-use crate::arguments::{Numbers, PrecisionArgument, WindowArgument};
+use crate::arguments::{NumberArgs, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
-use crate::http::{self, Service, ServiceArgs, segment};
+use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::output;
 use crate::source_uri;
 
@@ -27,10 +27,10 @@ pub struct StartArgs {
     pub source: String,
     /// Starting values, instead of the document's
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
-    pub start: Vec<Numbers>,
+    pub start: Vec<NumberArgs>,
     /// Constants of the model
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
-    pub constant: Vec<Numbers>,
+    pub constant: Vec<NumberArgs>,
     /// Look at these pixels only
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
@@ -46,7 +46,7 @@ pub struct StartArgs {
 
 /// Name a session
 #[derive(Clone, Debug, clap::Args)]
-pub struct NameArgs {
+pub struct SessionNameArgs {
     /// The session's name
     pub name: String,
     #[command(flatten)]
@@ -55,7 +55,7 @@ pub struct NameArgs {
 
 /// List the sessions
 #[derive(Clone, Debug, clap::Args)]
-pub struct ListArgs {
+pub struct ListSessionsArgs {
     #[command(flatten)]
     service: ServiceArgs,
 }
@@ -80,8 +80,8 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mut document = Map::new();
     document.insert("source".into(), source_uri::document(&args.source)?);
     document.insert("model".into(), json!(args.model));
-    document.insert("start".into(), json!(Numbers::merged(&args.start).map_err(Failure::Usage)?));
-    document.insert("constants".into(), json!(Numbers::merged(&args.constant).map_err(Failure::Usage)?));
+    document.insert("start".into(), json!(NumberArgs::merged(&args.start).map_err(Failure::Usage)?));
+    document.insert("constants".into(), json!(NumberArgs::merged(&args.constant).map_err(Failure::Usage)?));
     if let Some(WindowArgument(window)) = args.window {
         let mut fields = json!({"x": window.x, "y": window.y, "width": window.width, "height": window.height});
         // What is not named is all there is.
@@ -100,7 +100,7 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if let Some(precision) = args.precision {
         document.insert("options".into(), json!({"precision": isophote_symbolic::Precision::from(precision)}));
     }
-    let view: Value = Service::new(&args.service)?.put(&path(&args.name), &document)?;
+    let view: Value = RemoteService::new(&args.service)?.put(&path(&args.name), &document)?;
     if args.service.json {
         return output::json(out, &view);
     }
@@ -108,8 +108,8 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Lists all.
-pub fn list(args: &ListArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let service = Service::new(&args.service)?;
+pub fn list(args: &ListSessionsArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let service = RemoteService::new(&args.service)?;
     if args.service.json {
         return output::json(out, &service.get::<Value>("/v1/sessions")?);
     }
@@ -136,8 +136,8 @@ fn word(value: Option<Value>) -> String {
 }
 
 /// Prints one as JSON, with `--json` on one line.
-pub fn show(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let text = Service::new(&args.service)?.get_text(&path(&args.name), "application/json")?;
+pub fn show(args: &SessionNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let text = RemoteService::new(&args.service)?.get_text(&path(&args.name), "application/json")?;
     if args.service.json {
         return writeln!(out, "{text}").map_err(Failure::output);
     }
@@ -149,7 +149,8 @@ pub fn show(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
 /// Swaps the model of one.
 pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let document = SwapDocument { model: args.model.clone() };
-    let answer: SwapAnswer = Service::new(&args.service)?.put(&format!("{}/model", path(&args.name)), &document)?;
+    let answer: SwapAnswer =
+        RemoteService::new(&args.service)?.put(&format!("{}/model", path(&args.name)), &document)?;
     if args.service.json {
         return output::json(out, &answer);
     }
@@ -167,7 +168,7 @@ pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Stops and removes one.
-pub fn stop(args: &NameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    Service::new(&args.service)?.delete(&path(&args.name))?;
+pub fn stop(args: &SessionNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    RemoteService::new(&args.service)?.delete(&path(&args.name))?;
     if args.service.json { output::json(out, &json!({"stopped": args.name})) } else { Ok(()) }
 }

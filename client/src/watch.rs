@@ -2,10 +2,10 @@
 
 use std::io::Write;
 
-use isophote_wire::{Estimate, TrackState};
+use isophote_wire::{EstimateView, TrackState};
 
 use crate::failure::Failure;
-use crate::http::{self, Service, ServiceArgs, segment};
+use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::output;
 
 /// Messages under way at most: a slow terminal gets the newest estimates, not old ones.
@@ -30,7 +30,7 @@ pub struct WatchArgs {
 pub fn run(args: &WatchArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mode = if args.all { "all" } else { "latest" };
     let path = format!("/v1/sessions/{}/estimates?mode={mode}&credit={CREDIT}", segment(&args.name));
-    let mut estimates = Service::new(&args.service)?.websocket(&path)?;
+    let mut estimates = RemoteService::new(&args.service)?.websocket(&path)?;
     let mut left = args.count.unwrap_or(u64::MAX);
     while left > 0 {
         let Some(text) = estimates.next()? else { return Ok(()) };
@@ -47,7 +47,7 @@ pub fn run(args: &WatchArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Frame, state, free parameters with standard deviations, fit time, and what was lost.
-fn line(estimate: &Estimate) -> String {
+fn line(estimate: &EstimateView) -> String {
     let state = serde_json::to_value(estimate.state).ok().and_then(|v| v.as_str().map(str::to_string));
     let mut text = format!("{:>8}  {:<9}", estimate.frame, state.unwrap_or_default());
     if estimate.state == TrackState::Tracking {

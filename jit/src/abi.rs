@@ -3,8 +3,8 @@
 //! Native code has one argument, a pointer to [`Args`]. It imports nothing by name: the elementary functions are called
 //! through [`Functions`], whose slots are numbered as `Function1` and `Function2` are.
 
-use isophote_symbolic::elementary::{Accuracy, Plain};
-use isophote_symbolic::{Function1, Function2, Precision};
+use isophote_elementary::{Accuracy, Function1, Function2, Plain};
+use isophote_symbolic::Precision;
 
 /// A plane as native code sees it.
 #[repr(C)]

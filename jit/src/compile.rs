@@ -9,7 +9,7 @@ use crate::addresses::{Extent, addresses};
 use crate::audit;
 use crate::error::CompileError;
 use crate::host::{self, Allocator, Processor};
-use crate::limits::{LIMITS, Limits};
+use crate::limits::{KernelLimits, LIMITS};
 use crate::lower::lower;
 use crate::options::KernelOptions;
 
@@ -39,7 +39,7 @@ fn frame_bytes(compiled: &CompiledCode) -> Result<usize, CompileError> {
     Ok(layout.frame_to_fp_offset as usize + 2 * size_of::<usize>())
 }
 
-fn within(limits: Limits, code_bytes: usize, frame_bytes: usize) -> Result<(), CompileError> {
+fn within(limits: KernelLimits, code_bytes: usize, frame_bytes: usize) -> Result<(), CompileError> {
     if code_bytes > limits.code_bytes {
         return Err(CompileError::CodeTooLarge { bytes: code_bytes });
     }
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn limits_hold_to_the_byte() {
-        let Limits { code_bytes, frame_bytes } = LIMITS;
+        let KernelLimits { code_bytes, frame_bytes } = LIMITS;
         assert_eq!(within(LIMITS, code_bytes - 1, frame_bytes - 1), Ok(()));
         assert_eq!(within(LIMITS, code_bytes, frame_bytes), Ok(()));
         let (code, frame) = (code_bytes + 1, frame_bytes + 1);

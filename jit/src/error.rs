@@ -35,13 +35,13 @@ pub enum CompileError {
     /// The compiler refused it.
     #[error("the compiler failed: {0}")]
     Compiler(String),
-    /// The program is too large: more than [`Limits::code_bytes`](crate::Limits::code_bytes).
+    /// The program is too large: more than [`KernelLimits::code_bytes`](crate::KernelLimits::code_bytes).
     #[error("{bytes} bytes of machine code, {} are allowed", LIMITS.code_bytes)]
     CodeTooLarge {
         /// Of machine code.
         bytes: usize,
     },
-    /// The program is too large: more than [`Limits::frame_bytes`](crate::Limits::frame_bytes).
+    /// The program is too large: more than [`KernelLimits::frame_bytes`](crate::KernelLimits::frame_bytes).
     #[error("{bytes} bytes of stack for a call, {} are allowed", LIMITS.frame_bytes)]
     FrameTooLarge {
         /// Of stack.

@@ -62,6 +62,6 @@ pub use error::{CompileError, RunError};
 pub use explain::{Explained, Line, explain};
 pub use host::{Processor, has_fma};
 pub use kernel::{Kernel, Sums};
-pub use limits::{LIMITS, Limits};
+pub use limits::{KernelLimits, LIMITS};
 pub use options::KernelOptions;
 pub use plane::{PixelFormat, PlaneError, PlaneView, Slices, Window};

@@ -2,7 +2,7 @@
 
 /// Bounds of one kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub struct KernelLimits {
     /// Bytes of machine code, constants included.
     pub code_bytes: usize,
     /// Bytes of stack that a call takes. A thread has 2 MiB by default, and the caller's own frames and what elementary functions
@@ -11,4 +11,4 @@ pub struct Limits {
 }
 
 /// The bounds.
-pub const LIMITS: Limits = Limits { code_bytes: 1 << 20, frame_bytes: 512 << 10 };
+pub const LIMITS: KernelLimits = KernelLimits { code_bytes: 1 << 20, frame_bytes: 512 << 10 };

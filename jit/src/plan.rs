@@ -27,7 +27,7 @@ pub(crate) struct Slot {
 
 /// Where the pixel loop finds the inner coordinate plus a row value.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct Offset {
+pub(crate) struct ColumnOffset {
     /// The `Opcode::Offset`.
     pub value: Value,
     /// The row value that is added.
@@ -67,7 +67,7 @@ pub(crate) struct Plan<'a> {
     /// The f64 of each total.
     pub totals: Vec<Slot>,
     /// The offsets, in the order of `pixels`.
-    pub offsets: Vec<Offset>,
+    pub offsets: Vec<ColumnOffset>,
     /// The first and the last pixel of a row, relative to the window; 64-bit integers.
     pub range: [Slot; 2],
     /// The first pixel of the window in a row of each plane that is read, by channel; of the output plane.
@@ -189,7 +189,7 @@ impl<'a> Plan<'a> {
             match program.instruction(*value).op.parts() {
                 (Opcode::Offset, &[term]) => {
                     let [first, fraction] = [record.vector(Area::Rows), record.vector(Area::Rows)];
-                    offsets.push(Offset { value: *value, term, first, fraction });
+                    offsets.push(ColumnOffset { value: *value, term, first, fraction });
                 }
                 (Opcode::Channel(channel), _) => rows[channel.index()] = Some(record.scalar(Area::Rows)),
                 _ => {}

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use isophote_wire::Estimate;
+use isophote_wire::EstimateView;
 use tokio::sync::Notify;
 
 use crate::limits::LIMITS;
@@ -47,7 +47,7 @@ pub struct Hub {
 struct State {
     subscribers: Vec<Arc<Subscriber>>,
     /// By target.
-    last: BTreeMap<String, Arc<Estimate>>,
+    last: BTreeMap<String, Arc<EstimateView>>,
     end: Option<End>,
 }
 
@@ -59,7 +59,7 @@ struct Subscriber {
 
 #[derive(Default)]
 struct Queue {
-    waiting: VecDeque<Arc<Estimate>>,
+    waiting: VecDeque<Arc<EstimateView>>,
     end: Option<End>,
 }
 
@@ -69,7 +69,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Hub {
     /// Hands an estimate to every subscriber.
-    pub fn publish(&self, estimate: Arc<Estimate>) {
+    pub fn publish(&self, estimate: Arc<EstimateView>) {
         let mut state = lock(&self.state);
         state.last.insert(estimate.target.clone(), estimate.clone());
         for subscriber in &state.subscribers {
@@ -88,7 +88,7 @@ impl Hub {
     }
 
     /// The last estimate, of the first target where there are several.
-    pub fn last(&self) -> Option<Arc<Estimate>> {
+    pub fn last(&self) -> Option<Arc<EstimateView>> {
         lock(&self.state).last.first_key_value().map(|(_, estimate)| estimate.clone())
     }
 
@@ -114,7 +114,7 @@ impl Hub {
 }
 
 impl Subscriber {
-    fn push(&self, estimate: Arc<Estimate>) {
+    fn push(&self, estimate: Arc<EstimateView>) {
         if self.mode == Mode::End {
             return;
         }
@@ -134,7 +134,7 @@ impl Subscriber {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Next {
     /// An estimate, `dropped` filled in.
-    Estimate(Box<Estimate>),
+    Estimate(Box<EstimateView>),
     /// There are no more.
     End(End),
 }
@@ -185,7 +185,7 @@ impl Subscription {
             return queue.end.clone().map(Next::End);
         };
         drop(queue);
-        let mut estimate = Box::new(Estimate::clone(&estimate));
+        let mut estimate = Box::new(EstimateView::clone(&estimate));
         let last = self.last_frames.insert(estimate.target.clone(), estimate.frame);
         estimate.dropped = last.map_or(0, |last| estimate.frame.saturating_sub(last).saturating_sub(1));
         Some(Next::Estimate(estimate))
@@ -203,11 +203,11 @@ impl Drop for Subscription {
 mod tests {
     use super::*;
 
-    fn estimate(frame: u64) -> Arc<Estimate> {
+    fn estimate(frame: u64) -> Arc<EstimateView> {
         estimate_of("0", frame)
     }
 
-    fn estimate_of(target: &str, frame: u64) -> Arc<Estimate> {
+    fn estimate_of(target: &str, frame: u64) -> Arc<EstimateView> {
         let document = serde_json::json!({
             "target": target, "frame": frame, "model": "m@sha256:0", "state": "tracking", "parameters": {}, "order": [],
             "pixels": 0, "saturated": 0.0, "iterations": [], "converged": true, "ending": "small-step",

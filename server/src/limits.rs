@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// Bounds of the service; those on a document are in [`isophote_symbolic::LIMITS`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub struct ServiceLimits {
     /// Bytes of a document's body.
     pub document_bytes: usize,
     /// Bytes of a frame's body.
@@ -63,7 +63,7 @@ pub struct Limits {
 }
 
 /// The bounds in force.
-pub const LIMITS: Limits = Limits {
+pub const LIMITS: ServiceLimits = ServiceLimits {
     document_bytes: 128 * 1024,
     frame_bytes: 64 * 1024 * 1024,
     drain_bytes: 16 * 1024 * 1024,

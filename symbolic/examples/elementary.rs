@@ -5,9 +5,8 @@
 //! rounding it takes hours.
 #![allow(clippy::print_stdout)]
 
-use isophote_symbolic::elementary::{Accuracy, Plain, call1};
+use isophote_elementary::{Accuracy, Function1, Function2, Plain, call1};
 use isophote_symbolic::ulps::{Arguments, error_double, error_single, exact1, exact2};
-use isophote_symbolic::{Function1, Function2};
 
 const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
 const THREADS: u64 = 2;

@@ -22,9 +22,12 @@ mod language;
 mod program;
 mod proof;
 
+pub use isophote_elementary::{Function1, Function2};
+
 pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
-pub use derive::objective::{Objective, Prediction};
+pub use derive::objective::Objective;
+pub use derive::planes::Prediction;
 pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
@@ -36,7 +39,6 @@ pub use language::model::{
     Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Roles, Saturated, Stage, Start, Summand,
 };
 pub use program::check::{Malformed, ProgramParts, Reader, Rule};
-pub use program::function::{Function1, Function2};
 pub use program::*;
 pub use proof::claim::{Part, ValueKind};
 #[doc(hidden)]

@@ -1,4 +1,4 @@
-//! `Budget`: how much work a frame may cost, and whether anybody still wants it.
+//! `FrameBudget`: how much work a frame may cost, and whether anybody still wants it.
 //!
 //! What comes in: units of work as they are spent, and a [`Watch`] that may end it at any time. What goes out: go on, or why
 //! not. It never knows what the work is, nor a clock: who has one looks at it in the watch.
@@ -27,16 +27,16 @@ pub(crate) type Spend<'a> = &'a dyn Fn(u64) -> Result<(), Stop>;
 pub const WORK_MAX: u64 = 1 << 38;
 
 /// The bound of one frame.
-pub(crate) struct Budget<'a> {
+pub(crate) struct FrameBudget<'a> {
     watch: Watch<'a>,
     left: AtomicU64,
     stopped: OnceLock<Stop>,
 }
 
-impl<'a> Budget<'a> {
+impl<'a> FrameBudget<'a> {
     /// `work` units, while `watch` goes on.
-    pub fn new(work: u64, watch: Watch<'a>) -> Budget<'a> {
-        Budget { watch, left: AtomicU64::new(work), stopped: OnceLock::new() }
+    pub fn new(work: u64, watch: Watch<'a>) -> FrameBudget<'a> {
+        FrameBudget { watch, left: AtomicU64::new(work), stopped: OnceLock::new() }
     }
 
     /// Takes units before they are worked.
@@ -68,10 +68,10 @@ mod tests {
     #[test]
     fn a_budget_ends_at_its_last_unit_and_stays_so() {
         for (work, third) in [(29, Err(Stop::Budget)), (30, Ok(())), (31, Ok(()))] {
-            let budget = Budget::new(work, &|| None);
+            let budget = FrameBudget::new(work, &|| None);
             assert_eq!((budget.spend(10), budget.spend(10), budget.spend(10)), (Ok(()), Ok(()), third), "{work}");
         }
-        let budget = Budget::new(5, &|| None);
+        let budget = FrameBudget::new(5, &|| None);
         assert_eq!((budget.spend(6), budget.spend(1)), (Err(Stop::Budget), Err(Stop::Budget)));
     }
 
@@ -79,7 +79,7 @@ mod tests {
     fn a_watch_ends_it_for_good() {
         let asked = AtomicU64::new(0);
         let once = || (asked.fetch_add(1, Ordering::Relaxed) == 1).then_some(Stop::Cancelled);
-        let budget = Budget::new(100, &once);
+        let budget = FrameBudget::new(100, &once);
         assert_eq!(budget.spend(1), Ok(()));
         assert_eq!((budget.spend(1), budget.spend(1)), (Err(Stop::Cancelled), Err(Stop::Cancelled)));
         assert_eq!(budget.stopped(), Some(Stop::Cancelled));

@@ -9,7 +9,7 @@ use crate::budget::WORK_MAX;
 use crate::camera::{Camera, Distortion, IntrinsicsError};
 use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, Target, TargetError};
-use crate::solve::alternatives::Preparing;
+use crate::solve::prepare::Preparing;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]

@@ -31,11 +31,11 @@ pub(crate) struct Spot {
     /// Of the first half axis to x, rad.
     pub angle: f64,
     pub amplitude: f64,
-    pub profile: Profile,
+    pub profile: Falloff,
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Profile {
+pub(crate) enum Falloff {
     /// `1 + k1 s + k2 s² − (1 + k1 + k2) s³` for s ≤ 1.
     Cubic(f64, f64),
     /// 1 for s ≤ 1.
@@ -44,7 +44,7 @@ pub(crate) enum Profile {
 
 impl Spot {
     pub fn at(x: f64, y: f64, half: f64, amplitude: f64) -> Spot {
-        Spot { centre: [x, y], half: [half, half], angle: 0.0, amplitude, profile: Profile::Cubic(-1.5, 0.0) }
+        Spot { centre: [x, y], half: [half, half], angle: 0.0, amplitude, profile: Falloff::Cubic(-1.5, 0.0) }
     }
 
     /// a1, a2, a3 of the outline.
@@ -60,15 +60,15 @@ impl Spot {
         let s = a1 * dx * dx + 2.0 * a2 * dx * dy + a3 * dy * dy;
         match self.profile {
             _ if s > 1.0 => 0.0,
-            Profile::Cubic(k1, k2) => self.amplitude * (1.0 + s * (k1 + s * (k2 - s * (1.0 + k1 + k2)))),
-            Profile::Disc => self.amplitude,
+            Falloff::Cubic(k1, k2) => self.amplitude * (1.0 + s * (k1 + s * (k2 - s * (1.0 + k1 + k2)))),
+            Falloff::Disc => self.amplitude,
         }
     }
 }
 
 /// What a picture shows.
 #[derive(Clone, Debug)]
-pub(crate) struct Picture {
+pub(crate) struct TestPicture {
     pub width: usize,
     pub height: usize,
     pub ground: f64,
@@ -82,9 +82,9 @@ pub(crate) struct Picture {
     pub saturation: f64,
 }
 
-impl Picture {
-    pub fn new(width: usize, height: usize, spots: Vec<Spot>) -> Picture {
-        Picture {
+impl TestPicture {
+    pub fn new(width: usize, height: usize, spots: Vec<Spot>) -> TestPicture {
+        TestPicture {
             width,
             height,
             ground: 20.0,

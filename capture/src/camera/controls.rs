@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use v4l::sys::*;
 
-use super::CameraError;
-use super::ioctl::{ControlEntry, Node};
+use super::error::CameraError;
+use super::ioctl::{ControlEntry, DeviceNode};
 
 const INTEGER: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_INTEGER;
 const BOOLEAN: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_BOOLEAN;
@@ -97,7 +97,7 @@ const AUTOMATIC: [(u32, u32, i32); 5] = [
 const MANUAL: i32 = 1;
 
 /// All controls of a device that a number can be set to.
-pub(super) fn of(node: &Node) -> Vec<ControlInfo> {
+pub(super) fn of(node: &DeviceNode) -> Vec<ControlInfo> {
     node.controls().iter().filter_map(|entry| info(node, entry)).collect()
 }
 
@@ -116,7 +116,7 @@ fn kind(entry: &ControlEntry) -> Option<ControlKind> {
     }
 }
 
-fn info(node: &Node, entry: &ControlEntry) -> Option<ControlInfo> {
+fn info(node: &DeviceNode, entry: &ControlEntry) -> Option<ControlInfo> {
     let unreadable = V4L2_CTRL_FLAG_WRITE_ONLY;
     let kind = kind(entry)?;
     let value = (entry.flags & unreadable == 0 && kind != ControlKind::Button).then(|| node.control(entry.id).ok());
@@ -154,7 +154,7 @@ pub fn set_controls(device: &str, values: &ControlValues) -> Result<ControlValue
 }
 
 /// [`set_controls`] of an open device.
-pub(super) fn apply(node: &Node, values: &ControlValues) -> Result<ControlValues, CameraError> {
+pub(super) fn apply(node: &DeviceNode, values: &ControlValues) -> Result<ControlValues, CameraError> {
     let entries = node.controls();
     let mut taken = ControlValues::new();
     for (name, value) in values {
@@ -174,7 +174,7 @@ pub(super) fn apply(node: &Node, values: &ControlValues) -> Result<ControlValues
 }
 
 /// Switches off what is automatic and would undo the control. A driver that has no such switch has nothing to undo.
-pub(super) fn prepare(node: &Node, entries: &[ControlEntry], id: u32) {
+pub(super) fn prepare(node: &DeviceNode, entries: &[ControlEntry], id: u32) {
     for (_, automatic, off) in AUTOMATIC.iter().filter(|(manual, ..)| *manual == id) {
         if entries.iter().any(|entry| entry.id == *automatic) {
             drop(node.set_control(*automatic, *off)); // reading the value back tells whether it was in vain

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::CameraError;
 use super::controls::{self, ControlInfo};
+use super::error::CameraError;
 use super::formats::{self, FormatInfo};
-use super::ioctl::Node;
+use super::ioctl::DeviceNode;
 
 /// Where device nodes are.
 pub(super) const DEVICES: &str = "/dev";
@@ -31,7 +31,7 @@ pub(super) struct Identity {
 }
 
 impl Identity {
-    fn of(node: &Node, path: &Path) -> io::Result<Option<Identity>> {
+    fn of(node: &DeviceNode, path: &Path) -> io::Result<Option<Identity>> {
         let about = node.capabilities()?;
         let name = path.file_name().map(|name| Path::new(CLASS).join(name)).unwrap_or_default();
         let read = |file: &str| {
@@ -68,8 +68,8 @@ impl Identity {
 }
 
 /// An open camera.
-pub(super) struct Found {
-    pub node: Node,
+pub(super) struct OpenCamera {
+    pub node: DeviceNode,
     pub path: PathBuf,
     pub identity: Identity,
     /// Those that are like it.
@@ -113,7 +113,7 @@ pub fn camera(device: &str) -> Result<CameraInfo, CameraError> {
     Ok(describe(&named(device)?))
 }
 
-fn describe(found: &Found) -> CameraInfo {
+fn describe(found: &OpenCamera) -> CameraInfo {
     let Identity { driver, name, bus, serial, .. } = found.identity.clone();
     CameraInfo {
         device: found.path.display().to_string(),
@@ -128,7 +128,7 @@ fn describe(found: &Found) -> CameraInfo {
 }
 
 /// The camera that a document names: a path, or an identity.
-pub(super) fn named(device: &str) -> Result<Found, CameraError> {
+pub(super) fn named(device: &str) -> Result<OpenCamera, CameraError> {
     let mut all = all();
     if !device.starts_with('/') {
         let at = all.iter().position(|found| found.key == device).ok_or_else(|| missing(device, &all))?;
@@ -146,7 +146,7 @@ pub(super) fn named(device: &str) -> Result<Found, CameraError> {
     match all.iter().position(|found| found.path == path) {
         Some(at) => Ok(all.swap_remove(at)),
         // Not among the cameras: the device itself says why.
-        None => Err(Node::open(&path).map_or_else(fault, |_| CameraError::NotACamera { device: device.into() })),
+        None => Err(DeviceNode::open(&path).map_or_else(fault, |_| CameraError::NotACamera { device: device.into() })),
     }
 }
 
@@ -155,7 +155,7 @@ pub(super) fn named(device: &str) -> Result<Found, CameraError> {
 ///
 /// # Errors
 /// While it is not there.
-pub(super) fn again(identity: &Identity, others: &[Identity], key: &str) -> Result<Found, CameraError> {
+pub(super) fn again(identity: &Identity, others: &[Identity], key: &str) -> Result<OpenCamera, CameraError> {
     let mut all = all();
     let identities: Vec<Identity> = all.iter().map(|found| found.identity.clone()).collect();
     let at = place(&identities, identity, others).ok_or_else(|| missing(key, &all))?;
@@ -170,28 +170,28 @@ fn place(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<u
     })
 }
 
-fn missing(device: &str, all: &[Found]) -> CameraError {
+fn missing(device: &str, all: &[OpenCamera]) -> CameraError {
     let present = all.iter().map(|found| format!("{} ({})", found.path.display(), found.key)).collect();
     CameraError::Missing { device: device.into(), present }
 }
 
-fn all() -> Vec<Found> {
+fn all() -> Vec<OpenCamera> {
     let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix("video")?.parse::<u32>().ok();
     let entries = fs::read_dir(DEVICES).into_iter().flatten().flatten();
     let mut paths: Vec<(u32, PathBuf)> =
         entries.filter_map(|entry| Some((number(&entry.path())?, entry.path()))).collect();
     paths.sort();
     let open = |path: PathBuf| {
-        let node = Node::open(&path).ok()?;
+        let node = DeviceNode::open(&path).ok()?;
         let identity = Identity::of(&node, &path).ok()??;
         Some((node, path, identity))
     };
-    let opened: Vec<(Node, PathBuf, Identity)> = paths.into_iter().filter_map(|(_, path)| open(path)).collect();
+    let opened: Vec<(DeviceNode, PathBuf, Identity)> = paths.into_iter().filter_map(|(_, path)| open(path)).collect();
     let identities: Vec<Identity> = opened.iter().map(|(_, _, identity)| identity.clone()).collect();
     let found = opened.into_iter().map(|(node, path, identity)| {
         let others = identities.iter().filter(|other| **other != identity && other.is_like(&identity));
         let others: Vec<Identity> = others.cloned().collect();
-        Found { key: identity.key(&others), node, path, identity, others }
+        OpenCamera { key: identity.key(&others), node, path, identity, others }
     });
     found.collect()
 }

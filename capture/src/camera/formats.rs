@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::CameraError;
-use super::ioctl::{Choice, Interval, Node};
+use super::error::CameraError;
+use super::ioctl::{Choice, DeviceNode, Interval};
 use crate::pixels::{Colour, Encoding};
 
 /// Where a document leaves the size open.
@@ -42,7 +42,7 @@ pub struct SizeInfo {
 }
 
 /// All formats of a device.
-pub(super) fn offered(node: &Node) -> Vec<FormatInfo> {
+pub(super) fn offered(node: &DeviceNode) -> Vec<FormatInfo> {
     let of = |fourcc: [u8; 4]| FormatInfo {
         format: name(fourcc),
         is_read: Encoding::of(fourcc).is_some(),
@@ -51,7 +51,7 @@ pub(super) fn offered(node: &Node) -> Vec<FormatInfo> {
     node.formats().into_iter().map(of).collect()
 }
 
-fn size_info(node: &Node, fourcc: [u8; 4], size: Choice<[u32; 2]>) -> SizeInfo {
+fn size_info(node: &DeviceNode, fourcc: [u8; 4], size: Choice<[u32; 2]>) -> SizeInfo {
     let ([width, height], from, step) = match size {
         Choice::One(size) => (size, None, None),
         Choice::Range { least, most, step } => (most, Some(least), Some(step)),
@@ -60,7 +60,7 @@ fn size_info(node: &Node, fourcc: [u8; 4], size: Choice<[u32; 2]>) -> SizeInfo {
 }
 
 /// Frames a second, of a range the highest and the lowest.
-fn rates(node: &Node, fourcc: [u8; 4], size: [u32; 2]) -> Vec<f64> {
+fn rates(node: &DeviceNode, fourcc: [u8; 4], size: [u32; 2]) -> Vec<f64> {
     let of = |interval: Choice<Interval>| match interval {
         Choice::One(interval) => vec![interval],
         Choice::Range { least, most, .. } => vec![least, most],
@@ -89,7 +89,7 @@ pub struct FormatWanted {
 
 /// What to set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Plan {
+pub(super) struct FormatPlan {
     pub encoding: Encoding,
     pub size: [u32; 2],
     /// `None`: as the driver likes.
@@ -97,7 +97,12 @@ pub(super) struct Plan {
 }
 
 /// The best that a device offers.
-pub(super) fn choose(node: &Node, device: &str, wanted: &FormatWanted, colour: Colour) -> Result<Plan, CameraError> {
+pub(super) fn choose(
+    node: &DeviceNode,
+    device: &str,
+    wanted: &FormatWanted,
+    colour: Colour,
+) -> Result<FormatPlan, CameraError> {
     let mut codes = node.formats();
     let now = node.format().ok();
     // A device that lists nothing has the format that is set.
@@ -151,7 +156,7 @@ fn best(
     wanted: &FormatWanted,
     now: Option<[u32; 2]>,
     intervals: impl Fn(Encoding, [u32; 2]) -> Vec<Choice<Interval>>,
-) -> Result<Plan, Fault> {
+) -> Result<FormatPlan, Fault> {
     let is_meant =
         |offer: &&Offer| wanted.format.as_ref().is_none_or(|format| offer.encoding.name() == format.trim_end());
     let meant: Vec<&Offer> = candidates.iter().filter(is_meant).collect();
@@ -160,10 +165,10 @@ fn best(
     }
     let size = wanted.size.unwrap_or_else(|| usual_size(&meant, now));
     let wanted_hz = wanted.rate_hz.unwrap_or(RATE_HZ);
-    let mut best: Option<(f64, Plan)> = None;
+    let mut best: Option<(f64, FormatPlan)> = None;
     for offer in meant.iter().filter(|offer| offer.has(size)) {
         let interval = nearest(&intervals(offer.encoding, size), wanted_hz);
-        let plan = Plan { encoding: offer.encoding, size, interval };
+        let plan = FormatPlan { encoding: offer.encoding, size, interval };
         let Some(seconds) = interval.and_then(Interval::seconds) else { return Ok(plan) };
         if 1.0 / seconds >= wanted_hz * (1.0 - ALIKE) {
             return Ok(plan);

@@ -63,7 +63,7 @@ pub(super) struct Capabilities {
 
 /// A format as set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Format {
+pub(super) struct StreamFormat {
     pub fourcc: [u8; 4],
     pub size: [u32; 2],
     /// Bytes from a row of the first plane to the next.
@@ -125,23 +125,23 @@ pub(super) struct Filled {
 }
 
 /// An open device. It never blocks.
-pub(super) struct Node(File);
+pub(super) struct DeviceNode(File);
 
-impl AsFd for Node {
+impl AsFd for DeviceNode {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.0.as_fd()
     }
 }
 
-impl Node {
+impl DeviceNode {
     /// Opens a video device and nothing else: opening alone starts a watchdog, and rewinds a tape.
-    pub fn open(path: &Path) -> io::Result<Node> {
+    pub fn open(path: &Path) -> io::Result<DeviceNode> {
         let about = std::fs::metadata(path)?;
         if !about.file_type().is_char_device() || rustix::fs::major(about.rdev()) != VIDEO {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a video device"));
         }
         let flags = rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::NOCTTY;
-        OpenOptions::new().read(true).write(true).custom_flags(flags.bits() as i32).open(path).map(Node)
+        OpenOptions::new().read(true).write(true).custom_flags(flags.bits() as i32).open(path).map(DeviceNode)
     }
 
     /// One call, again when a signal came in between.
@@ -225,14 +225,14 @@ impl Node {
         })
     }
 
-    pub fn format(&self) -> io::Result<Format> {
+    pub fn format(&self) -> io::Result<StreamFormat> {
         let mut format = v4l2_format { type_: CAPTURE, ..zeroed() };
         self.call(vidioc::VIDIOC_G_FMT, &mut format)?;
         Ok(pixels(&format))
     }
 
     /// Sets a format; what the driver made of it.
-    pub fn set_format(&self, fourcc: [u8; 4], [width, height]: [u32; 2]) -> io::Result<Format> {
+    pub fn set_format(&self, fourcc: [u8; 4], [width, height]: [u32; 2]) -> io::Result<StreamFormat> {
         let mut format: v4l2_format = v4l2_format { type_: CAPTURE, ..zeroed() };
         // SAFETY: all zeros is a value of this variant.
         let pix = unsafe { &mut format.fmt.pix };
@@ -392,10 +392,10 @@ fn buffer(index: u32) -> v4l2_buffer {
     v4l2_buffer { index, type_: CAPTURE, memory: MMAP, ..zeroed() }
 }
 
-fn pixels(format: &v4l2_format) -> Format {
+fn pixels(format: &v4l2_format) -> StreamFormat {
     // SAFETY: numbers, written by the driver for this type of stream.
     let pix = unsafe { format.fmt.pix };
-    Format {
+    StreamFormat {
         fourcc: pix.pixelformat.to_le_bytes(),
         size: [pix.width, pix.height],
         stride: pix.bytesperline,

@@ -7,7 +7,7 @@
 use v4l::sys::*;
 
 use super::controls::prepare;
-use super::ioctl::{ControlEntry, Node};
+use super::ioctl::{ControlEntry, DeviceNode};
 
 /// `V4L2_CID_EXPOSURE_ABSOLUTE` counts these, s.
 const EXPOSURE_UNIT_S: f64 = 1e-4;
@@ -22,7 +22,7 @@ struct Screw {
 }
 
 impl Screw {
-    fn of(node: &Node, entries: &[ControlEntry], ids: &[u32]) -> Option<Screw> {
+    fn of(node: &DeviceNode, entries: &[ControlEntry], ids: &[u32]) -> Option<Screw> {
         let is_number = |entry: &&ControlEntry| {
             entry.kind == v4l2_ctrl_type_V4L2_CTRL_TYPE_INTEGER
                 && entry.flags & (V4L2_CTRL_FLAG_DISABLED | V4L2_CTRL_FLAG_READ_ONLY) == 0
@@ -36,7 +36,7 @@ impl Screw {
     }
 
     /// Sets so many times the start; how many times it is then, whatever the driver made of it.
-    fn turn(&self, node: &Node, entries: &[ControlEntry], factor: f64) -> f64 {
+    fn turn(&self, node: &DeviceNode, entries: &[ControlEntry], factor: f64) -> f64 {
         let value = (self.start * factor).round().clamp(self.range[0], self.range[1]);
         if node.control(self.id).is_ok_and(|now| now as f64 != value) {
             prepare(node, entries, self.id);
@@ -61,7 +61,7 @@ pub(super) struct Knob {
 impl Knob {
     /// Starts at what is set now. `interval` is the time from a frame to the next, s: longer exposures would slow the
     /// camera down.
-    pub fn of(node: &Node, interval: Option<f64>) -> Option<Knob> {
+    pub fn of(node: &DeviceNode, interval: Option<f64>) -> Option<Knob> {
         let entries = node.controls();
         let mut time = Screw::of(node, &entries, &[V4L2_CID_EXPOSURE_ABSOLUTE, V4L2_CID_EXPOSURE]);
         if let (Some(screw), Some(interval)) = (&mut time, interval)
@@ -81,7 +81,7 @@ impl Knob {
 
     /// So many times as much light as at the start; as much as there really is then. Automatic control of what is turned
     /// ends.
-    pub fn set(&self, node: &Node, factor: f64) -> f64 {
+    pub fn set(&self, node: &DeviceNode, factor: f64) -> f64 {
         let entries = node.controls();
         // Gain stays at its start as long as time suffices.
         let [time, gain] = share(factor, self.time.map(|screw| screw.reach()));

@@ -9,14 +9,15 @@ use std::time::{Duration, Instant};
 use isophote_frame::Frame;
 use rustix::fd::AsFd;
 
-use super::device::{self, Found, Identity};
-use super::formats::{self, Plan};
-use super::ioctl::{Format, Node};
+use super::device::{self, Identity, OpenCamera};
+use super::error::CameraError;
+use super::formats::{self, FormatPlan};
+use super::ioctl::{DeviceNode, StreamFormat};
 use super::knob::Knob;
 use super::sequence::Sequence;
 use super::stream::{Lost, Stream, Taken, wait};
-use super::watch::Watch;
-use super::{CameraError, CameraSpec, CameraState, CameraStatus, controls};
+use super::watch::DeviceWatch;
+use super::{CameraSpec, CameraState, CameraStatus, controls};
 use crate::exposure::Exposure;
 use crate::pixels::PixelsError;
 use crate::source::Captured;
@@ -38,15 +39,15 @@ pub struct LiveCamera {
     identity: Identity,
     /// Like it, but others: they were there together.
     others: Vec<Identity>,
-    plan: Plan,
-    format: Format,
+    plan: FormatPlan,
+    format: StreamFormat,
     interval: Option<Duration>,
     link: Link,
     state: CameraState,
     status: CameraStatus,
     wake: Wake,
     /// `None` where the kernel has no more of them: then only time brings a camera back.
-    watch: Option<Watch>,
+    watch: Option<DeviceWatch>,
     knob: Option<Knob>,
     exposure: Option<Exposure>,
     /// What the exposure knob was turned to on the device; `None` after it was opened.
@@ -82,7 +83,7 @@ impl LiveCamera {
     /// # Errors
     /// A camera that is not there, is in use, or does not have what the document wants.
     pub fn open(spec: CameraSpec) -> Result<LiveCamera, CameraError> {
-        let Found { node, path, identity, others, key } = device::named(&spec.device)?;
+        let OpenCamera { node, path, identity, others, key } = device::named(&spec.device)?;
         let device = path.display().to_string();
         let plan = formats::choose(&node, &device, &spec.format, spec.colour)?;
         if !plan.encoding.has(spec.colour) {
@@ -103,7 +104,7 @@ impl LiveCamera {
             overtaken: 0,
             reconnects: 0,
         };
-        let format = Format { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0, bytes: 0 };
+        let format = StreamFormat { fourcc: plan.encoding.fourcc(), size: plan.size, stride: 0, bytes: 0 };
         let mut camera = LiveCamera {
             spec,
             identity,
@@ -115,7 +116,7 @@ impl LiveCamera {
             state: CameraState::Resting,
             status,
             wake,
-            watch: Watch::new().ok(),
+            watch: DeviceWatch::new().ok(),
             knob: None,
             exposure: None,
             applied: None,
@@ -207,7 +208,7 @@ impl LiveCamera {
         if wait(&waited, limit).is_err() {
             return; // the next try comes at its time
         }
-        if self.watch.as_ref().is_some_and(Watch::has_changed) {
+        if self.watch.as_ref().is_some_and(DeviceWatch::has_changed) {
             self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
         }
     }
@@ -244,7 +245,7 @@ impl LiveCamera {
     }
 
     /// Format, rate and controls.
-    fn set_up(&mut self, node: &Node) -> Result<(), CameraError> {
+    fn set_up(&mut self, node: &DeviceNode) -> Result<(), CameraError> {
         let fourcc = self.plan.encoding.fourcc();
         let format = node.set_format(fourcc, self.plan.size).map_err(|reason| self.fault("set up", reason))?;
         if (format.fourcc, format.size) != (fourcc, self.plan.size) {

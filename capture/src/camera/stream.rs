@@ -12,7 +12,7 @@ use std::time::Duration;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::BorrowedFd;
 
-use super::ioctl::{Filled, Mapping, Node};
+use super::ioctl::{DeviceNode, Filled, Mapping};
 use super::sequence::Sequence;
 
 /// Buffers asked for: one is with us, the others let the driver go on when this thread is late.
@@ -21,7 +21,7 @@ const BUFFERS: u32 = 6;
 /// Streams until it is dropped.
 pub(super) struct Stream {
     mappings: Vec<Mapping>,
-    node: Node,
+    node: DeviceNode,
     sequence: Sequence,
     /// Of a picture.
     bytes: RangeInclusive<usize>,
@@ -32,7 +32,7 @@ pub(super) struct Stream {
 /// What came of waiting.
 pub(super) enum Taken<'a> {
     /// A picture.
-    Picture(Picture<'a>),
+    Picture(NewestPicture<'a>),
     /// None yet.
     Nothing,
     /// The signal has another format now.
@@ -40,7 +40,7 @@ pub(super) enum Taken<'a> {
 }
 
 /// The newest picture.
-pub(super) struct Picture<'a> {
+pub(super) struct NewestPicture<'a> {
     pub bytes: &'a [u8],
     /// When it was taken, CLOCK_MONOTONIC, where the driver says so.
     pub monotonic: Option<Duration>,
@@ -66,7 +66,7 @@ impl Lost {
 
 impl Stream {
     /// Starts streaming. Pictures of fewer bytes are damaged; where they have more, the device has another format now.
-    pub fn start(node: Node, bytes: RangeInclusive<usize>, sequence: Sequence) -> io::Result<Stream> {
+    pub fn start(node: DeviceNode, bytes: RangeInclusive<usize>, sequence: Sequence) -> io::Result<Stream> {
         let count = node.request_buffers(BUFFERS)?;
         let mut stream = Stream { mappings: Vec::new(), node, sequence, bytes, fault: None };
         for index in 0..count {
@@ -78,7 +78,7 @@ impl Stream {
     }
 
     /// The device.
-    pub fn node(&self) -> &Node {
+    pub fn node(&self) -> &DeviceNode {
         &self.node
     }
 
@@ -105,7 +105,7 @@ impl Stream {
         let Some(mapping) = self.mappings.get(filled.index as usize) else {
             return Err(io::Error::other(format!("the driver filled a buffer {} that it does not have", filled.index)));
         };
-        let picture = Picture { bytes: mapping.bytes(&filled), monotonic: filled.monotonic };
+        let picture = NewestPicture { bytes: mapping.bytes(&filled), monotonic: filled.monotonic };
         let result = with(Taken::Picture(picture));
         self.fault = self.node.queue(filled.index).err();
         Ok(result)

@@ -1,4 +1,4 @@
-//! `Watch`: says that devices came or went.
+//! `DeviceWatch`: says that devices came or went.
 
 use std::io;
 
@@ -8,15 +8,15 @@ use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
 use super::device::DEVICES;
 
 /// Hears of every change in `/dev`.
-pub(super) struct Watch(OwnedFd);
+pub(super) struct DeviceWatch(OwnedFd);
 
-impl Watch {
+impl DeviceWatch {
     /// From now on.
-    pub fn new() -> io::Result<Watch> {
+    pub fn new() -> io::Result<DeviceWatch> {
         let watch = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK)?;
         // Nodes are made first and get their permissions later.
         inotify::add_watch(&watch, DEVICES, WatchFlags::CREATE | WatchFlags::ATTRIB | WatchFlags::DELETE)?;
-        Ok(Watch(watch))
+        Ok(DeviceWatch(watch))
     }
 
     /// Whether something has changed since the last call.
@@ -30,7 +30,7 @@ impl Watch {
     }
 }
 
-impl AsFd for Watch {
+impl AsFd for DeviceWatch {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.0.as_fd()
     }

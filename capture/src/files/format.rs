@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::clock::Stamp;
-use crate::picture::{DecodeError, Picture};
+use crate::picture::{DecodeError, StoredPicture};
 use crate::source::SourceError;
 
 /// One file format.
@@ -33,7 +33,10 @@ pub(crate) type Open = fn(&Path, Option<&str>) -> Result<Box<dyn Pages>, PageFau
 /// What is in a file of a format.
 pub(crate) enum Content {
     /// One picture, of all bytes of the file; and its width and height, for which no pixel is decoded.
-    Picture { picture: fn(&[u8]) -> Result<Picture, DecodeError>, size: fn(&[u8]) -> Result<[usize; 2], DecodeError> },
+    Picture {
+        picture: fn(&[u8]) -> Result<StoredPicture, DecodeError>,
+        size: fn(&[u8]) -> Result<[usize; 2], DecodeError>,
+    },
     /// Several pictures, read one at a time.
     Pages {
         /// For people: what a file is called, and its pictures.
@@ -83,7 +86,7 @@ pub(crate) trait Pages: Send {
     }
 
     /// The pixels of a page, from 0. Its size is checked before memory is taken.
-    fn picture(&mut self, page: usize) -> Result<Picture, PageFault>;
+    fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault>;
 }
 
 /// Why a file gives no page.

@@ -7,7 +7,7 @@ use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format};
 use crate::limits::LIMITS;
-use crate::picture::{DecodeError, Picture, check_size};
+use crate::picture::{DecodeError, StoredPicture, check_size};
 use crate::pixels::jpeg;
 
 /// Which kind it is, the bytes say: many a PNG is called .jpg.
@@ -30,7 +30,7 @@ pub(crate) const JPEG: Format = Format {
 };
 
 /// Decodes one PNG or JPEG image. Its size is checked before memory is taken.
-pub(crate) fn picture(bytes: &[u8]) -> Result<Picture, DecodeError> {
+pub(crate) fn picture(bytes: &[u8]) -> Result<StoredPicture, DecodeError> {
     let reader = reader(bytes)?;
     let format = reader.format();
     let decoder = reader.into_decoder().map_err(fault)?;
@@ -62,10 +62,10 @@ fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, DecodeError> {
 }
 
 /// Decoded strictly, as those of cameras are: most decoders make grey of what is damaged, without a word.
-fn jpeg_picture(bytes: &[u8]) -> Result<Picture, DecodeError> {
+fn jpeg_picture(bytes: &[u8]) -> Result<StoredPicture, DecodeError> {
     let (size, channels, bytes) =
         jpeg::pixels(bytes).map_err(|reason| DecodeError::Damaged(format!("the JPEG cannot be decoded: {reason}")))?;
-    Ok(Picture { size, format: PixelFormat::U8, stored: channels, used: channels, bytes })
+    Ok(StoredPicture { size, format: PixelFormat::U8, stored: channels, used: channels, bytes })
 }
 
 fn fault(error: ImageError) -> DecodeError {
@@ -75,7 +75,7 @@ fn fault(error: ImageError) -> DecodeError {
     }
 }
 
-fn from_image(image: DynamicImage) -> Result<Picture, DecodeError> {
+fn from_image(image: DynamicImage) -> Result<StoredPicture, DecodeError> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let (format, stored, used) = match &image {
         DynamicImage::ImageLuma8(_) => (PixelFormat::U8, 1, 1),
@@ -88,5 +88,5 @@ fn from_image(image: DynamicImage) -> Result<Picture, DecodeError> {
         DynamicImage::ImageRgba16(_) => (PixelFormat::U16, 4, 3),
         other => return Err(DecodeError::Damaged(format!("its pixels are {:?}, not 8 or 16 bit", other.color()))),
     };
-    Ok(Picture { size: [width, height], format, stored, used, bytes: image.into_bytes() })
+    Ok(StoredPicture { size: [width, height], format, stored, used, bytes: image.into_bytes() })
 }

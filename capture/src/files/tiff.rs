@@ -15,7 +15,7 @@ use tiff::tags::Tag;
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::encode::EncodeError;
 use crate::limits::LIMITS;
-use crate::picture::{DecodeError, Picture, check_size};
+use crate::picture::{DecodeError, StoredPicture, check_size};
 
 pub(crate) const FORMAT: Format = Format {
     name: "TIFF",
@@ -82,13 +82,13 @@ impl Pages for Tiff {
         Ok([width as usize, height as usize])
     }
 
-    fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
+    fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault> {
         Ok(picture(self.at(page)?)?)
     }
 }
 
 /// The pixels of the page that the decoder stands at.
-fn picture(decoder: &mut Decoder<BufReader<File>>) -> Result<Picture, DecodeError> {
+fn picture(decoder: &mut Decoder<BufReader<File>>) -> Result<StoredPicture, DecodeError> {
     let (width, height) = decoder.dimensions().map_err(fault)?;
     check_size(width, height)?;
     let (width, height) = (width as usize, height as usize);
@@ -115,7 +115,7 @@ fn picture(decoder: &mut Decoder<BufReader<File>>) -> Result<Picture, DecodeErro
     if bytes.len() != width * height * stored * format.bytes_per_pixel() {
         return Err(unsupported("its rows are not stored pixel by pixel"));
     }
-    Ok(Picture { size: [width, height], format, stored, used, bytes })
+    Ok(StoredPicture { size: [width, height], format, stored, used, bytes })
 }
 
 fn unsupported(what: &str) -> DecodeError {

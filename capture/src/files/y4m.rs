@@ -11,7 +11,7 @@ use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::clock::Stamp;
-use crate::picture::{DecodeError, Picture, check_size};
+use crate::picture::{DecodeError, StoredPicture, check_size};
 
 /// Bytes of the first line, and of the line before a frame.
 const LINE_BYTES: [usize; 2] = [4096, 256];
@@ -99,7 +99,7 @@ impl Pages for Video {
         Ok(self.header.size)
     }
 
-    fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
+    fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault> {
         if !self.walk_to(page)? {
             return Err(damaged(&format!("there is no frame {page}")));
         }
@@ -120,7 +120,7 @@ impl Pages for Video {
                 value.copy_from_slice(&u16::from_le_bytes([value[0], value[1]]).to_ne_bytes());
             }
         }
-        Ok(Picture { size, format, stored: 1, used: 1, bytes })
+        Ok(StoredPicture { size, format, stored: 1, used: 1, bytes })
     }
 }
 

@@ -40,10 +40,10 @@ impl fmt::Display for Key {
 }
 
 /// What is wrong, and where.
-pub(crate) type Fault = (String, MovingFault);
+pub(crate) type LightFault = (String, MovingFault);
 
 /// Reads the formulas and looks at the numbers.
-pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, Fault> {
+pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, LightFault> {
     let lists = [("glare", light.glare.len()), ("occluders", light.occluders.len()), ("blind", light.blind.len())];
     for (list, length) in lists {
         if length > LIMITS.light_items {
@@ -77,7 +77,7 @@ pub(crate) fn at(light: &Light<Law>, t_s: f64) -> Result<Light<f64>, String> {
 }
 
 /// Reads a factor of light, which is called `key`: an exposure or a gain.
-pub(crate) fn read_factor(key: &str, factor: &Moving) -> Result<Law, Fault> {
+pub(crate) fn read_factor(key: &str, factor: &Moving) -> Result<Law, LightFault> {
     Law::read(factor, Range::Positive).map_err(|fault| (key.to_string(), fault))
 }
 

@@ -3,12 +3,14 @@
 use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
 
-use super::layout::Layout;
-use super::{Colour, PixelsError, jpeg, mosaic};
+use super::colour::Colour;
+use super::error::PixelsError;
+use super::layout::PixelLayout;
+use super::{jpeg, mosaic};
 
 /// `whole` has every byte of the picture and none behind it.
 pub(super) fn frame(
-    layout: Layout,
+    layout: PixelLayout,
     format: PixelFormat,
     whole: &[u8],
     size: [usize; 2],
@@ -21,18 +23,18 @@ pub(super) fn frame(
     };
     let pixel = format.bytes_per_pixel();
     let planes = match layout {
-        Layout::Grey => one(whole, stride, pixel, 0),
-        Layout::Packed { luma } => one(whole, stride, 2, luma),
-        Layout::Planar { .. } => one(&whole[..stride * (height - 1) + width], stride, 1, 0),
-        Layout::Rgb { red } => rgb(&Buffer::Owned(whole.into()), stride, red, colour),
-        Layout::Mosaic { red } => match place(red, colour) {
+        PixelLayout::Grey => one(whole, stride, pixel, 0),
+        PixelLayout::Packed { luma } => one(whole, stride, 2, luma),
+        PixelLayout::Planar { .. } => one(&whole[..stride * (height - 1) + width], stride, 1, 0),
+        PixelLayout::Rgb { red } => rgb(&Buffer::Owned(whole.into()), stride, red, colour),
+        PixelLayout::Mosaic { red } => match place(red, colour) {
             Some([x, y]) => {
                 let planes = one(whole, 2 * stride, 2 * pixel, y * stride + x * pixel);
                 return Ok(Frame::new(&[width / 2, height / 2], planes)?);
             }
             None => mosaic::planes(whole, size, stride, format, red),
         },
-        Layout::Jpeg => return jpeg::frame(whole, size, colour),
+        PixelLayout::Jpeg => return jpeg::frame(whole, size, colour),
     };
     Ok(Frame::new(&size, planes)?)
 }

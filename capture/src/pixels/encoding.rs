@@ -3,8 +3,10 @@
 use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
 
-use super::layout::Layout;
-use super::{Colour, PixelsError, convert, jpeg};
+use super::colour::Colour;
+use super::error::PixelsError;
+use super::layout::PixelLayout;
+use super::{convert, jpeg};
 use crate::limits::LIMITS;
 
 /// A pixel format of cameras that is read, with its V4L2 four-character code.
@@ -23,30 +25,30 @@ use crate::limits::LIMITS;
 pub struct Encoding {
     fourcc: [u8; 4],
     bits: u32,
-    layout: Layout,
+    layout: PixelLayout,
 }
 
-const fn row(fourcc: &[u8; 4], bits: u32, layout: Layout) -> Encoding {
+const fn row(fourcc: &[u8; 4], bits: u32, layout: PixelLayout) -> Encoding {
     Encoding { fourcc: *fourcc, bits, layout }
 }
 
-const RGGB: Layout = Layout::Mosaic { red: [0, 0] };
-const GRBG: Layout = Layout::Mosaic { red: [1, 0] };
-const GBRG: Layout = Layout::Mosaic { red: [0, 1] };
-const BGGR: Layout = Layout::Mosaic { red: [1, 1] };
+const RGGB: PixelLayout = PixelLayout::Mosaic { red: [0, 0] };
+const GRBG: PixelLayout = PixelLayout::Mosaic { red: [1, 0] };
+const GBRG: PixelLayout = PixelLayout::Mosaic { red: [0, 1] };
+const BGGR: PixelLayout = PixelLayout::Mosaic { red: [1, 1] };
 
 /// Every format, the best for measuring light first; [`Encoding::all`] says why.
 const TABLE: [Encoding; 28] = [
-    row(b"Y16 ", 16, Layout::Grey),
-    row(b"Y12 ", 12, Layout::Grey),
-    row(b"Y10 ", 10, Layout::Grey),
-    row(b"GREY", 8, Layout::Grey),
-    row(b"YUYV", 8, Layout::Packed { luma: 0 }),
-    row(b"UYVY", 8, Layout::Packed { luma: 1 }),
-    row(b"NV12", 8, Layout::Planar { chroma: 1 }),
-    row(b"YU12", 8, Layout::Planar { chroma: 2 }),
-    row(b"RGB3", 8, Layout::Rgb { red: 0 }),
-    row(b"BGR3", 8, Layout::Rgb { red: 2 }),
+    row(b"Y16 ", 16, PixelLayout::Grey),
+    row(b"Y12 ", 12, PixelLayout::Grey),
+    row(b"Y10 ", 10, PixelLayout::Grey),
+    row(b"GREY", 8, PixelLayout::Grey),
+    row(b"YUYV", 8, PixelLayout::Packed { luma: 0 }),
+    row(b"UYVY", 8, PixelLayout::Packed { luma: 1 }),
+    row(b"NV12", 8, PixelLayout::Planar { chroma: 1 }),
+    row(b"YU12", 8, PixelLayout::Planar { chroma: 2 }),
+    row(b"RGB3", 8, PixelLayout::Rgb { red: 0 }),
+    row(b"BGR3", 8, PixelLayout::Rgb { red: 2 }),
     row(b"RG16", 16, RGGB),
     row(b"GR16", 16, GRBG),
     row(b"GB16", 16, GBRG),
@@ -63,8 +65,8 @@ const TABLE: [Encoding; 28] = [
     row(b"GRBG", 8, GRBG),
     row(b"GBRG", 8, GBRG),
     row(b"BA81", 8, BGGR),
-    row(b"MJPG", 8, Layout::Jpeg),
-    row(b"JPEG", 8, Layout::Jpeg),
+    row(b"MJPG", 8, PixelLayout::Jpeg),
+    row(b"JPEG", 8, PixelLayout::Jpeg),
 ];
 
 impl Encoding {
@@ -96,17 +98,18 @@ impl Encoding {
 
     /// Whether pictures have no fixed number of bytes.
     pub fn is_compressed(self) -> bool {
-        self.layout == Layout::Jpeg
+        self.layout == PixelLayout::Jpeg
     }
 
     /// Whether it is a colour mosaic.
     pub fn is_bayer(self) -> bool {
-        matches!(self.layout, Layout::Mosaic { .. })
+        matches!(self.layout, PixelLayout::Mosaic { .. })
     }
 
     /// Whether [`Encoding::frame`] can give `colour`: formats of luma have no red, green and blue.
     pub fn has(self, colour: Colour) -> bool {
-        colour == Colour::All || matches!(self.layout, Layout::Mosaic { .. } | Layout::Rgb { .. } | Layout::Jpeg)
+        colour == Colour::All
+            || matches!(self.layout, PixelLayout::Mosaic { .. } | PixelLayout::Rgb { .. } | PixelLayout::Jpeg)
     }
 
     /// The largest value of a pixel.
@@ -122,7 +125,7 @@ impl Encoding {
     /// Planes of the frames that come out: 1 (grey, luma or one colour) or 3 (r, g, b).
     pub fn planes(self, colour: Colour) -> usize {
         match (self.layout, colour) {
-            (Layout::Mosaic { .. } | Layout::Rgb { .. }, Colour::All) => 3,
+            (PixelLayout::Mosaic { .. } | PixelLayout::Rgb { .. }, Colour::All) => 3,
             _ => 1,
         }
     }
@@ -138,8 +141,8 @@ impl Encoding {
         let [width, height] = size;
         let above = stride.saturating_mul(height.saturating_sub(1));
         match self.layout {
-            Layout::Jpeg => 0,
-            Layout::Planar { chroma } => {
+            PixelLayout::Jpeg => 0,
+            PixelLayout::Planar { chroma } => {
                 // Chroma sides are rounded up, so that the last pixel of an odd side has some too.
                 let (rows, apart) = (height.div_ceil(2), stride.div_ceil(2).saturating_mul(2 / chroma));
                 let last = width.div_ceil(2) * (2 / chroma);
@@ -153,11 +156,11 @@ impl Encoding {
     /// Bytes of a row of the (first) plane.
     pub(crate) fn row_bytes(self, width: usize) -> usize {
         let each = match self.layout {
-            Layout::Grey | Layout::Mosaic { .. } => self.format().bytes_per_pixel(),
-            Layout::Packed { .. } => 2,
-            Layout::Planar { .. } => 1,
-            Layout::Rgb { .. } => 3,
-            Layout::Jpeg => 0,
+            PixelLayout::Grey | PixelLayout::Mosaic { .. } => self.format().bytes_per_pixel(),
+            PixelLayout::Packed { .. } => 2,
+            PixelLayout::Planar { .. } => 1,
+            PixelLayout::Rgb { .. } => 3,
+            PixelLayout::Jpeg => 0,
         };
         width.saturating_mul(each)
     }

@@ -7,7 +7,9 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 use zune_jpeg::{JpegDecoder, SampleRatios};
 
-use super::{Colour, PixelsError, convert, segments};
+use super::colour::Colour;
+use super::error::PixelsError;
+use super::{convert, segments};
 use crate::limits::LIMITS;
 
 /// A picture of `size` px; its luma, or one colour.

@@ -1,8 +1,8 @@
-//! `Layout`: how the bytes of a pixel format lie. Plain words, shared by the table of formats and by what converts them.
+//! `PixelLayout`: how the bytes of a pixel format lie. Plain words, shared by the table of formats and by what converts them.
 
 /// How the pixels of a picture lie in a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Layout {
+pub(super) enum PixelLayout {
     /// One value for each pixel.
     Grey,
     /// Colour filters in front of a grey sensor; column and row of the red one among 2 × 2. Blue stands across from it.

@@ -7,9 +7,9 @@ use isophote_capture::{FrameSource, Synthetic, SyntheticError, SyntheticSpec};
 use isophote_symbolic::Model;
 use isophote_tracker::{Camera, Frame, TrackState, TrackerOptions};
 
-use super::TuneArgs;
+use super::arguments::TuneArgs;
 use crate::failure::Failure;
-use crate::offline::{self, Run};
+use crate::offline::{self, OfflineRun};
 
 /// Frames of a recording that are kept, evenly spread over it.
 const FRAMES_MAX: usize = 16;
@@ -90,7 +90,7 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
 
 fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<TrialFrames, Failure> {
     let options = TrackerOptions { camera, ..TrackerOptions::default() };
-    let mut run = Run::open(document, model, path, None, options)?;
+    let mut run = OfflineRun::open(document, model, path, None, options)?;
     let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
     let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);
     while let Some(captured) = run.recording.next().map_err(Failure::other)? {
@@ -117,7 +117,7 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
 }
 
 /// By a search of its own for each frame.
-fn found(run: &Run, frame: &Frame) -> Option<Vec<f64>> {
+fn found(run: &OfflineRun, frame: &Frame) -> Option<Vec<f64>> {
     let estimate = run.tracker().ok()?.track(frame);
     (estimate.state == TrackState::Tracking).then_some(estimate.parameters)
 }

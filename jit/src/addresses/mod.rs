@@ -25,7 +25,7 @@ use cranelift_codegen::entity::SecondaryMap;
 use cranelift_codegen::ir::{BlockArg, Function, Inst, InstructionData, Opcode, StackSlot, Value, types};
 use isophote_symbolic::Program;
 
-use self::origin::{Base, NUMBER, Numbers, Origin};
+use self::origin::{Base, NUMBER, Origin, PossibleNumbers};
 
 use crate::abi::{Args, Functions, PlaneArgs};
 
@@ -145,7 +145,9 @@ impl Origins<'_> {
         let dfg = &self.function.dfg;
         let arguments = dfg.inst_args(instruction);
         match &dfg.insts[instruction] {
-            InstructionData::UnaryImm { opcode: Opcode::Iconst, imm } => Some(Origin::Number(Numbers::one(imm.bits()))),
+            InstructionData::UnaryImm { opcode: Opcode::Iconst, imm } => {
+                Some(Origin::Number(PossibleNumbers::one(imm.bits())))
+            }
             InstructionData::StackAddr { stack_slot, offset, .. } => {
                 Some(Origin::at(Base::Record(*stack_slot), i64::from(i32::from(*offset))))
             }
@@ -161,7 +163,7 @@ impl Origins<'_> {
             InstructionData::Load { opcode: Opcode::Load, arg, offset, .. } if dfg.value_type(result) == types::I64 => {
                 let offset = i64::from(i32::from(*offset));
                 match self.of(*arg)? {
-                    Origin::At(base, Numbers(Some(at))) => {
+                    Origin::At(base, PossibleNumbers(Some(at))) => {
                         at.iter().filter_map(|at| self.loaded(base, at + offset)).reduce(|a, b| a.or(&b))
                     }
                     _ => Some(NUMBER),
@@ -209,7 +211,7 @@ impl Origins<'_> {
         let InstructionData::Store { args: [value, address], offset, .. } = dfg.insts[instruction] else {
             return false;
         };
-        let (Some(Origin::At(Base::Record(slot), Numbers(Some(places)))), Some(origin)) =
+        let (Some(Origin::At(Base::Record(slot), PossibleNumbers(Some(places)))), Some(origin)) =
             (self.of(address), self.of(value))
         else {
             return false;
@@ -232,7 +234,7 @@ impl Origins<'_> {
     fn is_call_allowed(&self, arguments: &[Value]) -> bool {
         let Some((callee, given)) = arguments.split_first() else { return false };
         let is_vector = |value: &Value| match self.of(*value) {
-            Some(Origin::At(Base::Record(slot), Numbers(Some(at)))) => at.iter().all(|at| {
+            Some(Origin::At(Base::Record(slot), PossibleNumbers(Some(at)))) => at.iter().all(|at| {
                 let size = i64::from(self.function.sized_stack_slots[slot].size);
                 let free = self.overlapping(slot, *at, VECTOR_BYTES).all(|(_, kept)| matches!(kept, Origin::Number(_)));
                 *at >= 0 && at + VECTOR_BYTES <= size && free

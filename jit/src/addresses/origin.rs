@@ -20,45 +20,45 @@ pub(super) enum Base {
 
 /// The numbers that a value may be; `None`: any. Few at a time: rows use two areas of the record by turns.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub(super) struct Numbers(pub Option<SmallVec<[i64; NUMBERS_MAX]>>);
+pub(super) struct PossibleNumbers(pub Option<SmallVec<[i64; NUMBERS_MAX]>>);
 
 /// More numbers than these are taken for any.
 pub(super) const NUMBERS_MAX: usize = 8;
 
-impl Numbers {
-    pub const ANY: Numbers = Numbers(None);
+impl PossibleNumbers {
+    pub const ANY: PossibleNumbers = PossibleNumbers(None);
 
-    pub fn one(number: i64) -> Numbers {
-        Numbers(Some(SmallVec::from_slice(&[number])))
+    pub fn one(number: i64) -> PossibleNumbers {
+        PossibleNumbers(Some(SmallVec::from_slice(&[number])))
     }
 
-    pub fn of(numbers: impl Iterator<Item = Option<i64>>) -> Numbers {
+    pub fn of(numbers: impl Iterator<Item = Option<i64>>) -> PossibleNumbers {
         let mut all = SmallVec::new();
         for number in numbers {
-            let Some(number) = number else { return Numbers::ANY };
+            let Some(number) = number else { return PossibleNumbers::ANY };
             if !all.contains(&number) {
                 if all.len() == NUMBERS_MAX {
-                    return Numbers::ANY;
+                    return PossibleNumbers::ANY;
                 }
                 all.push(number);
             }
         }
         all.sort_unstable();
-        Numbers(Some(all))
+        PossibleNumbers(Some(all))
     }
 
-    pub fn or(&self, other: &Numbers) -> Numbers {
+    pub fn or(&self, other: &PossibleNumbers) -> PossibleNumbers {
         match (&self.0, &other.0) {
-            (Some(a), Some(b)) => Numbers::of(a.iter().chain(b).copied().map(Some)),
-            _ => Numbers::ANY,
+            (Some(a), Some(b)) => PossibleNumbers::of(a.iter().chain(b).copied().map(Some)),
+            _ => PossibleNumbers::ANY,
         }
     }
 
     /// What an operation makes of each pair; `None` from it: any number.
-    pub fn with(&self, other: &Numbers, operation: impl Fn(i64, i64) -> Option<i64>) -> Numbers {
+    pub fn with(&self, other: &PossibleNumbers, operation: impl Fn(i64, i64) -> Option<i64>) -> PossibleNumbers {
         match (&self.0, &other.0) {
-            (Some(a), Some(b)) => Numbers::of(a.iter().flat_map(|a| b.iter().map(|b| operation(*a, *b)))),
-            _ => Numbers::ANY,
+            (Some(a), Some(b)) => PossibleNumbers::of(a.iter().flat_map(|a| b.iter().map(|b| operation(*a, *b)))),
+            _ => PossibleNumbers::ANY,
         }
     }
 }
@@ -67,25 +67,25 @@ impl Numbers {
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) enum Origin {
     /// No address.
-    Number(Numbers),
+    Number(PossibleNumbers),
     /// So many bytes behind a base. Distances that are not known are those of pixels.
-    At(Base, Numbers),
+    At(Base, PossibleNumbers),
     /// From the table of functions.
     Callee,
 }
 
-pub(super) const NUMBER: Origin = Origin::Number(Numbers::ANY);
+pub(super) const NUMBER: Origin = Origin::Number(PossibleNumbers::ANY);
 
 impl Origin {
     pub fn at(base: Base, distance: i64) -> Origin {
-        Origin::At(base, Numbers::one(distance))
+        Origin::At(base, PossibleNumbers::one(distance))
     }
 
     /// A distance that nobody knows is allowed among pixels only.
-    pub fn behind(base: Base, distance: Numbers) -> Origin {
+    pub fn behind(base: Base, distance: PossibleNumbers) -> Origin {
         match (base, distance) {
-            (Base::Pixels | Base::Target, _) => Origin::At(base, Numbers::ANY),
-            (_, Numbers::ANY) => NUMBER,
+            (Base::Pixels | Base::Target, _) => Origin::At(base, PossibleNumbers::ANY),
+            (_, PossibleNumbers::ANY) => NUMBER,
             (base, distance) => Origin::At(base, distance),
         }
     }

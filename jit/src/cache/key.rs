@@ -9,14 +9,14 @@ use crate::options::KernelOptions;
 
 /// A program without what only people read, and the options.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub(crate) struct Key {
+pub(crate) struct KernelKey {
     options: KernelOptions,
     words: Box<[u32]>,
     instructions: Box<[(Op, Level)]>,
 }
 
-impl Key {
-    pub fn new(program: &Program, options: &KernelOptions) -> Key {
+impl KernelKey {
+    pub fn new(program: &Program, options: &KernelOptions) -> KernelKey {
         let [coordinates, channels] = [program.coordinates(), program.channels()].map(|n| n as u32);
         let mut words = vec![coordinates, channels, program.is_fused().into(), program.inputs().len() as u32];
         words.extend(program.inputs().iter().flat_map(|input| match *input {
@@ -39,12 +39,12 @@ impl Key {
             Sink::Plane(value) => words.extend([u32::MAX, value.0]), // no list is that long
         }
         let instructions = program.instructions().iter().map(|x| (x.op, x.level)).collect();
-        Key { options: options.clone(), words: words.into(), instructions }
+        KernelKey { options: options.clone(), words: words.into(), instructions }
     }
 
     /// Of memory.
     pub fn bytes(&self) -> usize {
-        size_of::<Key>()
+        size_of::<KernelKey>()
             + size_of_val(&*self.words)
             + size_of_val(&*self.instructions)
             + size_of_val(&*self.options.formats)

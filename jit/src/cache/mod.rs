@@ -13,7 +13,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use isophote_symbolic::{Program, Sink, Value};
 
-use self::key::Key;
+use self::key::KernelKey;
 use crate::error::CompileError;
 use crate::kernel::Kernel;
 use crate::options::KernelOptions;
@@ -44,7 +44,7 @@ pub struct KernelCache {
 
 #[derive(Default, Debug)]
 struct Shelf {
-    slots: BTreeMap<Key, Slot>,
+    slots: BTreeMap<KernelKey, Slot>,
     /// Counts requests; the age of a slot is when it was asked for last.
     request: u64,
     counts: CacheCounts,
@@ -87,7 +87,7 @@ impl KernelCache {
     /// # Errors
     /// Those of [`Kernel::compile`]. A failure is not kept: the next request tries again.
     pub fn get_or_compile(&self, program: &Program, options: &KernelOptions) -> Result<Arc<Kernel>, CompileError> {
-        let key = Key::new(program, options);
+        let key = KernelKey::new(program, options);
         let mut shelf = self.lock();
         loop {
             shelf.request += 1;
@@ -122,7 +122,7 @@ impl KernelCache {
 /// The right to compile the kernel of a key. Given up without a kernel, it frees the place for the next who asks.
 struct Claim<'a> {
     cache: &'a KernelCache,
-    key: Key,
+    key: KernelKey,
 }
 
 impl Claim<'_> {

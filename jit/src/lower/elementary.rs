@@ -1,16 +1,16 @@
 //! Elementary functions of the pixel level: vector code, or calls where that would be too much code.
 //!
-//! The algorithms are those of [`isophote_symbolic::elementary`], written once over a [`Machine`]; this machine emits an
+//! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine emits an
 //! instruction for each operation, 2 × f64 at a time. Lanes of f32 are widened in two halves and rounded once.
 
 use std::cell::RefCell;
 
 use cranelift_codegen::ir::condcodes::{FloatCC, IntCC};
 use cranelift_codegen::ir::{self, BlockArg, InstBuilder, types};
-use isophote_symbolic::elementary::{self, Accuracy, Counter, Machine, Plain};
-use isophote_symbolic::{Function1, Function2, Opcode, Precision};
+use isophote_elementary::{Accuracy, Counter, Function1, Function2, Machine, Plain, call1, call2};
+use isophote_symbolic::{Opcode, Precision};
 
-use super::emit::{Emitter, Form};
+use super::emit::{CallForm, Emitter};
 use crate::abi::Functions;
 use crate::plan::Plan;
 
@@ -20,11 +20,11 @@ const INLINED_MAX: usize = 3000;
 
 /// Whether the functions of the pixel level become vector code.
 pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
-    let counter = Counter::new(plan.program.is_fused());
+    let counter = Counter::of(&Plain { fused: plan.program.is_fused() });
     let accuracy = accuracy(precision);
     let mut halves = plan.pixels.iter().map(|v| match plan.program.instruction(*v).op.code {
-        Opcode::Call1(f) => elementary::call1(&counter, f, accuracy, ()),
-        Opcode::Call2(f) => elementary::call2(&counter, f, accuracy, (), ()),
+        Opcode::Call1(f) => call1(&counter, f, accuracy, ()),
+        Opcode::Call2(f) => call2(&counter, f, accuracy, (), ()),
         _ => {}
     });
     // An instruction of the program is a few dozen operations at most, so that the sum stays small.
@@ -44,10 +44,10 @@ impl Emitter<'_, '_> {
         let machine = Plain { fused: self.plan.program.is_fused() };
         if !self.inlined {
             let offset = Functions::lanes1(self.options.precision, machine, function);
-            return self.call_lanes(self.number, offset, Form::Lanes1, &[x]);
+            return self.call_lanes(self.number, offset, CallForm::Lanes1, &[x]);
         }
         let accuracy = accuracy(self.options.precision);
-        self.wide([x], |lanes, [x]| elementary::call1(lanes, function, accuracy, x))
+        self.wide([x], |lanes, [x]| call1(lanes, function, accuracy, x))
     }
 
     /// A function of each pair of lanes.
@@ -55,14 +55,14 @@ impl Emitter<'_, '_> {
         let machine = Plain { fused: self.plan.program.is_fused() };
         if !self.inlined {
             let offset = Functions::lanes2(self.options.precision, machine, function);
-            return self.call_lanes(self.number, offset, Form::Lanes2, &[a, b]);
+            return self.call_lanes(self.number, offset, CallForm::Lanes2, &[a, b]);
         }
         let accuracy = accuracy(self.options.precision);
-        self.wide([a, b], |lanes, [a, b]| elementary::call2(lanes, function, accuracy, a, b))
+        self.wide([a, b], |lanes, [a, b]| call2(lanes, function, accuracy, a, b))
     }
 
     /// A called function takes its lanes, and leaves its result, in the record.
-    fn call_lanes(&mut self, kind: ir::Type, offset: i32, form: Form, operands: &[ir::Value]) -> ir::Value {
+    fn call_lanes(&mut self, kind: ir::Type, offset: i32, form: CallForm, operands: &[ir::Value]) -> ir::Value {
         let slots = self.plan.operands;
         operands.iter().zip(slots).for_each(|(value, slot)| self.store(*value, slot));
         let addresses: Vec<ir::Value> = slots[..operands.len()].iter().map(|slot| self.address(*slot)).collect();
@@ -200,7 +200,7 @@ impl Machine for Lanes<'_, '_, '_> {
         emit.b.ins().brif(any, rare, &[], after, &[BlockArg::from(usual)]);
         emit.b.switch_to_block(rare);
         let offset = Functions::lanes1(Precision::F64, Plain { fused: false }, function);
-        let called = emit.call_lanes(types::F64X2, offset, Form::Lanes1, &[x]);
+        let called = emit.call_lanes(types::F64X2, offset, CallForm::Lanes1, &[x]);
         let truth = emit.cast(types::F64X2, truth);
         let picked = emit.b.ins().bitselect(truth, called, usual);
         emit.b.ins().jump(after, &[BlockArg::from(picked)]);

@@ -252,7 +252,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
     }
 
     /// Calls the elementary function at byte `offset` of the table.
-    pub fn call(&mut self, offset: i32, form: Form, arguments: &[ir::Value]) -> Option<ir::Value> {
+    pub fn call(&mut self, offset: i32, form: CallForm, arguments: &[ir::Value]) -> Option<ir::Value> {
         let signature = self.signature(form);
         let table = self.arg(types::I64, arg::FUNCTIONS);
         let function = self.b.ins().load(types::I64, RECORD, table, offset);
@@ -260,15 +260,15 @@ impl<'a, 'p> Emitter<'a, 'p> {
         self.b.inst_results(call).first().copied()
     }
 
-    fn signature(&mut self, form: Form) -> SigRef {
+    fn signature(&mut self, form: CallForm) -> SigRef {
         if let Some(signature) = self.signatures[form as usize] {
             return signature;
         }
         let (kind, count) = match form {
-            Form::Scalar1 => (types::F64, 1),
-            Form::Scalar2 => (types::F64, 2),
-            Form::Lanes1 => (types::I64, 1),
-            Form::Lanes2 => (types::I64, 2),
+            CallForm::Scalar1 => (types::F64, 1),
+            CallForm::Scalar2 => (types::F64, 2),
+            CallForm::Lanes1 => (types::I64, 1),
+            CallForm::Lanes2 => (types::I64, 2),
         };
         let mut signature = ir::Signature::new(self.frontend.default_call_conv);
         signature.params.resize(count, ir::AbiParam::new(kind));
@@ -302,7 +302,7 @@ pub(super) struct Areas {
 
 /// How an elementary function is called, see [`crate::abi::Functions`].
 #[derive(Clone, Copy)]
-pub(super) enum Form {
+pub(super) enum CallForm {
     Scalar1,
     Scalar2,
     Lanes1,

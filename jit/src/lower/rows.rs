@@ -5,10 +5,10 @@
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, MemFlagsData, types};
-use isophote_symbolic::elementary::MAGIC;
+use isophote_elementary::MAGIC;
 use isophote_symbolic::{Level, Op, Opcode, Precision, Value};
 
-use super::emit::{Emitter, Form, arg};
+use super::emit::{CallForm, Emitter, arg};
 use super::running::vector;
 use crate::abi::Functions;
 use crate::plan::Home;
@@ -67,13 +67,13 @@ impl Emitter<'_, '_> {
         }
         match op.code {
             Opcode::Const(x) => self.pair(x.get()),
-            Opcode::Call1(f) => self.call_pair(Functions::scalar1(f), Form::Scalar1, &operands),
-            Opcode::Call2(f) => self.call_pair(Functions::scalar2(f), Form::Scalar2, &operands),
+            Opcode::Call1(f) => self.call_pair(Functions::scalar1(f), CallForm::Scalar1, &operands),
+            Opcode::Call2(f) => self.call_pair(Functions::scalar2(f), CallForm::Scalar2, &operands),
             _ => unreachable!("the check refuses other instructions at the row level"),
         }
     }
 
-    fn call_pair(&mut self, offset: i32, form: Form, operands: &[ir::Value]) -> ir::Value {
+    fn call_pair(&mut self, offset: i32, form: CallForm, operands: &[ir::Value]) -> ir::Value {
         let [first, second] = [0, 1].map(|row| {
             let arguments: Vec<ir::Value> = operands.iter().map(|v| self.b.ins().extractlane(*v, row)).collect();
             self.call_scalar(offset, form, &arguments)

@@ -4,7 +4,7 @@ use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, types};
 use isophote_symbolic::{Comparison, Level, Op, Opcode, Precision, Sink, Value};
 
-use super::emit::{Emitter, Form, PIXELS, arg};
+use super::emit::{CallForm, Emitter, PIXELS, arg};
 use crate::abi::Functions;
 use crate::plan::Home;
 
@@ -94,8 +94,8 @@ impl<'p> Emitter<'_, 'p> {
             Opcode::Const(x) => self.constant(x.get()),
             Opcode::Not => self.b.ins().bxor_imm_s(operands[0], 1),
             Opcode::Select => self.b.ins().select(operands[0], operands[1], operands[2]),
-            Opcode::Call1(f) => self.call_scalar(Functions::scalar1(f), Form::Scalar1, &operands),
-            Opcode::Call2(f) => self.call_scalar(Functions::scalar2(f), Form::Scalar2, &operands),
+            Opcode::Call1(f) => self.call_scalar(Functions::scalar1(f), CallForm::Scalar1, &operands),
+            Opcode::Call2(f) => self.call_scalar(Functions::scalar2(f), CallForm::Scalar2, &operands),
             Opcode::RowTotal(accumulator) => self.row_total(accumulator.index()),
             Opcode::PassTotal(total) => {
                 let slot = self.plan.totals[total.index()];
@@ -159,7 +159,7 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    pub fn call_scalar(&mut self, offset: i32, form: Form, arguments: &[ir::Value]) -> ir::Value {
+    pub fn call_scalar(&mut self, offset: i32, form: CallForm, arguments: &[ir::Value]) -> ir::Value {
         let result = self.call(offset, form, arguments);
         self.known(result)
     }

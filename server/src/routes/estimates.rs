@@ -46,7 +46,7 @@ pub async fn get(
         }));
     }
     let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or("*/*");
-    let format = body::Format::accepted(accept).ok_or_else(|| {
+    let format = body::Framing::accepted(accept).ok_or_else(|| {
         let detail = "estimates come as text/event-stream, application/x-ndjson, or over a WebSocket";
         Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", detail)
     })?;

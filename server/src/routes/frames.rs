@@ -14,7 +14,7 @@ use crate::hub::Mode;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::streams::frames;
-use crate::streams::pushed::{Media, Pushed};
+use crate::streams::pushed::{FrameMedia, Pushed};
 
 /// Waits for the fit of this very frame.
 pub async fn post(
@@ -30,8 +30,8 @@ pub async fn post(
     }
     let pushed = Pushed::of(&*app.service.session(&raw(name)?)?)?;
     let media = match media_type(&headers).as_str() {
-        "application/octet-stream" => Media::Raw,
-        "image/png" | "image/jpeg" => Media::Image,
+        "application/octet-stream" => FrameMedia::Raw,
+        "image/png" | "image/jpeg" => FrameMedia::Image,
         _ => return Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream")),
     };
     let bytes = read_body(body, LIMITS.frame_bytes).await?;

@@ -1,4 +1,4 @@
-//! `Beside`: what fits of a session ask for is prepared on a thread of its own, while the fits go on without it.
+//! `PreparationThread`: what fits of a session ask for is prepared on a thread of its own, while the fits go on without it.
 //!
 //! What comes in: a [`Preparation`]. What goes out: nothing; the tracker finds the result where it looks for it. It must never
 //! make a fit wait.
@@ -11,7 +11,7 @@ use isophote_tracker::Preparation;
 
 /// One preparation at a time.
 #[derive(Default)]
-pub struct Beside {
+pub struct PreparationThread {
     running: Option<Running>,
 }
 
@@ -20,7 +20,7 @@ struct Running {
     thread: JoinHandle<()>,
 }
 
-impl Beside {
+impl PreparationThread {
     /// Starts it, unless one runs: whoever still needs it then asks again.
     pub fn prepare(&mut self, session: &str, preparation: Preparation) {
         if self.running.as_ref().is_some_and(|running| !running.thread.is_finished()) {
@@ -48,7 +48,7 @@ impl Beside {
     }
 }
 
-impl Drop for Beside {
+impl Drop for PreparationThread {
     fn drop(&mut self) {
         self.give_up();
     }

@@ -7,10 +7,10 @@ use std::time::Duration;
 use isophote_capture::Exposure;
 use isophote_machine::monotonic_ns;
 use isophote_tracker::{ControllerOptions, Ending, ExposureController, Stop, Tracker};
-use isophote_wire::{Estimate, Named, SessionOptions, SessionState, SourceDocument, Timing};
+use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 use super::Shared;
-use super::beside::Beside;
+use super::beside::PreparationThread;
 use super::inbox::{Delivery, Event, SourceEnd, Waiting};
 use super::swap::{Active, Swap, Swapped};
 use crate::hub::End;
@@ -31,7 +31,7 @@ pub struct Fitter {
     /// Sets the source's exposure, when the session asks for it.
     pub knob: Option<ExposureKnob>,
     /// Prepares what frames were fitted without.
-    pub beside: Beside,
+    pub beside: PreparationThread,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
 }
@@ -133,7 +133,7 @@ impl Fitter {
         let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
         self.next_frame = Some(frame.sequence + 1);
         self.shared.status().fitted(frame, end_ns, lost);
-        let estimates: Vec<Arc<Estimate>> =
+        let estimates: Vec<Arc<EstimateView>> =
             results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
         for estimate in &estimates {
             self.shared.hub.publish(estimate.clone());
@@ -150,10 +150,10 @@ impl Fitter {
         result: &isophote_tracker::Estimate,
         start_ns: u64,
         end_ns: u64,
-    ) -> Estimate {
+    ) -> EstimateView {
         let captured = &delivery.captured;
         let frame = &captured.frame;
-        let mut estimate = Estimate::new(&self.active.model, &self.active.id, frame.sequence, result);
+        let mut estimate = EstimateView::new(&self.active.model, &self.active.id, frame.sequence, result);
         estimate.session = Some(self.name.clone());
         estimate.file = captured.file.clone();
         let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
@@ -170,7 +170,7 @@ impl Fitter {
     }
 
     /// Whoever pushed the frame to this session gets its estimate.
-    fn answer(&self, delivery: &Delivery, estimate: Arc<Estimate>) {
+    fn answer(&self, delivery: &Delivery, estimate: Arc<EstimateView>) {
         let mut reply = delivery.reply.lock().unwrap_or_else(PoisonError::into_inner);
         let is_ours = reply.as_ref().is_some_and(|reply| Arc::ptr_eq(&reply.session, &self.shared.inbox));
         if let (true, Some(reply)) = (is_ours, reply.take_if(|_| is_ours)) {

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use isophote_capture::Captured;
-use isophote_wire::Estimate;
+use isophote_wire::EstimateView;
 use tokio::sync::oneshot;
 
 use super::swap::Swap;
@@ -24,7 +24,7 @@ pub struct Reply {
     /// The session that was asked.
     pub session: Arc<Inbox>,
     /// Dropped when the frame is not fitted.
-    pub sender: oneshot::Sender<Arc<Estimate>>,
+    pub sender: oneshot::Sender<Arc<EstimateView>>,
 }
 
 /// Why no more frames come.

@@ -17,8 +17,8 @@ use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
-use crate::source::{Shape, Source};
-use beside::Beside;
+use crate::source::{FrameShape, Source};
+use beside::PreparationThread;
 use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
 use isophote_machine::Threads;
@@ -90,7 +90,7 @@ impl Session {
             tracker,
             active,
             knob,
-            beside: Beside::default(),
+            beside: PreparationThread::default(),
             next_frame: None,
         };
         let (runs, running) = std::sync::mpsc::sync_channel::<()>(0);
@@ -225,7 +225,7 @@ fn check_document(document: &SessionDocument) -> Result<(), Problem> {
 }
 
 /// Whether a model can look at such frames.
-fn check_shape(model: &isophote_symbolic::Model, shape: &Shape) -> Result<(), String> {
+fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) -> Result<(), String> {
     let (coordinates, channels) = (model.coordinates().len(), model.channels().len());
     if let Some(dimensions) = shape.dimensions.filter(|dimensions| *dimensions != coordinates) {
         return Err(format!(

@@ -6,7 +6,7 @@ use isophote_tracker::Frame;
 use isophote_wire::SessionState;
 
 use super::swap::Active;
-use crate::source::{Shape, Source};
+use crate::source::{FrameShape, Source};
 
 /// Estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;
@@ -29,7 +29,7 @@ pub struct Status {
     /// Why it does not run.
     pub reason: Option<String>,
     /// What the frames look like, as soon as there was one.
-    pub shape: Option<Shape>,
+    pub shape: Option<FrameShape>,
     ended: Option<SessionState>,
     times_ns: VecDeque<u64>,
 }
@@ -59,7 +59,7 @@ impl Status {
         }
         self.times_ns.push_back(now_ns);
         if self.shape.is_none() {
-            self.shape = Some(Shape {
+            self.shape = Some(FrameShape {
                 dimensions: Some(frame.size().len()),
                 planes: Some(frame.planes().len()),
                 format: frame.planes().first().map(|plane| plane.format),

@@ -26,11 +26,11 @@ use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
 use isophote_machine::monotonic_ns;
 use isophote_wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
 pub use open::{Opened, camera_problem, open, pixel_format};
-use schedule::Schedule;
+use schedule::Ticks;
 
 /// What is known about a source's frames before the first one comes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Shape {
+pub struct FrameShape {
     /// Number of coordinates.
     pub dimensions: Option<usize>,
     /// Number of planes.
@@ -56,7 +56,7 @@ pub enum Producer {
 /// A running source.
 pub struct Source {
     document: SourceDocument,
-    shape: Shape,
+    shape: FrameShape,
     exposure: Option<Exposure>,
     /// Ends a camera's wait.
     wake: Option<Wake>,
@@ -115,7 +115,7 @@ impl Source {
             Producer::Pushed => (None, None),
             Producer::Camera(camera) => (camera.exposure(), Some(camera.wake())),
         };
-        let worker = Worker { shared: shared.clone(), pace, schedule: Schedule::new(rate_hz), frame: 0 };
+        let worker = Worker { shared: shared.clone(), pace, schedule: Ticks::new(rate_hz), frame: 0 };
         let thread = std::thread::Builder::new()
             .name(format!("source {label}"))
             .spawn(move || worker.run(opened.producer))
@@ -124,7 +124,7 @@ impl Source {
     }
 
     /// What is known about its frames.
-    pub fn shape(&self) -> &Shape {
+    pub fn shape(&self) -> &FrameShape {
         &self.shape
     }
 
@@ -226,7 +226,7 @@ fn end_of(state: SourceState, reason: String) -> SourceEnd {
 struct Worker {
     shared: Arc<Shared>,
     pace: Pace,
-    schedule: Schedule,
+    schedule: Ticks,
     frame: u64,
 }
 

@@ -14,7 +14,7 @@ use isophote_wire::{
     CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
 };
 
-use super::{Producer, Shape};
+use super::{FrameShape, Producer};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 
@@ -23,7 +23,7 @@ pub struct Opened {
     /// What makes the frames.
     pub producer: Producer,
     /// What they look like, as far as that is known.
-    pub shape: Shape,
+    pub shape: FrameShape,
     /// When the next one comes.
     pub pace: Pace,
     /// Frames a second, 0: as fast as `pace` allows.
@@ -78,7 +78,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         let key = if let SyntheticError::Light { key, .. } = &error { key } else { "" };
         Problem::wrong_key("wrong-source", format!("{prefix}{key}").trim_end_matches('.'), error.to_string())
     })?;
-    let shape = Shape {
+    let shape = FrameShape {
         dimensions: Some(model.coordinates().len()),
         planes: Some(model.channels().len()),
         format: Some(if document.bits <= 8 { PixelFormat::U8 } else { PixelFormat::U16 }),
@@ -99,7 +99,7 @@ fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Mo
     // All planes and columns are left as they are, for each session to pick from.
     let columns = recording.csv_channels().map_err(wrong)?;
     let size = recording.size();
-    let shape = Shape {
+    let shape = FrameShape {
         dimensions: size.as_ref().map(Vec::len).or(columns.is_some().then_some(1)),
         planes: None,
         format: None,
@@ -113,7 +113,7 @@ fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Mo
 fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Problem> {
     check_size(document.width, document.height, prefix)?;
     let format = pixel_format(document.format);
-    let shape = Shape {
+    let shape = FrameShape {
         dimensions: Some(2),
         planes: None, // a PNG may have colour
         format: Some(format),
@@ -151,7 +151,7 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         controls: document.controls.clone(),
     };
     let camera = LiveCamera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
-    let shape = Shape {
+    let shape = FrameShape {
         dimensions: Some(2),
         planes: Some(camera.planes()),
         format: Some(camera.pixel_format()),

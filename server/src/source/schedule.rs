@@ -3,16 +3,16 @@
 use std::time::{Duration, Instant};
 
 /// Ticks at a rate.
-pub struct Schedule {
+pub struct Ticks {
     period: Duration,
     next: Option<Instant>,
 }
 
-impl Schedule {
+impl Ticks {
     /// `rate_hz` 0: always due at once.
-    pub fn new(rate_hz: f64) -> Schedule {
+    pub fn new(rate_hz: f64) -> Ticks {
         let period = if rate_hz > 0.0 { Duration::from_secs_f64(1.0 / rate_hz) } else { Duration::ZERO };
-        Schedule { period, next: None }
+        Ticks { period, next: None }
     }
 
     /// When the next frame is due, seen from `now`. A schedule that is more than one period behind starts anew from
@@ -40,7 +40,7 @@ mod tests {
     fn is_absolute_and_never_bursts() {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
-        let mut schedule = Schedule::new(100.0);
+        let mut schedule = Ticks::new(100.0);
         assert_eq!(schedule.due(at(0)), at(0));
         assert_eq!(schedule.due(at(3)), at(10));
         assert_eq!(schedule.due(at(14)), at(20)); // woken late: the grid stays

@@ -9,7 +9,7 @@ use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
 use isophote_wire::{Pace, PushedDocument, PushedFormat, SourceDocument, SourceState};
 
-use super::{Opened, Producer, Shape, Source};
+use super::{FrameShape, Opened, Producer, Source};
 use crate::session::inbox::{Event, Inbox, SourceEnd};
 
 /// So many frames, then `None` or a panic.
@@ -40,7 +40,8 @@ fn start(left: u64, panics: bool, pace: Pace) -> (Source, Arc<Inbox>) {
     let document = SourceDocument::Pushed(PushedDocument { width: 1, height: 1, format: PushedFormat::U8 });
     let producer = Producer::Frames(Box::new(Counted { left, panics }));
     let rate_hz = if pace == Pace::Fit { 0.0 } else { 10_000.0 };
-    let source = Source::start("test", document, Opened { producer, shape: Shape::default(), pace, rate_hz }).unwrap();
+    let source =
+        Source::start("test", document, Opened { producer, shape: FrameShape::default(), pace, rate_hz }).unwrap();
     let inbox = Arc::new(Inbox::default());
     assert_eq!(source.view("test").state, SourceState::Idle);
     source.subscribe(&inbox);

@@ -7,7 +7,7 @@ use axum::body::{Body, Bytes};
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
-use isophote_wire::Estimate;
+use isophote_wire::EstimateView;
 use tokio::sync::mpsc;
 
 use crate::hub::{Next, Subscription};
@@ -15,43 +15,43 @@ use crate::limits::LIMITS;
 
 /// How messages are set apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
+pub enum Framing {
     /// `text/event-stream`
     Events,
     /// `application/x-ndjson`
     Lines,
 }
 
-impl Format {
+impl Framing {
     /// The first that `Accept` names; lines when it takes anything.
-    pub fn accepted(accept: &str) -> Option<Format> {
+    pub fn accepted(accept: &str) -> Option<Framing> {
         accept.split(',').find_map(|item| match item.split(';').next().unwrap_or_default().trim() {
-            "text/event-stream" => Some(Format::Events),
-            "application/x-ndjson" | "application/*" | "*/*" => Some(Format::Lines),
+            "text/event-stream" => Some(Framing::Events),
+            "application/x-ndjson" | "application/*" | "*/*" => Some(Framing::Lines),
             _ => None,
         })
     }
 
     fn media(self) -> &'static str {
         match self {
-            Format::Events => "text/event-stream",
-            Format::Lines => "application/x-ndjson",
+            Framing::Events => "text/event-stream",
+            Framing::Lines => "application/x-ndjson",
         }
     }
 
-    fn message(self, estimate: &Estimate) -> Bytes {
+    fn message(self, estimate: &EstimateView) -> Bytes {
         let json = serde_json::to_string(estimate).unwrap_or_default();
         match self {
-            Format::Events => format!("id: {}\ndata: {json}\n\n", estimate.frame).into(),
-            Format::Lines => format!("{json}\n").into(),
+            Framing::Events => format!("id: {}\ndata: {json}\n\n", estimate.frame).into(),
+            Framing::Lines => format!("{json}\n").into(),
         }
     }
 }
 
 /// The response; it ends with the session or the service.
-pub fn response(subscription: Subscription, format: Format, held: mpsc::Sender<()>) -> Response {
+pub fn response(subscription: Subscription, format: Framing, held: mpsc::Sender<()>) -> Response {
     let stream = stream::unfold((subscription, held), move |(mut subscription, held)| async move {
-        let quiet = if format == Format::Events { LIMITS.ping_time } else { Duration::MAX };
+        let quiet = if format == Framing::Events { LIMITS.ping_time } else { Duration::MAX };
         let message = match tokio::time::timeout(quiet, subscription.next()).await {
             Err(_) => Bytes::from_static(b": still here\n\n"),
             Ok(Next::Estimate(estimate)) => format.message(&estimate),
@@ -71,9 +71,9 @@ mod tests {
 
     #[test]
     fn accept_picks_the_format() {
-        assert_eq!(Format::accepted("text/event-stream"), Some(Format::Events));
-        assert_eq!(Format::accepted("text/html, application/x-ndjson;q=0.9"), Some(Format::Lines));
-        assert_eq!(Format::accepted("*/*"), Some(Format::Lines));
-        assert_eq!(Format::accepted("image/png"), None);
+        assert_eq!(Framing::accepted("text/event-stream"), Some(Framing::Events));
+        assert_eq!(Framing::accepted("text/html, application/x-ndjson;q=0.9"), Some(Framing::Lines));
+        assert_eq!(Framing::accepted("*/*"), Some(Framing::Lines));
+        assert_eq!(Framing::accepted("image/png"), None);
     }
 }

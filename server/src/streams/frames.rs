@@ -9,9 +9,9 @@ use std::time::Instant;
 
 use axum::extract::ws::{Message, WebSocket};
 use isophote_tracker::Frame;
-use isophote_wire::{Estimate, FrameTime};
+use isophote_wire::{EstimateView, FrameTime};
 
-use super::pushed::{Pushed, Waiting, gone};
+use super::pushed::{Pushed, WaitingFrame, gone};
 use super::websocket::{close, refuse, send};
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
@@ -22,7 +22,7 @@ type Decoding = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 /// What happened.
 enum Turn {
     Ended(Next),
-    Answered(Result<Arc<Estimate>, Problem>),
+    Answered(Result<Arc<EstimateView>, Problem>),
     Decoded(Result<Frame, Problem>),
     Received(Option<Result<Message, axum::Error>>),
     Ping,
@@ -36,7 +36,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
     ping.reset();
     // One frame is decoded at a time, so that frames keep their order; then they wait for their fits.
     let mut decoding: Option<Decoding> = None;
-    let mut waiting: VecDeque<Result<Waiting, Problem>> = VecDeque::new();
+    let mut waiting: VecDeque<Result<WaitingFrame, Problem>> = VecDeque::new();
     let mut next = FrameTime::default();
     loop {
         let has_room = decoding.is_none() && waiting.len() < LIMITS.pushed_window;
@@ -60,7 +60,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
             }
             Turn::Ended(Next::End(end)) => {
                 let unfinished = decoding.is_some().then(|| Err(gone()));
-                let answers = waiting.into_iter().map(|one| one.and_then(Waiting::last)).chain(unfinished);
+                let answers = waiting.into_iter().map(|one| one.and_then(WaitingFrame::last)).chain(unfinished);
                 return leave(&mut socket, answers.collect(), &end).await;
             }
             Turn::Ended(Next::Estimate(_)) => {}
@@ -97,7 +97,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
 }
 
 /// The answer to the frame that has waited longest; never, when none waits.
-async fn first(waiting: &mut VecDeque<Result<Waiting, Problem>>) -> Result<Arc<Estimate>, Problem> {
+async fn first(waiting: &mut VecDeque<Result<WaitingFrame, Problem>>) -> Result<Arc<EstimateView>, Problem> {
     match waiting.front_mut() {
         None => std::future::pending().await,
         Some(Ok(frame)) => frame.estimate().await,
@@ -114,7 +114,7 @@ async fn decoded(decoding: &mut Option<Decoding>) -> Result<Frame, Problem> {
 }
 
 /// Every frame that was taken is answered, unless the service is in a hurry.
-async fn leave(socket: &mut WebSocket, answers: Vec<Result<Arc<Estimate>, Problem>>, end: &End) {
+async fn leave(socket: &mut WebSocket, answers: Vec<Result<Arc<EstimateView>, Problem>>, end: &End) {
     if *end != End::ServiceStops {
         for answer in answers {
             if !tell(socket, answer).await {
@@ -126,7 +126,7 @@ async fn leave(socket: &mut WebSocket, answers: Vec<Result<Arc<Estimate>, Proble
 }
 
 /// False when the client does not take it.
-async fn tell(socket: &mut WebSocket, answer: Result<Arc<Estimate>, Problem>) -> bool {
+async fn tell(socket: &mut WebSocket, answer: Result<Arc<EstimateView>, Problem>) -> bool {
     let json = match answer {
         Ok(estimate) => serde_json::to_string(&*estimate),
         Err(problem) => serde_json::to_string(&problem.document()),

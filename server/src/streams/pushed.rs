@@ -5,7 +5,7 @@ use std::sync::Arc;
 use isophote_capture::Captured;
 use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
-use isophote_wire::{Estimate, PushedDocument, SourceDocument};
+use isophote_wire::{EstimateView, PushedDocument, SourceDocument};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -17,7 +17,7 @@ use crate::source::{Source, pixel_format};
 
 /// What the bytes of a frame are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Media {
+pub enum FrameMedia {
     /// Pixels in the source's format, rows without padding.
     Raw,
     /// A file that says what it is.
@@ -32,8 +32,8 @@ pub struct Pushed {
 }
 
 /// A frame that waits for its fit.
-pub struct Waiting {
-    answer: oneshot::Receiver<Arc<Estimate>>,
+pub struct WaitingFrame {
+    answer: oneshot::Receiver<Arc<EstimateView>>,
     /// From when it is the next to be answered: until then it waits for the frames before it.
     deadline: Option<Instant>,
 }
@@ -58,12 +58,12 @@ impl Pushed {
     }
 
     /// What bytes are that come without a type.
-    pub fn media(&self, bytes: &[u8]) -> Media {
+    pub fn media(&self, bytes: &[u8]) -> FrameMedia {
         media(&self.document, bytes)
     }
 
     /// Decodes on a thread where it may take its time. `time_s` is the client's.
-    pub async fn decode(&self, media: Media, bytes: Vec<u8>, time_s: Option<f64>) -> Result<Frame, Problem> {
+    pub async fn decode(&self, media: FrameMedia, bytes: Vec<u8>, time_s: Option<f64>) -> Result<Frame, Problem> {
         let document = self.document.clone();
         let decoding = tokio::task::spawn_blocking(move || decode(&document, media, bytes));
         let frame = decoding.await.map_err(|_| Problem::bug("decoding panicked"))??;
@@ -71,24 +71,24 @@ impl Pushed {
     }
 
     /// Hands a frame to the source; frames are fitted in the order of these calls.
-    pub fn push(&self, frame: Frame) -> Result<Waiting, Problem> {
+    pub fn push(&self, frame: Frame) -> Result<WaitingFrame, Problem> {
         let (sender, answer) = oneshot::channel();
         let reply = Reply { session: self.inbox.clone(), sender };
         self.source.push(Captured { frame, file: None, truth: None }, reply)?;
-        Ok(Waiting { answer, deadline: None })
+        Ok(WaitingFrame { answer, deadline: None })
     }
 }
 
-impl Waiting {
+impl WaitingFrame {
     /// The estimate, when it is there; its time begins with the first call. Nothing is lost when the future is dropped.
-    pub async fn estimate(&mut self) -> Result<Arc<Estimate>, Problem> {
+    pub async fn estimate(&mut self) -> Result<Arc<EstimateView>, Problem> {
         let late = |_| Problem::late("the frame was not fitted in time");
         let deadline = *self.deadline.get_or_insert_with(|| Instant::now() + LIMITS.push_time);
         tokio::time::timeout_at(deadline, &mut self.answer).await.map_err(late)?.map_err(|_| gone())
     }
 
     /// The estimate if it is there by now, for a session that has ended.
-    pub fn last(mut self) -> Result<Arc<Estimate>, Problem> {
+    pub fn last(mut self) -> Result<Arc<EstimateView>, Problem> {
         self.answer.try_recv().map_err(|_| gone())
     }
 }
@@ -99,9 +99,9 @@ pub fn gone() -> Problem {
 }
 
 /// Pixels that begin like a JPEG are possible; the eight bytes of a PNG are not.
-fn media(document: &PushedDocument, bytes: &[u8]) -> Media {
+fn media(document: &PushedDocument, bytes: &[u8]) -> FrameMedia {
     let is_image = is_png(bytes) || (is_jpeg(bytes) && bytes.len() != raw_bytes(document));
-    if is_image { Media::Image } else { Media::Raw }
+    if is_image { FrameMedia::Image } else { FrameMedia::Raw }
 }
 
 fn raw_bytes(document: &PushedDocument) -> usize {
@@ -113,10 +113,10 @@ fn frame_bytes(document: &PushedDocument) -> usize {
     image.max(raw_bytes(document)).min(LIMITS.frame_bytes)
 }
 
-fn decode(document: &PushedDocument, media: Media, bytes: Vec<u8>) -> Result<Frame, Problem> {
+fn decode(document: &PushedDocument, media: FrameMedia, bytes: Vec<u8>) -> Result<Frame, Problem> {
     let size = [document.width, document.height];
     let wrong = |message: String| Problem::wrong_key("wrong-frame", "", message);
-    if media == Media::Image {
+    if media == FrameMedia::Image {
         // Before decoding: a small file may hold a picture of any size.
         let got = isophote_capture::decode::size(&bytes).map_err(|error| wrong(error.to_string()))?;
         if got != size {
@@ -143,13 +143,13 @@ mod tests {
     #[test]
     fn images_are_known_by_how_they_begin() {
         let document = PushedDocument { width: 4, height: 3, format: PushedFormat::U16le };
-        let cases: [(&[u8], Media); 6] = [
-            (b"\x89PNG\r\n\x1a\n and so on", Media::Image),
-            (b"\x89PNG\r\n\x1a\n of 24 bytes....", Media::Image),
-            (b"\x89PNG\n is not how it begins", Media::Raw),
-            (b"\xff\xd8\xff\xe0 and so on", Media::Image),
-            (b"\xff\xd8\xff\xe0 of pixels 24 bytes.", Media::Raw),
-            (b"", Media::Raw),
+        let cases: [(&[u8], FrameMedia); 6] = [
+            (b"\x89PNG\r\n\x1a\n and so on", FrameMedia::Image),
+            (b"\x89PNG\r\n\x1a\n of 24 bytes....", FrameMedia::Image),
+            (b"\x89PNG\n is not how it begins", FrameMedia::Raw),
+            (b"\xff\xd8\xff\xe0 and so on", FrameMedia::Image),
+            (b"\xff\xd8\xff\xe0 of pixels 24 bytes.", FrameMedia::Raw),
+            (b"", FrameMedia::Raw),
         ];
         assert_eq!((cases[1].0.len(), cases[4].0.len()), (24, 24));
         for (bytes, expected) in cases {
@@ -162,7 +162,7 @@ mod tests {
     fn an_image_of_another_size_is_refused_before_it_is_decoded() {
         let document = PushedDocument { width: 4, height: 3, format: PushedFormat::U8 };
         let mut png = isophote_capture::encode_png(4, 3, isophote_jit::PixelFormat::U8, &[7; 12]).unwrap();
-        assert_eq!(decode(&document, Media::Image, png.clone()).unwrap().size(), [4, 3]);
+        assert_eq!(decode(&document, FrameMedia::Image, png.clone()).unwrap().size(), [4, 3]);
         png[16..24].copy_from_slice(&[0, 0, 32, 0, 0, 0, 32, 0]);
         let (mut crc, head) = (u32::MAX, 12..29);
         for byte in &png[head] {
@@ -170,7 +170,7 @@ mod tests {
             (0..8).for_each(|_| crc = crc >> 1 ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 });
         }
         png[29..33].copy_from_slice(&(!crc).to_be_bytes());
-        let problem = decode(&document, Media::Image, png).unwrap_err();
+        let problem = decode(&document, FrameMedia::Image, png).unwrap_err();
         assert_eq!(problem.detail, "the frame has [8192, 8192] px, the source [4, 3]");
     }
 
@@ -188,7 +188,7 @@ mod tests {
     #[tokio::test]
     async fn time_begins_when_a_frame_is_the_next() {
         let (sender, answer) = oneshot::channel();
-        let mut waiting = Waiting { answer, deadline: None };
+        let mut waiting = WaitingFrame { answer, deadline: None };
         let (begun, long) = (Instant::now(), LIMITS.push_time);
         assert!(tokio::time::timeout(std::time::Duration::from_millis(1), waiting.estimate()).await.is_err());
         let deadline = waiting.deadline.unwrap();

@@ -5,7 +5,7 @@ use isophote_symbolic::{Diagnostic, Method};
 pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
 use serde::{Deserialize, Serialize};
 
-use crate::{Estimate, SessionDocument, SourceDocument};
+use crate::{EstimateView, SessionDocument, SourceDocument};
 
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -193,7 +193,7 @@ pub struct SessionView {
     pub source_camera: Option<CameraStatus>,
     /// The last estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub last: Option<Estimate>,
+    pub last: Option<EstimateView>,
 }
 
 /// Answer of a hot swap.

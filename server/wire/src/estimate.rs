@@ -9,7 +9,7 @@ use crate::Named;
 
 /// What is not known is absent: no `session` and no times offline, no `truth` from a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Estimate {
+pub struct EstimateView {
     /// The session that made it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub session: Option<String>,
@@ -115,10 +115,10 @@ pub struct Timing {
     pub fit: u64,
 }
 
-impl Estimate {
+impl EstimateView {
     /// The tracker's result in the wire's form. `model_id` is `name@sha256:…`; the caller adds what only it knows
     /// (session, file, times, truth). Numbers that are not finite are absent.
-    pub fn new(model: &Model, model_id: &str, frame: u64, result: &tracker::Estimate) -> Estimate {
+    pub fn new(model: &Model, model_id: &str, frame: u64, result: &tracker::Estimate) -> EstimateView {
         let names = model.parameters();
         let roles = model.roles().first();
         let value = |id: Option<isophote_symbolic::ParameterId>| {
@@ -127,7 +127,7 @@ impl Estimate {
         let background = value(roles.and_then(|r| r.background));
         let brightness = value(roles.and_then(|r| r.brightness));
         let pairs = names.iter().zip(&result.parameters);
-        Estimate {
+        EstimateView {
             session: None,
             target: result.target.clone(),
             frame,

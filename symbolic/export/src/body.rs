@@ -9,8 +9,8 @@ use isophote_symbolic::{CoordinateId, Level, Op, Opcode, Precision, Program, Sin
 
 use crate::header::comment;
 use crate::names::Words;
-use crate::options::{Language, Source};
-use crate::spelling::Spelling;
+use crate::options::{ExportSubject, Language};
+use crate::spelling::{Dialect, Held};
 
 /// Statements of each level, a line each.
 #[derive(Default)]
@@ -28,21 +28,22 @@ pub(super) struct Body {
 
 /// Writes statements.
 pub(super) struct Statements<'a> {
-    pub source: &'a Source<'a>,
+    pub source: &'a ExportSubject<'a>,
     pub words: Words,
     pub live: Vec<bool>,
-    pub truths: Vec<bool>,
+    pub held: Vec<Held>,
     /// The factors of what is multiplied and added to a sum at once, by accumulator.
     pub contractions: Vec<Option<(Value, Value)>>,
 }
 
 impl<'a> Statements<'a> {
-    pub fn new(source: &'a Source<'a>) -> Statements<'a> {
+    pub fn new(source: &'a ExportSubject<'a>) -> Statements<'a> {
         let program = source.program;
-        let truths = (0..program.instructions().len() as u32).map(|i| program.is_truth(Value(i))).collect();
+        let held = |i: u32| if program.is_truth(Value(i)) { Held::Truth } else { Held::Number };
+        let held = (0..program.instructions().len() as u32).map(held).collect();
         let contractions = program.contractions();
         let live = live(program, &contractions);
-        Statements { source, words: Words::of(program), live, truths, contractions }
+        Statements { source, words: Words::of(program), live, held, contractions }
     }
 
     pub fn program(&self) -> &'a Program {
@@ -50,9 +51,9 @@ impl<'a> Statements<'a> {
     }
 
     /// The spelling at a level.
-    pub fn spelling(&self, level: Level) -> Spelling {
+    pub fn spelling(&self, level: Level) -> Dialect {
         let real = if level == Level::Pixel { self.source.options.precision } else { Precision::F64 };
-        Spelling { language: self.source.options.language, real }
+        Dialect { language: self.source.options.language, real }
     }
 
     fn level(&self, value: Value) -> Level {
@@ -63,7 +64,7 @@ impl<'a> Statements<'a> {
     fn is_rounded(&self, value: Value) -> bool {
         self.level(value) < Level::Pixel
             && self.source.options.precision == Precision::F32
-            && !self.truths[value.index()]
+            && self.held[value.index()] == Held::Number
             && self.program().instruction(value).op.constant().is_none()
     }
 
@@ -109,7 +110,7 @@ impl<'a> Statements<'a> {
             }
             let spelling = self.spelling(level);
             let expression = self.leaf(op).unwrap_or_else(|| spelling.operation(op, &|v| self.read(v, level)));
-            lines.push(spelling.declare(&self.words.values[value.index()], self.truths[value.index()], &expression));
+            lines.push(spelling.declare(&self.words.values[value.index()], self.held[value.index()], &expression));
         }
         lines
     }
@@ -168,15 +169,15 @@ impl<'a> Statements<'a> {
         };
         for value in self.read_by_pixels().into_iter().filter(|v| self.is_rounded(*v)) {
             let word = &self.words.values[value.index()];
-            let line = spelling.declare(&format!("{word}_f"), false, &spelling.rounded(word));
+            let line = spelling.declare(&format!("{word}_f"), Held::Number, &spelling.rounded(word));
             if self.level(value) == Level::Pass { body.pass.push(line) } else { body.row.push(line) }
         }
         for (value, c) in self.offsets() {
             let (word, c) = (&self.words.values[value.index()], self.read(c, Level::Row));
             let outer = self.spelling(Level::Row);
-            body.before_pixels.push(outer.declare(&format!("{word}_n"), false, &self.nearest(&c)));
+            body.before_pixels.push(outer.declare(&format!("{word}_n"), Held::Number, &self.nearest(&c)));
             let part = spelling.rounded(&format!("({c} + {word}_n)"));
-            body.before_pixels.push(spelling.declare(&format!("{word}_part"), false, &part));
+            body.before_pixels.push(spelling.declare(&format!("{word}_part"), Held::Number, &part));
             let whole = spelling.rounded(&format!("(x_first - {word}_n)"));
             let number = spelling.number();
             body.before_pixels.push(match rust {
@@ -199,7 +200,7 @@ impl<'a> Statements<'a> {
                 }
                 _ => spelling.operation(op, &|v| self.read(v, Level::Pixel)),
             };
-            body.pixel.push(spelling.declare(word, self.truths[value.index()], &expression));
+            body.pixel.push(spelling.declare(word, self.held[value.index()], &expression));
         }
         body
     }

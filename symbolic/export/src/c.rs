@@ -7,10 +7,10 @@ use isophote_symbolic::{Level, Opcode, Sink};
 use crate::body::{Body, Statements};
 use crate::header;
 use crate::lines::File;
-use crate::options::{PixelType, Source};
+use crate::options::{ExportSubject, PixelType};
 
 /// The whole file.
-pub(super) fn file(source: &Source<'_>) -> String {
+pub(super) fn file(source: &ExportSubject<'_>) -> String {
     let statements = Statements::new(source);
     let body = statements.body();
     let mut file = File::default();
@@ -34,7 +34,7 @@ fn c_type(pixel: PixelType) -> &'static str {
     }
 }
 
-fn types(file: &mut File, source: &Source<'_>) {
+fn types(file: &mut File, source: &ExportSubject<'_>) {
     let (name, dimensions) = (&source.name, source.dimensions());
     for header in ["math", "stdbool", "stddef", "stdint"] {
         file.line(&format!("#include <{header}.h>"));
@@ -65,7 +65,7 @@ fn types(file: &mut File, source: &Source<'_>) {
     file.line("");
 }
 
-fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: &Body) {
+fn function(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>, body: &Body) {
     let (name, program) = (&source.name, source.program);
     let planes = statements.words.planes.iter().zip(&source.options.pixels);
     let planes: Vec<String> = planes.map(|(word, pixel)| format!("{name}_plane_{} {word}", pixel.name())).collect();
@@ -114,7 +114,7 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
     file.close("}");
 }
 
-fn checks(file: &mut File, source: &Source<'_>, statements: &Statements<'_>) {
+fn checks(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>) {
     file.open(&format!("for (size_t i = 0; i < {}; i++) {{", source.dimensions()));
     file.line("if (window.size[i] == 0) return 0;");
     for plane in &statements.words.planes {
@@ -124,7 +124,7 @@ fn checks(file: &mut File, source: &Source<'_>, statements: &Statements<'_>) {
     file.close("}");
 }
 
-fn row(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: &Body) {
+fn row(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>, body: &Body) {
     let (program, set) = (source.program, source.program.pixel_set());
     let number = statements.spelling(Level::Pixel).number();
     file.line("/* row */");

@@ -2,7 +2,7 @@
 
 use isophote_symbolic::{Input, Precision, Sink};
 
-use crate::options::Source;
+use crate::options::ExportSubject;
 
 /// Text of a document that stands in a comment of C or Rust: it cannot end the comment, nor start another.
 pub(super) fn comment(text: &str) -> String {
@@ -21,7 +21,7 @@ pub(super) fn comment(text: &str) -> String {
 }
 
 /// The lines of the head, without the marks of a comment.
-pub(super) fn lines(source: &Source<'_>) -> Vec<String> {
+pub(super) fn lines(source: &ExportSubject<'_>) -> Vec<String> {
     let (model, program, options) = (source.model, source.program, source.options);
     let mut lines = vec![format!("{}: {}", model.name(), comment(model.description()))];
     lines.push(format!("Written by isophote {} from the model {}", env!("CARGO_PKG_VERSION"), model.digest()));
@@ -60,7 +60,7 @@ pub(super) fn lines(source: &Source<'_>) -> Vec<String> {
     lines
 }
 
-fn arithmetic(source: &Source<'_>) -> Vec<String> {
+fn arithmetic(source: &ExportSubject<'_>) -> Vec<String> {
     let (program, options) = (source.program, source.options);
     let pixel = match options.precision {
         Precision::F32 => "f32 a pixel; f64 for rows and passes",
@@ -78,7 +78,7 @@ fn arithmetic(source: &Source<'_>) -> Vec<String> {
     ]
 }
 
-fn meaning(source: &Source<'_>, input: Input) -> String {
+fn meaning(source: &ExportSubject<'_>, input: Input) -> String {
     let (model, names) = (source.model, source.program.names());
     match input {
         Input::Parameter(p) => {

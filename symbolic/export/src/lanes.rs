@@ -5,12 +5,13 @@ use isophote_symbolic::{Level, Op, Opcode, Sink, Value};
 
 use crate::body::{Body, Statements};
 use crate::lines::File;
-use crate::options::{ExportError, Source};
+use crate::options::{ExportError, ExportSubject};
 use crate::rust;
+use crate::spelling::Held;
 use crate::vectors::Vectors;
 
 /// The whole file.
-pub(super) fn file(source: &Source<'_>) -> Result<String, ExportError> {
+pub(super) fn file(source: &ExportSubject<'_>) -> Result<String, ExportError> {
     let Sink::Sums { accumulators, .. } = source.program.sink() else {
         return Err(ExportError::NotInLanes("renderings"));
     };
@@ -65,7 +66,7 @@ pub(super) fn file(source: &Source<'_>) -> Result<String, ExportError> {
 }
 
 struct Lanes<'a> {
-    source: &'a Source<'a>,
+    source: &'a ExportSubject<'a>,
     statements: &'a Statements<'a>,
     vectors: Vectors,
 }
@@ -75,8 +76,8 @@ impl Lanes<'_> {
         &self.statements.words.values[value.index()]
     }
 
-    fn is_truth(&self, value: Value) -> bool {
-        self.statements.truths[value.index()]
+    fn held(&self, value: Value) -> Held {
+        self.statements.held[value.index()]
     }
 
     /// A value as the pixel loop reads it.
@@ -93,9 +94,9 @@ impl Lanes<'_> {
     fn splats(&self, body: &mut Body) {
         for value in self.statements.read_by_pixels() {
             let word = self.word(value);
-            let splat = match self.is_truth(value) {
-                true => self.vectors.splat_truth(word),
-                false => self.vectors.splat(&format!("{word} as f32")),
+            let splat = match self.held(value) {
+                Held::Truth => self.vectors.splat_truth(word),
+                Held::Number => self.vectors.splat(&format!("{word} as f32")),
             };
             let line = format!("let {word}_v = {splat};");
             let pass = self.source.program.instruction(value).level == Level::Pass;
@@ -114,7 +115,7 @@ impl Lanes<'_> {
                     self.vectors.call("add_ps", &[&format!("{word}_at"), &self.vectors.splat(&format!("{word}_part"))])
                 }
                 _ => {
-                    let spelled = self.vectors.operation(op, self.is_truth(value), &|v| self.read(v));
+                    let spelled = self.vectors.operation(op, self.held(value), &|v| self.read(v));
                     spelled.ok_or(ExportError::NotInLanes("elementary functions"))?
                 }
             };

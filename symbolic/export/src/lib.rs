@@ -24,7 +24,7 @@ use isophote_symbolic::{Model, Precision, Program};
 
 pub use options::{ExportError, ExportOptions, Language, PixelType};
 
-use options::Source;
+use options::ExportSubject;
 
 /// A program of a model as source text; see the crate's text.
 ///
@@ -41,7 +41,7 @@ pub fn export(model: &Model, program: &Program, options: &ExportOptions) -> Resu
     if !names::is_function_name(&name) {
         return Err(ExportError::Name(name));
     }
-    let source = Source { model, program, options, name };
+    let source = ExportSubject { model, program, options, name };
     match (options.language, options.precision, options.lanes) {
         (Language::C, _, 1) => Ok(c::file(&source)),
         (Language::Rust, _, 1) => Ok(rust::file(&source)),

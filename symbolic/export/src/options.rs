@@ -102,7 +102,7 @@ pub enum ExportError {
 }
 
 /// All that is known when a file is written.
-pub(crate) struct Source<'a> {
+pub(crate) struct ExportSubject<'a> {
     pub model: &'a Model,
     pub program: &'a Program,
     pub options: &'a ExportOptions,
@@ -110,7 +110,7 @@ pub(crate) struct Source<'a> {
     pub name: String,
 }
 
-impl Source<'_> {
+impl ExportSubject<'_> {
     /// How many coordinates planes and windows have: at least those of a picture.
     pub fn dimensions(&self) -> usize {
         self.program.coordinates().max(2)

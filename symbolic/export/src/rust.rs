@@ -5,10 +5,10 @@ use isophote_symbolic::{Function1, Level, Op, Opcode, Precision, Sink};
 use crate::body::{Body, Statements};
 use crate::header;
 use crate::lines::File;
-use crate::options::Source;
+use crate::options::ExportSubject;
 
 /// The whole file.
-pub(super) fn file(source: &Source<'_>) -> String {
+pub(super) fn file(source: &ExportSubject<'_>) -> String {
     let statements = Statements::new(source);
     let body = statements.body();
     let mut file = File::default();
@@ -20,7 +20,7 @@ pub(super) fn file(source: &Source<'_>) -> String {
 }
 
 /// The comment at the top.
-pub(super) fn head(file: &mut File, source: &Source<'_>) {
+pub(super) fn head(file: &mut File, source: &ExportSubject<'_>) {
     header::lines(source).iter().for_each(|line| file.line(format!("// {line}").trim_end()));
     file.line("//");
     file.line("// `None` for a window that is empty or leaves a plane, and for a plane whose slice is too short.");
@@ -28,7 +28,7 @@ pub(super) fn head(file: &mut File, source: &Source<'_>) {
 }
 
 /// Planes, windows and sums.
-pub(super) fn types(file: &mut File, source: &Source<'_>) {
+pub(super) fn types(file: &mut File, source: &ExportSubject<'_>) {
     let dimensions = source.dimensions();
     file.line("/// A plane: its pixels, how many there are along each coordinate, and how far it is to the next one, in pixels.");
     file.line("#[derive(Clone, Copy)]");
@@ -117,7 +117,7 @@ pub(super) fn nearest_and_erf(file: &mut File, statements: &Statements<'_>) {
 }
 
 /// The function's head, up to its first statement of the pass.
-pub(super) fn open(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, attributes: &str) {
+pub(super) fn open(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>, attributes: &str) {
     let program = source.program;
     let planes = statements.words.planes.iter().zip(&source.options.pixels);
     file.line(&format!(
@@ -148,7 +148,7 @@ pub(super) fn open(file: &mut File, source: &Source<'_>, statements: &Statements
     }
 }
 
-fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: &Body) {
+fn function(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>, body: &Body) {
     let program = source.program;
     open(file, source, statements, "");
     file.line("let mut pixels = 0_u64;");
@@ -160,7 +160,7 @@ fn function(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, b
 /// Pass, rows and pass end around a row's inner part.
 pub(super) fn passes(
     file: &mut File,
-    source: &Source<'_>,
+    source: &ExportSubject<'_>,
     statements: &Statements<'_>,
     body: &Body,
     inner: &mut dyn FnMut(&mut File),
@@ -238,7 +238,7 @@ fn leave_unless(file: &mut File, condition: &str) {
 }
 
 /// The place of a row's first pixel in a plane's slice.
-pub(super) fn place(source: &Source<'_>, plane: &str) -> String {
+pub(super) fn place(source: &ExportSubject<'_>, plane: &str) -> String {
     let first = match source.options.packed {
         true => "window.first[0] + start".to_string(),
         false => format!("(window.first[0] + start) * {plane}.strides[0]"),
@@ -257,7 +257,7 @@ pub(super) fn planes_read<'s>(statements: &'s Statements<'_>) -> impl Iterator<I
 }
 
 /// The place of the window's row in `out`.
-pub(super) fn out_row(source: &Source<'_>) -> String {
+pub(super) fn out_row(source: &ExportSubject<'_>) -> String {
     match source.dimensions() {
         2 => "row".into(),
         3 => "(slice * window.size[1] + row)".into(),
@@ -265,7 +265,7 @@ pub(super) fn out_row(source: &Source<'_>) -> String {
     }
 }
 
-fn pixel_loop(file: &mut File, source: &Source<'_>, statements: &Statements<'_>, body: &Body) {
+fn pixel_loop(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>, body: &Body) {
     let set = source.program.pixel_set();
     for (_, plane) in planes_read(statements) {
         let length =

@@ -4,14 +4,21 @@ use isophote_symbolic::{Function1, Function2, Op, Opcode, Precision, Value, spel
 
 use crate::options::{Language, PixelType};
 
+/// What a variable holds.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Held {
+    Number,
+    Truth,
+}
+
 /// A spelling: a language, and the arithmetic of the place.
 #[derive(Clone, Copy)]
-pub(super) struct Spelling {
+pub(super) struct Dialect {
     pub language: Language,
     pub real: Precision,
 }
 
-impl Spelling {
+impl Dialect {
     /// The type of a number.
     pub fn number(self) -> &'static str {
         match (self.language, self.real) {
@@ -45,12 +52,12 @@ impl Spelling {
     }
 
     /// `const float name = expression;`
-    pub fn declare(self, name: &str, truth: bool, expression: &str) -> String {
-        match (self.language, truth) {
-            (Language::C, true) => format!("const bool {name} = {expression};"),
-            (Language::C, false) => format!("const {} {name} = {expression};", self.number()),
-            (Language::Rust, true) => format!("let {name}: bool = {expression};"),
-            (Language::Rust, false) => format!("let {name}: {} = {expression};", self.number()),
+    pub fn declare(self, name: &str, held: Held, expression: &str) -> String {
+        match (self.language, held) {
+            (Language::C, Held::Truth) => format!("const bool {name} = {expression};"),
+            (Language::C, Held::Number) => format!("const {} {name} = {expression};", self.number()),
+            (Language::Rust, Held::Truth) => format!("let {name}: bool = {expression};"),
+            (Language::Rust, Held::Number) => format!("let {name}: {} = {expression};", self.number()),
         }
     }
 
@@ -165,7 +172,7 @@ mod tests {
                 (Language::Rust, Precision::F32),
                 (Language::Rust, Precision::F64),
             ] {
-                let text = Spelling { language, real }.operation(op, &operand);
+                let text = Dialect { language, real }.operation(op, &operand);
                 let is_whole = op.operands().all(|v| text.contains(&operand(v))) && !text.contains('$');
                 assert!(is_whole || has_no_word, "{code:?} in {language:?}: `{text}`");
             }

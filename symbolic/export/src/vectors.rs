@@ -5,6 +5,7 @@
 use isophote_symbolic::{Comparison, Op, Opcode, Value};
 
 use crate::options::PixelType;
+use crate::spelling::Held;
 
 /// Vectors of 4, 8 or 16 lanes.
 #[derive(Clone, Copy)]
@@ -117,9 +118,9 @@ impl Vectors {
         self.call(&format!("cmp_ps{}::<{kind}>", if self.has_masks() { "_mask" } else { "" }), &[a, b])
     }
 
-    /// An operation that reads values; `a` gives their spelling. `truths`: a choice is between truth values. `None` for what
-    /// is not written with vectors.
-    pub fn operation(self, op: Op, truths: bool, a: &dyn Fn(Value) -> String) -> Option<String> {
+    /// An operation that reads values; `a` gives their spelling, and `held` says between what a choice is. `None`
+    /// for what is not written with vectors.
+    pub fn operation(self, op: Op, held: Held, a: &dyn Fn(Value) -> String) -> Option<String> {
         let (code, operands) = op.parts();
         let spelled: Vec<String> = operands.iter().map(|v| a(*v)).collect();
         let texts: Vec<&str> = spelled.iter().map(String::as_str).collect();
@@ -138,9 +139,9 @@ impl Vectors {
             (Opcode::Or, [x, y]) if self.has_masks() => format!("{x} | {y}"),
             (Opcode::Or, both) => self.call("or_ps", both),
             (Opcode::Not, [x]) => self.not(x),
-            (Opcode::Select, [c, x, y]) => match (self.has_masks(), truths) {
-                (true, true) => format!("({c} & {x}) | (!{c} & {y})"),
-                (true, false) => format!("_mm512_mask_blend_ps({c}, {y}, {x})"),
+            (Opcode::Select, [c, x, y]) => match (self.has_masks(), held) {
+                (true, Held::Truth) => format!("({c} & {x}) | (!{c} & {y})"),
+                (true, Held::Number) => format!("_mm512_mask_blend_ps({c}, {y}, {x})"),
                 (false, _) => self.call("blendv_ps", &[y, x, c]),
             },
             _ => return None,

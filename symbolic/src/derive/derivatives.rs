@@ -7,12 +7,13 @@ use std::collections::BTreeSet;
 
 use crate::derive::expressions::Expressions;
 use crate::derive::jet::{jet, pair};
-use crate::derive::objective::{Origin, residual, variance};
+use crate::derive::objective::{residual, variance};
+use crate::derive::whole_model::WholeModel;
 use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
-use crate::proof::claim::Part;
+use crate::proof::claim::{Claim, Part};
 
 /// Derivatives of one pixel's F, F itself left out.
 #[derive(Clone, Debug)]
@@ -41,7 +42,7 @@ impl Model {
         let mut graph = self.formulas.graph.drawing_on(self.budget());
         let entries = entries(&mut graph, self, subset, method, part);
         match graph.overflowed() {
-            true => Err(Origin::of(self).growth(subset.len())),
+            true => Err(WholeModel::of(self).growth(subset.len())),
             false => Ok(Derivatives { graph, entries }),
         }
     }
@@ -57,7 +58,7 @@ fn entries(
 ) -> Vec<(String, NodeId)> {
     let newton = method == Method::Newton;
     let residual = residual(graph, model);
-    let variance = variance(graph, model, !newton);
+    let variance = variance(graph, model, Claim::Derivatives { newton, part });
     let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let variables: BTreeSet<NodeId> = parameters.iter().copied().collect();
     let name = |i: usize| &model.parameters[subset[i].index()].name;

@@ -111,7 +111,7 @@ fn is_positive(graph: &Graph, node: NodeId) -> bool {
         Node::Sum(constant, terms) => {
             constant.get() >= 0.0 && terms.iter().all(|(n, c)| c.get() > 0.0 && is_positive_shallow(graph, *n))
         }
-        Node::Call1(crate::program::function::Function1::Exp, _) => true,
+        Node::Call1(isophote_elementary::Function1::Exp, _) => true,
         _ => false,
     }
 }
@@ -124,7 +124,7 @@ fn is_positive_shallow(graph: &Graph, node: NodeId) -> bool {
         Node::Product(factors) => {
             factors.iter().all(|(n, _)| matches!(graph.node(*n), Node::Input(_)) && graph.is_declared_positive(*n))
         }
-        Node::Call1(crate::program::function::Function1::Exp, _) => true,
+        Node::Call1(isophote_elementary::Function1::Exp, _) => true,
         _ => false,
     }
 }

@@ -6,11 +6,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use isophote_elementary::{Function1, Function2};
 use rustc_hash::FxHashMap;
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::program::Comparison;
-use crate::program::function::{Function1, Function2};
 
 /// First and second partial derivatives; absent entries are zero. Keys of `second` are ordered pairs.
 #[derive(Clone, Debug, Default)]

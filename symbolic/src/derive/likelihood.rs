@@ -8,11 +8,12 @@
 //!
 //! Gauss–Newton of a robust ρ uses the weight ρ′/(2r), which is never negative (iteratively reweighted least squares).
 
+use isophote_elementary::Function1;
+
 use crate::derive::jet::{Jet, jet};
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::Loss;
 use crate::program::Comparison;
-use crate::program::function::Function1;
 use crate::proof::likelihood::{Shape, bend};
 
 impl Shape {

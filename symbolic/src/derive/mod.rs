@@ -14,6 +14,7 @@ pub(crate) mod jet;
 pub(crate) mod likelihood;
 pub(crate) mod monomial;
 pub(crate) mod objective;
+pub(crate) mod planes;
 pub(crate) mod polynomials;
 pub(crate) mod rank;
 pub(crate) mod sample;
@@ -23,12 +24,14 @@ pub(crate) mod square;
 pub(crate) mod steps;
 pub(crate) mod sums;
 pub(crate) mod variant;
+pub(crate) mod whole_model;
 
 use crate::language::diagnostic::Diagnostics;
 use crate::language::model::{Lowering, Method, Model};
 use crate::program::{ParameterId, Program};
 use crate::proof::claim::{Part, ValueKind};
-use objective::{Objective, Prediction};
+use objective::Objective;
+use planes::Prediction;
 
 impl Model {
     /// F, its gradient and its Hessian for a subset of the parameters.
@@ -46,11 +49,11 @@ impl Model {
     /// The program that adds the intensity (the entry of the model's first observation) to a plane, at coordinates plus
     /// their shifts.
     pub fn rendering(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
-        objective::rendering(self, lowering)
+        planes::rendering(self, lowering)
     }
 
     /// The program that adds what is predicted of each pixel to a plane. `None` for a variance that reads a channel.
     pub fn prediction(&self, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-        objective::prediction(self, what, lowering)
+        planes::prediction(self, what, lowering)
     }
 }

@@ -15,17 +15,16 @@ use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{Output, Sums};
+use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
-use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
+use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::limits::LIMITS;
 use crate::language::model::{Lowering, Method, Model, Saturated};
 use crate::program::interpreter::{Pixels, Window};
-use crate::program::{Bindings, ChannelId, Comparison, Cost, Input, Level, ParameterId, Program};
+use crate::program::{Bindings, ChannelId, Comparison, Cost, Input, ParameterId, Program};
 use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
-use crate::proof::plane::{self, Shown};
 use crate::proof::referee::{Referee, Subject};
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
 
@@ -34,17 +33,6 @@ const LOWERED: usize = 8;
 
 /// Predicted to be within so many standard deviations of the limit is near it.
 const NEAR_LIMIT: f64 = 3.0;
-
-/// What a plane of predictions holds.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Prediction {
-    /// The intensity, as it is fitted; NaN outside of the domain.
-    Intensity,
-    /// The intensity everywhere.
-    Unbounded,
-    /// A pixel's variance.
-    Variance,
-}
 
 /// What is to be summed; see the module's text.
 #[derive(Clone, Debug)]
@@ -63,7 +51,7 @@ pub struct Objective {
     checked: Option<Program>,
     /// What its programs are held against.
     referee: Arc<Referee>,
-    origin: Origin,
+    origin: WholeModel,
     forms: Vec<(String, NodeId)>,
 }
 
@@ -214,14 +202,14 @@ impl Objective {
     pub(crate) fn value(model: &Model, kind: ValueKind) -> Result<Objective, Diagnostics> {
         let mut graph = model.formulas.graph.drawing_on(model.budget());
         let residual = residual(&mut graph, model);
-        let variance = variance(&mut graph, model, kind == ValueKind::Entry);
+        let variance = variance(&mut graph, model, Claim::Value(kind));
         let shape = model.formulas.shape();
         let chi = shape.value(&mut graph, residual, variance);
         let chi_square = whole_output(&mut graph, "chi2", chi);
         let outputs = match (kind, variance) {
             (ValueKind::Entry, _) => vec![chi_square],
             (ValueKind::Full, Some(v)) if shape.has_logarithm() => {
-                let log = graph.call1(crate::program::function::Function1::Log, v);
+                let log = graph.call1(isophote_elementary::Function1::Log, v);
                 let total = graph.add2(chi, log);
                 vec![whole_output(&mut graph, "F", total), chi_square]
             }
@@ -231,7 +219,7 @@ impl Objective {
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
-        let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| Origin::of(model).costly())?;
+        let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
         let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), points));
         let objective = Objective {
             referee,
@@ -244,7 +232,7 @@ impl Objective {
             is_seeing: false,
             proof: None,
             checked: None,
-            origin: Origin::of(model),
+            origin: WholeModel::of(model),
             forms: Vec::new(),
         };
         objective.paid(2 * work)
@@ -270,7 +258,7 @@ impl Objective {
         };
         let found = safest(&mut candidate).map_err(|refusal| match refusal {
             Refusal::Limit(faults) => faults,
-            Refusal::Wrong => Origin::of(model).unproved(&referee),
+            Refusal::Wrong => WholeModel::of(model).unproved(&referee),
         });
         found.and_then(|objective| objective.paid(lowering))
     }
@@ -314,8 +302,7 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     // A referee outlives the derivation: what it works out is bounded by its own limits.
     let mut graph = model.formulas.graph.drawing_on(Budget::default());
     let residual = residual(&mut graph, model);
-    let is_held = !matches!(claim, Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full));
-    let variance = variance(&mut graph, model, is_held);
+    let variance = variance(&mut graph, model, claim);
     let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let domain = entry_domain(&mut graph, model);
     let shape = model.formulas.shape();
@@ -324,10 +311,10 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
 
 /// Who judges derivatives, when the document's budget has room for it.
 fn referee(model: &Model, subset: &[ParameterId], method: Method, claim: Claim) -> Result<Arc<Referee>, Diagnostics> {
-    let points = budget::points(model, subset, method).ok_or_else(|| Origin::of(model).costly())?;
+    let points = budget::points(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
     let referee = Referee::new(subject(model, subset, claim), points);
     if referee.is_too_large() {
-        return Err(Origin::of(model).growth(subset.len()));
+        return Err(WholeModel::of(model).growth(subset.len()));
     }
     Ok(Arc::new(referee))
 }
@@ -352,7 +339,7 @@ impl<'a> Setting<'a> {
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
         let newton = matches!(referee.claim(), Claim::Derivatives { newton: true, .. });
-        let variance = variance(&mut graph, model, !newton);
+        let variance = variance(&mut graph, model, referee.claim());
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model);
         Setting { referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
@@ -373,7 +360,7 @@ impl<'a> Setting<'a> {
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
             _ => search::fewest_flops(graph, &target, form == Form::Factored),
         };
-        let origin = Origin::of(model);
+        let origin = WholeModel::of(model);
         let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
         Ok(Objective {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
@@ -416,163 +403,13 @@ fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Resu
     Ok(found.unwrap_or(unfactored))
 }
 
-/// Where the model's intensity stands, for faults that concern the model as a whole.
-#[derive(Clone, Debug)]
-pub(crate) struct Origin {
-    text: std::sync::Arc<str>,
-    span: Span,
-}
-
-impl Origin {
-    pub fn of(model: &Model) -> Origin {
-        let span = model.formulas.graph.span(model.formulas.intensity).unwrap_or_default();
-        Origin { text: model.text.clone(), span }
-    }
-
-    fn fault(&self, code: &'static str, message: String) -> Diagnostics {
-        let help = "free fewer parameters per stage, or give shared parts a definition";
-        vec![Diagnostic::error(&self.text, code, "model.intensity", self.span, message).help(help)]
-    }
-
-    /// No program passes: ours is the fault, if the formulas have a value anywhere.
-    fn unproved(&self, referee: &Referee) -> Diagnostics {
-        if referee.is_blind() { self.undefined() } else { self.bug() }
-    }
-
-    fn undefined(&self) -> Diagnostics {
-        let message = "the formulas have no finite value at any place that was tried";
-        let help = "look for roots and logarithms of what is negative; `start` and `[roles]` say where a target may be";
-        vec![Diagnostic::error(&self.text, "undefined", "model.intensity", self.span, message).help(help)]
-    }
-
-    fn bug(&self) -> Diagnostics {
-        let message =
-            "no program that was derived for this model passes its check: a fault of isophote, not of the document";
-        let help = "please report the document; spelling the formula in another way may help";
-        vec![Diagnostic::error(&self.text, "bug", "model.intensity", self.span, message).help(help)]
-    }
-
-    pub fn growth(&self, parameters: usize) -> Diagnostics {
-        let most = LIMITS.nodes;
-        let message = format!("the derivatives for {parameters} parameters grow past {most} distinct operations");
-        self.fault("limit", message)
-    }
-
-    /// Past the budget, or too large.
-    fn outgrown(&self, graph: &Graph, parameters: usize) -> Diagnostics {
-        if graph.budget().is_spent() { self.spent(graph.budget()) } else { self.growth(parameters) }
-    }
-
-    /// The document's budget is spent.
-    fn spent(&self, budget: &Budget) -> Diagnostics {
-        let message = match budget.is_spent() {
-            true => format!("deriving what the stages need takes more than {} units of work", LIMITS.work),
-            false => format!("the programs of all stages hold more than {} operations", LIMITS.kept),
-        };
-        let help = "free fewer parameters per stage, merge stages, or give shared parts a definition";
-        vec![Diagnostic::error(&self.text, "limit", "model.intensity", self.span, message).help(help)]
-    }
-
-    /// The check of the document's programs would take too long.
-    fn costly(&self) -> Diagnostics {
-        let most = LIMITS.proof;
-        self.fault("limit", format!("checking the derivatives of all stages would take more than {most} operations"))
-    }
-
-    pub fn checked(&self, graph: &Graph, program: Draft) -> Result<Draft, Diagnostics> {
-        let (count, most) = match program.instructions().iter().filter(|i| i.level == Level::Pixel).count() {
-            pixel if pixel > LIMITS.instructions => (pixel, LIMITS.instructions),
-            _ => (program.instructions().len(), LIMITS.nodes),
-        };
-        if graph.budget().is_spent() {
-            return Err(self.spent(graph.budget()));
-        }
-        if graph.overflowed() {
-            return Err(self.fault("limit", format!("the loop grows past {} distinct operations", LIMITS.nodes)));
-        }
-        if count > most {
-            return Err(
-                self.fault("limit", format!("the loop takes {count} instructions; at most {most} are compiled"))
-            );
-        }
-        Ok(program)
-    }
-}
-
-/// The program that adds the intensity, at shifted coordinates, to a plane.
-pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Diagnostics> {
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let mut shifted = |graph: &mut Graph, node: &Node| match node {
-        Node::Coordinate(c) => {
-            let shift = graph.input(Input::Shift(*c));
-            let coordinate = graph.coordinate(*c);
-            Some(graph.add2(coordinate, shift))
-        }
-        _ => None,
-    };
-    let intensity = graph.substitute(model.formulas.shown, &mut shifted);
-    let read = &model.formulas.graph;
-    let shown = Shown { model, graph: read, value: model.formulas.shown, domain: None, is_shifted: true };
-    filling(&mut graph, &shown, intensity, lowering, "intensity")
-}
-
-/// The program that fills a plane with `value`, which must be what is to be shown.
-fn filling(
-    graph: &mut Graph,
-    shown: &Shown<'_>,
-    value: NodeId,
-    lowering: Lowering,
-    name: &str,
-) -> Result<Program, Diagnostics> {
-    let origin = Origin::of(shown.model);
-    for lowering in [lowering, Lowering { fma: false, ..lowering }] {
-        let draft = schedule::plane(graph, value, lowering, shown.model.names(vec![name.into()]));
-        if let Some(program) = plane::proved(shown, origin.checked(graph, draft)?) {
-            return Ok(program);
-        }
-    }
-    Err(if shown.is_blind() { origin.undefined() } else { origin.bug() })
-}
-
-/// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
-/// NaN outside; or its variance, where that reads no channel.
-pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let value = match what {
-        Prediction::Intensity => {
-            let intensity = model.formulas.intensity;
-            match model.formulas.domain {
-                Some(domain) => {
-                    let outside = graph.number(f64::NAN);
-                    graph.select(domain, intensity, outside)
-                }
-                None => intensity,
-            }
-        }
-        Prediction::Unbounded => model.formulas.intensity,
-        Prediction::Variance => match model.formulas.noise {
-            Some(noise) => noise,
-            None => graph.number(1.0),
-        },
-    };
-    if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
-        return None;
-    }
-    // As it was read: what is predicted, and where.
-    let mut read = Graph::clone(&model.formulas.graph);
-    let (formula, domain) = match what {
-        Prediction::Intensity => (model.formulas.intensity, model.formulas.domain),
-        Prediction::Unbounded => (model.formulas.intensity, None),
-        Prediction::Variance => (model.formulas.noise.unwrap_or_else(|| read.number(1.0)), None),
-    };
-    let shown = Shown { model, graph: &read, value: formula, domain, is_shifted: false };
-    Some(filling(&mut graph, &shown, value, lowering, "prediction"))
-}
-
-/// The pixel's variance; `held` reads it at the entry parameters.
-pub(crate) fn variance(graph: &mut Graph, model: &Model, held: bool) -> Option<NodeId> {
+/// The pixel's variance, at the entry parameters where a claim holds it there.
+pub(crate) fn variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
     let node = model.formulas.noise?;
-    let node = if held { at_entry(graph, node) } else { node };
+    let node = match claim {
+        Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full) => node,
+        Claim::Derivatives { .. } | Claim::Value(ValueKind::Entry) => at_entry(graph, node),
+    };
     graph.set_opaque(node);
     Some(node)
 }

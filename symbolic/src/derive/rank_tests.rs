@@ -1,7 +1,8 @@
 //! Dependent sums are found, and no others.
 
+use isophote_elementary::Function1;
+
 use super::*;
-use crate::program::function::Function1;
 use crate::program::{ChannelId, CoordinateId};
 
 #[test]

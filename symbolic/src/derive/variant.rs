@@ -159,7 +159,7 @@ impl Model {
                 Node::Coordinate(c) => at(c.index()),
                 node => inputs(node),
             });
-            let slopes = value[0].gradient(free.len() as u16);
+            let slopes = value[0].gradients(free.len() as u16);
             columns.iter_mut().zip(slopes).for_each(|(column, slope)| column.push(slope));
             for (i, powers) in terms.iter().enumerate() {
                 let monomial = (0..axes).map(|axis| (place[axis] / REACH_PX).powi(powers[axis] as i32)).product();

@@ -4,15 +4,16 @@ mod series;
 
 use std::rc::Rc;
 
+use isophote_elementary::{Function1, Function2};
+
 use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{
-    Binding, Elaborator, Function, Local, Matrix, Poison, REMEMBERED, Shape, Worked, fault, shape_of,
+    Binding, Elaborator, Function, Local, Matrix, MatrixShape, Poison, REMEMBERED, Worked, fault, shape_of,
 };
 use crate::language::graph::NodeId;
 use crate::language::limits::LIMITS;
 use crate::language::parser::Expr;
 use crate::program::Comparison;
-use crate::program::function::{Function1, Function2};
 
 /// Calls within calls.
 const CALLS_MAX: usize = LIMITS.depth / 4;
@@ -21,7 +22,7 @@ const CALLS_MAX: usize = LIMITS.depth / 4;
 const CALL: usize = 32;
 
 /// A number whose value is not known.
-const SCALAR: Poison = Poison::Numbers(Shape::SCALAR);
+const SCALAR: Poison = Poison::Numbers(MatrixShape::SCALAR);
 
 impl Elaborator<'_> {
     /// Tells a wrong number of arguments; they are checked all the same.
@@ -138,7 +139,7 @@ impl Elaborator<'_> {
         let conditions: Vec<_> = arguments.chunks_exact(2).map(|pair| self.truth(&pair[0])).collect();
         let known: Vec<_> = conditions.iter().map(|c| c.ok().and_then(|c| self.known_truth(c))).collect();
         let taken = known.iter().position(|k| *k == Some(true)).unwrap_or(known.len());
-        let mut first: Option<Shape> = None;
+        let mut first: Option<MatrixShape> = None;
         let mut branches = Vec::new();
         for i in 0..=conditions.len() {
             let part = arguments.get(2 * i + 1).unwrap_or(&arguments[arguments.len() - 1]);

@@ -15,7 +15,7 @@ use crate::language::diagnostic::{Span, Spellings, quoted};
 use crate::language::document::Text;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::parser::{Expr, Fault, Kind};
+use crate::language::parser::{Expr, ExprKind, Fault};
 use crate::language::words::is_reserved;
 use cache::Cache;
 pub(crate) use cache::Task;
@@ -32,25 +32,25 @@ impl Matrix {
     pub fn scalar(node: NodeId) -> Matrix {
         Matrix { rows: 1, columns: 1, entries: vec![node] }
     }
-    pub fn size(&self) -> Shape {
-        Shape(self.rows, self.columns)
+    pub fn size(&self) -> MatrixShape {
+        MatrixShape(self.rows, self.columns)
     }
 }
 
 /// Rows and columns.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct Shape(pub usize, pub usize);
+pub(crate) struct MatrixShape(pub usize, pub usize);
 
-impl Shape {
-    pub const SCALAR: Shape = Shape(1, 1);
+impl MatrixShape {
+    pub const SCALAR: MatrixShape = MatrixShape(1, 1);
 }
 
-impl std::fmt::Display for Shape {
+impl std::fmt::Display for MatrixShape {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Shape(1, 1) => f.write_str("a scalar"),
-            Shape(n, 1) => write!(f, "a vector of {n}"),
-            Shape(n, m) => write!(f, "a {n}×{m} matrix"),
+            MatrixShape(1, 1) => f.write_str("a scalar"),
+            MatrixShape(n, 1) => write!(f, "a vector of {n}"),
+            MatrixShape(n, m) => write!(f, "a {n}×{m} matrix"),
         }
     }
 }
@@ -60,7 +60,7 @@ impl std::fmt::Display for Shape {
 pub(crate) enum Poison {
     Unknown,
     /// Numbers of that shape.
-    Numbers(Shape),
+    Numbers(MatrixShape),
     /// A condition.
     Truth,
 }
@@ -69,7 +69,7 @@ pub(crate) enum Poison {
 pub(crate) type Worked = Result<Matrix, Poison>;
 
 /// The shape of numbers, as far as it is known.
-pub(crate) fn shape_of(worked: &Worked) -> Option<Shape> {
+pub(crate) fn shape_of(worked: &Worked) -> Option<MatrixShape> {
     match worked {
         Ok(matrix) => Some(matrix.size()),
         Err(Poison::Numbers(shape)) => Some(*shape),
@@ -77,7 +77,7 @@ pub(crate) fn shape_of(worked: &Worked) -> Option<Shape> {
     }
 }
 
-fn poisoned(shape: Option<Shape>) -> Poison {
+fn poisoned(shape: Option<MatrixShape>) -> Poison {
     shape.map_or(Poison::Unknown, Poison::Numbers)
 }
 
@@ -210,8 +210,8 @@ impl<'a> Elaborator<'a> {
     pub fn expr(&mut self, at: &Expr) -> Worked {
         self.charge(1, at)?;
         match &at.kind {
-            Kind::Number(value) => Ok(Matrix::scalar(self.graph.number(*value))),
-            Kind::Name(name) => self.name(name, at),
+            ExprKind::Number(value) => Ok(Matrix::scalar(self.graph.number(*value))),
+            ExprKind::Name(name) => self.name(name, at),
             _ => self.remembered(Task::Value, at, |e| e.deeper(at)),
         }
     }
@@ -240,7 +240,7 @@ impl<'a> Elaborator<'a> {
         self.depth -= 1;
         let value = value?;
         // Long sums cost by their length, wherever they end up.
-        if !matches!(at.kind, Kind::Index(..) | Kind::Transpose(_) | Kind::List(_)) {
+        if !matches!(at.kind, ExprKind::Index(..) | ExprKind::Transpose(_) | ExprKind::List(_)) {
             let terms = value.entries.iter().map(|n| self.graph.operand_count(*n)).sum();
             self.charge(terms, at)?;
             let exponent = value.entries.iter().map(|n| self.graph.exponent_max(*n)).max().unwrap_or(0);
@@ -262,26 +262,25 @@ impl<'a> Elaborator<'a> {
 
     fn compound(&mut self, at: &Expr) -> Worked {
         match &at.kind {
-            Kind::Number(_) | Kind::Name(_) => self.expr(at),
-            Kind::List(list) => self.list(list, at),
-            Kind::Sum(terms) => self.sum(terms, at),
-            Kind::Product(factors) => self.product(factors.iter(), at),
-            Kind::Negate(inner) => {
+            ExprKind::Number(_) | ExprKind::Name(_) => self.expr(at),
+            ExprKind::List(list) => self.list(list, at),
+            ExprKind::Sum(terms) => self.sum(terms, at),
+            ExprKind::Product(factors) => self.product(factors.iter(), at),
+            ExprKind::Negate(inner) => {
                 let inner = self.number_matrix(inner)?;
                 self.graph.set_span(self.span(at));
                 Ok(self.map(inner, |graph, n| graph.scale(-1.0, n)))
             }
-            Kind::Power(base, exponent) => self.power(base, exponent, at),
-            Kind::Transpose(inner) => self.transpose(inner),
-            Kind::Index(inner, indices) => self.index(inner, indices, at),
-            Kind::Call(name, arguments) => self.call(name, arguments, at),
-            Kind::Compare(relation, left, right) => self.compare(*relation, left, right, at),
-            Kind::And(parts) => self.logic(parts, at, Graph::and, true),
-            Kind::Or(parts) => self.logic(parts, at, Graph::or, false),
-            Kind::Not(inner) => self.not(inner, at),
-            Kind::Broken(parts) => {
+            ExprKind::Power(base, exponent) => self.power(base, exponent, at),
+            ExprKind::Transpose(inner) => self.transpose(inner),
+            ExprKind::Index(inner, indices) => self.index(inner, indices, at),
+            ExprKind::Call(name, arguments) => self.call(name, arguments, at),
+            ExprKind::Compare(relation, left, right) => self.compare(*relation, left, right, at),
+            ExprKind::Joined(junction, parts) => self.joined(*junction, parts, at),
+            ExprKind::Not(inner) => self.not(inner, at),
+            ExprKind::Broken(parts) => {
                 for part in parts {
-                    let is_called = matches!(&part.kind, Kind::Name(name)
+                    let is_called = matches!(&part.kind, ExprKind::Name(name)
                         if is_reserved(name) || matches!(self.names.get(name), Some(Binding::Function(_))));
                     if !is_called {
                         let _told = self.expr(part);
@@ -317,8 +316,8 @@ impl<'a> Elaborator<'a> {
     pub fn scalar(&mut self, at: &Expr) -> Result<NodeId, Poison> {
         let value = self.number_matrix(at);
         match (shape_of(&value), value) {
-            (Some(Shape::SCALAR) | None, Ok(value)) => Ok(value.entries[0]),
-            (Some(Shape::SCALAR) | None, Err(poison)) => Err(poison),
+            (Some(MatrixShape::SCALAR) | None, Ok(value)) => Ok(value.entries[0]),
+            (Some(MatrixShape::SCALAR) | None, Err(poison)) => Err(poison),
             (Some(shape), _) => {
                 let fault = fault("shape", at, format!("this is {shape} where a scalar is needed"));
                 let remedy =

@@ -8,7 +8,7 @@ use crate::language::document::{Entry, Item, Key, Text, to_json};
 use crate::language::elaborate::{Binding, Elaborator, Function, Matrix, Workings, fault};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::parser::{Expr, Kind, parse};
+use crate::language::parser::{Expr, ExprKind, parse};
 use crate::language::reader::Faults;
 use crate::program::{ConstantId, Input, Level};
 
@@ -253,22 +253,22 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
 fn names_used(expr: &Expr, names: &mut BTreeSet<String>) {
     let mut visit = |list: &[Expr]| list.iter().for_each(|e| names_used(e, names));
     match &expr.kind {
-        Kind::Number(_) => {}
-        Kind::Name(name) => {
+        ExprKind::Number(_) => {}
+        ExprKind::Name(name) => {
             names.insert(name.clone());
         }
-        Kind::List(list) | Kind::And(list) | Kind::Or(list) | Kind::Broken(list) => visit(list),
-        Kind::Sum(parts) | Kind::Product(parts) => parts.iter().for_each(|(_, e)| names_used(e, names)),
-        Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => names_used(a, names),
-        Kind::Power(a, b) | Kind::Compare(_, a, b) => {
+        ExprKind::List(list) | ExprKind::Joined(_, list) | ExprKind::Broken(list) => visit(list),
+        ExprKind::Sum(parts) | ExprKind::Product(parts) => parts.iter().for_each(|(_, e)| names_used(e, names)),
+        ExprKind::Negate(a) | ExprKind::Transpose(a) | ExprKind::Not(a) => names_used(a, names),
+        ExprKind::Power(a, b) | ExprKind::Compare(_, a, b) => {
             names_used(a, names);
             names_used(b, names);
         }
-        Kind::Index(a, list) => {
+        ExprKind::Index(a, list) => {
             visit(list);
             names_used(a, names);
         }
-        Kind::Call(name, list) => {
+        ExprKind::Call(name, list) => {
             visit(list);
             names.insert(name.clone());
         }

@@ -8,13 +8,13 @@ use std::hash::BuildHasher;
 use std::sync::Arc;
 
 use hashbrown::HashTable;
+use isophote_elementary::{Function1, Function2};
 use rustc_hash::{FxBuildHasher, FxHashMap};
 use smallvec::SmallVec;
 
 use crate::language::budget::Budget;
 use crate::language::diagnostic::Span;
 use crate::language::limits::LIMITS;
-use crate::program::function::{Function1, Function2};
 use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, holds, id};
 
 id!(/// A node of the graph.

@@ -1,4 +1,4 @@
-//! Tokens in, a syntax tree out, whatever the text: what cannot be read is a fault and a [`Kind::Broken`] node, and reading
+//! Tokens in, a syntax tree out, whatever the text: what cannot be read is a fault and a [`ExprKind::Broken`] node, and reading
 //! goes on behind it. Precedence, loosest first: `or`, `and`, `not`, comparisons, `+ -`, `* /`, unary minus, `^`
 //! (right-associative), `'` and indexing. Long chains are lists, so that the tree is no deeper than its brackets.
 
@@ -12,9 +12,16 @@ use crate::language::limits::LIMITS;
 /// A node of the syntax tree; `start..end` are bytes of the formula.
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Expr {
-    pub kind: Kind,
+    pub kind: ExprKind,
     pub start: usize,
     pub end: usize,
+}
+
+/// What joins truth values.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Junction {
+    And,
+    Or,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -28,7 +35,7 @@ pub(crate) enum Relation {
 }
 
 #[derive(Clone, PartialEq, Debug)]
-pub(crate) enum Kind {
+pub(crate) enum ExprKind {
     Number(f64),
     Name(String),
     /// `[a, b]`; a list of lists is a matrix.
@@ -43,8 +50,7 @@ pub(crate) enum Kind {
     Index(Box<Expr>, Vec<Expr>),
     Call(String, Vec<Expr>),
     Compare(Relation, Box<Expr>, Box<Expr>),
-    And(Vec<Expr>),
-    Or(Vec<Expr>),
+    Joined(Junction, Vec<Expr>),
     Not(Box<Expr>),
     /// What could not be read (its fault is told), and those parts of it that could.
     Broken(Vec<Expr>),
@@ -79,7 +85,7 @@ pub(crate) struct Parsed {
 
 /// Parses a whole formula. `tokens_left` is the document's remaining budget; `None` when it is told that there is none.
 pub(crate) fn parse(text: &str, tokens_left: &mut Option<usize>) -> Parsed {
-    let broken = Expr { kind: Kind::Broken(Vec::new()), start: 0, end: text.len() };
+    let broken = Expr { kind: ExprKind::Broken(Vec::new()), start: 0, end: text.len() };
     let Some(left) = tokens_left else { return Parsed { expr: broken, faults: Vec::new() } };
     let lexemes = lex(text);
     if lexemes.len() > *left {
@@ -155,7 +161,7 @@ impl Parser {
         &mut self,
         (word, foreign): (&str, &str),
         part: fn(&mut Parser) -> Expr,
-        make: fn(Vec<Expr>) -> Kind,
+        make: fn(Vec<Expr>) -> ExprKind,
     ) -> Expr {
         let mut parts = vec![part(self)];
         let mut broken = false;
@@ -164,16 +170,16 @@ impl Parser {
             self.at += 1;
             parts.push(part(self));
         }
-        let make = if broken { Kind::Broken } else { make };
+        let make = if broken { ExprKind::Broken } else { make };
         if parts.len() == 1 { parts.remove(0) } else { enclose(make, parts) }
     }
 
     fn disjunction(&mut self) -> Expr {
-        self.chain(("or", "||"), Parser::conjunction, Kind::Or)
+        self.chain(("or", "||"), Parser::conjunction, |parts| ExprKind::Joined(Junction::Or, parts))
     }
 
     fn conjunction(&mut self) -> Expr {
-        self.chain(("and", "&&"), Parser::negation, Kind::And)
+        self.chain(("and", "&&"), Parser::negation, |parts| ExprKind::Joined(Junction::And, parts))
     }
 
     fn negation(&mut self) -> Expr {
@@ -184,7 +190,7 @@ impl Parser {
         self.at += 1;
         let inner = self.nested(Parser::negation);
         let end = inner.end;
-        Expr { kind: Kind::Not(Box::new(inner)), start, end }
+        Expr { kind: ExprKind::Not(Box::new(inner)), start, end }
     }
 
     fn comparison(&mut self) -> Expr {
@@ -208,11 +214,11 @@ impl Parser {
             parts.push(self.sum());
         }
         if broken {
-            return enclose(Kind::Broken, parts);
+            return enclose(ExprKind::Broken, parts);
         }
         let (right, left) = (parts.remove(1), parts.remove(0));
         let (start, end) = (left.start, right.end);
-        Expr { kind: Kind::Compare(relation, Box::new(left), Box::new(right)), start, end }
+        Expr { kind: ExprKind::Compare(relation, Box::new(left), Box::new(right)), start, end }
     }
 
     fn relation(&self) -> Option<Relation> {
@@ -239,7 +245,7 @@ impl Parser {
             return parts.remove(0).1;
         }
         let (start, end) = (parts[0].1.start, parts[parts.len() - 1].1.end);
-        Expr { kind: Kind::Sum(parts), start, end }
+        Expr { kind: ExprKind::Sum(parts), start, end }
     }
 
     fn product(&mut self) -> Expr {
@@ -250,8 +256,10 @@ impl Parser {
             if inverse || self.is_at("*") {
                 self.at += 1;
             } else if self.starts_operand() {
-                self.tell_implicit(&mut parts, broken);
-                broken = true;
+                // The first such slip is told.
+                if !std::mem::replace(&mut broken, true) {
+                    self.tell_implicit(&mut parts);
+                }
             } else if self.tell_modulo() {
                 broken = true;
             } else {
@@ -260,13 +268,13 @@ impl Parser {
             parts.push((inverse, self.unary()));
         }
         if broken {
-            return enclose(Kind::Broken, parts.into_iter().map(|(_, part)| part).collect());
+            return enclose(ExprKind::Broken, parts.into_iter().map(|(_, part)| part).collect());
         }
         if parts.len() == 1 {
             return parts.remove(0).1;
         }
         let (start, end) = (parts[0].1.start, parts[parts.len() - 1].1.end);
-        Expr { kind: Kind::Product(parts), start, end }
+        Expr { kind: ExprKind::Product(parts), start, end }
     }
 
     fn unary(&mut self) -> Expr {
@@ -274,7 +282,7 @@ impl Parser {
         if self.eat("-") {
             let inner = self.nested(Parser::unary);
             let end = inner.end;
-            return Expr { kind: Kind::Negate(Box::new(inner)), start, end };
+            return Expr { kind: ExprKind::Negate(Box::new(inner)), start, end };
         }
         if self.eat("+") {
             return self.nested(Parser::unary);
@@ -291,10 +299,10 @@ impl Parser {
         self.at += 1;
         let exponent = self.nested(Parser::unary);
         if broken {
-            return enclose(Kind::Broken, vec![base, exponent]);
+            return enclose(ExprKind::Broken, vec![base, exponent]);
         }
         let (start, end) = (base.start, exponent.end);
-        Expr { kind: Kind::Power(Box::new(base), Box::new(exponent)), start, end }
+        Expr { kind: ExprKind::Power(Box::new(base), Box::new(exponent)), start, end }
     }
 
     fn postfix(&mut self) -> Expr {
@@ -311,14 +319,14 @@ impl Parser {
                 return self.give_up(message.into(), "a double transposition is the thing itself");
             }
             let kind = if self.eat("'") {
-                Kind::Transpose(Box::new(expr))
+                ExprKind::Transpose(Box::new(expr))
             } else {
                 self.at += 1;
                 match self.arguments("]", open) {
-                    Ok(indices) => Kind::Index(Box::new(expr), indices),
+                    Ok(indices) => ExprKind::Index(Box::new(expr), indices),
                     Err(mut parts) => {
                         parts.push(expr);
-                        Kind::Broken(parts)
+                        ExprKind::Broken(parts)
                     }
                 }
             };
@@ -351,14 +359,14 @@ impl Parser {
     fn primary(&mut self) -> Expr {
         let Lexeme { token, start, end } = self.lexemes[self.at].clone();
         let kind = match token {
-            Token::Number(value) => Kind::Number(value),
+            Token::Number(value) => ExprKind::Number(value),
             Token::Name(name) if !is_word(&name) => {
                 self.at += 1;
                 let open = self.here();
                 if !self.eat("(") {
-                    return Expr { kind: Kind::Name(name), start, end };
+                    return Expr { kind: ExprKind::Name(name), start, end };
                 }
-                let kind = self.arguments(")", open).map_or_else(Kind::Broken, |list| Kind::Call(name, list));
+                let kind = self.arguments(")", open).map_or_else(ExprKind::Broken, |list| ExprKind::Call(name, list));
                 return Expr { kind, start, end: self.behind() };
             }
             Token::Symbol("(") => {
@@ -367,7 +375,7 @@ impl Parser {
             }
             Token::Symbol("[") => {
                 self.at += 1;
-                let kind = self.arguments("]", start).map_or_else(Kind::Broken, Kind::List);
+                let kind = self.arguments("]", start).map_or_else(ExprKind::Broken, ExprKind::List);
                 return Expr { kind, start, end: self.behind() };
             }
             _ => return self.no_operand(),
@@ -388,10 +396,10 @@ impl Parser {
             while self.eat(",") {
                 parts.push(self.item("`)`"));
             }
-            inner = enclose(Kind::Broken, parts);
+            inner = enclose(ExprKind::Broken, parts);
         }
         if !self.close(")", start) {
-            inner = enclose(Kind::Broken, vec![inner]);
+            inner = enclose(ExprKind::Broken, vec![inner]);
         }
         Expr { start, end: self.behind(), ..inner }
     }
@@ -402,7 +410,7 @@ fn is_word(name: &str) -> bool {
     matches!(name, "and" | "or" | "not")
 }
 
-fn enclose(make: fn(Vec<Expr>) -> Kind, parts: Vec<Expr>) -> Expr {
+fn enclose(make: fn(Vec<Expr>) -> ExprKind, parts: Vec<Expr>) -> Expr {
     let (start, end) = (parts[0].start, parts[parts.len() - 1].end);
     Expr { kind: make(parts), start, end }
 }

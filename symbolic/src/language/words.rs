@@ -1,6 +1,6 @@
 //! The words of the formula language: names that a document cannot give.
 
-use crate::program::function::Function1;
+use isophote_elementary::Function1;
 
 /// Names that the language keeps for itself, besides the functions of one argument.
 pub(crate) const RESERVED: [&str; 13] =

@@ -2,9 +2,20 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::program::Comparison;
-use crate::program::elementary::{Accuracy, Plain};
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Accuracy, Function1, Function2, Plain};
+
+/// Ordered comparisons: false when an operand is NaN, except `Ne`, which is true then.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Comparison {
+    /// <
+    Lt,
+    /// ≤
+    Le,
+    /// =
+    Eq,
+    /// ≠
+    Ne,
+}
 
 /// An arithmetic.
 pub(crate) trait Number:

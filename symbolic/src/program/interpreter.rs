@@ -3,8 +3,9 @@
 
 use std::marker::PhantomData;
 
+use isophote_elementary::MAGIC;
+
 use crate::program::arithmetic::{Double, Number, Single};
-use crate::program::elementary::MAGIC;
 use crate::program::walk::{Place, Walk, Walked, walk};
 use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Precision, Program};
 

@@ -14,8 +14,7 @@
 
 pub(crate) mod arithmetic;
 pub(crate) mod check;
-pub mod elementary;
-pub(crate) mod function;
+mod ids;
 pub mod interpreter;
 pub(crate) mod op;
 #[cfg(test)]
@@ -25,40 +24,13 @@ pub(crate) mod print;
 pub(crate) mod registers;
 pub(crate) mod walk;
 
+pub use arithmetic::Comparison;
 pub(crate) use arithmetic::holds;
-pub use op::{Kind, Literal, Op, Opcode, Row, spelled};
+pub(crate) use ids::id;
+pub use ids::{AccumulatorId, ChannelId, ConstantId, CoordinateId, InputId, ParameterId, TotalId, Value};
+pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
 
 use crate::language::diagnostic::Span;
-
-macro_rules! id {
-    ($(#[$doc:meta])* $name:ident) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-        pub struct $name(pub u32);
-        impl $name {
-            /// The id as an index.
-            pub fn index(self) -> usize { self.0 as usize }
-        }
-    };
-}
-pub(crate) use id;
-
-id!(/// The result of one instruction.
-    Value);
-id!(/// A sum over the pixels of a row, later of the pass.
-    AccumulatorId);
-id!(/// A sum over rows, in f64.
-    TotalId);
-id!(/// A position in [`Program::inputs`].
-    InputId);
-id!(/// A parameter of the model, in document order.
-    ParameterId);
-id!(/// A constant of the model, in document order.
-    ConstantId);
-id!(/// A coordinate; 0 is the inner loop.
-    CoordinateId);
-id!(/// A raw image plane.
-    ChannelId);
 
 /// What a program reads besides pixels. All are f64.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -73,34 +45,6 @@ pub enum Input {
     Saturation(ChannelId),
     /// A sub-pixel shift of a coordinate (rendering), in px.
     Shift(CoordinateId),
-}
-
-/// Where in the loop nest an instruction stands. The order is the order of execution.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum Level {
-    /// Once a call, f64.
-    Pass,
-    /// Once a row, f64.
-    Row,
-    /// Once a group of pixels, lanes.
-    Pixel,
-    /// Once a row that has pixels, f64.
-    RowEnd,
-    /// Once a call, f64.
-    PassEnd,
-}
-
-/// Ordered comparisons: false when an operand is NaN, except `Ne`, which is true then.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum Comparison {
-    /// <
-    Lt,
-    /// ≤
-    Le,
-    /// =
-    Eq,
-    /// ≠
-    Ne,
 }
 
 /// One instruction: what, where, and the part of the document that asked for it.

@@ -5,9 +5,25 @@
 //! walks read the table; only how it becomes machine code stands elsewhere.
 //! It must never know: the order in which instructions run.
 
-use crate::program::arithmetic::{Cell, Number, holds};
-use crate::program::function::{Function1, Function2};
-use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, Level, TotalId, Value};
+use isophote_elementary::{Function1, Function2};
+
+use crate::program::arithmetic::{Cell, Comparison, Number, holds};
+use crate::program::ids::{AccumulatorId, ChannelId, CoordinateId, InputId, TotalId, Value};
+
+/// Where in the loop nest an instruction stands. The order is the order of execution.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Level {
+    /// Once a call, f64.
+    Pass,
+    /// Once a row, f64.
+    Row,
+    /// Once a group of pixels, lanes.
+    Pixel,
+    /// Once a row that has pixels, f64.
+    RowEnd,
+    /// Once a call, f64.
+    PassEnd,
+}
 
 /// A number of a program: the same where its bits are, so that −0 is not 0 and a NaN is itself.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,7 +1,8 @@
 //! Derivatives of the elementary functions in any arithmetic: the table that forward differentiation uses. [`crate::derive::jet`]
 //! has its own, over nodes; the two are compared.
 
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Function1, Function2};
+
 use crate::proof::evaluate::Number;
 
 /// f, f′, f″.

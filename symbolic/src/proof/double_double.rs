@@ -11,7 +11,7 @@
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Function1, Function2};
 
 /// hi + lo, unevaluated.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -160,7 +160,7 @@ impl DoubleDouble {
             let k = (self.hi / HALF_PI[0]).round();
             (self.reduced(k, HALF_PI), k)
         } else {
-            let ([hi, lo], k) = crate::program::elementary::reduced(self.hi.abs());
+            let ([hi, lo], k) = isophote_elementary::reduced(self.hi.abs());
             let (r, k) = (Self { hi, lo }, (k % 4) as f64);
             if self.is_negative() { (-r, -k) } else { (r, k) }
         };

@@ -1,7 +1,8 @@
 //! Hyper-dual numbers over any arithmetic.
 
+use isophote_elementary::{Function1, Function2};
+
 use super::grammar::PARAMETERS;
-use crate::program::function::{Function1, Function2};
 use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::Number;

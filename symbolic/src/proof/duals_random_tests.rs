@@ -1,9 +1,10 @@
 //! What random formulas ([`super::grammar`]) are worth at a pixel, without the code under test.
 
+use isophote_elementary::Function2;
+
 use super::grammar::{Condition, PARAMETERS, Tree};
 use super::numbers::{Hyper, Scalar};
 use crate::program::Comparison;
-use crate::program::function::Function2;
 use crate::program::holds;
 pub(crate) use crate::proof::points::Random;
 

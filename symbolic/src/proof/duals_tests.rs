@@ -11,11 +11,12 @@ mod numbers;
 #[path = "duals_random_tests.rs"]
 mod random;
 
+use isophote_elementary::Function1;
+
 use grammar::{Document, PARAMETERS, Variety};
 use numbers::{Hyper, Scalar, pair};
 use random::{Place, Random};
 
-use crate::program::function::Function1;
 use crate::program::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
 use crate::proof::double_double::DoubleDouble;

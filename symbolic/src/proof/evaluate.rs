@@ -6,7 +6,8 @@
 //! It must never know: where a program came from.
 
 pub(crate) use crate::program::arithmetic::Number;
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Function1, Function2};
+
 use crate::program::walk::{Place, Walk, walk};
 use crate::program::{ChannelId, CoordinateId, InputId, PixelSet, Program};
 use crate::proof::double_double::DoubleDouble;

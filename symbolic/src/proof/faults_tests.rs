@@ -3,8 +3,9 @@
 //! A change that changes nothing (a branch that no parameters take, a factor that is 1) is told from one that does by the
 //! interpreter, on pictures that the check does not know: what changes any sum or pixel there must be caught.
 
+use isophote_elementary::Function1;
+
 use crate::derive::objective::Objective;
-use crate::program::function::Function1;
 use crate::program::interpreter::{Outcome, Pixels, Slices, Window, run};
 use crate::program::{
     AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Literal, Op, Opcode, Precision, Program,

@@ -3,11 +3,11 @@
 //! It is forward differentiation, with no formula for a derivative but those of [`crate::proof::calculus`]: what the derivatives
 //! of [`crate::derive::jet`], and all that is made of them, are compared with. Only variables that a value depends on take room.
 
+use isophote_elementary::{Function1, Function2};
 use rustc_hash::FxHashMap;
 use smallvec::{SmallVec, smallvec};
 
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::program::function::{Function1, Function2};
 use crate::program::{Level, holds};
 use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::evaluate::Number;
@@ -113,18 +113,28 @@ impl<N: Number> Hyper<N> {
         }
     }
 
+    /// ∂/∂u.
+    pub fn gradient(&self, u: u16) -> N {
+        self.active.binary_search(&u).map_or(N::from(0.0), |i| self.derivatives[i])
+    }
+
+    /// ∂²/∂u∂v, u ≤ v.
+    pub fn hessian(&self, u: u16, v: u16) -> N {
+        self.second_at(self.active.binary_search(&u).ok(), self.active.binary_search(&v).ok())
+    }
+
     /// Where each of `n` variables is among the active ones.
     fn places(&self, n: u16) -> Vec<Option<usize>> {
         (0..n).map(|variable| self.active.binary_search(&variable).ok()).collect()
     }
 
     /// ∂/∂u for each of `n` variables.
-    pub fn gradient(&self, n: u16) -> impl Iterator<Item = N> + '_ {
+    pub fn gradients(&self, n: u16) -> impl Iterator<Item = N> + '_ {
         self.places(n).into_iter().map(|i| i.map_or(N::from(0.0), |i| self.derivatives[i]))
     }
 
     /// ∂²/∂u∂v for each pair u ≤ v of `n` variables, row by row.
-    pub fn hessian(&self, n: u16) -> impl Iterator<Item = N> + '_ {
+    pub fn hessians(&self, n: u16) -> impl Iterator<Item = N> + '_ {
         let places = self.places(n);
         let pairs = (0..places.len()).flat_map(move |i| (i..usize::from(n)).map(move |j| (i, j)));
         pairs.map(move |(i, j)| self.second_at(places[i], places[j]))

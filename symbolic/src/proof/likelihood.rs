@@ -3,8 +3,9 @@
 //! What comes in: numbers for r and σ². What goes out: F, its derivatives, and Gauss–Newton's L and Q. It shares nothing with
 //! the derivation's own account of the same function but its name.
 
+use isophote_elementary::Function1;
+
 use crate::language::model::{Formulas, Loss};
-use crate::program::function::Function1;
 use crate::proof::calculus::{Two, derivatives};
 use crate::proof::evaluate::Number;
 use crate::proof::hyper::{Hyper, Order, Quantity};

@@ -7,7 +7,8 @@
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Function1, Function2};
+
 use crate::proof::evaluate::Number;
 
 const P: u64 = (1 << 61) - 1;

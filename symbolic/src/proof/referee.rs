@@ -5,9 +5,10 @@
 
 use std::sync::OnceLock;
 
+use isophote_elementary::Function1;
+
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Loss, Model};
-use crate::program::function::Function1;
 use crate::program::interpreter;
 use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
 use crate::proof::claim::{Claim, ValueKind};
@@ -459,15 +460,15 @@ impl Subject {
                 let f = self.shape.newton(residual, variance);
                 entries.push(f.value);
                 if part.has_gradient() {
-                    entries.extend(f.gradient(n));
+                    entries.extend(f.gradients(n));
                 }
                 if part.has_hessian() {
-                    entries.extend(f.hessian(n));
+                    entries.extend(f.hessians(n));
                 }
             }
             Claim::Derivatives { newton: false, part } => {
                 let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value));
-                let slopes: Vec<N> = residual.gradient(n).collect();
+                let slopes: Vec<N> = residual.gradients(n).collect();
                 entries.push(value);
                 if part.has_gradient() {
                     entries.extend(slopes.iter().map(|slope| l * *slope));

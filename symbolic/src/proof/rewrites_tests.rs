@@ -7,6 +7,8 @@
 
 use std::collections::BTreeSet;
 
+use isophote_elementary::Function1;
+
 use crate::derive::absorb::{Absorbed, absorb, absorb_numbers, gather};
 use crate::derive::jet::jet;
 use crate::derive::monomial::{Splitter, whole_output};
@@ -16,7 +18,6 @@ use crate::derive::square::completed;
 use crate::derive::sums::{Output, Sums, Term};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
-use crate::program::function::Function1;
 use crate::program::peephole::improve;
 use crate::program::{
     AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,

@@ -1,6 +1,7 @@
 //! How far a value is from the exact one, in units of its last place: what the tests and examples/elementary.rs measure.
 
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Function1, Function2};
+
 use crate::proof::double_double::DoubleDouble;
 
 /// Arguments to try, from a seed (SplitMix64).

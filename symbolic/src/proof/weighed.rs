@@ -2,7 +2,8 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::program::function::{Function1, Function2};
+use isophote_elementary::{Function1, Function2};
+
 use crate::proof::SMALLEST;
 use crate::proof::calculus::{derivatives, derivatives2};
 use crate::proof::evaluate::Number;

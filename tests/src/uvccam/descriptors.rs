@@ -1,7 +1,5 @@
 //! What the camera tells of itself when it is plugged in: USB 2.0 and USB Video Class 1.0, bytes as they go over the wire.
 
-use super::Kind;
-
 /// Sizes of pictures; the first is the default.
 pub(super) const SIZES: [[usize; 2]; 2] = [[640, 480], [320, 240]];
 /// Formats by their number, which counts from 1.
@@ -28,6 +26,15 @@ const CLASS: u8 = 0x24;
 const VIDEO: u8 = 0x0e;
 /// Part number of what sends to USB.
 const OUTPUT: u8 = 3;
+
+/// A format as the driver sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Luma and chroma, two bytes a pixel.
+    Yuyv,
+    /// One byte a pixel.
+    Grey,
+}
 
 impl Kind {
     pub(super) fn bytes_per_pixel(self) -> usize {

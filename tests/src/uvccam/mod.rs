@@ -5,7 +5,7 @@
 //! silent, and spoil a picture. It must never know who looks at it: tests see it through `/dev/video…` only.
 //!
 //! ```text
-//! driver ─ USB/IP ─► usbip ─► controls ─► State ─► shooting ─► picture ─► USB/IP
+//! driver ─ USB/IP ─► usbip ─► requests ─► State ─► shooting ─► picture ─► USB/IP
 //!                      └─► descriptors
 //! ```
 
@@ -13,7 +13,9 @@ pub mod commands;
 mod controls;
 mod descriptors;
 mod picture;
+mod requests;
 mod shooting;
+mod state;
 mod usbip;
 
 use std::collections::VecDeque;
@@ -23,14 +25,17 @@ use std::net::Shutdown;
 use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::thread::Builder;
 use std::time::Duration;
 
 pub use controls::Controls;
 pub use picture::{Noise, Scene};
+pub use state::Fault;
 
 use crate::rig::until;
+use descriptors::Kind;
+use state::{Shared, State};
 
 /// Where a software device is plugged in, and how many there may be of the fast kind.
 const ATTACH: &str = "/sys/devices/platform/vhci_hcd.0/attach";
@@ -41,61 +46,6 @@ const DEVICE: u32 = 1 << 16 | 2;
 const HIGH_SPEED: u32 = 3;
 /// Time for the driver to make a node.
 const NODE_S_MAX: u64 = 20;
-
-/// A format as the driver sees it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    /// Luma and chroma, two bytes a pixel.
-    Yuyv,
-    /// One byte a pixel.
-    Grey,
-}
-
-/// What one picture is spoiled with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
-    /// It is flagged as faulty.
-    Error,
-    /// Half of it is missing.
-    Short,
-}
-
-/// What the camera's two threads share.
-struct State {
-    /// Requests of the driver for bytes: its number and how many bytes.
-    requests: VecDeque<(u32, usize)>,
-    kind: Kind,
-    size: [usize; 2],
-    /// From a picture to the next, 100 ns.
-    interval: u32,
-    controls: Controls,
-    scene: Arc<Scene>,
-    noise: Noise,
-    numbered: bool,
-    /// Pictures sent.
-    pictures: u32,
-    silence: Option<Duration>,
-    fault: Option<Fault>,
-    /// Signs that the driver wants no more pictures, or none of the last agreement.
-    stops: u32,
-    is_gone: bool,
-}
-
-struct Shared {
-    state: Mutex<State>,
-    changed: Condvar,
-}
-
-impl Shared {
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn change(&self, change: impl FnOnce(&mut State)) {
-        change(&mut self.state());
-        self.changed.notify_all();
-    }
-}
 
 /// The camera; dropped, it is unplugged.
 pub struct Camera {

@@ -6,7 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 
-use super::Controls;
+use super::controls::Controls;
 
 /// Random numbers in store; a picture takes a run of them, at a place of its own.
 const STORE: usize = 1 << 19;

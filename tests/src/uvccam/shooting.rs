@@ -4,10 +4,10 @@ use std::io;
 use std::sync::{MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::descriptors::PAYLOAD;
+use super::descriptors::{Kind, PAYLOAD};
 use super::picture::Painter;
+use super::state::{Fault, Shared, State};
 use super::usbip::Answers;
-use super::{Fault, Kind, Shared, State};
 
 /// Header of a piece: its length, and flags.
 const HEADER: usize = 2;

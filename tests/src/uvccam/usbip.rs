@@ -4,8 +4,8 @@ use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::Shared;
-use super::controls::answer;
+use super::requests::answer;
+use super::state::Shared;
 
 /// Messages: a request and its answer, and taking one back.
 const SUBMIT: u32 = 1;

@@ -5,11 +5,12 @@ use toml::de::{DeTable, DeValue};
 use crate::{expect_none, files};
 
 /// A crate of the workspace and the crates of the workspace that it may use.
-const MAY_USE: [(&str, &[&str]); 13] = [
-    ("isophote-symbolic", &[]),
+const MAY_USE: [(&str, &[&str]); 14] = [
+    ("isophote-elementary", &[]),
+    ("isophote-symbolic", &["isophote-elementary"]),
     ("isophote-export", &["isophote-symbolic"]),
     ("isophote-notation", &["isophote-symbolic"]),
-    ("isophote-jit", &["isophote-symbolic"]),
+    ("isophote-jit", &["isophote-elementary", "isophote-symbolic"]),
     ("isophote-frame", &["isophote-jit"]),
     ("isophote-tracker", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),
     ("isophote-capture", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),

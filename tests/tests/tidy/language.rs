@@ -22,7 +22,10 @@ fn page() -> String {
 #[test]
 fn limits_are_those_in_force() {
     let shown: BTreeSet<String> = rows(&page(), "Limits").iter().map(|row| format!("{}: {}", row[0], row[1])).collect();
-    let debug = format!("{LIMITS:?},{:?}", isophote_jit::LIMITS).replace("Limits {", "").replace('}', "");
+    let debug = format!("{LIMITS:?},{:?}", isophote_jit::LIMITS)
+        .replace("KernelLimits {", "")
+        .replace("Limits {", "")
+        .replace('}', "");
     let in_force: BTreeSet<String> = debug.split(',').map(|field| field.trim().to_string()).collect();
     assert_eq!(shown, in_force);
 }

@@ -27,8 +27,8 @@ const ORDER: [&str; 4] = ["program", "language", "proof", "derive"];
 /// Files that every room may import, because they import nothing: places in a document, and what it may ask for.
 const GROUND: [&str; 2] = ["language/diagnostic", "language/limits"];
 
-/// Lines of symbolic/src, tests left out. 14,000 is the goal: this only ever becomes less.
-const CORE_LINES_MAX: usize = 15_400;
+/// Lines of symbolic/src, tests left out: this only ever becomes less.
+const CORE_LINES_MAX: usize = 14_000;
 
 /// What a room holds that it should not, or lacks.
 fn strangers(rooms: &Rooms, files: &[File]) -> Vec<String> {

@@ -9,8 +9,8 @@
 //! steeper. It does so on the strength of an ever thinner rim, and size and brightness are lost on the way; so for the centre
 //! at most a quarter of the target may be saturated.
 
+use super::goal::{ExposureAdvice, ExposureGoal};
 use super::trial::{Kernels, share, tried};
-use super::{ExposureAdvice, ExposureGoal};
 use crate::estimate::Estimate;
 use crate::sight::grey::Mixture;
 use crate::track::solver::{Look, Solver};

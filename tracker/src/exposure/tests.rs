@@ -5,7 +5,7 @@ use std::sync::Arc;
 use isophote_symbolic::{Model, Precision};
 
 use super::*;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
 
 const SPOT: &str = include_str!("../../../models/spot.toml");
@@ -20,15 +20,16 @@ fn tracker(document: &str, goal: ExposureGoal) -> Tracker {
 }
 
 /// A spot of 20 × 14 px on a ground of a twentieth of its height, both in proportion to the exposure.
-fn frame(number: u64, profile: Profile, amplitude: f64, exposure: f64) -> Frame {
+fn frame(number: u64, profile: Falloff, amplitude: f64, exposure: f64) -> Frame {
     let spot = Spot { centre: [80.4, 60.3], half: [20.0, 14.0], angle: 0.4, amplitude: amplitude * exposure, profile };
     let ground = GROUND * amplitude * exposure;
-    let picture = Picture { ground, noise: 1.2, seed: number, samples: 2, ..Picture::new(160, 120, vec![spot]) };
+    let picture =
+        TestPicture { ground, noise: 1.2, seed: number, samples: 2, ..TestPicture::new(160, 120, vec![spot]) };
     picture.frame().with_sequence(number)
 }
 
 const GROUND: f64 = 0.05;
-const CUBIC: Profile = Profile::Cubic(-0.5, -0.3);
+const CUBIC: Falloff = Falloff::Cubic(-0.5, -0.3);
 
 /// The share of the spot that an amplitude saturates, by its profile.
 fn share(amplitude: f64) -> f64 {
@@ -54,7 +55,7 @@ fn the_centre_wants_a_tenth_to_a_third_saturated_and_the_brightness_hardly_any()
 
 #[test]
 fn an_even_disc_is_not_overexposed() {
-    let estimate = tracker(DISC, ExposureGoal::Centre).track(&frame(1, Profile::Disc, 90.0, 1.0));
+    let estimate = tracker(DISC, ExposureGoal::Centre).track(&frame(1, Falloff::Disc, 90.0, 1.0));
     let advice = estimate.exposure_advice.clone().unwrap_or_else(|| panic!("no advice: {estimate:?}"));
     let peak = 90.0 * (1.0 + GROUND) * advice.factor;
     assert!((150.0..=256.0).contains(&peak), "{peak} {advice:?}");
@@ -98,7 +99,7 @@ fn a_controller_without_a_target_looks_both_ways_and_stays_in_its_range() {
     let mut tracker = tracker(SPOT, ExposureGoal::Centre);
     let options = ControllerOptions { latency: 2, range: [0.25, 16.0] };
     let mut controller = ExposureController::new(options);
-    let blank = |number: u64| Picture { noise: 1.2, seed: number, ..Picture::new(160, 120, vec![]) }.frame();
+    let blank = |number: u64| TestPicture { noise: 1.2, seed: number, ..TestPicture::new(160, 120, vec![]) }.frame();
     let mut factors = Vec::new();
     for number in 0..60 {
         if let Some(factor) = controller.step(&tracker.track(&blank(number).with_sequence(number))) {

@@ -10,9 +10,9 @@ use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Bindings, Precision, Prediction, Roles};
 use nalgebra::DMatrix;
 
-use super::ExposureGoal;
+use super::goal::ExposureGoal;
 use crate::scaled;
-use crate::sight::view::Layout;
+use crate::sight::view::PlaneLayout;
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::stage_kernels::{Control, Job, lowering};
 use crate::track::solver::Solver;
@@ -40,16 +40,16 @@ pub(crate) struct Tried {
 }
 
 /// A rendered picture: all that lies before the window as well.
-pub(crate) struct Light {
+pub(crate) struct RenderedLight {
     pixels: Vec<f32>,
     bytes: Vec<u8>,
     sides: [usize; 4],
     window: Window,
 }
 
-impl Light {
+impl RenderedLight {
     /// The model's picture, up to where the window ends. `None` for one that is too large, or that only a frame could tell.
-    pub fn of(solver: &Solver, kernels: &Kernels, parameters: &[f64], window: Window) -> Option<Light> {
+    pub fn of(solver: &Solver, kernels: &Kernels, parameters: &[f64], window: Window) -> Option<RenderedLight> {
         let sides: [usize; 4] = std::array::from_fn(|axis| window.first()[axis] + window.size()[axis]);
         let count = sides.iter().try_fold(1usize, |count, side| count.checked_mul(*side))?;
         if count > PIXELS_MAX {
@@ -59,7 +59,7 @@ impl Light {
         let bindings = bindings(solver, parameters, &[f64::INFINITY], &[0.0; 4]);
         kernels.render.render(&bindings, Window::of_size(sides), &mut pixels).ok()?;
         let bytes = pixels.iter().flat_map(|pixel| if pixel.is_nan() { [0; 4] } else { pixel.to_ne_bytes() }).collect();
-        Some(Light { pixels, bytes, sides, window })
+        Some(RenderedLight { pixels, bytes, sides, window })
     }
 
     /// Pixel values, row by row; NaN outside of the domain.
@@ -93,7 +93,7 @@ impl Kernels {
         let render = Arc::new(Kernel::compile(&program, &options).ok()?);
         let pixel = [0u8; 4];
         let plane = PlaneView::new(PixelFormat::F32, &pixel, 1, 1, 4, 4).ok()?;
-        let layout = Layout::of(&vec![plane; solver.model().channels().len()]);
+        let layout = PlaneLayout::of(&vec![plane; solver.model().channels().len()]);
         let information = solver.compiled.loops_in(precision, Job::Covariance, Control::Dropping, &layout).ok()?;
         Some(Kernels { render, information })
     }
@@ -104,7 +104,7 @@ impl Kernels {
         &self,
         solver: &Solver,
         parameters: &[f64],
-        light: &Light,
+        light: &RenderedLight,
         limit: f64,
     ) -> Option<(DMatrix<f64>, Totals)> {
         let channels = solver.model().channels().len();
@@ -136,7 +136,7 @@ pub(crate) fn tried(
 ) -> Option<Tried> {
     let model = solver.model();
     let (window, parameters) = moved(solver, &brighter(solver, parameters, factor))?;
-    let light = Light::of(solver, kernels, &parameters, window)?;
+    let light = RenderedLight::of(solver, kernels, &parameters, window)?;
     let limit = limit - HALF_STEP;
     let (information, sums) = kernels.information(solver, &parameters, &light, limit)?;
     let saturated = light.pixels().iter().filter(|pixel| f64::from(**pixel) >= limit).count() as f64;

@@ -6,8 +6,8 @@
 use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::points::Point;
-use crate::exposure::{Kernels, Light};
+use super::points::ModelPoint;
+use crate::exposure::{Kernels, RenderedLight};
 use crate::scaled;
 use crate::track::solver::Solver;
 
@@ -50,15 +50,21 @@ pub(crate) struct Condition {
 impl Information {
     /// Of a picture that nothing saturates, and of the same with a third of the target saturated. `None` where the picture
     /// has fewer pixels than parameters, or something is no number.
-    pub fn of(solver: &Solver, kernels: &Kernels, point: &Point) -> Option<[Option<Information>; 2]> {
-        let light = Light::of(solver, kernels, &point.parameters, point.window)?;
+    pub fn of(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<[Option<Information>; 2]> {
+        let light = RenderedLight::of(solver, kernels, &point.parameters, point.window)?;
         let clear = Information::at(solver, kernels, point, &light, f64::INFINITY)?;
         let limit = quantile(light.pixels());
         let saturated = limit.and_then(|limit| Information::at(solver, kernels, point, &light, limit));
         Some([Some(clear), saturated])
     }
 
-    fn at(solver: &Solver, kernels: &Kernels, point: &Point, light: &Light, limit: f64) -> Option<Information> {
+    fn at(
+        solver: &Solver,
+        kernels: &Kernels,
+        point: &ModelPoint,
+        light: &RenderedLight,
+        limit: f64,
+    ) -> Option<Information> {
         let order = solver.compiled.last_parameters().to_vec();
         let (matrix, sums) = kernels.information(solver, &point.parameters, light, limit)?;
         let is_enough = sums.pixels + sums.saturated > order.len() as u64;

@@ -12,7 +12,7 @@ use isophote_symbolic::{Diagnostics, Model, ParameterId, Precision, Severity, St
 
 use super::Bound;
 use super::information::{Condition, Information};
-use super::points::{Numbers, Point, sizes};
+use super::points::{ModelPoint, Numbers, sizes};
 use crate::exposure::{ExposureAdvice, ExposureGoal, Kernels, outlook};
 use crate::options::TrackerOptions;
 use crate::solve::compiled::Compiled;
@@ -111,8 +111,8 @@ impl Survey {
         self.solver.compiled.last_parameters()
     }
 
-    fn at(&self, size: f64, numbers: Numbers) -> Option<(Point, [Option<Information>; 2])> {
-        let point = Point::made_up(self.model(), &self.solver.constants, &self.reach, size, numbers)?;
+    fn at(&self, size: f64, numbers: Numbers) -> Option<(ModelPoint, [Option<Information>; 2])> {
+        let point = ModelPoint::made_up(self.model(), &self.solver.constants, &self.reach, size, numbers)?;
         let known = Information::of(&self.solver, &self.kernels, &point)?;
         Some((point, known))
     }

@@ -1,6 +1,6 @@
 //! Made-up points: numbers for all parameters of a model, near those of which a fit would start, and the pixels around them.
 //!
-//! What comes in: a model, the size of a target. What goes out: a [`Point`], the same every time. It never knows a camera.
+//! What comes in: a model, the size of a target. What goes out: a [`ModelPoint`], the same every time. It never knows a camera.
 
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Parameter, Start};
@@ -25,7 +25,7 @@ const INSIDE: f64 = 0.05;
 
 /// Numbers for everything that a model's formulas read but its constants.
 #[derive(Clone, Debug)]
-pub(crate) struct Point {
+pub(crate) struct ModelPoint {
     pub parameters: Vec<f64>,
     pub window: Window,
 }
@@ -46,16 +46,16 @@ pub(crate) fn sizes(model: &Model) -> [f64; 3] {
     SIZES_PX[usize::from(model.coordinates().len() > 2)]
 }
 
-impl Point {
+impl ModelPoint {
     /// `None` where constraints do not hold, or nothing of the domain is in a picture.
-    pub fn made_up(model: &Model, constants: &[f64], reach: &Reach, size: f64, numbers: Numbers) -> Option<Point> {
+    pub fn made_up(model: &Model, constants: &[f64], reach: &Reach, size: f64, numbers: Numbers) -> Option<ModelPoint> {
         let parameters = parameters(model, size, numbers);
         if !model.constraints_hold(&parameters, constants) {
             return None;
         }
         let whole = Window::of_size(sides(model, &parameters, size));
         let window = reach.window(model, &parameters, Margin::even(0.1, 2.0), whole)?;
-        Some(Point { parameters, window })
+        Some(ModelPoint { parameters, window })
     }
 }
 

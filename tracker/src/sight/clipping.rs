@@ -84,20 +84,20 @@ fn spike(present: &[(u32, u32)], largest: u32) -> Option<u32> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::picture::{Picture, Profile, Spot};
+    use crate::picture::{Falloff, Spot, TestPicture};
     use isophote_frame::{Frame, Plane};
 
-    fn found(picture: &Picture) -> Option<f64> {
+    fn found(picture: &TestPicture) -> Option<f64> {
         let frame = picture.frame();
         clipping(&frame.plane_view(0), Window::whole(picture.width, picture.height))
     }
 
     /// Noise of 1.2 on a ground of 20.
-    fn picture(amplitude: f64, profile: Profile, limit: f64) -> Picture {
+    fn picture(amplitude: f64, profile: Falloff, limit: f64) -> TestPicture {
         let spot = Spot { profile, ..Spot::at(48.3, 47.6, 20.0, amplitude) };
-        Picture { noise: 1.2, saturation: limit, ..Picture::new(96, 96, vec![spot]) }
+        TestPicture { noise: 1.2, saturation: limit, ..TestPicture::new(96, 96, vec![spot]) }
     }
-    const CUBIC: Profile = Profile::Cubic(-0.5, -0.3);
+    const CUBIC: Falloff = Falloff::Cubic(-0.5, -0.3);
 
     #[test]
     fn the_limit_of_clipped_frames_is_found() {
@@ -106,7 +106,7 @@ mod tests {
                 assert_eq!(found(&picture(amplitude, CUBIC, limit)), Some(limit), "{amplitude}");
             }
         }
-        assert_eq!(found(&picture(300.0, Profile::Disc, 253.0)), Some(253.0));
+        assert_eq!(found(&picture(300.0, Falloff::Disc, 253.0)), Some(253.0));
     }
 
     #[test]
@@ -115,18 +115,21 @@ mod tests {
             assert_eq!(found(&picture(amplitude, CUBIC, 255.0)), None, "{amplitude}");
         }
         for amplitude in [120.0, 180.0, 215.0] {
-            assert_eq!(found(&picture(amplitude, Profile::Disc, 255.0)), None, "an even top of {amplitude} with noise");
-            let silent = Picture { noise: 0.0, samples: 4, ..picture(amplitude, Profile::Disc, 255.0) };
+            assert_eq!(found(&picture(amplitude, Falloff::Disc, 255.0)), None, "an even top of {amplitude} with noise");
+            let silent = TestPicture { noise: 0.0, samples: 4, ..picture(amplitude, Falloff::Disc, 255.0) };
             assert_eq!(found(&silent), None, "an even top of {amplitude} without noise");
-            let bright = Picture { ground: 220.0, ..silent };
-            assert_eq!(found(&Picture { spots: vec![Spot { amplitude: -100.0, ..bright.spots[0] }], ..bright }), None);
+            let bright = TestPicture { ground: 220.0, ..silent };
+            assert_eq!(
+                found(&TestPicture { spots: vec![Spot { amplitude: -100.0, ..bright.spots[0] }], ..bright }),
+                None
+            );
         }
         assert_eq!(found(&picture(300.0, CUBIC, 100.0)), None, "below half of the range");
     }
 
     #[test]
     fn sixteen_bits_and_interleaved_channels() {
-        let pixels = Picture { ground: 300.0, noise: 20.0, ..picture(6000.0, CUBIC, 1e9) }.pixels();
+        let pixels = TestPicture { ground: 300.0, noise: 20.0, ..picture(6000.0, CUBIC, 1e9) }.pixels();
         let frame = |limit: u16, shift: u32| {
             let value = |pixel: &f64| (pixel.max(0.0) as u16).min(limit) << shift;
             let bytes = pixels.iter().flat_map(|pixel| value(pixel).to_ne_bytes()).collect();

@@ -1,10 +1,10 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::sight::grey::Mixture;
 use isophote_jit::Window;
 
-fn look(picture: &Picture, wanted: &Wanted) -> Vec<Sight> {
+fn look(picture: &TestPicture, wanted: &Wanted) -> Vec<Sight> {
     let frame = picture.frame();
     find(
         &Grey::read(
@@ -46,7 +46,7 @@ fn spots_of_every_size_in_a_noisy_full_frame() {
     ] {
         for seed in 0..4 {
             let spot = Spot { half, angle: 0.7, ..Spot::at(330.3, 238.6, 1.0, amplitude) };
-            let picture = Picture { noise, seed, ..Picture::new(640, 480, vec![spot]) };
+            let picture = TestPicture { noise, seed, ..TestPicture::new(640, 480, vec![spot]) };
             let found = look(&picture, &Wanted::default());
             let case = format!("{half:?} {amplitude} {noise} seed {seed}: {found:?}");
             assert_eq!(found.len(), 1, "{case}");
@@ -65,7 +65,7 @@ fn spots_of_every_size_in_a_noisy_full_frame() {
 #[test]
 fn a_tilted_outline_comes_out_tilted() {
     let spot = Spot { half: [40.0, 15.0], angle: 0.5, ..Spot::at(100.0, 90.0, 1.0, 150.0) };
-    let found = &look(&Picture::new(200, 180, vec![spot]), &Wanted::default())[0];
+    let found = &look(&TestPicture::new(200, 180, vec![spot]), &Wanted::default())[0];
     for (is, should) in upper(found.extent).iter().zip(spot.extent()) {
         assert!((is / should - 1.0).abs() < 0.4, "{is} {should}");
     }
@@ -73,8 +73,9 @@ fn a_tilted_outline_comes_out_tilted() {
 
 #[test]
 fn a_dark_disc_on_bright_ground() {
-    let disc = Spot { profile: Profile::Disc, ..Spot::at(400.0, 200.0, 30.0, -120.0) };
-    let picture = Picture { ground: 200.0, noise: 4.0, slope: [0.02, -0.03], ..Picture::new(640, 480, vec![disc]) };
+    let disc = Spot { profile: Falloff::Disc, ..Spot::at(400.0, 200.0, 30.0, -120.0) };
+    let picture =
+        TestPicture { ground: 200.0, noise: 4.0, slope: [0.02, -0.03], ..TestPicture::new(640, 480, vec![disc]) };
     let found = &look(&picture, &Wanted::default())[0];
     assert!((found.centre[0] - 400.0).hypot(found.centre[1] - 200.0) < 0.3, "{found:?}");
     assert!((found.amplitude + 120.0).abs() < 15.0 && (found.background - 202.0).abs() < 3.0, "{found:?}");
@@ -89,7 +90,7 @@ fn the_most_massive_of_several_unless_a_place_is_given() {
         Spot::at(300.0, 60.0, 6.0, 235.0),
         Spot::at(550.0, 100.0, 25.0, 60.0),
     ];
-    let picture = Picture { noise: 3.0, ..Picture::new(640, 480, spots.clone()) };
+    let picture = TestPicture { noise: 3.0, ..TestPicture::new(640, 480, spots.clone()) };
     let all = look(&picture, &Wanted { targets_max: 9, ..Wanted::default() });
     assert_eq!(all.len(), 4, "{all:?}");
     assert!((all[0].centre[0] - 450.0).abs() < 1.0, "{all:?}");
@@ -104,8 +105,11 @@ fn the_most_massive_of_several_unless_a_place_is_given() {
 
 #[test]
 fn on_a_slanting_ground() {
-    let picture =
-        Picture { slope: [0.8, 0.5], noise: 2.0, ..Picture::new(96, 96, vec![Spot::at(40.0, 50.0, 20.0, 120.0)]) };
+    let picture = TestPicture {
+        slope: [0.8, 0.5],
+        noise: 2.0,
+        ..TestPicture::new(96, 96, vec![Spot::at(40.0, 50.0, 20.0, 120.0)])
+    };
     let found = &look(&picture, &Wanted::default())[0];
     assert!((found.centre[0] - 40.0).hypot(found.centre[1] - 50.0) < 1.0, "{found:?}");
     assert!((found.background - (20.0 + 32.0 + 25.0)).abs() < 4.0, "{found:?}");
@@ -115,20 +119,21 @@ fn on_a_slanting_ground() {
 fn nothing_is_found_in_noise_and_in_hot_pixels() {
     for seed in 0..10 {
         assert!(
-            look(&Picture { noise: 5.0, seed, ..Picture::new(640, 480, vec![]) }, &Wanted::default()).is_empty(),
+            look(&TestPicture { noise: 5.0, seed, ..TestPicture::new(640, 480, vec![]) }, &Wanted::default())
+                .is_empty(),
             "{seed}"
         );
     }
-    let hot = vec![Spot { profile: Profile::Disc, ..Spot::at(20.0, 20.0, 0.9, 200.0) }];
-    assert!(look(&Picture { noise: 1.0, ..Picture::new(64, 64, hot) }, &Wanted::default()).is_empty());
-    assert!(look(&Picture::new(64, 64, vec![]), &Wanted::default()).is_empty());
-    assert!(look(&Picture::new(1, 1, vec![]), &Wanted::default()).is_empty());
+    let hot = vec![Spot { profile: Falloff::Disc, ..Spot::at(20.0, 20.0, 0.9, 200.0) }];
+    assert!(look(&TestPicture { noise: 1.0, ..TestPicture::new(64, 64, hot) }, &Wanted::default()).is_empty());
+    assert!(look(&TestPicture::new(64, 64, vec![]), &Wanted::default()).is_empty());
+    assert!(look(&TestPicture::new(1, 1, vec![]), &Wanted::default()).is_empty());
 }
 
 #[test]
 fn one_dimension() {
     for noise in [0.0, 3.0] {
-        let picture = Picture { noise, ..Picture::new(400, 1, vec![Spot::at(170.4, 0.0, 30.0, 120.0)]) };
+        let picture = TestPicture { noise, ..TestPicture::new(400, 1, vec![Spot::at(170.4, 0.0, 30.0, 120.0)]) };
         let found = &look(&picture, &Wanted::default())[0];
         assert!((found.centre[0] - 170.4).abs() < 1.0 && found.centre[1] == 0.0, "{found:?}");
         assert!(
@@ -145,7 +150,7 @@ fn saturated_pixels_are_counted_and_do_not_change_the_extent() {
         .iter()
         .map(|&amplitude| {
             let found =
-                look(&Picture::new(200, 200, vec![Spot::at(100.0, 100.0, 40.0, amplitude)]), &Wanted::default())
+                look(&TestPicture::new(200, 200, vec![Spot::at(100.0, 100.0, 40.0, amplitude)]), &Wanted::default())
                     .remove(0);
             assert_eq!(found.saturated > 10, amplitude > 235.0, "{found:?}");
             found.size[0]

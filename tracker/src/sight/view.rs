@@ -6,29 +6,29 @@
 use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::Precision;
 
-use crate::budget::{Budget, Stop};
+use crate::budget::{FrameBudget, Stop};
 use crate::sight::clipping::clipping;
 use crate::sight::grey::{Grey, Mixture};
 
 /// How the pixels of a frame lie in memory, as far as a kernel is made for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Layout {
+pub(crate) struct PlaneLayout {
     pub formats: Vec<PixelFormat>,
     pub packed: bool,
 }
 
-impl Layout {
+impl PlaneLayout {
     /// The layout of some planes.
-    pub fn of(planes: &[PlaneView]) -> Layout {
-        Layout {
+    pub fn of(planes: &[PlaneView]) -> PlaneLayout {
+        PlaneLayout {
             formats: planes.iter().map(|plane| plane.format()).collect(),
             packed: planes.iter().all(|plane| plane.pixel_stride() == plane.format().bytes_per_pixel()),
         }
     }
 
     /// That of so many planes of one format: packed when there is one, else interleaved.
-    pub fn of_format(format: PixelFormat, planes: usize) -> Layout {
-        Layout { formats: vec![format; planes], packed: planes == 1 }
+    pub fn of_format(format: PixelFormat, planes: usize) -> PlaneLayout {
+        PlaneLayout { formats: vec![format; planes], packed: planes == 1 }
     }
 }
 
@@ -50,11 +50,11 @@ pub(crate) struct View<'a> {
     /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
     /// a step below it on.
     pub limits: Vec<f64>,
-    pub layout: Layout,
+    pub layout: PlaneLayout,
     /// What the lane's rounding does to a residual, in pixel values.
     pub rounding: f64,
     /// Of the frame; none where nothing bounds it.
-    pub budget: Option<&'a Budget<'a>>,
+    pub budget: Option<&'a FrameBudget<'a>>,
 }
 
 impl<'a> View<'a> {
@@ -66,7 +66,7 @@ impl<'a> View<'a> {
             Precision::F32 => f64::from(f32::EPSILON),
             Precision::F64 => f64::EPSILON,
         };
-        let layout = Layout::of(&planes);
+        let layout = PlaneLayout::of(&planes);
         let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
         let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
         View { planes, window, saturation, limits, layout, rounding: lane * largest, budget: None }

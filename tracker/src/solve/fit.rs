@@ -11,7 +11,7 @@ use crate::pose::Geometry;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
 use crate::solve::loops::{Loops, Totals};
-use crate::solve::stage::{self, Pass, Problem, Rules};
+use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
 use crate::solve::trust::{Curvature, Quadratic, Spectrum};
 
@@ -272,7 +272,7 @@ struct Summed<'a> {
     curvature: Curvature,
 }
 
-impl Problem for Summed<'_> {
+impl CostFunction for Summed<'_> {
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
         pass.read(self.passes.run(&self.gradient, point, entry)?, self.curvature)
     }

@@ -8,6 +8,7 @@ pub(crate) mod alternatives;
 pub(crate) mod compiled;
 pub(crate) mod fit;
 pub(crate) mod loops;
+pub(crate) mod prepare;
 pub(crate) mod stage;
 pub(crate) mod stage_kernels;
 pub(crate) mod trust;

@@ -1,6 +1,6 @@
 //! One stage: some of the parameters, one method, a bounded number of steps.
 //!
-//! What comes in: a [`Problem`], something that can sum F, its gradient and its Hessian over pixels. What goes out: moved
+//! What comes in: a [`CostFunction`], something that can sum F, its gradient and its Hessian over pixels. What goes out: moved
 //! parameters and a [`StageReport`]. It never knows kernels, pixels or roles.
 //!
 //! A pass *enters* at a point, and that point fixes its pixel set and its noise weights. F(u) and F(u + δ) are compared on
@@ -19,7 +19,7 @@ use isophote_symbolic::Precision;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Ending, StageReport};
-use crate::solve::trust::{Curvature, Quadratic, Region, Spectrum, Step};
+use crate::solve::trust::{Curvature, Quadratic, Spectrum, TrustRegion, TrustStep};
 
 /// What one gradient pass brings back.
 #[derive(Clone, Debug)]
@@ -41,7 +41,7 @@ impl Pass {
 
 /// A function to minimise. Points are full parameter vectors; free ones are the stage's. An error is how the stage ends when
 /// there can be no further pass: no kernel could run, or nobody waits any longer.
-pub(crate) trait Problem {
+pub(crate) trait CostFunction {
     /// Puts F, g and H at `point`, on the pixel set and with the weights of `entry`, into `pass`.
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending>;
     /// F at `point`, on the pixel set and with the weights of `entry`.
@@ -174,7 +174,7 @@ impl Deviations {
 }
 
 /// One stage at work.
-struct Walk<'a, P: Problem> {
+struct Walk<'a, P: CostFunction> {
     problem: &'a mut P,
     rules: &'a Rules,
     report: StageReport,
@@ -205,7 +205,7 @@ enum Descent {
     /// There is no further step.
     Over(Ending),
     /// The last step is shorter than its tolerance.
-    Converged(Step),
+    Converged(TrustStep),
     /// There can be no further pass.
     Stopped(Ending),
 }
@@ -214,7 +214,7 @@ enum Descent {
 ///
 /// Where F is known at the start but its derivatives are not finite, the stage begins a little aside: a start in round
 /// numbers may put a pixel on the very rim of the domain, where a root has no slope.
-pub(crate) fn run<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
+pub(crate) fn run<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
     let report = run_from(problem, rules, point);
     let never_began = report.ending == Ending::NonFinite && report.passes <= 1;
     if !never_began || !problem.value(point, point).is_ok_and(f64::is_finite) {
@@ -240,7 +240,7 @@ fn aside(point: &[f64], rules: &Rules, sign: f64) -> Vec<f64> {
     aside
 }
 
-fn run_from<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
+fn run_from<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
     let mut walk = Walk {
         problem,
         rules,
@@ -255,14 +255,14 @@ fn run_from<P: Problem>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> St
     walk.report
 }
 
-impl<P: Problem> Walk<'_, P> {
+impl<P: CostFunction> Walk<'_, P> {
     fn walk(&mut self, point: &mut [f64]) -> Ending {
         let free = self.rules.free.len();
         let (mut pass, mut entered) = (Pass::of(free), Pass::of(free));
         if let Err(ending) = self.enter(point, &mut pass) {
             return ending;
         }
-        let mut region = Region::new(&pass.quadratic.hessian, &self.free(point));
+        let mut region = TrustRegion::new(&pass.quadratic.hessian, &self.free(point));
         loop {
             region.rescale(&pass.quadratic.hessian);
             let Some(spectrum) =
@@ -334,7 +334,7 @@ impl<P: Problem> Walk<'_, P> {
     }
 
     /// Tries ever shorter steps from `point` until one is accepted.
-    fn descend(&mut self, point: &[f64], pass: &Pass, spectrum: &Spectrum, region: &mut Region) -> Descent {
+    fn descend(&mut self, point: &[f64], pass: &Pass, spectrum: &Spectrum, region: &mut TrustRegion) -> Descent {
         let here = self.free(point);
         let scale = region.scale();
         let deviations = self.rules.deviations(spectrum, pass);
@@ -439,7 +439,7 @@ impl<P: Problem> Walk<'_, P> {
     }
 
     /// Halves the step until bounds (exclusive) and constraints hold.
-    fn within_bounds(&mut self, point: &[f64], step: Step) -> Option<Step> {
+    fn within_bounds(&mut self, point: &[f64], step: TrustStep) -> Option<TrustStep> {
         if self.is_allowed(point, &step) {
             return Some(step);
         }
@@ -459,7 +459,7 @@ impl<P: Problem> Walk<'_, P> {
     }
 
     /// Takes a step to [`Walk::next`]; true when bounds and constraints hold there.
-    fn is_allowed(&mut self, point: &[f64], step: &Step) -> bool {
+    fn is_allowed(&mut self, point: &[f64], step: &TrustStep) -> bool {
         self.next.copy_from_slice(point);
         for (&i, delta) in self.rules.free.iter().zip(step.delta.iter()) {
             self.next[i] += delta;

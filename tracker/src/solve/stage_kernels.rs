@@ -10,7 +10,7 @@ use isophote_symbolic::{
     Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Stage, Summand, ValueKind,
 };
 
-use crate::sight::view::Layout;
+use crate::sight::view::PlaneLayout;
 use crate::solve::loops::Loops;
 use crate::solve::trust::Curvature;
 use crate::solve::workers::Workers;
@@ -77,7 +77,7 @@ struct Ready {
     part: usize,
     control: Control,
     precision: Precision,
-    layout: Layout,
+    layout: PlaneLayout,
     kernel: Arc<Kernel>,
 }
 
@@ -146,14 +146,14 @@ impl StageKernels {
     /// # Errors
     /// When a kernel cannot be made.
     pub fn warm(&self, format: PixelFormat, workers: &dyn Workers) -> Result<(), CompileFailure> {
-        let layout = Layout::of_format(format, self.model.channels().len());
+        let layout = PlaneLayout::of_format(format, self.model.channels().len());
         self.warm_for(&layout, &[Control::Plain, Control::Dropping], workers)
     }
 
     /// Compiles every kernel for a layout and some controls.
     pub(crate) fn warm_for(
         &self,
-        layout: &Layout,
+        layout: &PlaneLayout,
         controls: &[Control],
         workers: &dyn Workers,
     ) -> Result<(), CompileFailure> {
@@ -172,7 +172,7 @@ impl StageKernels {
     }
 
     /// The kernels for a job, compiled now if need be.
-    pub(crate) fn loops(&self, job: Job, control: Control, layout: &Layout) -> Result<Loops, CompileFailure> {
+    pub(crate) fn loops(&self, job: Job, control: Control, layout: &PlaneLayout) -> Result<Loops, CompileFailure> {
         self.loops_in(self.precision, job, control, layout)
     }
 
@@ -182,7 +182,7 @@ impl StageKernels {
         precision: Precision,
         job: Job,
         control: Control,
-        layout: &Layout,
+        layout: &PlaneLayout,
     ) -> Result<Loops, CompileFailure> {
         let sum = self.derived.sum_of(job);
         let mut loops = Loops { seen: Vec::new(), clipped: Vec::new() };
@@ -202,7 +202,7 @@ impl StageKernels {
         index: usize,
         control: Control,
         precision: Precision,
-        layout: &Layout,
+        layout: &PlaneLayout,
     ) -> Result<Arc<Kernel>, CompileFailure> {
         let part = &self.derived.parts[index];
         // Pixels at their limit are numbers.

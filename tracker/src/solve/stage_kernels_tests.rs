@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::solve::compiled::Compiled;
 use crate::solve::workers::InTurn;
 use crate::{Ending, Rejection, TrackState, Tracker, TrackerOptions};
@@ -55,9 +55,9 @@ fn a_start_from_which_every_step_is_refused_is_not_tracking() {
         half: [13.0; 2],
         angle: 0.0,
         amplitude: 150.0,
-        profile: Profile::Cubic(-1.5, 0.0),
+        profile: Falloff::Cubic(-1.5, 0.0),
     };
-    let frame = Picture { noise: 1.0, ..Picture::new(44, 44, vec![spot]) }.frame();
+    let frame = TestPicture { noise: 1.0, ..TestPicture::new(44, 44, vec![spot]) }.frame();
     for (values, ending) in [("", Ending::SmallStep), ("-", Ending::NotDescending), ("3*", Ending::NotDescending)] {
         for iterations in [5, 100] {
             let stages =
@@ -107,9 +107,9 @@ fn a_stage_in_another_order_fits_alike() {
         half: [13.0; 2],
         angle: 0.0,
         amplitude: 150.0,
-        profile: Profile::Cubic(-1.5, 0.0),
+        profile: Falloff::Cubic(-1.5, 0.0),
     };
-    let frame = Picture { noise: 1.0, ..Picture::new(44, 44, vec![spot]) }.frame();
+    let frame = TestPicture { noise: 1.0, ..TestPicture::new(44, 44, vec![spot]) }.frame();
     let ends = ["\"bx\", \"v1\", \"by\", \"v0\"", "\"v0\", \"v1\", \"bx\", \"by\""].map(|first| {
         let stages =
             format!("[[stages]]\nparameters = [{first}]\n[[stages]]\nparameters = [\"bx\", \"by\", \"v0\", \"v1\"]\n");

@@ -23,7 +23,7 @@ fn anything(_: &[f64]) -> bool {
     true
 }
 
-impl Problem for Closed<'_> {
+impl CostFunction for Closed<'_> {
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
         let n = self.parameters;
         let (mut objective, mut gradient, mut hessian, mut pixels) = (0.0, DVector::zeros(n), DMatrix::zeros(n, n), 0);
@@ -247,7 +247,7 @@ struct Mismatched<'a> {
     values: &'a dyn Fn(&[f64]) -> f64,
 }
 
-impl Problem for Mismatched<'_> {
+impl CostFunction for Mismatched<'_> {
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
         self.derivatives.gradient(point, entry, pass)
     }
@@ -320,7 +320,7 @@ fn a_pass_that_cannot_be_had_ends_the_stage_where_it_is() {
             Ok(())
         }
     }
-    impl Problem for Stopping<'_> {
+    impl CostFunction for Stopping<'_> {
         fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
             self.spend()?;
             self.0.gradient(point, entry, pass)

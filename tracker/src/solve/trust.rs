@@ -86,7 +86,7 @@ enum Answered {
 
 /// One minimiser of the quadratic model inside the trust region.
 #[derive(Clone, Debug)]
-pub(crate) struct Step {
+pub(crate) struct TrustStep {
     /// δ.
     pub delta: DVector<f64>,
     /// `‖D δ‖`.
@@ -99,11 +99,11 @@ pub(crate) struct Step {
     pub interior: bool,
 }
 
-impl Step {
+impl TrustStep {
     /// The same step, `t` times as long (0 < t ≤ 1). With `m(tδ) = t gᵀδ + t² (m(δ) − gᵀδ)`.
-    pub fn shortened(&self, t: f64) -> Step {
+    pub fn shortened(&self, t: f64) -> TrustStep {
         let curvature = -self.reduction - self.slope;
-        Step {
+        TrustStep {
             delta: &self.delta * t,
             length: self.length * t,
             slope: self.slope * t,
@@ -113,10 +113,10 @@ impl Step {
     }
 
     /// As far the other way.
-    pub fn reversed(&self) -> Step {
+    pub fn reversed(&self) -> TrustStep {
         let curvature = -self.reduction - self.slope;
         let slope = -self.slope;
-        Step { delta: -&self.delta, slope, reduction: -(slope + curvature), interior: false, ..*self }
+        TrustStep { delta: -&self.delta, slope, reduction: -(slope + curvature), interior: false, ..*self }
     }
 }
 
@@ -230,12 +230,12 @@ impl Spectrum {
     }
 
     /// The minimiser of m within `radius`.
-    pub fn step(&self, radius: f64) -> Step {
+    pub fn step(&self, radius: f64) -> TrustStep {
         let smallest = self.values.min();
         let full = self.shifted(0.0);
         // λ = 0 is the answer when H is positive (semi)definite and ‖z(0)‖ ≤ Δ.
         if smallest >= -self.zero && full.norm() <= radius {
-            return Step { interior: true, ..self.finish(full) };
+            return TrustStep { interior: true, ..self.finish(full) };
         }
         // Otherwise λ ≥ max(0, −λ_min), and ‖z(λ)‖ = Δ …
         let lowest = (-smallest).max(0.0);
@@ -254,7 +254,7 @@ impl Spectrum {
 
     /// The minimiser of m along `−D⁻²g` (Cauchy's point); as far as the largest curvature says where m does not bend upwards
     /// there. `None` where g vanishes, or all of H.
-    pub fn steepest(&self) -> Option<Step> {
+    pub fn steepest(&self) -> Option<TrustStep> {
         let square = self.gradient.norm_squared();
         let bend: f64 = (0..self.values.len()).map(|k| self.values[k] * self.gradient[k] * self.gradient[k]).sum();
         let share = if bend > self.zero * square { square / bend } else { self.values.amax().recip() };
@@ -262,11 +262,11 @@ impl Spectrum {
     }
 
     /// The step to z, at the region's edge.
-    fn finish(&self, z: DVector<f64>) -> Step {
+    fn finish(&self, z: DVector<f64>) -> TrustStep {
         let slope = self.gradient.dot(&z);
         let bend: f64 = (0..z.len()).map(|k| self.values[k] * z[k] * z[k]).sum();
         let delta = (&self.vectors * &z).component_div(&self.scale);
-        Step {
+        TrustStep {
             delta,
             length: z.norm(),
             reduction: (-slope - 0.5 * bend).max(0.0),
@@ -278,7 +278,7 @@ impl Spectrum {
 
 /// The region's memory from step to step.
 #[derive(Clone, Debug)]
-pub(crate) struct Region {
+pub(crate) struct TrustRegion {
     /// Running maximum of √|H_ii|; 0 as long as a parameter has shown no effect.
     largest: DVector<f64>,
     /// Δ.
@@ -287,10 +287,10 @@ pub(crate) struct Region {
     fresh: bool,
 }
 
-impl Region {
+impl TrustRegion {
     /// Around the point `u` (free parameters only).
-    pub fn new(hessian: &DMatrix<f64>, u: &DVector<f64>) -> Region {
-        let mut region = Region { largest: DVector::zeros(u.len()), radius: 0.0, fresh: true };
+    pub fn new(hessian: &DMatrix<f64>, u: &DVector<f64>) -> TrustRegion {
+        let mut region = TrustRegion { largest: DVector::zeros(u.len()), radius: 0.0, fresh: true };
         region.rescale(hessian);
         let scale = region.scale();
         let length = scale.component_mul(u).norm();
@@ -326,7 +326,7 @@ impl Region {
     /// `ρ = (actual + slack) / (predicted + slack)`; accept when ρ ≥ 1e-4. Δ becomes ‖Dδ‖/2 when ρ ≤ 0.1, and 2‖Dδ‖ when
     /// ρ ≥ ¾ or the step was interior. Of 300 such rules tried on the NIST problems these are the ones that need the fewest
     /// passes; MINPACK's cubic shrinking needs three times as many.
-    pub fn judge(&mut self, step: &Step, actual: f64, slack: f64) -> bool {
+    pub fn judge(&mut self, step: &TrustStep, actual: f64, slack: f64) -> bool {
         if self.fresh {
             self.radius = self.radius.min(step.length);
             self.fresh = false;

@@ -93,7 +93,7 @@ fn undetermined_parameters_have_infinite_variance() {
 #[test]
 fn the_first_radius_is_the_scaled_length_of_the_point() {
     let hessian = DMatrix::from_row_slice(2, 2, &[4.0, 0.0, 0.0, 9.0]);
-    let region = Region::new(&hessian, &DVector::from_row_slice(&[3.0, 4.0]));
+    let region = TrustRegion::new(&hessian, &DVector::from_row_slice(&[3.0, 4.0]));
     assert!((region.radius() - (36.0f64 + 144.0).sqrt()).abs() < 1e-12);
 }
 
@@ -111,7 +111,7 @@ fn the_radius_follows_the_ratio() {
         (f64::NAN, false, 0.05),
         (f64::NEG_INFINITY, false, 0.05),
     ] {
-        let mut region = Region { largest: DVector::from_element(2, 1.0), radius: 0.5, fresh: false };
+        let mut region = TrustRegion { largest: DVector::from_element(2, 1.0), radius: 0.5, fresh: false };
         let step = spectrum.step(0.5);
         assert_eq!(region.judge(&step, actual, 0.0), accepted, "{actual}");
         assert!((region.radius() - radius).abs() < 1e-6, "{actual}: {}", region.radius());

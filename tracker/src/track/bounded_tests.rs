@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::*;
 use crate::budget::Stop;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use isophote_symbolic::Precision;
 
 const SPOT: &str = include_str!("../../../tests/documents/plain-spot.toml");
@@ -21,10 +21,10 @@ fn tracker(compiled: &Arc<Compiled>, work_max: u64) -> Tracker {
 
 /// The target moves 2 px a frame.
 fn frame(number: u64) -> Frame {
-    let profile = Profile::Cubic(-0.5, -0.3);
+    let profile = Falloff::Cubic(-0.5, -0.3);
     let centre = [60.3 + 2.0 * number as f64, 50.8];
     let spot = Spot { centre, half: [20.0, 14.0], angle: 0.4, amplitude: 150.0, profile };
-    let mut frame = Picture { noise: 1.0, seed: number, ..Picture::new(160, 100, vec![spot]) }.frame();
+    let mut frame = TestPicture { noise: 1.0, seed: number, ..TestPicture::new(160, 100, vec![spot]) }.frame();
     frame.sequence = number;
     frame
 }

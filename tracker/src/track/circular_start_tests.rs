@@ -11,7 +11,7 @@
 
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use isophote_symbolic::{Model, Precision};
 
 const SPOT: &str = include_str!("../../../tests/documents/plain-spot.toml");
@@ -22,7 +22,7 @@ const TRUTH: Spot = Spot {
     half: [72.0, 52.0],
     angle: 0.3,
     amplitude: 150.0,
-    profile: Profile::Cubic(-0.5, -0.3),
+    profile: Falloff::Cubic(-0.5, -0.3),
 };
 
 /// The document with other stages; `None` keeps its own.
@@ -40,7 +40,7 @@ fn fitted(document: &str, stages: Option<&[(&str, &str)]>, centre: &[(&str, f64)
     let circle = [("a1", 6.25e-6), ("a2", 0.0), ("a3", 6.25e-6)];
     let start = circle.iter().chain(centre).map(|(name, value)| (name.to_string(), *value)).collect();
     let mut tracker = Tracker::new(compiled, TrackerOptions { start, ..TrackerOptions::default() }).unwrap();
-    let estimate = tracker.track(&Picture::new(640, 480, vec![TRUTH]).frame());
+    let estimate = tracker.track(&TestPicture::new(640, 480, vec![TRUTH]).frame());
     (tracker, estimate)
 }
 

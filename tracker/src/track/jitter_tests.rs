@@ -6,7 +6,7 @@ use std::sync::Arc;
 use isophote_symbolic::{Model, Precision};
 
 use super::Followed;
-use crate::picture::{Noise, Picture, Profile, Spot};
+use crate::picture::{Falloff, Noise, Spot, TestPicture};
 use crate::{Ahead, Compiled, PredictOptions, TrackState, Tracker, TrackerOptions};
 
 /// What became of the frames of a sequence.
@@ -35,8 +35,8 @@ fn shaken(document: &str, half: [f64; 2], jitter_px: f64, frames: u64, path: &dy
     for number in 0..frames {
         let [x, y] = path(number as f64 / 60.0);
         let centre = [x, y].map(|at| at + jitter_px * (2.0 * noise.uniform() - 1.0));
-        let spot = Spot { centre, half, angle: 0.3, amplitude: 120.0, profile: Profile::Cubic(-0.5, -0.3) };
-        let picture = Picture { noise: 1.5, seed: number + 1, ..Picture::new(280, 140, vec![spot]) };
+        let spot = Spot { centre, half, angle: 0.3, amplitude: 120.0, profile: Falloff::Cubic(-0.5, -0.3) };
+        let picture = TestPicture { noise: 1.5, seed: number + 1, ..TestPicture::new(280, 140, vec![spot]) };
         let frame = picture.frame().with_sequence(number);
         centres.push(centre);
         if number > 0 {
@@ -120,8 +120,8 @@ fn a_prediction_that_leads_astray_is_dropped() {
     let mut searched = 0;
     for number in 0..16 {
         let (centre, half) = (at(number), [6.0, 5.0]);
-        let spot = Spot { centre, half, angle: 0.3, amplitude: 120.0, profile: Profile::Cubic(-0.5, -0.3) };
-        let picture = Picture { noise: 1.5, seed: number + 1, ..Picture::new(320, 240, vec![spot]) };
+        let spot = Spot { centre, half, angle: 0.3, amplitude: 120.0, profile: Falloff::Cubic(-0.5, -0.3) };
+        let picture = TestPicture { noise: 1.5, seed: number + 1, ..TestPicture::new(320, 240, vec![spot]) };
         let frame = picture.frame().with_sequence(number);
         if number > 10 {
             let look = tracker.solver.look(&frame).unwrap();

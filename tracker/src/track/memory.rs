@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 use super::evidence::Ground;
 use super::rival::Rival;
 use super::search::Candidate;
-use super::shared::Shared;
+use super::shared::SharedParameters;
 use super::solver::{Attempt, Solver};
 use super::window::half_widths;
 use crate::estimate::Ahead;
@@ -47,7 +47,7 @@ pub(crate) struct Memory {
 
 impl Memory {
     /// What is left of it for another model.
-    pub fn swapped(&self, shared: &Shared) -> Memory {
+    pub fn swapped(&self, shared: &SharedParameters) -> Memory {
         let last: Vec<Option<f64>> = self.last.iter().copied().map(Some).collect();
         let motion = self.motion.as_ref().zip(shared.places.as_ref());
         let memory = Memory {

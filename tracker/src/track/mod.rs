@@ -1,6 +1,6 @@
 //! Tracks: what is remembered of a target from frame to frame, and what a frame is believed to say about it.
 //!
-//! What comes in: frames as a [`Look`], a [`Solver`]. What goes out: for each target an [`Outcome`]. It never knows a
+//! What comes in: frames as a [`Look`], a [`Solver`]. What goes out: for each target a [`Finding`]. It never knows a
 //! session, nor how an estimate is published.
 //!
 //! ```text
@@ -26,7 +26,7 @@ pub(crate) mod tracker;
 pub(crate) mod window;
 
 use crate::options::TrackerOptions;
-use crate::solve::alternatives::Starts;
+use crate::solve::alternatives::StartsFrom;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use memory::Memory;
@@ -54,7 +54,7 @@ pub(crate) const MARGIN_PX_MAX: f64 = 32.0;
 const ROUNDING_S: f64 = 1e-6;
 
 /// What a frame says about one target.
-pub(crate) enum Outcome {
+pub(crate) enum Finding {
     /// There it is.
     Seen(Box<Candidate>),
     /// It is not; where it should be by now.
@@ -91,7 +91,7 @@ impl Track {
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
-        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, Starts::Given)?;
+        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
         let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
@@ -133,7 +133,7 @@ impl Track {
         doubtful: Option<Box<Candidate>>,
         search: &mut Search,
         time_s: f64,
-    ) -> Outcome {
+    ) -> Finding {
         let suits = |candidate: &Candidate| {
             let looks_alike = self.change(solver, &candidate.attempt) <= FADED;
             // However unsure the prediction is: what looks otherwise and is hardly a target is none.
@@ -157,26 +157,26 @@ impl Track {
                 let better = found.candidate.attempt.reduced() < warm.attempt.reduced();
                 if truer || nearer || better || !suits(&warm) {
                     search.claim(found.index);
-                    return Outcome::Seen(Box::new(found.candidate));
+                    return Finding::Seen(Box::new(found.candidate));
                 }
-                Outcome::Seen(warm)
+                Finding::Seen(warm)
             }
             (None, Some(found)) => {
                 search.claim(found.index);
-                Outcome::Seen(Box::new(found.candidate))
+                Finding::Seen(Box::new(found.candidate))
             }
-            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Outcome::Seen(warm),
+            (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
             _ => self.missing(solver, look, search.failure.clone(), time_s),
         }
     }
 
-    fn missing(&self, solver: &Solver, look: &Look, attempt: Attempt, time_s: f64) -> Outcome {
+    fn missing(&self, solver: &Solver, look: &Look, attempt: Attempt, time_s: f64) -> Finding {
         let TrackerOptions { motion, .. } = &solver.options;
         let predicted = self.memory.predicted(time_s).filter(|_| self.is_confirmed() && self.memory.is_complete());
         let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s + ROUNDING_S);
         match predicted.filter(|_| recent) {
-            Some(predicted) if inside(solver, look, &predicted) => Outcome::Coasting(attempt, predicted),
-            _ => Outcome::Missing(attempt),
+            Some(predicted) if inside(solver, look, &predicted) => Finding::Coasting(attempt, predicted),
+            _ => Finding::Missing(attempt),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::Outcome;
+use super::Finding;
 use super::evidence::log_likelihood;
 use super::memory::Memory;
 use super::solver::Solver;
@@ -24,22 +24,22 @@ pub(crate) struct Told<'a> {
 }
 
 /// Remembers what a frame said about a target, and says it.
-pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Outcome, told: Told) -> Estimate {
+pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, told: Told) -> Estimate {
     let Told { name, sequence, capture_ns, time_s, saturation, spend } = told;
     let (state, attempt, covariance, parameters, confidence, pose) = match outcome {
-        Outcome::Seen(candidate) => {
+        Finding::Seen(candidate) => {
             memory.saw(solver, &candidate, time_s);
             let confidence = candidate.confidence();
             let covariance = memory.covariance.clone();
             let pose = solver.pose(&candidate.attempt, saturation, spend);
             (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
         }
-        Outcome::Coasting(attempt, predicted) => {
+        Finding::Coasting(attempt, predicted) => {
             let (parameters, covariance) = memory.coasted(solver, &predicted, time_s);
             let pose = solver.pose_of(&parameters, covariance.as_ref());
             (TrackState::Coasting, attempt, covariance, parameters, None, pose)
         }
-        Outcome::Missing(attempt) => {
+        Finding::Missing(attempt) => {
             if !attempt.ending.is_unfinished() {
                 memory.lose();
             }

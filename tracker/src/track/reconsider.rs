@@ -6,8 +6,9 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::solve::alternatives::{self, MISFIT, Preparation, Preparing, Starts};
+use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
+use crate::solve::prepare::{Preparation, Preparing};
 use crate::solve::stage_kernels::CompileFailure;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
@@ -35,7 +36,7 @@ impl Solver {
         start: &[f64],
         margin: Margin,
         usual: Option<f64>,
-        starts: Starts,
+        starts: StartsFrom,
     ) -> Result<Attempt, CompileFailure> {
         if self.is_fine(&attempt, usual) || look.unfinished().is_some() {
             return Ok(attempt);
@@ -51,8 +52,8 @@ impl Solver {
         };
         let astray = !attempt.is_good() || attempt.reduced().is_none_or(|reduced| reduced > ASTRAY);
         let starts = match starts {
-            Starts::Scattered if astray => alternatives::scattered(self.model(), start),
-            Starts::Scattered | Starts::Given => vec![start.to_vec()],
+            StartsFrom::Scattered if astray => alternatives::scattered(self.model(), start),
+            StartsFrom::Scattered | StartsFrom::Given => vec![start.to_vec()],
         };
         let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
         // An alternative with more freedom may settle on anything near: it must be a target of about that size, and there.

@@ -135,7 +135,7 @@ impl Search {
             && !search.candidates.iter().any(is_fine)
         {
             let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-            let starts = if is_placed { alternatives::Starts::Given } else { alternatives::Starts::Scattered };
+            let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
             let attempt = solver.reconsidered(look, attempt, &start, margin, None, starts)?;
             if attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
                 search.candidates.push(Candidate::of(solver, attempt, ground));

@@ -1,4 +1,4 @@
-//! `Shared`: what two models have in common, so that a swap goes on from it.
+//! `SharedParameters`: what two models have in common, so that a swap goes on from it.
 //!
 //! What comes in: the model before and the model after. What goes out: which parameter of the one is which of the other, and
 //! values, covariances and places carried over. It never knows a track.
@@ -25,7 +25,7 @@ pub struct Carried {
 }
 
 /// From one model to another.
-pub(crate) struct Shared<'a> {
+pub(crate) struct SharedParameters<'a> {
     new: &'a Model,
     old_order: &'a [ParameterId],
     new_order: &'a [ParameterId],
@@ -99,9 +99,9 @@ pub(crate) fn places(model: &Model) -> impl Iterator<Item = &ParameterId> {
     roles.iter().flat_map(|roles| &roles.centre).chain(roles.iter().flat_map(|roles| &roles.position))
 }
 
-impl<'a> Shared<'a> {
+impl<'a> SharedParameters<'a> {
     /// What is the same in both.
-    pub fn of(old: &'a Compiled, new: &'a Compiled, options: &TrackerOptions) -> Shared<'a> {
+    pub fn of(old: &'a Compiled, new: &'a Compiled, options: &TrackerOptions) -> SharedParameters<'a> {
         let (before, after) = (old.model(), new.model());
         let ids = |model: &Model| model.parameters().iter().map(|one| model.parameter(&one.name)).collect::<Vec<_>>();
         let source = |id: &Option<ParameterId>| {
@@ -116,7 +116,7 @@ impl<'a> Shared<'a> {
             places(before).position(|old| old.index() == source)
         };
         let numbers: Option<Vec<usize>> = places(after).map(number).collect();
-        Shared {
+        SharedParameters {
             new: after,
             starts: options.start_of(after),
             old_order: old.last_parameters(),

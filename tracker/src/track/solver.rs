@@ -10,15 +10,15 @@ use isophote_symbolic::Model;
 
 use super::rival::Rival;
 use super::window::{Margin, Reach, half_widths, holds, shape};
-use crate::budget::{Budget, Stop};
+use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection};
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
-use crate::solve::alternatives::Preparation;
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Fit, fit};
+use crate::solve::prepare::Preparation;
 use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use isophote_frame::Frame;
@@ -47,14 +47,14 @@ pub(crate) struct Look<'a> {
     /// Where its pixels are clipped, for each window that was looked at.
     limits: Mutex<Vec<(Window, Vec<f64>)>>,
     /// What it may cost; none where nothing bounds it.
-    budget: Option<&'a Budget<'a>>,
+    budget: Option<&'a FrameBudget<'a>>,
     /// Alternatives that a fit went on without.
     wanted: OnceLock<Preparation>,
 }
 
 impl<'a> Look<'a> {
     /// The same within a bound.
-    pub fn within(self, budget: &'a Budget<'a>) -> Look<'a> {
+    pub fn within(self, budget: &'a FrameBudget<'a>) -> Look<'a> {
         Look { budget: Some(budget), ..self }
     }
 
@@ -65,7 +65,7 @@ impl<'a> Look<'a> {
 
     /// How it ended, when it was not looked at to the end.
     pub fn unfinished(&self) -> Option<Ending> {
-        self.budget.and_then(Budget::stopped).map(Ending::from)
+        self.budget.and_then(FrameBudget::stopped).map(Ending::from)
     }
 
     /// Says that a fit would have tried alternatives.

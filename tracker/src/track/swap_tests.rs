@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isophote_symbolic::{Model, Precision};
 
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
 
 const PLAIN: &str = include_str!("../../../tests/documents/plain-spot.toml");
@@ -54,10 +54,10 @@ fn frame(number: u64, centres: &[[f64; 2]]) -> Frame {
         half: [16.0, 12.0],
         angle: 0.3,
         amplitude: 120.0,
-        profile: Profile::Cubic(-0.5, -0.3),
+        profile: Falloff::Cubic(-0.5, -0.3),
     };
     let spots = centres.iter().map(spot).collect();
-    Picture { noise: 1.5, seed: number + 1, ..Picture::new(320, 240, spots) }.frame().with_sequence(number)
+    TestPicture { noise: 1.5, seed: number + 1, ..TestPicture::new(320, 240, spots) }.frame().with_sequence(number)
 }
 
 /// Moving fast: the next frame is out of reach of a start at the last one's place.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isophote_symbolic::{Model, Precision};
 
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::{Compiled, Estimate, Frame, MotionOptions, TrackState, Tracker, TrackerOptions};
 
 const SPOT: &str = include_str!("../../../tests/documents/plain-spot.toml");
@@ -16,11 +16,11 @@ fn tracker(options: TrackerOptions) -> Tracker {
 }
 
 fn spot([x, y]: [f64; 2], half: [f64; 2], amplitude: f64) -> Spot {
-    Spot { centre: [x, y], half, angle: 0.3, amplitude, profile: Profile::Cubic(-0.5, -0.3) }
+    Spot { centre: [x, y], half, angle: 0.3, amplitude, profile: Falloff::Cubic(-0.5, -0.3) }
 }
 
 fn frame(number: u64, spots: Vec<Spot>) -> Frame {
-    Picture { noise: 1.5, seed: number, ..Picture::new(320, 240, spots) }.frame().with_sequence(number)
+    TestPicture { noise: 1.5, seed: number, ..TestPicture::new(320, 240, spots) }.frame().with_sequence(number)
 }
 
 fn off(estimate: &Estimate, centre: [f64; 2]) -> f64 {
@@ -95,7 +95,8 @@ fn a_prediction_is_where_the_target_will_be() {
         assert!(deviation > before && ahead.covariance.len() == 4);
         before = deviation;
     }
-    let blank = tracker.track(&Picture { noise: 1.5, ..Picture::new(320, 240, vec![]) }.frame().with_sequence(30));
+    let blank =
+        tracker.track(&TestPicture { noise: 1.5, ..TestPicture::new(320, 240, vec![]) }.frame().with_sequence(30));
     assert!(blank.state == TrackState::Coasting && blank.ahead.len() == 10, "{blank:?}");
 }
 
@@ -156,7 +157,7 @@ fn a_target_that_is_not_there_stays_wanted_and_takes_no_other() {
 
 #[test]
 fn a_faint_target_is_told_from_bright_things_of_other_shapes() {
-    let disc = |x: f64, y: f64, half: [f64; 2]| Spot { profile: Profile::Disc, ..spot([x, y], half, 200.0) };
+    let disc = |x: f64, y: f64, half: [f64; 2]| Spot { profile: Falloff::Disc, ..spot([x, y], half, 200.0) };
     let clutter = vec![disc(50.0, 50.0, [18.0, 14.0]), disc(260.0, 60.0, [30.0, 4.0]), disc(60.0, 190.0, [3.0, 3.0])];
     for (number, amplitude) in [150.0, 60.0, 25.0].into_iter().enumerate() {
         let target = spot([190.0, 150.0], [20.0, 14.0], amplitude);
@@ -182,7 +183,7 @@ fn the_expected_one_of_two_alike_is_taken() {
 
 #[test]
 fn a_search_that_wants_to_be_sure_takes_nothing_of_another_shape() {
-    let bar = Spot { profile: Profile::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
+    let bar = Spot { profile: Falloff::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
     let sure = TrackerOptions { confidence_min: 0.5, ..TrackerOptions::default() };
     assert_eq!(tracker(sure.clone()).track(&frame(1, vec![bar])).state, TrackState::Searching);
     let target = spot([150.0, 180.0], [20.0, 14.0], 120.0);
@@ -211,7 +212,7 @@ fn lost_and_found_again() {
     let mut tracker = tracker(options);
     let frame = |x: f64, amplitude: f64, sequence: u64| {
         let spots = if amplitude > 0.0 { vec![spot([x, 60.0], [16.0, 12.0], amplitude)] } else { vec![] };
-        Picture { noise: 2.0, seed: sequence, ..Picture::new(160, 120, spots) }.frame().with_sequence(sequence)
+        TestPicture { noise: 2.0, seed: sequence, ..TestPicture::new(160, 120, spots) }.frame().with_sequence(sequence)
     };
     use TrackState::{Coasting, Lost, Searching, Tracking};
     let script = [

@@ -10,18 +10,18 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 
-use crate::budget::{Budget, Watch};
+use crate::budget::{FrameBudget, Watch};
 use crate::estimate::{Ending, Estimate, TrackState};
 use crate::exposure::Advisor;
 use crate::options::{TrackError, TrackerOptions};
-use crate::solve::alternatives::Preparation;
 use crate::solve::compiled::Compiled;
+use crate::solve::prepare::Preparation;
 use crate::solve::stage_kernels::CompileFailure;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
-use crate::track::shared::{Carried, Shared};
+use crate::track::shared::{Carried, SharedParameters};
 use crate::track::solver::{Attempt, Look, Solver};
-use crate::track::{Followed, Outcome, Track};
+use crate::track::{Finding, Followed, Track};
 use isophote_frame::Frame;
 
 /// Follows one target or several of the same model.
@@ -64,7 +64,7 @@ impl Tracker {
     pub fn swap(&mut self, compiled: Arc<Compiled>, options: TrackerOptions) -> Carried {
         self.tracks.resize_with(options.targets, Track::default);
         let old = self.solver.compiled.clone();
-        let shared = Shared::of(&old, &compiled, &options);
+        let shared = SharedParameters::of(&old, &compiled, &options);
         let first = self.tracks.first().and_then(|track| track.memory.warm.as_deref());
         let mut carried = shared.told(first);
         for track in &mut self.tracks {
@@ -120,10 +120,10 @@ impl Tracker {
             false => frame,
         };
         let time_s = self.now(frame);
-        let missing = |ending| self.tracks.iter().map(|_| Outcome::Missing(Attempt::none(ending))).collect();
-        let budget = Budget::new(self.solver.options.work_max, watch);
+        let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending))).collect();
+        let budget = FrameBudget::new(self.solver.options.work_max, watch);
         let look = self.solver.look(frame).map(|look| look.within(&budget));
-        let outcomes: Vec<Outcome> = match &look {
+        let outcomes: Vec<Finding> = match &look {
             Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),
         };
@@ -137,12 +137,12 @@ impl Tracker {
     }
 
     /// Remembers what a frame said about a target, and says it.
-    fn take(&mut self, number: usize, outcome: Outcome, frame: &Frame, look: Option<&Look>, time_s: f64) -> Estimate {
+    fn take(&mut self, number: usize, outcome: Finding, frame: &Frame, look: Option<&Look>, time_s: f64) -> Estimate {
         let name = name(self.solver.model(), self.tracks.len(), number);
         // Only a pose made of spots asks for it.
         let only = look.filter(|_| frame.planes().len() == 1 && self.solver.options.target.is_some());
         let limit = |look: &Look| match &outcome {
-            Outcome::Seen(candidate) => self.solver.limit(look, &candidate.attempt.fit.as_ref()?.parameters),
+            Finding::Seen(candidate) => self.solver.limit(look, &candidate.attempt.fit.as_ref()?.parameters),
             _ => None,
         };
         let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
@@ -181,14 +181,14 @@ impl Tracker {
     }
 
     /// Follows all, then searches for those that are not where they should be.
-    fn outcomes(&self, look: &Look, time_s: f64) -> Result<Vec<Outcome>, CompileFailure> {
+    fn outcomes(&self, look: &Look, time_s: f64) -> Result<Vec<Finding>, CompileFailure> {
         let solver = &self.solver;
         let followed = self.tracks.iter().map(|track| track.follow(solver, look, time_s));
         let mut followed = followed.collect::<Result<Vec<_>, _>>()?;
         separate(solver, &mut followed);
         let kept: Vec<Vec<f64>> = followed.iter().filter_map(kept).collect();
         let mut search = None;
-        let mut outcomes: Vec<Option<Outcome>> = Vec::new();
+        let mut outcomes: Vec<Option<Finding>> = Vec::new();
         outcomes.resize_with(followed.len(), || None);
         // Those that were seen lately choose before those that were lost, and these before those that were never found.
         let mut order: Vec<usize> = (0..followed.len()).collect();
@@ -199,7 +199,7 @@ impl Tracker {
         let mut followed: Vec<Option<Followed>> = followed.into_iter().map(Some).collect();
         for number in order {
             let outcome = match followed[number].take() {
-                Some(Followed::Kept(candidate)) => Outcome::Seen(candidate),
+                Some(Followed::Kept(candidate)) => Finding::Seen(candidate),
                 Some(Followed::Doubtful(doubtful)) => {
                     let track = &self.tracks[number];
                     if search.is_none() && look.unfinished().is_none() {

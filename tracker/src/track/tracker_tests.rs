@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::solve::workers::InTurn;
 use isophote_frame::Plane;
 use isophote_jit::{PixelFormat, Slices, Window};
@@ -23,7 +23,7 @@ fn tracker(document: &str, start: &[(&str, f64)]) -> Tracker {
 
 /// The profile that models/spot.toml holds.
 fn spot(x: f64, y: f64, half: [f64; 2], angle: f64, amplitude: f64) -> Spot {
-    Spot { centre: [x, y], half, angle, amplitude, profile: Profile::Cubic(-0.5, -0.3) }
+    Spot { centre: [x, y], half, angle, amplitude, profile: Falloff::Cubic(-0.5, -0.3) }
 }
 
 fn named(tracker: &Tracker, estimate: &Estimate, name: &str) -> f64 {
@@ -46,7 +46,7 @@ fn from_twenty_pixels_off_with_and_without_saturation() {
         for (samples, angle) in [(1, 0.0), (8, 0.6)] {
             let amplitude = if share > 0.0 { amplitude_for(share) } else { 150.0 };
             let truth = spot(322.3, 238.8, [60.0, 42.0], angle, amplitude);
-            let frame = Picture { samples, ..Picture::new(640, 480, vec![truth]) }.frame();
+            let frame = TestPicture { samples, ..TestPicture::new(640, 480, vec![truth]) }.frame();
             let mut tracker = tracker(SPOT, &[("bx", 342.3), ("by", 238.8)]);
             let estimate = tracker.track(&frame);
             let case = format!("{share} {samples}: {estimate:?}");
@@ -74,7 +74,7 @@ fn every_size_from_a_cold_start() {
         for seed in 0..3 {
             let centre = [0.5 * size[0] as f64 + 7.3, 0.5 * size[1] as f64 - 5.8];
             let truth = spot(centre[0], centre[1], half, 0.4, amplitude);
-            let picture = Picture { noise, seed, ..Picture::new(size[0], size[1], vec![truth]) };
+            let picture = TestPicture { noise, seed, ..TestPicture::new(size[0], size[1], vec![truth]) };
             let mut tracker = tracker(SPOT, &[]);
             let estimate = tracker.track(&picture.frame());
             let case = format!("{half:?} {amplitude} seed {seed}: {estimate:?}");
@@ -98,7 +98,7 @@ fn covariance_is_honest() {
         let frames = 60;
         for seed in 0..frames {
             let truth = spot(40.2 + 0.37 * (seed % 7) as f64, 38.9, [14.0, 10.0], 0.3, 120.0);
-            let picture = Picture { noise: 3.0, seed, ..Picture::new(80, 80, vec![truth]) };
+            let picture = TestPicture { noise: 3.0, seed, ..TestPicture::new(80, 80, vec![truth]) };
             let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
             let estimate = tracker.track(&picture.frame());
             assert!(estimate.converged, "{estimate:?}");
@@ -120,8 +120,8 @@ fn covariance_is_honest() {
 
 #[test]
 fn a_dark_disc() {
-    let disc = Spot { profile: Profile::Disc, ..spot(150.4, 119.7, [30.0, 22.0], 0.5, -130.0) };
-    let picture = Picture { ground: 200.0, noise: 2.0, samples: 8, ..Picture::new(320, 240, vec![disc]) };
+    let disc = Spot { profile: Falloff::Disc, ..spot(150.4, 119.7, [30.0, 22.0], 0.5, -130.0) };
+    let picture = TestPicture { ground: 200.0, noise: 2.0, samples: 8, ..TestPicture::new(320, 240, vec![disc]) };
     let mut tracker = tracker(DISC, &[]);
     let estimate = tracker.track(&picture.frame());
     assert_eq!(estimate.state, TrackState::Tracking, "{estimate:?}");
@@ -131,7 +131,7 @@ fn a_dark_disc() {
     assert!(estimate.stages.len() == 2 && estimate.iterations.iter().all(|&n| n > 0));
     // A bright one is refused by the bound.
     let bright = Spot { amplitude: 50.0, ..disc };
-    let lost = tracker.track(&Picture { ground: 100.0, ..Picture::new(320, 240, vec![bright]) }.frame());
+    let lost = tracker.track(&TestPicture { ground: 100.0, ..TestPicture::new(320, 240, vec![bright]) }.frame());
     assert_eq!(lost.state, TrackState::Lost, "{lost:?}");
 }
 
@@ -140,7 +140,7 @@ fn the_thesis_spot_staged_from_moments() {
     // A domain that moves with the parameters: each pass has its own pixel set, and the fit holds still on it.
     let truth = spot(160.7, 119.2, [60.0, 42.0], 0.0, 150.0);
     let mut tracker = tracker(THESIS, &[]);
-    let estimate = tracker.track(&Picture::new(320, 240, vec![truth]).frame());
+    let estimate = tracker.track(&TestPicture::new(320, 240, vec![truth]).frame());
     assert_eq!(estimate.state, TrackState::Tracking, "{estimate:?}");
     assert!(centre_error(&tracker, &estimate, &truth) < 0.1, "{estimate:?}");
 }
@@ -148,7 +148,7 @@ fn the_thesis_spot_staged_from_moments() {
 #[test]
 fn a_shrinking_domain_is_said() {
     // The thesis' domain on a frame without a spot in the middle of a start that says so: the ellipse closes in.
-    let picture = Picture { noise: 3.0, ..Picture::new(160, 120, vec![]) };
+    let picture = TestPicture { noise: 3.0, ..TestPicture::new(160, 120, vec![]) };
     let start = [("bx", 80.0), ("by", 60.0), ("a1", 1e-3), ("a2", 0.0), ("a3", 1e-3), ("v0", 20.0), ("v1", 100.0)];
     let mut tracker = tracker(THESIS, &start);
     let estimate = tracker.track(&picture.frame());
@@ -204,7 +204,7 @@ fn kernels_are_shared_between_threads() {
     let compiled = compiled(SPOT, Precision::F32);
     compiled.warm(PixelFormat::U8, &InTurn).unwrap();
     let truth = spot(70.0, 60.0, [20.0, 14.0], 0.2, 150.0);
-    let frame = Picture { noise: 1.0, ..Picture::new(160, 120, vec![truth]) }.frame();
+    let frame = TestPicture { noise: 1.0, ..TestPicture::new(160, 120, vec![truth]) }.frame();
     let estimates: Vec<Estimate> = std::thread::scope(|scope| {
         let run = || Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap().track(&frame);
         let threads: Vec<_> = (0..4).map(|_| scope.spawn(run)).collect();
@@ -218,8 +218,8 @@ fn a_warm_start_takes_few_steps() {
     let mut tracker = tracker(SPOT, &[]);
     for sequence in 0..8 {
         let truth = spot(70.0 + 1.5 * sequence as f64, 60.0, [20.0, 14.0], 0.2, 150.0);
-        let estimate =
-            tracker.track(&Picture { noise: 1.0, seed: sequence, ..Picture::new(160, 120, vec![truth]) }.frame());
+        let estimate = tracker
+            .track(&TestPicture { noise: 1.0, seed: sequence, ..TestPicture::new(160, 120, vec![truth]) }.frame());
         assert!(estimate.converged && estimate.iterations[0] <= 20, "{sequence}: {estimate:?}");
     }
 }
@@ -228,7 +228,7 @@ fn a_warm_start_takes_few_steps() {
 fn a_swap_carries_what_both_models_have() {
     let mut tracker = tracker(SPOT, &[]);
     let truth = spot(70.0, 60.0, [20.0, 14.0], 0.2, 150.0);
-    let frame = Picture { noise: 1.0, ..Picture::new(160, 120, vec![truth]) }.frame();
+    let frame = TestPicture { noise: 1.0, ..TestPicture::new(160, 120, vec![truth]) }.frame();
     assert_eq!(tracker.track(&frame).state, TrackState::Tracking);
     let carried = tracker.swap(compiled(GAUSSIAN, Precision::F32), TrackerOptions::default());
     assert_eq!(carried.carried, ["bx", "by", "a1", "a2", "a3", "v0", "v1"]);
@@ -250,7 +250,7 @@ fn a_swap_carries_what_both_models_have() {
 #[test]
 fn a_window_keeps_the_neighbours_out() {
     let (left, right) = (spot(40.0, 60.0, [14.0, 14.0], 0.0, 100.0), spot(120.0, 60.0, [25.0, 25.0], 0.0, 150.0));
-    let frame = Picture { noise: 1.0, ..Picture::new(160, 120, vec![left, right]) }.frame();
+    let frame = TestPicture { noise: 1.0, ..TestPicture::new(160, 120, vec![left, right]) }.frame();
     let options = |window| TrackerOptions { window, ..TrackerOptions::default() };
     let compiled = compiled(SPOT, Precision::F32);
     for (window, truth) in
@@ -269,8 +269,11 @@ fn a_window_keeps_the_neighbours_out() {
 #[test]
 fn formats_strides_and_precisions_agree() {
     let truth = spot(70.3, 60.2, [20.0, 14.0], 0.2, 150.0);
-    let pixels: Vec<f64> =
-        Picture { noise: 1.0, ..Picture::new(160, 120, vec![truth]) }.pixels().iter().map(|v| v.round()).collect();
+    let pixels: Vec<f64> = TestPicture { noise: 1.0, ..TestPicture::new(160, 120, vec![truth]) }
+        .pixels()
+        .iter()
+        .map(|v| v.round())
+        .collect();
     let bytes = |format: PixelFormat, gap: usize| -> Vec<u8> {
         let one = |v: &f64| match format {
             PixelFormat::U8 => vec![*v as u8],
@@ -306,7 +309,7 @@ fn formats_strides_and_precisions_agree() {
 #[test]
 fn pixels_without_any_rounding_end_by_a_small_step() {
     let truth = spot(70.3, 60.2, [20.0, 14.0], 0.2, 150.0);
-    let pixels = Picture::new(160, 120, vec![truth]).pixels();
+    let pixels = TestPicture::new(160, 120, vec![truth]).pixels();
     for precision in [Precision::F32, Precision::F64] {
         let bytes = pixels.iter().flat_map(|v| v.to_le_bytes()).collect();
         let frame = Frame::new(&[160, 120], vec![Plane::owned(PixelFormat::F64, bytes, 160)]).unwrap();
@@ -420,7 +423,7 @@ fn newton_with_a_small_variance_converges() {
         .replace("method     = \"levenberg-marquardt\"", "method     = \"newton\"");
     assert!(document.contains("newton") && document.contains("noise"));
     let truth = spot(70.3, 60.2, [20.0, 14.0], 0.2, 150.0);
-    let frame = Picture { noise: 0.1, ..Picture::new(160, 120, vec![truth]) }.frame();
+    let frame = TestPicture { noise: 0.1, ..TestPicture::new(160, 120, vec![truth]) }.frame();
     let estimate = tracker(&document, &[("bx", 76.0), ("by", 55.0)]).track(&frame);
     assert_eq!((estimate.state, estimate.ending), (TrackState::Tracking, Ending::SmallStep), "{estimate:?}");
     assert!(estimate.objective.unwrap() < 0.0, "{estimate:?}");
@@ -469,7 +472,7 @@ fn a_blob_in_a_stack() {
 #[test]
 fn pixels_that_are_no_numbers_are_left_out() {
     let truth = spot(81.3, 58.7, [18.0, 13.0], 0.5, 150.0);
-    let picture = Picture { samples: 4, ..Picture::new(160, 120, vec![truth]) };
+    let picture = TestPicture { samples: 4, ..TestPicture::new(160, 120, vec![truth]) };
     let is_unknown = |x: usize, y: usize| x < 9 || (88..93).contains(&x) && (50..70).contains(&y) || y == 61;
     let pixels = picture.pixels().into_iter().enumerate();
     let bytes: Vec<u8> = pixels

@@ -5,7 +5,7 @@ use isophote_symbolic::{Method, Model, ParameterId, Precision};
 use super::starts::start;
 use super::{Bench, Grid, Offset, figures, newton_of_each, schedules, subsets};
 use crate::options::TrackerOptions;
-use crate::picture::{Picture, Profile, Spot};
+use crate::picture::{Falloff, Spot, TestPicture};
 use crate::solve::compiled::Compiled;
 
 const SPOT: &str = include_str!("../../../models/spot.toml");
@@ -30,16 +30,16 @@ fn with_stages(lists: &[&str]) -> String {
     head.to_string() + &stages.collect::<String>()
 }
 
-fn picture() -> (Picture, Vec<f64>) {
+fn picture() -> (TestPicture, Vec<f64>) {
     let truth = Spot {
         centre: [80.3, 59.6],
         half: [30.0, 21.0],
         angle: 0.4,
         amplitude: 150.0,
-        profile: Profile::Cubic(-0.5, -0.3),
+        profile: Falloff::Cubic(-0.5, -0.3),
     };
     let [a1, a2, a3] = truth.extent();
-    let picture = Picture { samples: 4, ..Picture::new(160, 120, vec![truth]) };
+    let picture = TestPicture { samples: 4, ..TestPicture::new(160, 120, vec![truth]) };
     (picture, vec![80.3, 59.6, a1, a2, a3, -0.5, -0.3, 20.0, 150.0])
 }
 
@@ -111,7 +111,7 @@ fn starts_are_as_far_away_as_was_said() {
 #[test]
 fn an_answer_is_found_again_and_another_place_is_not_the_answer() {
     let (picture, truth) = picture();
-    let frame = Picture { noise: 2.0, ..picture }.frame();
+    let frame = TestPicture { noise: 2.0, ..picture }.frame();
     let bench = bench(SPOT);
     let goal = bench.goal(&frame, &truth).unwrap().unwrap();
     assert!((goal.parameters[0] - truth[0]).abs() < 0.1 && (goal.parameters[BRIGHTNESS] - 150.0).abs() < 3.0);
@@ -129,7 +129,7 @@ fn an_answer_is_found_again_and_another_place_is_not_the_answer() {
     // A start from which nothing of the spot is in sight leads nowhere.
     let lost = [&[500.0, 500.0], &goal.parameters[2..]].concat();
     assert!(!bench.run(&frame, &goal, &lost, offset).unwrap().reached);
-    let blank = Picture::new(160, 120, Vec::new()).frame();
+    let blank = TestPicture::new(160, 120, Vec::new()).frame();
     assert!(bench.goal(&blank, &truth).unwrap().is_none(), "there is no answer in an empty frame");
 }
 

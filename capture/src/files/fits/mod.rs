@@ -13,7 +13,7 @@ use std::path::Path;
 use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
-use crate::picture::{DecodeError, Picture, check_size};
+use crate::picture::{DecodeError, StoredPicture, check_size};
 
 use header::Header;
 
@@ -89,7 +89,7 @@ impl Pages for Fits {
         Ok(self.size)
     }
 
-    fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
+    fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault> {
         let page_bytes = self.size[0] * self.size[1] * self.numbers.bytes();
         let begin = (page_bytes as u64).checked_mul(page as u64).and_then(|before| before.checked_add(self.start));
         let left = begin.map_or(0, |begin| self.file_bytes.saturating_sub(begin));
@@ -101,7 +101,7 @@ impl Pages for Fits {
         self.file.seek(SeekFrom::Start(begin))?;
         self.file.read_exact(&mut bytes)?;
         let (format, bytes) = self.numbers.pixels(bytes);
-        Ok(Picture { size: self.size, format, stored: 1, used: 1, bytes })
+        Ok(StoredPicture { size: self.size, format, stored: 1, used: 1, bytes })
     }
 }
 

@@ -13,7 +13,7 @@ use crate::limits::LIMITS;
 use crate::picture::DecodeError;
 
 use super::chunk::{self, Chunk};
-use super::message::{Encoding, Layout};
+use super::message::{MessageEncoding, MessageFields};
 use super::records::{self, CHUNK_HEAD_BYTES, HEAD_BYTES, MAGIC, MESSAGE_BYTES, NONE, Record, op};
 
 /// Bytes of a schema, a channel or a message index; message indexes, and pictures of all topics; bytes of a topic's name.
@@ -27,15 +27,15 @@ const PLACES_MAX: usize = 4_000_000;
 
 /// A channel whose messages are pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Stream {
+pub(super) struct PictureTopic {
     pub topic: String,
-    pub layout: Layout,
-    pub encoding: Encoding,
+    pub layout: MessageFields,
+    pub encoding: MessageEncoding,
 }
 
 /// Where a picture is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Slot {
+pub(super) struct PictureRecord {
     pub log_time: u64,
     pub channel: u16,
     /// Of [`Index::chunks`]; `None` where the message stands in the file itself.
@@ -47,14 +47,14 @@ pub(super) struct Slot {
 /// What is known of a file.
 #[derive(Default)]
 pub(super) struct Index {
-    schemas: BTreeMap<u16, Option<Layout>>,
+    schemas: BTreeMap<u16, Option<MessageFields>>,
     /// By number; `None` for channels of other things.
-    pub streams: BTreeMap<u16, Option<Stream>>,
+    pub streams: BTreeMap<u16, Option<PictureTopic>>,
     pub chunks: Vec<Chunk>,
     /// The message indexes of each chunk: channel, first byte of the content, bytes.
     indexes: Vec<Vec<(u16, u64, u64)>>,
     /// In the order of their log times; with the same time, of the file.
-    pub places: Vec<Slot>,
+    pub places: Vec<PictureRecord>,
     /// The file has what was recorded to the end; without, nobody knows how much is missing.
     pub is_whole: bool,
 }
@@ -164,14 +164,16 @@ impl Index {
     /// Takes note of a record. One that cannot be read says nothing: what belongs to it has no channel then.
     fn take(&mut self, opcode: u8, content: &[u8], chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
         match records::record(opcode, content) {
-            Some(Record::Schema { header, .. }) => drop(self.schemas.insert(header.id, Layout::of(&header.name))),
+            Some(Record::Schema { header, .. }) => {
+                self.schemas.insert(header.id, MessageFields::of(&header.name));
+            }
             Some(Record::Channel(mcap::records::Channel { id, schema_id, topic, message_encoding, .. })) => {
                 let layout = self.schemas.get(&schema_id).copied().flatten();
                 if layout.is_some() && topic.len() > TOPIC_BYTES_MAX {
                     let reason = format!("a topic's name of {} bytes; at most {TOPIC_BYTES_MAX} are read", topic.len());
                     return Err(DecodeError::TooLarge(reason).into());
                 }
-                let stream = |layout| Stream { topic, layout, encoding: Encoding::of(&message_encoding) };
+                let stream = |layout| PictureTopic { topic, layout, encoding: MessageEncoding::of(&message_encoding) };
                 self.streams.insert(id, layout.map(stream));
             }
             Some(Record::Message { header, .. }) => self.place(header.log_time, header.channel_id, chunk, offset)?,
@@ -194,7 +196,7 @@ impl Index {
         if self.places.len() == PLACES_MAX {
             return Err(too_many("pictures"));
         }
-        self.places.push(Slot { log_time, channel, chunk, offset });
+        self.places.push(PictureRecord { log_time, channel, chunk, offset });
         Ok(())
     }
 }

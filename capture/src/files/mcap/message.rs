@@ -35,7 +35,7 @@ pub(super) struct Raw<'a> {
 
 /// Which fields messages have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Layout {
+pub(super) enum MessageFields {
     FoxgloveCompressed,
     FoxgloveRaw,
     RosCompressed,
@@ -43,31 +43,31 @@ pub(super) enum Layout {
 }
 
 /// How schemas are called, by the libraries that write them.
-const NAMES: [(&str, Layout); 12] = [
-    ("foxglove.CompressedImage", Layout::FoxgloveCompressed),
-    ("foxglove::CompressedImage", Layout::FoxgloveCompressed),
-    ("foxglove_msgs/msg/CompressedImage", Layout::FoxgloveCompressed),
-    ("foxglove_msgs/CompressedImage", Layout::FoxgloveCompressed),
-    ("foxglove.RawImage", Layout::FoxgloveRaw),
-    ("foxglove::RawImage", Layout::FoxgloveRaw),
-    ("foxglove_msgs/msg/RawImage", Layout::FoxgloveRaw),
-    ("foxglove_msgs/RawImage", Layout::FoxgloveRaw),
-    ("sensor_msgs/msg/CompressedImage", Layout::RosCompressed),
-    ("sensor_msgs/CompressedImage", Layout::RosCompressed),
-    ("sensor_msgs/msg/Image", Layout::RosRaw),
-    ("sensor_msgs/Image", Layout::RosRaw),
+const NAMES: [(&str, MessageFields); 12] = [
+    ("foxglove.CompressedImage", MessageFields::FoxgloveCompressed),
+    ("foxglove::CompressedImage", MessageFields::FoxgloveCompressed),
+    ("foxglove_msgs/msg/CompressedImage", MessageFields::FoxgloveCompressed),
+    ("foxglove_msgs/CompressedImage", MessageFields::FoxgloveCompressed),
+    ("foxglove.RawImage", MessageFields::FoxgloveRaw),
+    ("foxglove::RawImage", MessageFields::FoxgloveRaw),
+    ("foxglove_msgs/msg/RawImage", MessageFields::FoxgloveRaw),
+    ("foxglove_msgs/RawImage", MessageFields::FoxgloveRaw),
+    ("sensor_msgs/msg/CompressedImage", MessageFields::RosCompressed),
+    ("sensor_msgs/CompressedImage", MessageFields::RosCompressed),
+    ("sensor_msgs/msg/Image", MessageFields::RosRaw),
+    ("sensor_msgs/Image", MessageFields::RosRaw),
 ];
 
-impl Layout {
+impl MessageFields {
     /// By the name of the schema; `None` for other things than pictures.
-    pub fn of(name: &str) -> Option<Layout> {
+    pub fn of(name: &str) -> Option<MessageFields> {
         NAMES.iter().find(|(known, _)| *known == name).map(|(_, layout)| *layout)
     }
 }
 
 /// How fields become bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub(super) enum MessageEncoding {
     Protobuf,
     Json,
     Cdr,
@@ -76,36 +76,40 @@ pub(super) enum Encoding {
     Other(String),
 }
 
-impl Encoding {
-    pub fn of(name: &str) -> Encoding {
+impl MessageEncoding {
+    pub fn of(name: &str) -> MessageEncoding {
         match name {
-            "protobuf" => Encoding::Protobuf,
-            "json" => Encoding::Json,
-            "cdr" => Encoding::Cdr,
-            "ros1" => Encoding::Ros1,
-            other => Encoding::Other(other.chars().filter(|c| !c.is_control()).take(40).collect()),
+            "protobuf" => MessageEncoding::Protobuf,
+            "json" => MessageEncoding::Json,
+            "cdr" => MessageEncoding::Cdr,
+            "ros1" => MessageEncoding::Ros1,
+            other => MessageEncoding::Other(other.chars().filter(|c| !c.is_control()).take(40).collect()),
         }
     }
 
     fn name(&self) -> &str {
         match self {
-            Encoding::Protobuf => "protobuf",
-            Encoding::Json => "json",
-            Encoding::Cdr => "cdr",
-            Encoding::Ros1 => "ros1",
-            Encoding::Other(name) => name,
+            MessageEncoding::Protobuf => "protobuf",
+            MessageEncoding::Json => "json",
+            MessageEncoding::Cdr => "cdr",
+            MessageEncoding::Ros1 => "ros1",
+            MessageEncoding::Other(name) => name,
         }
     }
 }
 
 /// Reads a message.
-pub(super) fn image<'a>(layout: Layout, encoding: &Encoding, payload: &'a [u8]) -> Result<Image<'a>, DecodeError> {
-    let is_foxglove = matches!(layout, Layout::FoxgloveCompressed | Layout::FoxgloveRaw);
+pub(super) fn image<'a>(
+    layout: MessageFields,
+    encoding: &MessageEncoding,
+    payload: &'a [u8],
+) -> Result<Image<'a>, DecodeError> {
+    let is_foxglove = matches!(layout, MessageFields::FoxgloveCompressed | MessageFields::FoxgloveRaw);
     let image = match encoding {
-        Encoding::Protobuf if is_foxglove => protobuf(layout, payload),
-        Encoding::Json if is_foxglove => return json(layout, payload),
-        Encoding::Cdr => Ros::cdr(payload).and_then(|fields| ros(layout, fields)),
-        Encoding::Ros1 => ros(layout, Ros::ros1(payload)),
+        MessageEncoding::Protobuf if is_foxglove => protobuf(layout, payload),
+        MessageEncoding::Json if is_foxglove => return json(layout, payload),
+        MessageEncoding::Cdr => Ros::cdr(payload).and_then(|fields| ros(layout, fields)),
+        MessageEncoding::Ros1 => ros(layout, Ros::ros1(payload)),
         other => {
             let known = if is_foxglove { "protobuf, json, cdr and ros1" } else { "cdr and ros1" };
             let reason = format!("its images are encoded as `{}`; {known} are read", other.name());
@@ -115,7 +119,7 @@ pub(super) fn image<'a>(layout: Layout, encoding: &Encoding, payload: &'a [u8]) 
     image.ok_or_else(|| damaged("fields end early, or are of other types than an image's"))
 }
 
-fn protobuf(layout: Layout, payload: &[u8]) -> Option<Image<'_>> {
+fn protobuf(layout: MessageFields, payload: &[u8]) -> Option<Image<'_>> {
     let (mut numbers, mut texts) = ([0u32; 6], [&[][..]; 7]);
     for field in Fields::of(payload) {
         match field? {
@@ -126,7 +130,7 @@ fn protobuf(layout: Layout, payload: &[u8]) -> Option<Image<'_>> {
     }
     let text = |number: usize| std::str::from_utf8(texts[number]).ok().map(Cow::Borrowed);
     Some(match layout {
-        Layout::FoxgloveCompressed => Image::Compressed { format: text(3)?, bytes: Cow::Borrowed(texts[2]) },
+        MessageFields::FoxgloveCompressed => Image::Compressed { format: text(3)?, bytes: Cow::Borrowed(texts[2]) },
         _ => Image::Raw(Raw {
             width: numbers[2],
             height: numbers[3],
@@ -138,8 +142,8 @@ fn protobuf(layout: Layout, payload: &[u8]) -> Option<Image<'_>> {
     })
 }
 
-fn ros(layout: Layout, mut fields: Ros<'_>) -> Option<Image<'_>> {
-    let is_ros = matches!(layout, Layout::RosCompressed | Layout::RosRaw);
+fn ros(layout: MessageFields, mut fields: Ros<'_>) -> Option<Image<'_>> {
+    let is_ros = matches!(layout, MessageFields::RosCompressed | MessageFields::RosRaw);
     if is_ros && fields.has_header_number() {
         fields.u32()?;
     }
@@ -147,15 +151,15 @@ fn ros(layout: Layout, mut fields: Ros<'_>) -> Option<Image<'_>> {
     fields.u32()?; // … and nanoseconds
     fields.text()?; // the frame of reference
     Some(match layout {
-        Layout::FoxgloveCompressed => {
+        MessageFields::FoxgloveCompressed => {
             let bytes = Cow::Borrowed(fields.bytes()?);
             Image::Compressed { format: Cow::Borrowed(fields.text()?), bytes }
         }
-        Layout::RosCompressed => {
+        MessageFields::RosCompressed => {
             let format = Cow::Borrowed(fields.text()?);
             Image::Compressed { format, bytes: Cow::Borrowed(fields.bytes()?) }
         }
-        Layout::FoxgloveRaw => Image::Raw(Raw {
+        MessageFields::FoxgloveRaw => Image::Raw(Raw {
             width: fields.u32()?,
             height: fields.u32()?,
             encoding: Cow::Borrowed(fields.text()?),
@@ -163,7 +167,7 @@ fn ros(layout: Layout, mut fields: Ros<'_>) -> Option<Image<'_>> {
             is_big_endian: false,
             bytes: Cow::Borrowed(fields.bytes()?),
         }),
-        Layout::RosRaw => {
+        MessageFields::RosRaw => {
             let (height, width) = (fields.u32()?, fields.u32()?);
             let (encoding, is_big_endian) = (Cow::Borrowed(fields.text()?), fields.u8()? != 0);
             let step = fields.u32()?;
@@ -191,14 +195,14 @@ struct RawDocument<'a> {
     data: Cow<'a, str>,
 }
 
-fn json(layout: Layout, payload: &[u8]) -> Result<Image<'_>, DecodeError> {
+fn json(layout: MessageFields, payload: &[u8]) -> Result<Image<'_>, DecodeError> {
     let wrong = |error: serde_json::Error| damaged(&error.to_string());
     let bytes = |text: &str| {
         let bytes = base64::engine::general_purpose::STANDARD.decode(text);
         bytes.map(Cow::Owned).map_err(|error| damaged(&format!("its data are not base64: {error}")))
     };
     Ok(match layout {
-        Layout::FoxgloveCompressed => {
+        MessageFields::FoxgloveCompressed => {
             let CompressedDocument { format, data } = serde_json::from_slice(payload).map_err(wrong)?;
             Image::Compressed { format, bytes: bytes(&data)? }
         }

@@ -25,9 +25,9 @@ use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use super::image;
 use crate::clock::Stamp;
 use crate::limits::LIMITS;
-use crate::picture::{DecodeError, Picture};
+use crate::picture::{DecodeError, StoredPicture};
 
-use index::{Index, Slot, Stream};
+use index::{Index, PictureRecord, PictureTopic};
 use message::Image;
 use records::{HEAD_BYTES, Record, op};
 
@@ -106,13 +106,13 @@ impl Mcap {
         if header.channel_id != place.channel {
             return Err(wrong().into());
         }
-        let Stream { layout, encoding, .. } = stream;
+        let PictureTopic { layout, encoding, .. } = stream;
         Ok(message::image(*layout, encoding, &data).and_then(read)?)
     }
 }
 
 /// The bytes of a record that stands in the file itself.
-fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Slot) -> Result<Vec<u8>, PageFault> {
+fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: PictureRecord) -> Result<Vec<u8>, PageFault> {
     let head = index::content_of(file, place.offset, HEAD_BYTES as u64, HEAD_BYTES as u64)?;
     let bytes = records::head(&head).and_then(|(_, bytes)| bytes.checked_add(HEAD_BYTES as u64));
     let end = bytes.and_then(|bytes| place.offset.checked_add(bytes));
@@ -124,7 +124,7 @@ fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: Slot) -> Result
 
 /// The topic that is meant.
 fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
-    let of = |place: &Slot| index.streams.get(&place.channel)?.as_ref().map(|stream| stream.topic.as_str());
+    let of = |place: &PictureRecord| index.streams.get(&place.channel)?.as_ref().map(|stream| stream.topic.as_str());
     let topics: BTreeSet<&str> = index.places.iter().filter_map(of).collect();
     let mut shown: Vec<String> =
         topics.iter().take(TOPICS_SHOWN).map(|topic| topic.escape_debug().to_string()).collect();
@@ -167,7 +167,7 @@ impl Pages for Mcap {
         })
     }
 
-    fn picture(&mut self, page: usize) -> Result<Picture, PageFault> {
+    fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault> {
         self.with_image(page, |image| match image {
             Image::Compressed { format, bytes } => image::picture(&bytes).map_err(|error| match error {
                 DecodeError::UnknownKind => {

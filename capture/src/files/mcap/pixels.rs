@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use isophote_jit::PixelFormat;
 
-use crate::picture::{DecodeError, Picture, check_size};
+use crate::picture::{DecodeError, StoredPicture, check_size};
 use crate::pixels::{Colour, Encoding};
 
 use super::message::Raw;
@@ -54,7 +54,7 @@ pub(super) fn size(raw: &Raw) -> Result<[usize; 2], DecodeError> {
 }
 
 /// Packs rows, puts channels in order and bytes into the machine's.
-pub(super) fn picture(raw: &Raw) -> Result<Picture, DecodeError> {
+pub(super) fn picture(raw: &Raw) -> Result<StoredPicture, DecodeError> {
     let size = size(raw)?;
     if let Some((_, fourcc)) = CAMERA.iter().find(|(name, _)| *name == raw.encoding) {
         return camera(raw, size, Encoding::of(**fourcc).ok_or_else(|| unknown(&raw.encoding))?);
@@ -74,11 +74,11 @@ pub(super) fn picture(raw: &Raw) -> Result<Picture, DecodeError> {
     if raw.is_big_endian != cfg!(target_endian = "big") {
         bytes.chunks_exact_mut(number).for_each(<[u8]>::reverse);
     }
-    Ok(Picture { size, format, stored, used: stored.min(3), bytes })
+    Ok(StoredPicture { size, format, stored, used: stored.min(3), bytes })
 }
 
 /// As a camera of this format would have it.
-fn camera(raw: &Raw, size: [usize; 2], encoding: Encoding) -> Result<Picture, DecodeError> {
+fn camera(raw: &Raw, size: [usize; 2], encoding: Encoding) -> Result<StoredPicture, DecodeError> {
     let step = raw.step as usize;
     check_rows(raw, encoding.row_bytes(size[0]), encoding.bytes_min(size, step))?;
     let mut bytes = Cow::Borrowed(&raw.bytes[..]);
@@ -104,7 +104,7 @@ fn camera(raw: &Raw, size: [usize; 2], encoding: Encoding) -> Result<Picture, De
             }
         }
     }
-    Ok(Picture { size, format: encoding.format(), stored: planes.len(), used: planes.len(), bytes })
+    Ok(StoredPicture { size, format: encoding.format(), stored: planes.len(), used: planes.len(), bytes })
 }
 
 /// A row needs `row` bytes, all of them `least`.

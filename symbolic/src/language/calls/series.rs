@@ -2,9 +2,9 @@
 //! index leaves the sum before it is expanded: Σ (a + c g(i)) = n a + c Σ g(i), Π c g(i) = cⁿ Π g(i).
 
 use crate::language::diagnostic::quoted;
-use crate::language::elaborate::{Elaborator, Local, Matrix, Poison, Shape, Task, Worked, fault, shape_of};
+use crate::language::elaborate::{Elaborator, Local, Matrix, MatrixShape, Poison, Task, Worked, fault, shape_of};
 use crate::language::limits::LIMITS;
-use crate::language::parser::{Expr, Kind};
+use crate::language::parser::{Expr, ExprKind};
 use crate::language::words::is_reserved;
 
 use super::SCALAR;
@@ -42,7 +42,7 @@ impl Elaborator<'_> {
         let outer = self.cache.begin();
         let (lo, hi) = (self.whole(lo, "a bound"), self.whole(hi, "a bound"));
         let levels = self.cache.resume(outer);
-        let Kind::Name(index) = &index.kind else {
+        let ExprKind::Name(index) = &index.kind else {
             let message = format!("the second argument of `{name}` is the name of its index");
             return Err(self.tell(fault("syntax", index, message).help(format!("write `{usage}`"))));
         };
@@ -62,7 +62,7 @@ impl Elaborator<'_> {
         if series.terms() <= 0 {
             let shape = match self.unexpanded(index, body) {
                 Poison::Numbers(shape) => shape,
-                _ => Shape::SCALAR,
+                _ => MatrixShape::SCALAR,
             };
             return self.empty(shape, series.is_sum);
         }
@@ -82,7 +82,7 @@ impl Elaborator<'_> {
     }
 
     /// A sum without terms is 0, a product 1, in the shape of what there is none of.
-    fn empty(&mut self, Shape(rows, columns): Shape, is_sum: bool) -> Worked {
+    fn empty(&mut self, MatrixShape(rows, columns): MatrixShape, is_sum: bool) -> Worked {
         let entry = |i: usize| if !is_sum && i / columns == i % columns { 1.0 } else { 0.0 };
         let entries = (0..rows * columns).map(|i| self.graph.number(entry(i))).collect();
         Ok(Matrix { rows, columns, entries })
@@ -104,19 +104,19 @@ impl Elaborator<'_> {
             return self.repeated(series, value, body);
         }
         match (&body.kind, series.is_sum) {
-            (Kind::Sum(terms), true) => {
+            (ExprKind::Sum(terms), true) => {
                 let parts: Vec<_> =
                     terms.iter().map(|(minus, term)| (*minus, term, self.total(series, term))).collect();
                 self.add(parts, body)
             }
-            (Kind::Negate(inner), true) => {
+            (ExprKind::Negate(inner), true) => {
                 let inner = self.total(series, inner)?;
                 self.graph.set_span(self.span(body));
                 Ok(self.map(inner, |graph, n| graph.scale(-1.0, n)))
             }
-            (Kind::Product(factors), _) => self.total_of_product(series, factors, body),
-            (Kind::Call(..), true) => match unfolded(body) {
-                Some(Expr { kind: Kind::Product(factors), .. }) => self.total_of_product(series, &factors, body),
+            (ExprKind::Product(factors), _) => self.total_of_product(series, factors, body),
+            (ExprKind::Call(..), true) => match unfolded(body) {
+                Some(Expr { kind: ExprKind::Product(factors), .. }) => self.total_of_product(series, &factors, body),
                 _ => self.expanded(series, body, |e| e.number_matrix(body)),
             },
             _ => self.expanded(series, body, |e| e.number_matrix(body)),
@@ -129,7 +129,7 @@ impl Elaborator<'_> {
         self.graph.set_span(self.span(body));
         match (series.is_sum, value.size()) {
             (true, _) => Ok(self.map(value, |graph, n| graph.scale(count as f64, n))),
-            (false, Shape::SCALAR) => Ok(self.map(value, |graph, n| graph.product(1.0, [(n, count as i32)]))),
+            (false, MatrixShape::SCALAR) => Ok(self.map(value, |graph, n| graph.product(1.0, [(n, count as i32)]))),
             (false, _) => self.expanded(series, body, |_| Ok(value.clone())),
         }
     }
@@ -157,7 +157,7 @@ impl Elaborator<'_> {
         for (pair, depends) in factors.iter().zip(depends) {
             let value = if depends { None } else { Some(self.number_matrix(&pair.1)) };
             match value {
-                Some(Ok(value)) if value.size() == Shape::SCALAR => free.push((pair, value)),
+                Some(Ok(value)) if value.size() == MatrixShape::SCALAR => free.push((pair, value)),
                 _ => rest.push(pair),
             }
         }
@@ -211,7 +211,7 @@ impl Elaborator<'_> {
             entries.iter().filter(|_| terms.len() > LONG).for_each(|n| self.graph.set_opaque(*n));
             return Ok(Matrix { rows: shape.0, columns: shape.1, entries });
         }
-        if shape == Shape::SCALAR {
+        if shape == MatrixShape::SCALAR {
             return Ok(Matrix::scalar(self.graph.product(1.0, terms.iter().map(|t| (t.entries[0], 1)))));
         }
         let mut terms = terms.into_iter().map(Ok);
@@ -222,11 +222,11 @@ impl Elaborator<'_> {
 
 /// Σ c g(j) as c Σ g(j), where one factor alone depends on j: so the sum around it sees what it may take out.
 fn unfolded(sum: &Expr) -> Option<Expr> {
-    let Kind::Call(name, arguments) = &sum.kind else { return None };
+    let ExprKind::Call(name, arguments) = &sum.kind else { return None };
     let ("sum", [body, index, lo, hi]) = (name.as_str(), &arguments[..]) else { return None };
-    let Kind::Name(name) = &index.kind else { return None };
+    let ExprKind::Name(name) = &index.kind else { return None };
     let body = unfolded(body).unwrap_or_else(|| body.clone());
-    let Kind::Product(mut factors) = body.kind else { return None };
+    let ExprKind::Product(mut factors) = body.kind else { return None };
     let mut dependent = (0..factors.len()).filter(|i| mentions(&factors[*i].1, name));
     let (Some(lone), None) = (dependent.next(), dependent.next()) else { return None };
     let (inverse, factor) = factors[lone].clone();
@@ -236,21 +236,23 @@ fn unfolded(sum: &Expr) -> Option<Expr> {
     // Nothing else has these bytes: the cache tells parts of a formula by them.
     let (start, end) = (sum.start, factor.end);
     let arguments = vec![factor, index.clone(), lo.clone(), hi.clone()];
-    factors[lone].1 = Expr { kind: Kind::Call("sum".into(), arguments), start, end };
-    Some(Expr { kind: Kind::Product(factors), start: sum.start, end: sum.end })
+    factors[lone].1 = Expr { kind: ExprKind::Call("sum".into(), arguments), start, end };
+    Some(Expr { kind: ExprKind::Product(factors), start: sum.start, end: sum.end })
 }
 
 /// True when the expression reads the name.
 fn mentions(expr: &Expr, name: &str) -> bool {
     let any = |list: &[Expr]| list.iter().any(|e| mentions(e, name));
     match &expr.kind {
-        Kind::Number(_) => false,
-        Kind::Name(own) => own == name,
-        Kind::List(list) | Kind::And(list) | Kind::Or(list) | Kind::Broken(list) | Kind::Call(_, list) => any(list),
-        Kind::Sum(parts) | Kind::Product(parts) => parts.iter().any(|(_, e)| mentions(e, name)),
-        Kind::Negate(a) | Kind::Transpose(a) | Kind::Not(a) => mentions(a, name),
-        Kind::Power(a, b) | Kind::Compare(_, a, b) => mentions(a, name) || mentions(b, name),
-        Kind::Index(a, list) => mentions(a, name) || any(list),
+        ExprKind::Number(_) => false,
+        ExprKind::Name(own) => own == name,
+        ExprKind::List(list) | ExprKind::Joined(_, list) | ExprKind::Broken(list) | ExprKind::Call(_, list) => {
+            any(list)
+        }
+        ExprKind::Sum(parts) | ExprKind::Product(parts) => parts.iter().any(|(_, e)| mentions(e, name)),
+        ExprKind::Negate(a) | ExprKind::Transpose(a) | ExprKind::Not(a) => mentions(a, name),
+        ExprKind::Power(a, b) | ExprKind::Compare(_, a, b) => mentions(a, name) || mentions(b, name),
+        ExprKind::Index(a, list) => mentions(a, name) || any(list),
     }
 }
 

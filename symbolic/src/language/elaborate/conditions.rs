@@ -1,8 +1,8 @@
 //! Comparisons and what joins them; what is known when the model is read is decided here.
 
 use super::{Elaborator, Matrix, Poison, Worked};
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::parser::{Expr, Relation};
+use crate::language::graph::{Node, NodeId};
+use crate::language::parser::{Expr, Junction, Relation};
 use crate::program::{Comparison, holds};
 
 impl Elaborator<'_> {
@@ -21,35 +21,23 @@ impl Elaborator<'_> {
         Ok(Matrix::scalar(self.graph.compare(comparison, a, b)))
     }
 
-    /// `and` where `neutral` is true, else `or`; what is known now is left out.
-    pub(super) fn logic(
-        &mut self,
-        parts: &[Expr],
-        at: &Expr,
-        join: fn(&mut Graph, NodeId, NodeId) -> NodeId,
-        neutral: bool,
-    ) -> Worked {
+    /// What is known now is left out.
+    pub(super) fn joined(&mut self, junction: Junction, parts: &[Expr], at: &Expr) -> Worked {
         let parts: Vec<_> = parts.iter().map(|part| self.truth(part)).collect();
         let parts = parts.into_iter().collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Truth)?;
         self.graph.set_span(self.span(at));
+        // What may be left out.
+        let neutral = matches!(junction, Junction::And);
         let mut total = parts[0];
         for next in &parts[1..] {
             total = match (self.known_truth(total), self.known_truth(*next)) {
-                (Some(known), _) => {
-                    if known == neutral {
-                        *next
-                    } else {
-                        total
-                    }
-                }
-                (None, Some(known)) => {
-                    if known == neutral {
-                        total
-                    } else {
-                        *next
-                    }
-                }
-                (None, None) => join(self.graph, total, *next),
+                (Some(known), _) if known == neutral => *next,
+                (None, Some(known)) if known != neutral => *next,
+                (None, None) => match junction {
+                    Junction::And => self.graph.and(total, *next),
+                    Junction::Or => self.graph.or(total, *next),
+                },
+                _ => total,
             };
         }
         Ok(Matrix::scalar(total))

@@ -1,6 +1,6 @@
 //! Vectors and matrices: every operand is known before shapes are judged.
 
-use super::{Elaborator, Matrix, Poison, Shape, Worked, fault, poisoned, shape_of};
+use super::{Elaborator, Matrix, MatrixShape, Poison, Worked, fault, poisoned, shape_of};
 use crate::language::graph::NodeId;
 use crate::language::limits::LIMITS;
 use crate::language::parser::Expr;
@@ -31,7 +31,7 @@ impl Elaborator<'_> {
             let message = format!("a matrix has at most {} entries, this one {count}", LIMITS.entries);
             return Err(self.tell(fault("limit", at, message)));
         }
-        let shape = columns.filter(|_| rows.iter().all(|r| shape_of(r).is_some())).map(|c| Shape(list.len(), c));
+        let shape = columns.filter(|_| rows.iter().all(|r| shape_of(r).is_some())).map(|c| MatrixShape(list.len(), c));
         let rows = rows.into_iter().collect::<Result<Vec<_>, _>>().map_err(|_| poisoned(shape))?;
         let entries: Vec<NodeId> = rows.into_iter().flat_map(|r| r.entries).collect();
         Ok(Matrix { rows: list.len(), columns: entries.len() / list.len(), entries })
@@ -61,7 +61,7 @@ impl Elaborator<'_> {
         if parts.iter().any(|(_, _, value)| value.is_err()) {
             return Err(poisoned(first));
         }
-        let Shape(rows, columns) = first.unwrap_or(Shape::SCALAR);
+        let MatrixShape(rows, columns) = first.unwrap_or(MatrixShape::SCALAR);
         let parts: Vec<(f64, Matrix)> =
             parts.into_iter().filter_map(|(minus, _, v)| Some((if minus { -1.0 } else { 1.0 }, v.ok()?))).collect();
         self.graph.set_span(self.span(at));
@@ -89,7 +89,7 @@ impl Elaborator<'_> {
 
     pub fn divide(&mut self, total: Worked, value: Worked, factor: &Expr, at: &Expr) -> Worked {
         if let Some(shape) = shape_of(&value)
-            && shape != Shape::SCALAR
+            && shape != MatrixShape::SCALAR
         {
             let fault = fault("shape", factor, format!("nothing can be divided by {shape}"));
             return Err(self.tell(fault.help("divide by a number: an entry `v[0]`, or a length `sqrt(v' * v)`")));
@@ -102,12 +102,12 @@ impl Elaborator<'_> {
 
     pub fn multiply(&mut self, a: Worked, b: Worked, factor: &Expr, at: &Expr) -> Worked {
         let (Some(left), Some(right)) = (shape_of(&a), shape_of(&b)) else { return Err(Poison::Unknown) };
-        let shape = if right == Shape::SCALAR {
+        let shape = if right == MatrixShape::SCALAR {
             left
-        } else if left == Shape::SCALAR {
+        } else if left == MatrixShape::SCALAR {
             right
         } else if left.1 == right.0 {
-            Shape(left.0, right.1)
+            MatrixShape(left.0, right.1)
         } else {
             let fault = fault("shape", factor, format!("{left} cannot be multiplied by {right}"));
             let help = if left == right {
@@ -154,9 +154,9 @@ impl Elaborator<'_> {
             let message = format!("the exponent {shown} is larger than {}", LIMITS.exponent);
             let fault = fault("limit", exponent, message).help("use exp(n*log(x)) where that is what you mean");
             self.tell(fault);
-            return Err(Poison::Numbers(Shape::SCALAR));
+            return Err(Poison::Numbers(MatrixShape::SCALAR));
         }
-        let (Ok(base), Ok(power)) = (base, power) else { return Err(Poison::Numbers(Shape::SCALAR)) };
+        let (Ok(base), Ok(power)) = (base, power) else { return Err(Poison::Numbers(MatrixShape::SCALAR)) };
         if let (None, Some(number)) = (value, self.graph.value_of(base))
             && number <= 0.0
         {
@@ -164,7 +164,7 @@ impl Elaborator<'_> {
                 format!("the base of a power is positive where its exponent is no number, and this is {number}");
             let help = "write the sign outside, or choose the value by `if(condition, a, b)`";
             self.tell(fault("bad-number", base_at, message).help(help));
-            return Err(Poison::Numbers(Shape::SCALAR));
+            return Err(Poison::Numbers(MatrixShape::SCALAR));
         }
         self.graph.set_span(self.span(at));
         Ok(Matrix::scalar(self.graph.power(base, power)))
@@ -172,7 +172,7 @@ impl Elaborator<'_> {
 
     pub(super) fn transpose(&mut self, inner: &Expr) -> Worked {
         let inner = self.number_matrix(inner).map_err(|poison| match poison {
-            Poison::Numbers(Shape(rows, columns)) => Poison::Numbers(Shape(columns, rows)),
+            Poison::Numbers(MatrixShape(rows, columns)) => Poison::Numbers(MatrixShape(columns, rows)),
             _ => Poison::Unknown,
         })?;
         let entry = |i: usize| inner.entries[(i % inner.rows) * inner.columns + i / inner.rows];
@@ -207,7 +207,7 @@ impl Elaborator<'_> {
             }
         }
         let row_is_result = indices.len() == 1 && !is_vector;
-        let result = if row_is_result { Shape(shape.1, 1) } else { Shape::SCALAR };
+        let result = if row_is_result { MatrixShape(shape.1, 1) } else { MatrixShape::SCALAR };
         let (Ok(value), true) = (value, inside.len() == indices.len()) else { return Err(Poison::Numbers(result)) };
         Ok(match inside[..] {
             [row] if row_is_result => {

@@ -1,10 +1,11 @@
 //! Names that nothing declares, and what was probably meant.
 
+use isophote_elementary::Function1;
+
 use super::{Binding, Elaborator, Poison, fault};
 use crate::language::diagnostic::quoted;
 use crate::language::parser::Expr;
 use crate::language::words::RESERVED;
-use crate::program::function::Function1;
 
 /// What other languages call it.
 const FOREIGN: [(&str, &str); 33] = [

@@ -1,6 +1,6 @@
 //! Going on behind what cannot be read: each slip is told once, where it stands, and what follows from it is silent.
 
-use super::{Expr, Fault, Kind, Parser, enclose, is_word};
+use super::{Expr, ExprKind, Fault, Parser, enclose, is_word};
 use crate::language::diagnostic::{quoted, visible};
 use crate::language::lexer::{Lexeme, Token};
 use crate::language::words::is_function;
@@ -48,7 +48,7 @@ impl Parser {
         self.tell(Fault::new("limit", start, end, message).help(help));
         self.ended = true;
         self.at = self.lexemes.len() - 1;
-        Expr { kind: Kind::Broken(Vec::new()), start, end }
+        Expr { kind: ExprKind::Broken(Vec::new()), start, end }
     }
 
     /// An expression up to what ends it: `,` or a closing bracket where one is open, else the formula's end. Whatever
@@ -74,7 +74,7 @@ impl Parser {
                 parts.push(self.expression());
             }
         }
-        enclose(Kind::Broken, parts)
+        enclose(ExprKind::Broken, parts)
     }
 
     fn is_at_stop(&self) -> bool {
@@ -136,15 +136,15 @@ impl Parser {
     }
 
     /// An operand stands right behind another one.
-    pub(super) fn tell_implicit(&mut self, parts: &mut Vec<(bool, Expr)>, told: bool) {
+    pub(super) fn tell_implicit(&mut self, parts: &mut Vec<(bool, Expr)>) {
         let last = &parts[parts.len() - 1].1;
-        if matches!(last.kind, Kind::Broken(_)) || told {
+        if matches!(last.kind, ExprKind::Broken(_)) {
             return;
         }
         if matches!(self.peek(), Token::BadNumber(_)) {
             return;
         }
-        if let Kind::Name(name) = &last.kind
+        if let ExprKind::Name(name) = &last.kind
             && is_function(name)
         {
             let message = format!("`{name}` needs its arguments in parentheses");
@@ -212,7 +212,7 @@ impl Parser {
             _ => self.tell(fault),
         }
         let end = self.behind().max(start);
-        Expr { kind: Kind::Broken(parts), start, end }
+        Expr { kind: ExprKind::Broken(parts), start, end }
     }
 
     /// The next token stands where `wanted` is expected.

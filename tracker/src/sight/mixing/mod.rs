@@ -18,7 +18,7 @@ use crate::sight::grey::{Grey, Mixture};
 use crate::sight::start::{Sight, Sign, Wanted, find};
 use crate::sight::view::largest_value;
 use isophote_frame::Frame;
-use slope::{Point, Share, slope};
+use slope::{LightPixel, Share, slope};
 
 /// Lights that are looked for in a frame.
 const LIGHTS_MAX: usize = 16;
@@ -138,12 +138,12 @@ impl MixingMeasurement {
             (0..self.channels).rev().max_by(|a, b| value(*a).total_cmp(&value(*b))).unwrap_or(0)
         };
         let own = most_of(&light);
-        let mut points: Vec<Point> = Vec::new();
+        let mut points: Vec<LightPixel> = Vec::new();
         for ([x, y], values) in seen() {
             let around = [[x + 1, *y], [x - 1, *y], [*x, y + 1], [*x, y - 1]].map(&read);
             let mean = around.iter().map(|values| values[own]).sum::<f64>() / 4.0;
             if mean < BELOW_LIMIT * limit && around.iter().all(|values| is_whole(values)) {
-                points.push(Point { place: [*x, *y], instrument: mean, values: values.clone() });
+                points.push(LightPixel { place: [*x, *y], instrument: mean, values: values.clone() });
             }
         }
         let instruments = || points.iter().map(|point| point.instrument);

@@ -9,7 +9,7 @@
 
 /// Of a light's pixel.
 #[derive(Clone, Debug)]
-pub(super) struct Point {
+pub(super) struct LightPixel {
     pub place: [usize; 2],
     /// The mean of the neighbours in the light's own channel.
     pub instrument: f64,
@@ -36,7 +36,7 @@ const UNEVEN: f64 = 3.0;
 const SMALL_DN: f64 = 0.5;
 
 /// The share of `channel`; `None` where the pixels follow no line.
-pub(super) fn slope(points: &[Point], own: usize, channel: usize) -> Option<Share> {
+pub(super) fn slope(points: &[LightPixel], own: usize, channel: usize) -> Option<Share> {
     if channel == own {
         return Some(Share { value: 1.0, error: 0.0 });
     }
@@ -76,8 +76,8 @@ struct Line {
 }
 
 impl Line {
-    fn through(points: &[Point], weights: &[f64], own: usize, channel: usize) -> Option<Line> {
-        let mean = |value: &dyn Fn(&Point) -> f64| {
+    fn through(points: &[LightPixel], weights: &[f64], own: usize, channel: usize) -> Option<Line> {
+        let mean = |value: &dyn Fn(&LightPixel) -> f64| {
             let (mut total, mut sum) = (0.0, 0.0);
             for (point, weight) in points.iter().zip(weights) {
                 (total, sum) = (total + weight, sum + weight * value(point));
@@ -90,7 +90,7 @@ impl Line {
         slope.is_finite().then_some(Line { offset: y - slope * x, slope })
     }
 
-    fn residual(&self, point: &Point, own: usize, channel: usize) -> f64 {
+    fn residual(&self, point: &LightPixel, own: usize, channel: usize) -> f64 {
         point.values[channel] - self.offset - self.slope * point.values[own]
     }
 }
@@ -103,11 +103,12 @@ fn spread(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// The residuals' standard deviation by their differences between neighbours along a row.
-fn roughness(points: &[Point], line: &Line, own: usize, channel: usize) -> f64 {
+fn roughness(points: &[LightPixel], line: &Line, own: usize, channel: usize) -> f64 {
     let neighbours = points.windows(2).filter(|pair| {
         let [[x, y], [next, row]] = [pair[0].place, pair[1].place];
         (x + 1, y) == (next, row)
     });
-    let difference = |pair: &[Point]| line.residual(&pair[1], own, channel) - line.residual(&pair[0], own, channel);
+    let difference =
+        |pair: &[LightPixel]| line.residual(&pair[1], own, channel) - line.residual(&pair[0], own, channel);
     spread(neighbours.map(difference)) / std::f64::consts::SQRT_2
 }

@@ -32,14 +32,14 @@ pub(crate) enum Known {
 }
 
 /// Which pixels of a window are blind.
-pub(crate) struct Blind {
+pub(crate) struct BlindMask {
     pub pixels: Vec<bool>,
 }
 
-impl Blind {
+impl BlindMask {
     /// What the residuals of a model say: `None` when nothing is hidden. With `outlier`, residuals of that many standard
     /// deviations that hang together are of something in front of the target.
-    pub fn of(view: &View, seen: &[Seen], known: Known, outlier: Option<f64>) -> Option<Blind> {
+    pub fn of(view: &View, seen: &[Seen], known: Known, outlier: Option<f64>) -> Option<BlindMask> {
         let [width, height, ..] = view.window.size();
         let mut blind = vec![false; view.window.pixels()];
         for Seen { residuals, limit } in seen {
@@ -64,7 +64,7 @@ impl Blind {
             (Some(glare), Some(hidden)) => glare.iter().zip(hidden).map(|(a, b)| *a || b).collect(),
             (glare, hidden) => glare.or(hidden)?,
         };
-        Some(Blind { pixels })
+        Some(BlindMask { pixels })
     }
 }
 
@@ -114,7 +114,7 @@ pub(crate) struct Painted {
 const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
 
 impl Painted {
-    pub fn new(view: &View, blind: &Blind) -> Painted {
+    pub fn new(view: &View, blind: &BlindMask) -> Painted {
         let [x0, y0, ..] = view.window.first();
         let [width, height, ..] = view.window.size();
         let size = [x0 + width, y0 + height];

@@ -8,7 +8,6 @@
 //! Only models that say how noisy a pixel is (`noise`) have alternatives: without it nothing says what is too much.
 
 mod blind;
-mod prepare;
 mod residuals;
 mod shelf;
 #[cfg(test)]
@@ -19,8 +18,7 @@ use std::sync::Arc;
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
-use self::blind::{Blind, Known, Painted};
-pub use self::prepare::{Preparation, Preparing};
+use self::blind::{BlindMask, Known, Painted};
 use self::residuals::{Over, Predictions};
 pub(crate) use self::shelf::Shelf;
 use crate::estimate::{StageReport, Substitute};
@@ -129,7 +127,7 @@ impl Alternatives {
     }
 
     /// The kernels of each.
-    fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
+    pub fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
         let grounds = self.grounds.iter().flat_map(|ground| [&ground.plain, &ground.robust]);
         self.own.iter().chain(grounds).map(|variation| &*variation.compiled)
     }
@@ -159,7 +157,7 @@ impl Alternatives {
             limit = cost(own, plain).unwrap_or(limit);
             let all = constants_for(own.compiled.model(), constants, view, 1.0);
             let seen = own.predictions.residuals(view, &plain.parameters, &all, Over::Domain);
-            if seen.is_some_and(|seen| Blind::of(view, &seen, Known::Well, Some(OUTLIER)).is_none()) {
+            if seen.is_some_and(|seen| BlindMask::of(view, &seen, Known::Well, Some(OUTLIER)).is_none()) {
                 return Ok(None); // nothing but a target that is a little blurred or moved
             }
         }
@@ -239,7 +237,7 @@ impl Variation {
             let seen = self.predictions.residuals(view, &parameters, &as_it_is, Over::Domain);
             let Some(seen) = seen else { return Ok(None) };
             let known = if round == 0 && limit.is_none() { Known::Roughly } else { Known::Well };
-            let found = Blind::of(view, &seen, known, limit);
+            let found = BlindMask::of(view, &seen, known, limit);
             // Without anything hidden a second round would be the first one over again.
             if round >= scales.len() && found.is_none() && mask.is_none() {
                 break;
@@ -264,7 +262,7 @@ impl Variation {
         }
         let Some(fit) = last else { return Ok(None) };
         let region = self.region(view, constants, &fit.parameters);
-        let share = |mask: &Blind| {
+        let share = |mask: &BlindMask| {
             let region = region.as_ref()?;
             let inside = mask.pixels.iter().zip(region).filter(|(_, inside)| **inside);
             let blind = inside.clone().filter(|(blind, _)| **blind).count();
@@ -307,7 +305,7 @@ impl Variation {
         let mut region = self.region(view, constants, parameters)?;
         let constants = constants_for(self.compiled.model(), constants, view, 1.0);
         let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain)?;
-        if let Some(mask) = Blind::of(view, &seen, Known::Roughly, None) {
+        if let Some(mask) = BlindMask::of(view, &seen, Known::Roughly, None) {
             region.iter_mut().zip(mask.pixels).for_each(|(inside, blind)| *inside &= !blind);
         }
         Some(region)
@@ -356,7 +354,7 @@ impl Fit {
 
 /// Where alternatives begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Starts {
+pub(crate) enum StartsFrom {
     /// Where the plain fit did.
     Given,
     /// Around that as well, when the plain fit is far off.

@@ -6,7 +6,7 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::Alternatives;
-use crate::sight::view::Layout;
+use crate::sight::view::PlaneLayout;
 use crate::solve::stage_kernels::{CompileFailure, StageKernels};
 
 /// A model's alternatives, as soon as there are any.
@@ -14,7 +14,7 @@ use crate::solve::stage_kernels::{CompileFailure, StageKernels};
 pub(crate) struct Shelf {
     alternatives: OnceLock<Result<Arc<Alternatives>, CompileFailure>>,
     /// Those that all kernels are there for.
-    layouts: Mutex<Vec<Layout>>,
+    layouts: Mutex<Vec<PlaneLayout>>,
 }
 
 impl Shelf {
@@ -48,19 +48,19 @@ impl Shelf {
     }
 
     /// Those that a fit of such pixels need not wait for; empty ones where they could not be derived.
-    pub fn ready(&self, layout: &Layout) -> Option<Arc<Alternatives>> {
+    pub fn ready(&self, layout: &PlaneLayout) -> Option<Arc<Alternatives>> {
         match self.alternatives.get()? {
             Ok(alternatives) => self.is_warm(layout).then(|| alternatives.clone()),
             Err(_) => Some(Arc::default()),
         }
     }
 
-    fn is_warm(&self, layout: &Layout) -> bool {
+    fn is_warm(&self, layout: &PlaneLayout) -> bool {
         self.layouts.lock().unwrap_or_else(PoisonError::into_inner).contains(layout)
     }
 
     /// All kernels for that layout are there.
-    pub fn warmed(&self, layout: &Layout) {
+    pub fn warmed(&self, layout: &PlaneLayout) {
         let mut layouts = self.layouts.lock().unwrap_or_else(PoisonError::into_inner);
         if !layouts.contains(layout) {
             if layouts.len() == LAYOUTS_MAX {

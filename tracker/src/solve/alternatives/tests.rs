@@ -7,8 +7,8 @@ use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 
 use crate::options::TrackerOptions;
-use crate::picture::{Picture, Spot};
-use crate::sight::view::Layout;
+use crate::picture::{Spot, TestPicture};
+use crate::sight::view::PlaneLayout;
 use crate::solve::compiled::Compiled;
 use crate::{Estimate, Preparing, TrackState, Tracker};
 use isophote_frame::{Frame, Plane};
@@ -56,7 +56,7 @@ fn tracked_by(tracker: &mut Tracker, change: impl Fn(usize, usize, f64) -> f64) 
     let mut spot = Spot::at(CENTRE[0], CENTRE[1], 18.0, 200.0);
     spot.half = [20.0, 14.0];
     let frame = |seed, change: &dyn Fn(usize, usize, f64) -> f64| {
-        let picture = Picture { noise: 1.2, seed, ..Picture::new(96, 96, vec![spot]) };
+        let picture = TestPicture { noise: 1.2, seed, ..TestPicture::new(96, 96, vec![spot]) };
         let pixels = picture.pixels().into_iter().enumerate();
         let bytes = pixels.map(|(i, v)| change(i % 96, i / 96, v).round().clamp(0.0, 255.0) as u8).collect();
         Frame::new(&[96, 96], vec![Plane::owned(PixelFormat::U8, bytes, 96)]).expect("the buffer fits")
@@ -112,7 +112,7 @@ fn a_frame_is_answered_without_alternatives_until_they_are_prepared() {
     let preparation = first.wanted().expect("they were asked for");
     assert!(first.wanted().is_none(), "once a frame");
     let kernels = compiled.cache().counts();
-    assert!(compiled.shelf().ready(&Layout::of_format(PixelFormat::U8, 1)).is_none());
+    assert!(compiled.shelf().ready(&PlaneLayout::of_format(PixelFormat::U8, 1)).is_none());
     preparation.run(&|| true).expect("kernels");
     let prepared = compiled.cache().counts();
     assert!(prepared.misses > kernels.misses, "{prepared:?}");

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use isophote_jit::PixelFormat;
 
-use crate::sight::view::{Layout, View};
+use crate::sight::view::{PlaneLayout, View};
 use crate::solve::compiled::Compiled;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::solve::workers::InTurn;
@@ -26,7 +26,7 @@ pub enum Preparing {
 #[derive(Clone)]
 pub struct Preparation {
     compiled: Arc<Compiled>,
-    layout: Layout,
+    layout: PlaneLayout,
 }
 
 impl Preparation {
@@ -45,8 +45,8 @@ impl Preparation {
             return Ok(());
         }
         let Some(alternatives) = shelf.get_while(&self.compiled, keeps_going)? else { return Ok(()) };
-        let painted = Layout::of_format(PixelFormat::F32, self.layout.formats.len());
-        let painted = Layout { packed: true, ..painted };
+        let painted = PlaneLayout::of_format(PixelFormat::F32, self.layout.formats.len());
+        let painted = PlaneLayout { packed: true, ..painted };
         for compiled in alternatives.compiled() {
             for (layout, control) in [(&self.layout, Control::Dropping), (&painted, Control::Blind)] {
                 if !keeps_going() {

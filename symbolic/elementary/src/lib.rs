@@ -6,11 +6,14 @@
 //! [`Counter`] says how many.
 //! It must never know: programs, lanes, the compiler.
 
+#![forbid(unsafe_code)]
+
 mod arithmetic;
 mod coefficients;
 mod counter;
 mod error_function;
 mod exponential;
+mod function;
 mod hyperbolic;
 mod inverse;
 mod large;
@@ -19,17 +22,14 @@ mod machine;
 mod plain;
 mod power;
 mod tail;
-#[cfg(test)]
-mod tests;
 mod trigonometric;
 
 pub use arithmetic::MAGIC;
 pub use counter::Counter;
-pub(crate) use large::reduced;
+pub use function::{Function1, Function2};
+pub use large::reduced;
 pub use machine::{Accuracy, Machine};
 pub use plain::Plain;
-
-use crate::program::function::{Function1, Function2};
 
 /// The value of a function of one argument.
 #[inline(always)]

@@ -3,7 +3,7 @@
 use super::arithmetic::{MAGIC, Pair, SIGN, odd, polynomial, quick_sum, signed, two_product, two_sum};
 use super::coefficients::{COS_DOUBLE, COS_SINGLE, HALF_PI, HALF_PI_SHORT, SIN_DOUBLE, SIN_SINGLE};
 use super::machine::{Accuracy, Machine};
-use crate::program::function::Function1;
+use crate::function::Function1;
 
 /// From here on k has more bits than its products with the parts of π/2 leave it.
 const LARGE: f64 = (1_u64 << 20) as f64;

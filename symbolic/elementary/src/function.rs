@@ -1,6 +1,4 @@
-//! Elementary functions: the one table of their names.
-//!
-//! Their values, which interpreter and native code share bit for bit, are in [`crate::program::elementary`].
+//! The functions: the one table of their names.
 
 /// Functions of one argument.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]

@@ -2,7 +2,7 @@
 
 use super::large;
 use super::machine::Machine;
-use crate::program::function::Function1;
+use crate::function::Function1;
 
 /// One f64 at a time: the meaning.
 #[derive(Clone, Copy, Debug)]

@@ -3,7 +3,7 @@
 //! A function is straight-line code over a machine, so that whoever evaluates it and whoever turns it into vector
 //! instructions do the same operations in the same order. Nothing branches: `select` picks per lane.
 
-use crate::program::function::Function1;
+use crate::function::Function1;
 
 /// How exact a value must be.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -1,7 +1,7 @@
 //! The tail of the normal distribution against 40-digit arithmetic.
 
-use crate::program::elementary::{Accuracy, Plain};
-use crate::program::function::Function1;
+use crate::function::Function1;
+use crate::{Accuracy, Plain};
 
 /// z, ln Q(z), φ(z)/Q(z), from 40-digit arithmetic.
 const TABLE: [(f64, f64, f64); 13] = [

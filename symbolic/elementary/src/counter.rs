@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use super::machine::Machine;
-use crate::program::function::Function1;
+use crate::function::Function1;
 
 /// How many instructions a function is.
 #[derive(Clone, Debug, Default)]
@@ -13,9 +13,9 @@ pub struct Counter {
 }
 
 impl Counter {
-    /// Nothing counted yet; `fused` as in [`Machine::is_fused`].
-    pub fn new(fused: bool) -> Counter {
-        Counter { fused, count: Cell::new(0) }
+    /// Nothing counted yet of what a machine does.
+    pub fn of(machine: &impl Machine) -> Counter {
+        Counter { fused: machine.is_fused(), count: Cell::new(0) }
     }
     /// What was counted.
     pub fn count(&self) -> usize {

@@ -5,7 +5,7 @@ use super::coefficients::{HALF_PI_DOUBLE, TWO_OVER_PI};
 use super::machine::Accuracy;
 use super::plain::Plain;
 use super::trigonometric::{sin_of, tan_of};
-use crate::program::function::Function1;
+use crate::function::Function1;
 
 const UNFUSED: Plain = Plain { fused: false };
 
@@ -28,7 +28,7 @@ fn window(first: i64) -> u128 {
 }
 
 /// x = k π/2 + r for x ≥ 2²⁰: r in two parts, NaN for what is not finite, and k up to multiples of 4.
-pub(crate) fn reduced(x: f64) -> (Pair<f64>, u64) {
+pub fn reduced(x: f64) -> (Pair<f64>, u64) {
     if !x.is_finite() {
         return ([f64::NAN; 2], 0);
     }

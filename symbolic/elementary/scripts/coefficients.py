@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes src/elementary/coefficients.rs: python3 scripts/coefficients.py > src/elementary/coefficients.rs
+"""Writes src/coefficients.rs: python3 scripts/coefficients.py > src/coefficients.rs
 
 Each polynomial interpolates its function at Chebyshev nodes, which is within a small factor of the best one, and is
 rounded to f64. The error in its comment is measured with the rounded coefficients."""
