@@ -17,7 +17,7 @@ pub struct FormulaArgs(pub BTreeMap<String, String>);
 
 /// `k=v,…`: numbers, `true` and `false`, or words, by name.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Values(pub BTreeMap<String, ControlValue>);
+pub struct ValueArgs(pub BTreeMap<String, ControlValue>);
 
 /// `x,y,w,h`: a pixel rectangle, in all slices; `x,y,z,w,h,d`: of some of them; with eight numbers of some volumes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,9 +59,9 @@ impl FormulaArgs {
     }
 }
 
-impl Values {
+impl ValueArgs {
     /// All options of one kind as one map; a name may stand once.
-    pub fn merged(options: &[Values]) -> Result<BTreeMap<String, ControlValue>, String> {
+    pub fn merged(options: &[ValueArgs]) -> Result<BTreeMap<String, ControlValue>, String> {
         merged(options.iter().map(|option| &option.0))
     }
 }
@@ -108,9 +108,9 @@ impl FromStr for FormulaArgs {
     }
 }
 
-impl FromStr for Values {
+impl FromStr for ValueArgs {
     type Err = String;
-    fn from_str(text: &str) -> Result<Values, String> {
+    fn from_str(text: &str) -> Result<ValueArgs, String> {
         let mut values = BTreeMap::new();
         for (name, value) in pairs(text)? {
             let value = match (value.parse(), value.parse()) {
@@ -122,7 +122,7 @@ impl FromStr for Values {
                 return Err(format!("`{name}` is given twice"));
             }
         }
-        Ok(Values(values))
+        Ok(ValueArgs(values))
     }
 }
 
@@ -221,11 +221,11 @@ mod tests {
 
     #[test]
     fn controls_are_numbers_switches_or_words() {
-        let Values(values) = "gain=10,hflip=true , auto_exposure=Manual Mode".parse().unwrap();
+        let ValueArgs(values) = "gain=10,hflip=true , auto_exposure=Manual Mode".parse().unwrap();
         assert_eq!(values["gain"], ControlValue::Number(10));
         assert_eq!(values["hflip"], ControlValue::Switch(true));
         assert_eq!(values["auto_exposure"], ControlValue::Word("Manual Mode".into()));
-        assert!("gain=1,gain=2".parse::<Values>().is_err());
+        assert!("gain=1,gain=2".parse::<ValueArgs>().is_err());
     }
 
     #[test]

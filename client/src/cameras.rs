@@ -6,7 +6,7 @@ use std::io::Write;
 use isophote_capture::camera::{self, ControlValue, ControlValues};
 use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 
-use crate::arguments::Values;
+use crate::arguments::ValueArgs;
 use crate::failure::Failure;
 use crate::http::{Refusal, RemoteService, ServiceArgs, segment};
 use crate::output;
@@ -25,7 +25,7 @@ pub struct SetArgs {
     pub device: String,
     /// Controls: numbers, true or false, or the word of a menu; exposure, gain and white_balance are known for every camera
     #[arg(required = true, value_name = "k=v")]
-    pub controls: Vec<Values>,
+    pub controls: Vec<ValueArgs>,
     #[command(flatten)]
     service: ServiceArgs,
 }
@@ -107,7 +107,7 @@ fn print(camera: &CameraInfo, out: &mut dyn Write) -> Result<(), Failure> {
 
 /// Sets some controls of one.
 pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let values: ControlValues = Values::merged(&args.controls).map_err(Failure::Usage)?;
+    let values: ControlValues = ValueArgs::merged(&args.controls).map_err(Failure::Usage)?;
     let path = format!("/v1/cameras/{}/controls", segment(&args.device));
     let answer: ControlsAnswer = match RemoteService::new(&args.service)?.try_put(&path, &values) {
         Ok(answer) => answer,
