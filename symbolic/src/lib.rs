@@ -43,6 +43,4 @@ pub use program::*;
 pub use proof::claim::{Part, ValueKind};
 #[doc(hidden)]
 pub use proof::direct::DirectSums;
-#[doc(hidden)]
-pub use proof::ulps;
 pub use proof::{Form, Proof};

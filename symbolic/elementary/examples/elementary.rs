@@ -1,12 +1,12 @@
 //! The worst error of every elementary function, in units of the last place: f32 over all arguments, f64 over samples.
 //!
-//! `RUSTFLAGS="-C target-cpu=native" cargo run --release -p isophote-symbolic --example elementary -- [stride]
+//! `RUSTFLAGS="-C target-cpu=native" cargo run --release -p isophote-elementary --example elementary -- [stride]
 //! [samples] [function …]`: a stride of 1 takes each of the 2³² f32. Without hardware that multiplies and adds with one
 //! rounding it takes hours.
 #![allow(clippy::print_stdout)]
 
+use isophote_elementary::ulps::{Arguments, error_double, error_single, exact1, exact2};
 use isophote_elementary::{Accuracy, Function1, Function2, Plain, call1};
-use isophote_symbolic::ulps::{Arguments, error_double, error_single, exact1, exact2};
 
 const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
 const THREADS: u64 = 2;

@@ -1,4 +1,4 @@
-//! Double-double numbers: the referee of the self-check.
+//! Double-double numbers: what functions are held against, and the referee of programs.
 //!
 //! What comes in: f64 values. What goes out: a number hi + lo of about 32 digits (106 bits), |lo| ≤ ½ ulp(hi), for the
 //! operators and for every function of the language; at least 28 digits for arguments of ordinary size (likelihood's own
@@ -11,11 +11,11 @@
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use isophote_elementary::{Function1, Function2};
+use crate::function::{Function1, Function2};
 
 /// hi + lo, unevaluated.
 #[derive(Clone, Copy, PartialEq, Debug)]
-pub(crate) struct DoubleDouble {
+pub struct DoubleDouble {
     hi: f64,
     lo: f64,
 }
@@ -33,6 +33,7 @@ const TERMS: u32 = 400;
 const NEGLIGIBLE: f64 = 1e-35;
 
 /// a + b = s + e exactly.
+#[inline]
 fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let s = a + b;
     let t = s - a;
@@ -40,56 +41,71 @@ fn two_sum(a: f64, b: f64) -> (f64, f64) {
 }
 
 impl DoubleDouble {
-    pub(crate) const ZERO: Self = Self { hi: 0.0, lo: 0.0 };
-    pub(crate) const ONE: Self = Self { hi: 1.0, lo: 0.0 };
-    pub(crate) const PI: Self = Self { hi: 2.0 * HALF_PI[0], lo: 2.0 * HALF_PI[1] };
+    /// 0
+    pub const ZERO: Self = Self { hi: 0.0, lo: 0.0 };
+    /// 1
+    pub const ONE: Self = Self { hi: 1.0, lo: 0.0 };
+    /// π
+    pub const PI: Self = Self { hi: 2.0 * HALF_PI[0], lo: 2.0 * HALF_PI[1] };
 
     /// hi + lo for |hi| ≥ |lo|. What is not finite, or zero with its sign, has no low part.
+    #[inline]
     fn quick(hi: f64, lo: f64) -> Self {
         let s = hi + lo;
         if s.is_finite() && s != 0.0 { Self { hi: s, lo: lo - (s - hi) } } else { Self { hi: s, lo: 0.0 } }
     }
 
     /// a + b, exactly.
-    pub(crate) fn sum(a: f64, b: f64) -> Self {
+    #[inline]
+    pub fn sum(a: f64, b: f64) -> Self {
         let (hi, lo) = two_sum(a, b);
         if hi.is_finite() { Self { hi, lo } } else { Self { hi, lo: 0.0 } }
     }
 
     /// a · b, exactly.
-    pub(crate) fn product(a: f64, b: f64) -> Self {
+    #[inline]
+    pub fn product(a: f64, b: f64) -> Self {
         let hi = a * b;
         if hi.is_finite() && hi != 0.0 { Self { hi, lo: a.mul_add(b, -hi) } } else { Self { hi, lo: 0.0 } }
     }
 
     /// The nearest f64.
-    pub(crate) fn to_f64(self) -> f64 {
+    #[inline]
+    pub fn to_f64(self) -> f64 {
         self.hi
     }
 
     /// hi and lo.
-    pub(crate) fn parts(self) -> [f64; 2] {
+    pub fn parts(self) -> [f64; 2] {
         [self.hi, self.lo]
     }
 
-    pub(crate) fn is_nan(self) -> bool {
+    /// Not a number.
+    #[inline]
+    pub fn is_nan(self) -> bool {
         self.hi.is_nan()
     }
 
-    pub(crate) fn is_finite(self) -> bool {
+    /// Neither that nor infinite.
+    #[inline]
+    pub fn is_finite(self) -> bool {
         self.hi.is_finite()
     }
 
+    #[inline]
     fn is_negative(self) -> bool {
         self.hi.is_sign_negative()
     }
 
-    pub(crate) fn abs(self) -> Self {
+    /// |x|
+    #[inline]
+    pub fn abs(self) -> Self {
         if self.is_negative() { -self } else { self }
     }
 
     /// √x: one Newton step from the f64 root.
-    pub(crate) fn sqrt(self) -> Self {
+    #[inline]
+    pub fn sqrt(self) -> Self {
         let root = self.hi.sqrt();
         if root == 0.0 || !root.is_finite() {
             return root.into();
@@ -160,7 +176,7 @@ impl DoubleDouble {
             let k = (self.hi / HALF_PI[0]).round();
             (self.reduced(k, HALF_PI), k)
         } else {
-            let ([hi, lo], k) = isophote_elementary::reduced(self.hi.abs());
+            let ([hi, lo], k) = crate::large::reduced(self.hi.abs());
             let (r, k) = (Self { hi, lo }, (k % 4) as f64);
             if self.is_negative() { (-r, -k) } else { (r, k) }
         };
@@ -267,7 +283,7 @@ impl DoubleDouble {
     }
 
     /// The value of an elementary function.
-    pub(crate) fn call1(self, function: Function1) -> Self {
+    pub fn call1(self, function: Function1) -> Self {
         match function {
             Function1::Exp => self.exp(),
             Function1::Log => self.log(),
@@ -289,7 +305,7 @@ impl DoubleDouble {
     }
 
     /// The value of an elementary function of two arguments, in the order of [`Function2`].
-    pub(crate) fn call2(self, function: Function2, other: Self) -> Self {
+    pub fn call2(self, function: Function2, other: Self) -> Self {
         match function {
             Function2::Atan2 => self.atan2(other),
             Function2::Pow => self.pow(other),
@@ -298,6 +314,7 @@ impl DoubleDouble {
 }
 
 impl From<f64> for DoubleDouble {
+    #[inline]
     fn from(x: f64) -> Self {
         Self { hi: x, lo: 0.0 }
     }
@@ -305,6 +322,7 @@ impl From<f64> for DoubleDouble {
 
 impl Neg for DoubleDouble {
     type Output = Self;
+    #[inline]
     fn neg(self) -> Self {
         Self { hi: -self.hi, lo: -self.lo }
     }
@@ -312,6 +330,7 @@ impl Neg for DoubleDouble {
 
 impl Add for DoubleDouble {
     type Output = Self;
+    #[inline]
     fn add(self, b: Self) -> Self {
         let (high, low) = (Self::sum(self.hi, b.hi), Self::sum(self.lo, b.lo));
         let first = Self::quick(high.hi, high.lo + low.hi);
@@ -321,6 +340,7 @@ impl Add for DoubleDouble {
 
 impl Sub for DoubleDouble {
     type Output = Self;
+    #[inline]
     fn sub(self, b: Self) -> Self {
         self + -b
     }
@@ -328,6 +348,7 @@ impl Sub for DoubleDouble {
 
 impl Mul for DoubleDouble {
     type Output = Self;
+    #[inline]
     fn mul(self, b: Self) -> Self {
         let p = Self::product(self.hi, b.hi);
         if p.hi == 0.0 || !p.is_finite() {
@@ -339,6 +360,7 @@ impl Mul for DoubleDouble {
 
 impl Div for DoubleDouble {
     type Output = Self;
+    #[inline]
     fn div(self, b: Self) -> Self {
         let first = self.hi / b.hi;
         if first == 0.0 || !first.is_finite() || b.hi.is_infinite() {
@@ -352,6 +374,7 @@ impl Div for DoubleDouble {
 }
 
 impl PartialOrd for DoubleDouble {
+    #[inline]
     fn partial_cmp(&self, b: &Self) -> Option<Ordering> {
         match self.hi.partial_cmp(&b.hi) {
             Some(Ordering::Equal) => self.lo.partial_cmp(&b.lo),

@@ -3,7 +3,7 @@
 //! What comes in: an f64, or a vector of them, and how exact the result must be. What goes out: the function's value,
 //! within 2 units in the last place of f64, or, where the caller rounds it to f32, of f32. Each function is written once,
 //! over a [`Machine`]: [`Plain`] evaluates it (that is its meaning), the JIT turns it into vector instructions, a
-//! [`Counter`] says how many.
+//! [`Counter`] says how many. [`DoubleDouble`] and [`ulps`] say how far a value is from the exact one.
 //! It must never know: programs, lanes, the compiler.
 
 #![forbid(unsafe_code)]
@@ -11,6 +11,7 @@
 mod arithmetic;
 mod coefficients;
 mod counter;
+mod double_double;
 mod error_function;
 mod exponential;
 mod function;
@@ -22,12 +23,15 @@ mod machine;
 mod plain;
 mod power;
 mod tail;
+#[cfg(test)]
+mod tests;
 mod trigonometric;
+pub mod ulps;
 
 pub use arithmetic::MAGIC;
 pub use counter::Counter;
+pub use double_double::DoubleDouble;
 pub use function::{Function1, Function2};
-pub use large::reduced;
 pub use machine::{Accuracy, Machine};
 pub use plain::Plain;
 

@@ -2,8 +2,8 @@
 //! and what the same checks say of a function that is slightly wrong.
 #![allow(clippy::unwrap_used)]
 
-use isophote_elementary::{Accuracy, Function1, Function2, Plain};
-use isophote_symbolic::ulps::{Arguments, error_double, error_single, exact1, exact2};
+use crate::ulps::{Arguments, error_double, error_single, exact1, exact2};
+use crate::{Accuracy, Function1, Function2, Plain};
 
 const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
 /// What docs/elementary.md promises, in units of the last place.

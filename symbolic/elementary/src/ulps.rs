@@ -1,8 +1,7 @@
 //! How far a value is from the exact one, in units of its last place: what the tests and examples/elementary.rs measure.
 
-use isophote_elementary::{Function1, Function2};
-
-use crate::proof::double_double::DoubleDouble;
+use crate::double_double::DoubleDouble;
+use crate::function::{Function1, Function2};
 
 /// Arguments to try, from a seed (SplitMix64).
 #[derive(Debug)]

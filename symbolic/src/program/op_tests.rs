@@ -1,10 +1,11 @@
 //! The table, row by row: every operation is written in every language, and interpreter and referee agree on what it computes.
 #![allow(clippy::unwrap_used)]
 
+use isophote_elementary::DoubleDouble;
+
 use crate::program::arithmetic::{Cell, Double, Number, Single};
 use crate::program::op::{Kind, Op, Opcode, apply, spelled};
 use crate::program::{Comparison, Value};
-use crate::proof::double_double::DoubleDouble;
 
 /// Numbers that break careless code.
 const ODD: [f64; 15] = [

@@ -1,10 +1,9 @@
 //! Hyper-dual numbers over any arithmetic.
 
-use isophote_elementary::{Function1, Function2};
+use isophote_elementary::{DoubleDouble, Function1, Function2};
 
 use super::grammar::PARAMETERS;
 use crate::proof::calculus::{Two, derivatives, derivatives2};
-use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::Number;
 use crate::proof::weighed::Weighed;
 

@@ -11,7 +11,7 @@ mod numbers;
 #[path = "duals_random_tests.rs"]
 mod random;
 
-use isophote_elementary::Function1;
+use isophote_elementary::{DoubleDouble, Function1};
 
 use grammar::{Document, PARAMETERS, Variety};
 use numbers::{Hyper, Scalar, pair};
@@ -19,7 +19,6 @@ use random::{Place, Random};
 
 use crate::program::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
-use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::{Sample, evaluate_at};
 use crate::proof::weighed::Weighed;
 use crate::{Lowering, Method, Model};

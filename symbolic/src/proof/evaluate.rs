@@ -5,12 +5,11 @@
 //! same table of operations as the interpreter, which says what a program's rounding is; this says what it rounds.
 //! It must never know: where a program came from.
 
-pub(crate) use crate::program::arithmetic::Number;
-use isophote_elementary::{Function1, Function2};
+use isophote_elementary::{DoubleDouble, Function1, Function2};
 
+pub(crate) use crate::program::arithmetic::Number;
 use crate::program::walk::{Place, Walk, walk};
 use crate::program::{ChannelId, CoordinateId, InputId, PixelSet, Program};
-use crate::proof::double_double::DoubleDouble;
 
 impl Number for DoubleDouble {
     fn abs(self) -> Self {

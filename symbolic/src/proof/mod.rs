@@ -16,7 +16,6 @@ pub(crate) mod budget;
 pub(crate) mod calculus;
 pub(crate) mod claim;
 pub(crate) mod direct;
-pub(crate) mod double_double;
 pub(crate) mod draft;
 #[cfg(test)]
 mod duals_tests;
@@ -32,7 +31,6 @@ pub(crate) mod points;
 pub(crate) mod referee;
 #[cfg(test)]
 mod rewrites_tests;
-pub mod ulps;
 pub(crate) mod weighed;
 
 use serde::{Deserialize, Serialize};

@@ -4,11 +4,12 @@
 //! What comes in: what the sums are of, and a program. What goes out: whether it takes the pixels that the document says, and
 //! whether rows without any leave no trace.
 
+use isophote_elementary::DoubleDouble;
+
 use crate::language::graph::{Node, NodeId};
 use crate::program::peephole::arrange;
 use crate::program::{ChannelId, Program, Sink};
 use crate::proof::TOLERANCE;
-use crate::proof::double_double::DoubleDouble;
 use crate::proof::evaluate::evaluate_at;
 use crate::proof::hyper::Values;
 use crate::proof::likelihood::Shape;

@@ -4,10 +4,11 @@
 //! that formula's values, exactly modulo a prime and in f64; and nothing if not. The reference is the formula's graph as it was
 //! read, at the shifted coordinates, evaluated node by node.
 
+use isophote_elementary::DoubleDouble;
+
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, TotalId, Value};
-use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
 use crate::proof::hyper::Values;

@@ -5,14 +5,13 @@
 
 use std::sync::OnceLock;
 
-use isophote_elementary::Function1;
+use isophote_elementary::{DoubleDouble, Function1};
 
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Loss, Model};
 use crate::program::interpreter;
 use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
 use crate::proof::claim::{Claim, ValueKind};
-use crate::proof::double_double::DoubleDouble;
 use crate::proof::draft::Draft;
 use crate::proof::evaluate::{Number, Sample, evaluate_at};
 use crate::proof::hyper::{Bare, Evaluator, Hyper, Order, Values};

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::imports::{Crate, crates};
+use crate::sources::{code_only, lines_of_tests};
 use crate::{File, expect_none, files};
 
 /// The rooms of a crate: folders, and files beside them.
@@ -55,7 +56,7 @@ fn upward(symbolic: &Crate) -> Vec<String> {
 
 fn core_lines(files: &[File]) -> usize {
     let core = files.iter().filter(|file| file.path.starts_with("symbolic/src/") && !file.path.contains("tests"));
-    core.map(|file| file.text.lines().count()).sum()
+    core.map(|file| file.text.lines().count() - lines_of_tests(&code_only(&file.text))).sum()
 }
 
 #[test]
@@ -90,5 +91,6 @@ fn planted_faults_are_caught() {
         file("language/model.rs", "use crate::program::a::A;"),
     ];
     assert_eq!(upward(&Crate::of("symbolic/src/", &order)), ["program/a imports language/model"]);
-    assert_eq!(core_lines(&[file("a.rs", "one\ntwo\n"), file("a_tests.rs", "three\n")]), 2);
+    let inner = "one\ntwo\n#[cfg(test)]\nmod tests {\n    three {}\n}\nfour\n";
+    assert_eq!(core_lines(&[file("a.rs", inner), file("a_tests.rs", "five\n")]), 3);
 }

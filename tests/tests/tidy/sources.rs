@@ -171,6 +171,12 @@ pub fn without_tests(code: &str) -> String {
     kept + rest
 }
 
+/// How many lines items for tests alone take.
+pub fn lines_of_tests(code: &str) -> usize {
+    let items = code.split("#[cfg(test)]").skip(1);
+    items.map(|item| 1 + item[..item_length(item)].matches('\n').count()).sum()
+}
+
 /// Up to the `;` or the closing brace that ends an item.
 fn item_length(code: &str) -> usize {
     let mut depth = 0;
