@@ -289,7 +289,7 @@ mod tests {
         let text = "name = \"half\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"c\"]\n[parameters]\nby = { start = 0.0 }\n\
                     [model]\nintensity = \"10 + sqrt(by - y) + 0*x\"\n[[stages]]\nparameters = [\"by\"]\nmethod = \"newton\"\n";
         let scene = Scene::new(&Arc::new(Model::from_toml(text).unwrap()), 8).unwrap();
-        let numbers = Numbers { parameters: &[3.0], constants: &[], origin: [0.0, 0.0] };
+        let numbers = RenderedNumbers { parameters: &[3.0], constants: &[], origin: [0.0, 0.0] };
         let mut means = [0.0; 3 * 6];
         let band = Window::whole(3, 6);
         scene.render(&numbers, band, &mut Scratch::default(), &mut means).unwrap();
