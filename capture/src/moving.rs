@@ -114,7 +114,7 @@ pub(crate) enum Law {
     /// In its range.
     Still(f64),
     /// Its values are looked at when they are known.
-    Moves(Formula),
+    Moves(Box<Formula>),
 }
 
 /// Why a [`Moving`] is wrong.
@@ -132,7 +132,9 @@ impl Law {
         match moving {
             Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
             Moving::Number(number) => Err(MovingFault::Range(format!("is {number}; it must be {range}"))),
-            Moving::Formula(text) => formula_of_t(text).map(Law::Moves).map_err(MovingFault::Formula),
+            Moving::Formula(text) => {
+                formula_of_t(text).map(|formula| Law::Moves(Box::new(formula))).map_err(MovingFault::Formula)
+            }
         }
     }
 

@@ -14,7 +14,7 @@ use crate::proof::evaluate::evaluate_at;
 use crate::proof::hyper::Values;
 use crate::proof::likelihood::Shape;
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
-use crate::proof::referee::{Subject, is_finite, is_rounding, sample, worst};
+use crate::proof::referee::{Subject, is_rounding, sample, worst};
 use crate::proof::weighed::Weighed;
 
 /// How near a rim, px, a pixel may belong or not.
@@ -262,8 +262,7 @@ impl Windowed {
             }
         }
         let mut window = Windowed { point, taken, sums: None };
-        let sums = subject.direct(&window.point.map(Weighed::from), |column, row| window.takes(column, row));
-        window.sums = is_finite(&sums).then_some(sums);
+        window.sums = subject.weighed(&window.point, |column, row| window.takes(column, row));
         window
     }
 

@@ -49,11 +49,14 @@ impl Shown<'_> {
             }
             self.is_right_at(&summing, &point, &mut compared)
         });
-        let mut is_right_anywhere = || {
-            compared > 0
-                || self.anywhere().all(|point| self.is_right_at(&summing, &point, &mut compared)) && compared > 0
-        };
-        right && (exact || is_right_anywhere()) && self.is_right_at_rims(&summing)
+        let is_shown = exact || compared > 0 || self.is_right_anywhere(&summing);
+        right && is_shown && self.is_right_at_rims(&summing)
+    }
+
+    /// True when there is a place with something to be shown, and all such places show it.
+    fn is_right_anywhere(&self, summing: &Program) -> bool {
+        let mut compared = 0;
+        self.anywhere().all(|point| self.is_right_at(summing, &point, &mut compared)) && compared > 0
     }
 
     /// Places where there is something to be shown.

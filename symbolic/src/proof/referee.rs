@@ -166,16 +166,18 @@ impl Referee {
         self.sampled().is_none()
     }
 
+    fn known(&self, point: Point<f64>) -> Option<Known<f64, Weighed>> {
+        let sums = self.subject.weighed(&point, |_, _| true)?;
+        Some(Known { point, sums })
+    }
+
     /// Single pixels somewhere, at any parameters: what formulas have a value for may be elsewhere than targets are put.
     fn anywhere(&self) -> impl Iterator<Item = Known<f64, Weighed>> {
         let at = |seed| {
             let point = anywhere(&self.subject.model, &mut Random(seed));
-            self.subject.is_finite_at(&point).then(|| {
-                let sums = self.subject.direct(&point.map(Weighed::from), |_, _| true);
-                Known { point, sums }
-            })
+            self.known(point)
         };
-        (0..ANYWHERE).filter_map(at).filter(|known| is_finite(&known.sums)).take(ENOUGH)
+        (0..ANYWHERE).filter_map(at).take(ENOUGH)
     }
 
     /// The first point where all is finite.
@@ -184,8 +186,7 @@ impl Referee {
             (0..POINTS).find_map(|seed| {
                 let model = &self.subject.model;
                 let point = plausible(model, centre(model, NEAR), &mut Random(seed));
-                let sums = self.subject.direct(&point.map(Weighed::from), |_, _| true);
-                is_finite(&sums).then_some(Known { point, sums })
+                self.known(point)
             })
         };
         self.sampled.get_or_init(|| made().or_else(|| self.anywhere().next())).as_ref()
@@ -201,8 +202,7 @@ impl Referee {
                 if !subject.show_threshold(&mut point) {
                     return None;
                 }
-                let sums = subject.direct(&point.map(Weighed::from), |_, _| true);
-                is_finite(&sums).then_some(Known { point, sums })
+                self.known(point)
             };
             let found: Vec<_> = (0..if self.is_conditional { self.points } else { 1 }).filter_map(at).collect();
             if found.is_empty() { self.anywhere().collect() } else { found }
@@ -217,8 +217,7 @@ impl Referee {
                 let model = &self.subject.model;
                 let mut point = plausible(model, centre(model, NEAR), &mut random);
                 point.move_far(&mut random);
-                let sums = self.subject.direct(&point.map(Weighed::from), |_, _| true);
-                is_finite(&sums).then_some(Known { point, sums })
+                self.known(point)
             };
             (0..self.points).filter_map(at).collect()
         })
@@ -333,10 +332,6 @@ pub(super) fn sample<'a, N: Number>(
     }
 }
 
-pub(super) fn is_finite(sums: &[Weighed]) -> bool {
-    sums.iter().all(|x| x.value.is_finite() && x.terms < LARGEST)
-}
-
 /// The largest error over the sum of the absolute terms.
 pub(super) fn worst(found: &[f64], sums: &[Weighed]) -> f64 {
     let ratio = |(found, direct): (&f64, &Weighed)| {
@@ -397,16 +392,29 @@ impl Subject {
         let roots = self.roots();
         let mut evaluator = Values::of(&self.graph, &roots, &|node| point.given(node));
         let places = (0..point.rows.len()).flat_map(|row| (0..point.columns.len()).map(move |column| (column, row)));
-        let mut at = |(column, row): (usize, usize)| {
+        let at = |(column, row): (usize, usize)| {
             let pixel = |channel| point.pixel(channel, column, row);
             evaluator.at(&|node| point.read(node, point.columns[column], &point.rows[row], &pixel))
         };
-        places.map(|place| at(place)).collect()
+        places.map(at).collect()
     }
 
-    /// True when they are finite.
-    fn is_finite_at(&self, point: &Point<f64>) -> bool {
-        self.values(point).iter().flatten().all(|value| value.value.is_finite())
+    /// The sums over pixels that take part, with their terms. `None` where they are no evidence: a robust loss makes a number of
+    /// what is no number, or too large for its powers.
+    pub(super) fn weighed(
+        &self,
+        point: &Point<f64>,
+        takes_part: impl Fn(usize, usize) -> bool,
+    ) -> Option<Vec<Weighed>> {
+        let width = point.columns.len();
+        let is_ordinary = |(i, values): (usize, &Vec<Bare<f64>>)| {
+            !takes_part(i % width, i / width) || values.iter().all(|x| x.value.abs() < LARGEST)
+        };
+        if !self.values(point).iter().enumerate().all(is_ordinary) {
+            return None;
+        }
+        let sums = self.direct(&point.map(Weighed::from), takes_part);
+        sums.iter().all(|x| x.value.is_finite() && x.terms < LARGEST).then_some(sums)
     }
 
     /// How far the formulas are differentiated.
@@ -439,10 +447,6 @@ impl Subject {
     /// What one pixel adds, by its residual and variance.
     fn entries<N: Number>(&self, values: &[Hyper<N>]) -> Vec<N> {
         let n = self.parameters.len() as u16;
-        // A robust loss of what is no number is a number.
-        if values.iter().any(|x| x.value.partial_cmp(&x.value).is_none()) {
-            return vec![N::from(f64::NAN); self.outputs()];
-        }
         let (residual, variance) = (&values[0], values.get(1));
         let mut entries = Vec::with_capacity(self.outputs());
         match self.claim {
