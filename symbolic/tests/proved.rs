@@ -108,6 +108,7 @@ fn formulas_that_are_finite_in_few_places_are_proved() {
         ("a + b * asin(0.15 * x)", "noise = \"0.5 + intensity^2\"\nloss = \"tukey(4)\"\n"),
         ("a + b * acos(x) / sqrt(y)", "noise = \"0.7 + 0.4 * max(x, 0)\"\nsaturated = \"censored\"\n"),
         ("a + x * sinh(b^3)", "loss = \"huber(1.5)\"\n"),
+        ("acos(a) * b * x / cos((x^2 + b)^8)", "noise = \"0.5 + intensity^2\"\nloss = \"tukey(4)\"\n"),
     ];
     for (intensity, further) in few {
         let parameters = "[parameters]\na = { start = 1.0 }\nb = { start = 1.0, min = 0.0 }\n";

@@ -341,10 +341,12 @@ pub(super) fn worst(found: &[f64], sums: &[Weighed]) -> f64 {
     found.iter().zip(sums).map(ratio).fold(0.0, f64::max)
 }
 
-/// True when in double-double nothing is left of the difference; `weighed` holds the sums of the absolute terms.
+/// True when in double-double nothing is left of the difference; `weighed` holds the sums of the absolute terms, as far as f64
+/// takes the branches that double-double does.
 pub(super) fn is_rounding(found: &[DoubleDouble], exact: &[DoubleDouble], weighed: &[Weighed]) -> bool {
     let is_near = |((found, exact), weighed): ((&DoubleDouble, &DoubleDouble), &Weighed)| {
-        (*found - *exact).to_f64().abs() <= REFEREE * weighed.terms.max(SMALLEST)
+        let terms = weighed.terms.max(exact.to_f64().abs()).max(SMALLEST);
+        (*found - *exact).to_f64().abs() <= REFEREE * terms
     };
     found.iter().zip(exact).zip(weighed).all(is_near)
 }
