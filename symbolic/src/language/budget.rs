@@ -74,19 +74,5 @@ impl Drop for Budget {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn holders_draw_on_one_budget() {
-        let mut one = Budget::after(LIMITS.work - 10);
-        let mut other = one.clone();
-        assert!(one.charge(10) && !one.is_spent(), "at the limit");
-        drop(one);
-        assert!(other.charge(1) && other.is_spent(), "past the limit, but not yet told");
-        assert!(!other.charge(UNTOLD));
-        assert!(!Budget::default().is_spent(), "another document");
-        let kept = Budget::default();
-        assert!(kept.keep(LIMITS.kept) && !kept.clone().keep(1));
-    }
-}
+#[path = "budget_tests.rs"]
+mod tests;
