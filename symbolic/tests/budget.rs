@@ -33,6 +33,24 @@ fn all_that_is_derived_for_one_schedule_draws_on_one_budget() {
     );
 }
 
+/// What others do at the same time is not charged to whoever does not do it.
+#[test]
+fn who_derives_beside_others_pays_for_himself_alone() {
+    let model = Model::from_toml(include_str!("../../models/thesis-spot.toml")).unwrap();
+    let all: Vec<ParameterId> = (0..model.parameters().len() as u32).map(ParameterId).collect();
+    let count = |threads: usize| -> usize {
+        let summand = model.summands().remove(0).model;
+        let derived = || (0..1_000).take_while(|_| summand.objective(&all, Method::GaussNewton).is_ok()).count();
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..threads).map(|_| scope.spawn(derived)).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).sum()
+        })
+    };
+    let (alone, together) = (count(1), count(4));
+    // The last one of each is cut short.
+    assert!(together + 4 >= alone, "{together} fit when four threads derive them, {alone} when one does");
+}
+
 /// Every shipped model fits its budget, with all that a fit asks for.
 #[test]
 fn shipped_models_are_within_their_budget() {

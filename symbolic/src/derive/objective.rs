@@ -82,9 +82,13 @@ impl Objective {
 
     /// The loop nest before its check.
     fn draft(&self, lowering: Lowering, budget: Budget) -> Result<Draft, Diagnostics> {
-        let mut graph = self.graph.drawing_on(budget);
-        let draft = schedule::sums(&mut graph, &self.sums, self.domain, lowering, self.names.clone());
-        self.origin.checked(&graph, draft)
+        self.drafted(lowering, &mut self.graph.drawing_on(budget))
+    }
+
+    /// The same in a copy of the graph, which then knows what that took.
+    fn drafted(&self, lowering: Lowering, graph: &mut Graph) -> Result<Draft, Diagnostics> {
+        let draft = schedule::sums(graph, &self.sums, self.domain, lowering, self.names.clone());
+        self.origin.checked(graph, draft)
     }
 
     fn proved(&self, draft: Draft, lowering: Lowering) -> Option<(Program, Errors)> {
@@ -246,9 +250,10 @@ impl Objective {
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
             let derived = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
             let mut objective = Objective { referee: referee.clone(), ..derived };
-            let before = budget.work();
-            let draft = objective.draft(CHECKED, budget.clone()).map_err(Refusal::Limit)?;
-            lowering = budget.work() - before;
+            // Others may draw on the budget at the same time: what counts is the graph's own work.
+            let mut graph = objective.graph.drawing_on(budget.clone());
+            let draft = objective.drafted(CHECKED, &mut graph).map_err(Refusal::Limit)?;
+            lowering = graph.work();
             let Some((program, Errors { exact, error })) = objective.proved(draft, CHECKED) else {
                 return Err(Refusal::Wrong);
             };

@@ -363,8 +363,7 @@ impl Subject {
             Claim::Value(ValueKind::Entry) => 1,
             Claim::Value(ValueKind::Full) => 2,
             Claim::Derivatives { part, .. } => {
-                let gradient = if part.has_gradient() { n } else { 0 };
-                1 + gradient + if part.has_hessian() { n * (n + 1) / 2 } else { 0 }
+                1 + usize::from(part.has_gradient()) * n + usize::from(part.has_hessian()) * (n * (n + 1) / 2)
             }
         }
     }
