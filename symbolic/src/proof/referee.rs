@@ -341,12 +341,10 @@ pub(super) fn worst(found: &[f64], sums: &[Weighed]) -> f64 {
     found.iter().zip(sums).map(ratio).fold(0.0, f64::max)
 }
 
-/// True when in double-double nothing is left of the difference; `weighed` holds the sums of the absolute terms, as far as f64
-/// takes the branches that double-double does.
+/// True when in double-double nothing is left of the difference, beside the value or the sum of the absolute terms in f64.
 pub(super) fn is_rounding(found: &[DoubleDouble], exact: &[DoubleDouble], weighed: &[Weighed]) -> bool {
     let is_near = |((found, exact), weighed): ((&DoubleDouble, &DoubleDouble), &Weighed)| {
-        let terms = weighed.terms.max(exact.to_f64().abs()).max(SMALLEST);
-        (*found - *exact).to_f64().abs() <= REFEREE * terms
+        (*found - *exact).to_f64().abs() <= REFEREE * weighed.terms.max(exact.to_f64().abs()).max(SMALLEST)
     };
     found.iter().zip(exact).zip(weighed).all(is_near)
 }
