@@ -105,14 +105,10 @@ impl Scene {
         let window = Window { x: band.x + from, width, ..band };
         sums.clear();
         sums.resize(width * band.height, 0.0);
-        let n = self.samples;
-        let shift = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
-        for j in 0..n {
-            for i in 0..n {
-                self.add(numbers, window, [shift(i), shift(j)], sums)?;
-            }
+        for shift in self.shifts() {
+            self.add(numbers, window, shift, sums)?;
         }
-        let share = 1.0 / (n * n) as f32;
+        let share = 1.0 / (self.samples * self.samples) as f32;
         if sums.iter().any(|sum| sum.is_nan()) {
             self.fill_undefined(numbers, window, sums)?;
         }
@@ -125,23 +121,26 @@ impl Scene {
         Ok(())
     }
 
+    /// The samples of a pixel, from its centre, px.
+    fn shifts(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
+        let n = self.samples;
+        let shift = move |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
+        (0..n * n).map(move |k| [shift(k % n), shift(k / n)])
+    }
+
     /// Puts in the place of sums that are not a number those of the samples that are, as if they were all.
     fn fill_undefined(&self, numbers: &RenderedNumbers, window: Window, sums: &mut [f32]) -> Result<(), String> {
-        let n = self.samples;
-        let shift = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
         let mut plane = vec![0.0; sums.len()];
         let mut found = vec![(0.0_f32, 0_u32); sums.len()];
-        for j in 0..n {
-            for i in 0..n {
-                self.pass(numbers, window, [shift(i), shift(j)], &mut plane)?;
-                for ((sum, count), value) in found.iter_mut().zip(&plane).filter(|(_, value)| !value.is_nan()) {
-                    *sum += value;
-                    *count += 1;
-                }
+        for shift in self.shifts() {
+            self.pass(numbers, window, shift, &mut plane)?;
+            for ((sum, count), value) in found.iter_mut().zip(&plane).filter(|(_, value)| !value.is_nan()) {
+                *sum += value;
+                *count += 1;
             }
         }
         for (sum, (known, count)) in sums.iter_mut().zip(found).filter(|(sum, _)| sum.is_nan()) {
-            *sum = known / count as f32 * (n * n) as f32;
+            *sum = known / count as f32 * (self.samples * self.samples) as f32;
         }
         Ok(())
     }

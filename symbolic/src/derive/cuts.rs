@@ -23,7 +23,13 @@ pub(crate) fn cut_classes(graph: &Graph, residual: NodeId, parameters: &[NodeId]
         if matches!(node, Node::Sum(..) | Node::Product(_)) {
             below.sort_unstable();
         }
-        let own = (discriminant(node), graph.level(id), parameters.contains(&id), below);
+        let function = match node {
+            Node::Call1(function, _) => FxBuildHasher.hash_one(function),
+            Node::Call2(function, ..) => FxBuildHasher.hash_one(function),
+            Node::Compare(comparison, ..) => FxBuildHasher.hash_one(comparison),
+            _ => 0,
+        };
+        let own = (discriminant(node), function, graph.level(id), parameters.contains(&id), below);
         likeness.insert(id, FxBuildHasher.hash_one(own));
     }
     let mut classes: BTreeMap<(u64, u32), BTreeSet<NodeId>> = BTreeMap::new();

@@ -141,63 +141,9 @@ impl<N: Number> Hyper<N> {
     }
 
     pub fn add(&self, b: &Hyper<N>) -> Hyper<N> {
-        let value = self.value + b.value;
-        match (self.active.is_empty(), b.active.is_empty()) {
-            (_, true) => Hyper { value, ..self.clone() },
-            (true, _) => Hyper { value, ..b.clone() },
-            _ => self.combined(b, value, &|a, b| a + b, &|[a, b, ..]| a + b),
-        }
-    }
-
-    /// Adds c · b.
-    fn add_scaled(&mut self, b: &Hyper<N>, c: f64) {
-        let by = N::from(c);
-        let value = self.value + if c == 1.0 { b.value } else { by * b.value };
-        if b.active.is_empty() {
-            self.value = value;
-        } else if self.active.is_empty() {
-            *self = if c == 1.0 { Hyper { value, ..b.clone() } } else { b.linear(value, by) };
-        } else if self.active == b.active {
-            self.value = value;
-            let both = self.derivatives.iter_mut().zip(&b.derivatives);
-            both.for_each(|(a, b)| *a = *a + if c == 1.0 { *b } else { by * *b });
-        } else {
-            *self = self.combined(b, value, &|a, b| a + by * b, &|[a, b, ..]| a + by * b);
-        }
-    }
-
-    pub fn scaled(&self, by: f64) -> Hyper<N> {
-        let by = N::from(by);
-        self.linear(by * self.value, by)
-    }
-
-    pub fn mul(&self, b: &Hyper<N>) -> Hyper<N> {
-        let (x, y) = (self.value, b.value);
-        match (self.active.is_empty(), b.active.is_empty()) {
-            (_, true) => self.linear(x * y, y),
-            (true, _) => b.linear(x * y, x),
-            _ => {
-                let second = |[sa, sb, ai, aj, bi, bj]: [N; 6]| y * sa + x * sb + (ai * bj + aj * bi);
-                self.combined(b, x * y, &|a, b| y * a + x * b, &second)
-            }
-        }
-    }
-
-    /// The whole power n ≠ 0.
-    pub fn power(&self, n: i32) -> Hyper<N> {
-        if n == 1 {
-            return self.clone();
-        }
-        let whole = |exponent| whole_power(self.value, exponent);
-        let (first, second) = (f64::from(n), f64::from(n) * (f64::from(n) - 1.0));
-        let (slope, bend) = (whole(n.saturating_sub(1)), whole(n.saturating_sub(2)));
-        self.unary((whole(n), N::from(first) * slope, N::from(second) * bend))
-    }
-
-    pub fn sqrt(&self) -> Hyper<N> {
-        let root = self.value.sqrt();
-        let slope = N::from(0.5) / root;
-        self.unary((root, slope, -(slope / (N::from(2.0) * self.value))))
+        let mut sum = self.clone();
+        sum.add_scaled(b, 1.0);
+        sum
     }
 }
 
@@ -276,20 +222,49 @@ impl<N: Number> Quantity for Hyper<N> {
     fn value(&self) -> N {
         self.value
     }
-    fn add_scaled(&mut self, b: &Self, c: f64) {
-        self.add_scaled(b, c);
+    fn add_scaled(&mut self, b: &Hyper<N>, c: f64) {
+        let by = N::from(c);
+        let value = self.value + if c == 1.0 { b.value } else { by * b.value };
+        if b.active.is_empty() {
+            self.value = value;
+        } else if self.active.is_empty() {
+            *self = if c == 1.0 { Hyper { value, ..b.clone() } } else { b.linear(value, by) };
+        } else if self.active == b.active {
+            self.value = value;
+            let both = self.derivatives.iter_mut().zip(&b.derivatives);
+            both.for_each(|(a, b)| *a = *a + if c == 1.0 { *b } else { by * *b });
+        } else {
+            *self = self.combined(b, value, &|a, b| a + by * b, &|[a, b, ..]| a + by * b);
+        }
     }
-    fn scaled(&self, c: f64) -> Self {
-        self.scaled(c)
+    fn scaled(&self, by: f64) -> Hyper<N> {
+        let by = N::from(by);
+        self.linear(by * self.value, by)
     }
-    fn mul(&self, b: &Self) -> Self {
-        self.mul(b)
+    fn mul(&self, b: &Hyper<N>) -> Hyper<N> {
+        let (x, y) = (self.value, b.value);
+        match (self.active.is_empty(), b.active.is_empty()) {
+            (_, true) => self.linear(x * y, y),
+            (true, _) => b.linear(x * y, x),
+            _ => {
+                let second = |[sa, sb, ai, aj, bi, bj]: [N; 6]| y * sa + x * sb + (ai * bj + aj * bi);
+                self.combined(b, x * y, &|a, b| y * a + x * b, &second)
+            }
+        }
     }
-    fn power(&self, n: i32) -> Self {
-        self.power(n)
+    fn power(&self, n: i32) -> Hyper<N> {
+        if n == 1 {
+            return self.clone();
+        }
+        let whole = |exponent| whole_power(self.value, exponent);
+        let (first, second) = (f64::from(n), f64::from(n) * (f64::from(n) - 1.0));
+        let (slope, bend) = (whole(n.saturating_sub(1)), whole(n.saturating_sub(2)));
+        self.unary((whole(n), N::from(first) * slope, N::from(second) * bend))
     }
-    fn sqrt(&self) -> Self {
-        self.sqrt()
+    fn sqrt(&self) -> Hyper<N> {
+        let root = self.value.sqrt();
+        let slope = N::from(0.5) / root;
+        self.unary((root, slope, -(slope / (N::from(2.0) * self.value))))
     }
     fn call1(&self, function: Function1) -> Self {
         match self.active.is_empty() {
