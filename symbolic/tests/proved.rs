@@ -68,6 +68,39 @@ fn powers_have_their_derivatives_at_zero() {
     assert!(at(3.0).iter().all(|sum| sum.is_finite()));
 }
 
+/// Derivatives by a negative base, for whole exponents that only the session knows; by a free one they have no value there.
+#[test]
+fn powers_of_negative_bases_have_their_derivatives() {
+    let text = format!(
+        "{HEAD}[parameters]\na = {{ start = 0.5 }}\n[constants]\nb = 2.5\n[model]\nintensity = \"(a * (x + 1))^b\"\n"
+    );
+    let model = Model::from_toml(&text).unwrap();
+    let program = model.objective(&all(&model), Method::Newton).unwrap().program(Lowering::default()).unwrap();
+    for (a, b) in [(-0.25_f64, 1), (-0.25, 2), (-0.25, 3), (-0.5, 4), (-0.5, -1), (-0.5, -2)] {
+        let found = sums(&program, &[a], &[f64::from(b)]);
+        let (mut expected, mut terms) = ([0.0; 3], [0.0; 3]);
+        for (x, y) in (0..24).flat_map(|y| (0..24).map(move |x| (x, y))) {
+            let width = f64::from(x + 1);
+            let power = |less: i32| width.powi(b) * a.powi(b - less);
+            let (residual, slope) = (f64::from(3 * x + 5 * y) - power(0), f64::from(b) * power(1));
+            let bend = f64::from(b * (b - 1)) * power(2);
+            let pixel = [residual * residual, -2.0 * residual * slope, 2.0 * (slope * slope - residual * bend)];
+            (0..3).for_each(|i| {
+                expected[i] += pixel[i];
+                terms[i] += pixel[i].abs();
+            });
+        }
+        for ((found, expected), terms) in found.iter().zip(expected).zip(terms) {
+            assert!((found - expected).abs() <= 1e-11 * terms, "a = {a}, b = {b}: {found} {expected}");
+        }
+    }
+    let free = text.replace("b = 2.5\n", "").replace("[constants]\n", "b = { start = 2.5 }\n");
+    let model = Model::from_toml(&free).unwrap();
+    let program = model.objective(&all(&model), Method::Newton).unwrap().program(Lowering::default()).unwrap();
+    let found = sums(&program, &[-0.25, 2.0], &[]);
+    assert!(found[0].is_finite() && found[1].is_finite() && found[2].is_nan(), "{found:?}");
+}
+
 /// The exponent is free: its derivatives vanish with the base.
 #[test]
 fn a_free_exponent_is_finite_at_zero() {

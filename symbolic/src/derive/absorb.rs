@@ -8,6 +8,15 @@ use crate::derive::jet::Jet;
 use crate::language::graph::{Bits, Graph, Node, NodeId, content};
 use crate::program::Level;
 
+/// How a sum n is computed that occurs both alone and with invariant factors c known to be positive.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
+pub(crate) enum Scaling {
+    #[default]
+    AsWritten,
+    /// As N = c n only: n becomes N / c, whose 1 / c leaves the loop.
+    Unified,
+}
+
 /// What was rewritten, as it was given.
 pub(crate) struct Absorbed {
     pub tops: Vec<NodeId>,
@@ -18,14 +27,13 @@ pub(crate) struct Absorbed {
 }
 
 /// Takes invariant factors into sums that nothing else uses (v1 · (k1 + 2 k2 s) with both coefficients known per pass), so
-/// that the factor costs nothing per pixel, and sums into sums likewise. With `unify` a sum n that occurs both alone and with
-/// invariant factors c known to be positive is computed as N = c n only, and n becomes N / c, whose 1 / c leaves the loop.
+/// that the factor costs nothing per pixel, and sums into sums likewise.
 pub(crate) fn absorb(
     graph: &mut Graph,
     tops: &[NodeId],
     jets: &[Jet],
     variance: Option<NodeId>,
-    unify: bool,
+    scaling: Scaling,
 ) -> Absorbed {
     let mut roots = tops.to_vec();
     roots.extend(variance);
@@ -35,7 +43,7 @@ pub(crate) fn absorb(
     let lone = |n: NodeId| counts.get(n.index()) == Some(&1) && !held.contains(&n);
     let mut scales = scales(graph, &roots, &lone);
     let is_unifiable = !scales.is_empty();
-    if !unify {
+    if scaling == Scaling::AsWritten {
         scales.clear();
     }
     let mut kept = BTreeSet::new();

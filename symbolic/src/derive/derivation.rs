@@ -8,9 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use crate::derive::absorb::{Absorbed, absorb, absorb_numbers};
+use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
-use crate::derive::monomial::{Polynomial, Powers, Splitter, whole_output};
+use crate::derive::monomial::{Polynomial, Powers, Splitter, terms, whole_output};
 use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
 use crate::derive::sums::{Output, Sums, Term};
@@ -19,6 +19,7 @@ use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Cost;
 use crate::proof::claim::Part;
+use crate::proof::hyper::Order;
 use crate::proof::likelihood::Shape;
 
 /// What is differentiated: the same for every choice.
@@ -31,8 +32,8 @@ pub(crate) struct Target<'a> {
     pub variance: Option<NodeId>,
     /// What F is of them.
     pub shape: Shape,
-    /// The full Hessian, not JᵀWJ.
-    pub newton: bool,
+    /// Of the derivatives of r and σ²: the second for the full Hessian, the first for JᵀWJ.
+    pub order: Order,
     /// What is summed of it.
     pub part: Part,
 }
@@ -41,8 +42,7 @@ pub(crate) struct Target<'a> {
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
 pub(crate) struct Cuts {
     pub nodes: BTreeSet<NodeId>,
-    /// A sum that occurs with and without an invariant factor known to be positive is computed with it only.
-    pub unify: bool,
+    pub scaling: Scaling,
     /// Polynomials in this value are collected before.
     pub collect: Option<NodeId>,
 }
@@ -82,16 +82,16 @@ impl Derivation {
         let variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(target.parameters).copied().collect();
         // The top variables: r, and σ² where it is differentiated.
         let mut tops = vec![target.residual];
-        tops.extend(target.variance.filter(|_| target.newton));
-        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.newton)).collect();
+        tops.extend(target.variance.filter(|_| target.order == Order::Second));
+        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.order)).collect();
         let Absorbed { tops, jets, variance, is_unifiable } =
-            absorb(&mut graph, &tops, &jets, target.variance, cuts.unify);
+            absorb(&mut graph, &tops, &jets, target.variance, cuts.scaling);
         let (value, mut form) = top_form(&mut graph, target, &tops, &jets, variance)?;
         if !target.part.has_hessian() {
             form.second.clear();
         }
         let ascending: Vec<NodeId> = cuts.nodes.iter().copied().collect();
-        let totals = totals(&mut graph, &ascending, target.parameters, target.newton);
+        let totals = totals(&mut graph, &ascending, target.parameters, target.order);
         if graph.overflowed() {
             return None;
         }
@@ -135,7 +135,7 @@ impl Derivation {
                         uses.push((form, factor));
                     }
                 }
-                for (l, form) in first.iter().filter(|_| target.newton) {
+                for (l, form) in first.iter().filter(|_| target.order == Order::Second) {
                     uses.extend(totals[l].second.get(&pair(*u, *v)).map(|l_uv| (*form, *l_uv)));
                 }
                 entries.push(Entry { name: format!("d2F/d{}d{}", target.names[i], target.names[j]), uses });
@@ -164,7 +164,12 @@ impl Derivation {
         let mut atoms = BTreeSet::new();
         let mut parts = Vec::with_capacity(self.forms.len());
         for (i, (_, node)) in self.forms.iter().enumerate() {
-            parts.push(Splitter::form(&mut self.graph, *node, layout.split.contains(&i), &mut atoms));
+            let pieces = match layout.split.contains(&i) {
+                true => terms(&mut self.graph, *node),
+                // The content and the factors that all terms share are taken out of the sum.
+                false => vec![self.graph.product(1.0, [(*node, 1)])],
+            };
+            parts.push(Splitter::form(&mut self.graph, &pieces, &mut atoms));
         }
         let mut splitter = Splitter::new(&atoms);
         for (_, factor) in self.entries.iter().flat_map(|e| &e.uses) {
@@ -269,7 +274,7 @@ fn top_form(
     jets: &[Jet],
     variance: Option<NodeId>,
 ) -> Option<(NodeId, Jet)> {
-    let (value, top) = target.shape.jet(graph, target.newton, tops, variance);
+    let (value, top) = target.shape.jet(graph, target.order, tops, variance);
     let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
     let form = compose(graph, &top, &|t| of[&t]);
     (!graph.overflowed()).then_some((value, form))

@@ -14,6 +14,7 @@ use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
 use crate::proof::claim::{Claim, Part};
+use crate::proof::hyper::Order;
 
 /// Derivatives of one pixel's F, F itself left out.
 #[derive(Clone, Debug)]
@@ -57,6 +58,7 @@ fn entries(
     part: Part,
 ) -> Vec<(String, NodeId)> {
     let newton = method == Method::Newton;
+    let order = if newton { Order::Second } else { Order::First };
     let residual = residual(graph, model);
     let variance = variance(graph, model, Claim::Derivatives { newton, part });
     let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
@@ -64,11 +66,11 @@ fn entries(
     let name = |i: usize| &model.parameters[subset[i].index()].name;
     let zero = graph.number(0.0);
     // Newton: F itself; else L r_u and Q r_u r_v.
-    let (total, own) = model.formulas.shape().jet(graph, newton, &[residual], variance);
+    let (total, own) = model.formulas.shape().jet(graph, order, &[residual], variance);
     let entry = |node: Option<&NodeId>| node.copied().unwrap_or(zero);
     let (l, q) = (entry(own.first.get(&residual)), entry(own.second.get(&(residual, residual))));
     let root = if newton { total } else { residual };
-    let jet = jet(graph, root, &variables, newton && part.has_hessian());
+    let jet = jet(graph, root, &variables, if part.has_hessian() { order } else { Order::First });
     let first: Vec<NodeId> = parameters.iter().map(|u| jet.first.get(u).copied().unwrap_or(zero)).collect();
     let mut list = Vec::new();
     for i in (0..parameters.len()).filter(|_| part.has_gradient()) {

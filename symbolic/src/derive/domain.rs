@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use crate::derive::jet::jet;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{Comparison, CoordinateId, Level};
+use crate::proof::hyper::Order;
 
 /// Where a model holds: both must, when both are there.
 #[derive(Clone, Copy, Debug, Default)]
@@ -90,7 +91,7 @@ pub(crate) fn parabola(graph: &mut Graph, value: NodeId) -> Option<Parabola> {
         return None;
     }
     let x = graph.coordinate(CoordinateId(0));
-    let slopes = jet(graph, value, &BTreeSet::from([x]), true);
+    let slopes = jet(graph, value, &BTreeSet::from([x]), Order::Second);
     let curvature = *slopes.second.get(&(x, x))?;
     if graph.level(curvature) == Level::Pixel || !is_positive(graph, curvature) {
         return None;

@@ -11,6 +11,7 @@ use rustc_hash::FxHashMap;
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::program::Comparison;
+use crate::proof::hyper::Order;
 
 /// First and second partial derivatives; absent entries are zero. Keys of `second` are ordered pairs.
 #[derive(Clone, Debug, Default)]
@@ -85,8 +86,7 @@ impl Form {
 }
 
 /// The jet of `root` over `variables`; a variable below another is not seen through it. `root` itself may be a variable.
-/// Second derivatives are left out unless `second` is asked for.
-pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>, second: bool) -> Jet {
+pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>, order: Order) -> Jet {
     let mut jets: FxHashMap<NodeId, Jet> = FxHashMap::default();
     let segment = segment(graph, root, variables);
     graph.charge(ENTRY * segment.len());
@@ -98,7 +98,7 @@ pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>,
             let span = graph.span(id);
             graph.set_span(span);
             let mut jet = step(graph, id, &jets);
-            if !second {
+            if order == Order::First {
                 jet.second.clear();
             }
             jet
@@ -349,7 +349,7 @@ pub(crate) fn totals(
     graph: &mut Graph,
     cuts: &[NodeId],
     parameters: &[NodeId],
-    second: bool,
+    order: Order,
 ) -> FxHashMap<NodeId, Jet> {
     let mut done: FxHashMap<NodeId, Jet> = FxHashMap::default();
     let one = graph.number(1.0);
@@ -358,7 +358,7 @@ pub(crate) fn totals(
     }
     let variables: BTreeSet<NodeId> = parameters.iter().chain(cuts).copied().collect();
     for cut in cuts {
-        let own = jet(graph, *cut, &variables, second);
+        let own = jet(graph, *cut, &variables, order);
         let total = compose(graph, &own, &|l| &done[&l]);
         done.insert(*cut, total);
     }

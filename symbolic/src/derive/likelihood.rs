@@ -14,6 +14,7 @@ use crate::derive::jet::{Jet, jet};
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::Loss;
 use crate::program::Comparison;
+use crate::proof::hyper::Order;
 use crate::proof::likelihood::{Shape, bend};
 
 impl Shape {
@@ -55,23 +56,23 @@ impl Shape {
         }
     }
 
-    /// F, and its first and second derivatives by r (and by σ² with `newton`).
-    pub fn jet(self, graph: &mut Graph, newton: bool, tops: &[NodeId], variance: Option<NodeId>) -> (NodeId, Jet) {
+    /// F, and its first and second derivatives by r (and by σ² at second order).
+    pub fn jet(self, graph: &mut Graph, order: Order, tops: &[NodeId], variance: Option<NodeId>) -> (NodeId, Jet) {
         let residual = tops[0];
         let value = self.value(graph, residual, variance);
         let total = match variance {
-            Some(v) if newton && self.has_logarithm() => {
+            Some(v) if order == Order::Second && self.has_logarithm() => {
                 let log = graph.call1(Function1::Log, v);
                 graph.add2(value, log)
             }
             _ => value,
         };
         let weight = match self {
-            Shape::Seen(loss) if !newton => robust_weight(graph, loss, residual, variance),
+            Shape::Seen(loss) if order == Order::First => robust_weight(graph, loss, residual, variance),
             _ => None,
         };
         let Some(weight) = weight else {
-            let top = jet(graph, total, &tops.iter().copied().collect(), true);
+            let top = jet(graph, total, &tops.iter().copied().collect(), Order::Second);
             return (total, top);
         };
         let mut own = Jet::default();

@@ -236,21 +236,10 @@ impl<'a> Splitter<'a> {
                 || terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_) | Node::Channel(_))))
     }
 
-    /// A coefficient of the form: its invariant factors, and what is left as an atom of its own; when `split`, term by term.
-    pub fn form(graph: &mut Graph, node: NodeId, split: bool, atoms: &mut BTreeSet<NodeId>) -> Polynomial {
-        let pieces = match graph.node(node).clone() {
-            Node::Sum(constant, terms) if split => {
-                let mut pieces: Vec<NodeId> = terms.iter().map(|(n, c)| graph.scale(c.get(), *n)).collect();
-                pieces.push(graph.number(constant.get()));
-                pieces
-            }
-            _ => {
-                // Take the content and the factors that all terms share out of the sum.
-                vec![graph.product(1.0, [(node, 1)])]
-            }
-        };
+    /// A coefficient of the form, the sum of `pieces`: of each its invariant factors, and what is left as an atom of its own.
+    pub fn form(graph: &mut Graph, pieces: &[NodeId], atoms: &mut BTreeSet<NodeId>) -> Polynomial {
         let mut total = Polynomial::default();
-        for piece in pieces {
+        for piece in pieces.iter().copied() {
             if graph.value_of(piece) == Some(0.0) {
                 continue;
             }
@@ -262,4 +251,12 @@ impl<'a> Splitter<'a> {
         }
         total
     }
+}
+
+/// What a sum is made of, its constant too; of anything else the node alone.
+pub(crate) fn terms(graph: &mut Graph, node: NodeId) -> Vec<NodeId> {
+    let Node::Sum(constant, terms) = graph.node(node).clone() else { return vec![node] };
+    let mut pieces: Vec<NodeId> = terms.iter().map(|(n, c)| graph.scale(c.get(), *n)).collect();
+    pieces.push(graph.number(constant.get()));
+    pieces
 }

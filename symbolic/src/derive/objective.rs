@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use crate::derive::absorb::gather;
+use crate::derive::absorb::{Scaling, gather};
 use crate::derive::derivation::{Cuts, Derivation, Target};
 use crate::derive::expressions::Expressions;
 use crate::derive::monomial::whole_output;
@@ -25,6 +25,7 @@ use crate::program::{Bindings, ChannelId, Comparison, Cost, Input, ParameterId, 
 use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
+use crate::proof::hyper::Order;
 use crate::proof::referee::{Referee, Subject};
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
 
@@ -356,14 +357,16 @@ impl<'a> Setting<'a> {
         let model = referee.model();
         let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
-        let newton = *newton && (part.has_hessian() || variance.is_some());
+        let is_second = *newton && (part.has_hessian() || variance.is_some());
+        let order = if is_second { Order::Second } else { Order::First };
         let (residual, variance) = (*residual, *variance);
         let shape = model.formulas.shape();
-        let target = Target { parameters, names: &names, residual, variance, shape, newton, part };
+        let target = Target { parameters, names: &names, residual, variance, shape, order, part };
         let derived = match form {
+            Form::Factored => search::fewest_flops(graph, &target, Scaling::Unified),
+            Form::Plain => search::fewest_flops(graph, &target, Scaling::AsWritten),
             Form::Unfactored => Derivation::new(graph.copied(), &target, &Cuts::default())
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
-            _ => search::fewest_flops(graph, &target, form == Form::Factored),
         };
         let origin = WholeModel::of(model);
         let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;

@@ -272,7 +272,7 @@ impl<'g> Builder<'g> {
             names,
             fused: lowering.fma,
         };
-        crate::program::peephole::improve(&mut program, lowering.fma);
+        crate::program::peephole::improve(&mut program);
         Draft::new(program)
     }
 }

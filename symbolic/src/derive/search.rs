@@ -5,7 +5,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::derive::absorb::gather;
+use crate::derive::absorb::{Scaling, gather};
 use crate::derive::cuts::cut_classes;
 use crate::derive::derivation::{Cuts, Derivation, Layout, Target, reduced};
 use crate::derive::polynomials::collected;
@@ -40,8 +40,8 @@ struct Search<'a> {
     work: usize,
 }
 
-/// The cheapest way that is found; nothing when no way stays within the limits. `unify` allows factors to change sides.
-pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> Option<(Derivation, Sums)> {
+/// The cheapest way that is found; nothing when no way stays within the limits. `most` is how far sums may be rewritten.
+pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, most: Scaling) -> Option<(Derivation, Sums)> {
     let classes = cut_classes(graph, target.residual, target.parameters);
     let mut search = Search {
         graph,
@@ -81,10 +81,10 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, unify: bool) -> O
     collected.iter().for_each(|cuts| search.attempt(cuts.clone()));
     search.layouts();
     let plain = search.best.take()?;
-    if unify {
+    if most == Scaling::Unified {
         let tried = [plain.cuts.clone()].into_iter().chain(collected);
         let unifiable: Vec<Cuts> = tried.filter(|cuts| search.unifiable.contains(cuts)).collect();
-        unifiable.into_iter().for_each(|cuts| search.attempt(Cuts { unify, ..cuts }));
+        unifiable.into_iter().for_each(|cuts| search.attempt(Cuts { scaling: most, ..cuts }));
         search.layouts();
     }
     let mut best = match search.best {
@@ -148,7 +148,7 @@ impl Search<'_> {
     fn layouts(&mut self) {
         let Some(mut best) = self.best.take() else { return };
         let mut work = 0;
-        if !best.cuts.unify {
+        if best.cuts.scaling == Scaling::AsWritten {
             let whole = Layout { expand: false, ..best.layout.clone() };
             work += try_layout(&mut best, whole);
         }

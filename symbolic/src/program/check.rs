@@ -111,8 +111,9 @@ impl Program {
     /// When they are no program.
     pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
         let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
-        let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
-        crate::program::peephole::improve(&mut program, false);
+        let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused: false };
+        crate::program::peephole::improve(&mut program);
+        program.fused = fused;
         program.check().map(|()| program)
     }
 

@@ -2,8 +2,8 @@
 
 use crate::program::{Instruction, Level, Opcode, Program, Sink, Value};
 
-/// Improves the instructions in place and sorts them by level.
-pub(crate) fn improve(program: &mut Program, fma: bool) {
+/// Improves the instructions in place, contracts products and sums of a fused program, and sorts by level.
+pub(crate) fn improve(program: &mut Program) {
     let mut uses = count_uses(program);
     // What nothing reads has no part in the counts.
     let live = live(program);
@@ -22,10 +22,12 @@ pub(crate) fn improve(program: &mut Program, fma: bool) {
                     _ => None,
                 }
             }),
-            Opcode::Add if fma && level == Level::Pixel => [(a, b), (b, a)].into_iter().find_map(|(product, c)| {
-                let (x, y) = factors(program, product).filter(|_| lone(product))?;
-                Some(Opcode::Fma.of([x, y, c]))
-            }),
+            Opcode::Add if program.fused && level == Level::Pixel => {
+                [(a, b), (b, a)].into_iter().find_map(|(product, c)| {
+                    let (x, y) = factors(program, product).filter(|_| lone(product))?;
+                    Some(Opcode::Fma.of([x, y, c]))
+                })
+            }
             _ => None,
         };
         if let Some(new) = new {
@@ -40,7 +42,7 @@ pub(crate) fn improve(program: &mut Program, fma: bool) {
             program.instructions[i].op = new;
         }
     }
-    if fma {
+    if program.fused {
         contract_differences(program);
     }
     arrange(program);

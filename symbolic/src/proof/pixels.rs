@@ -144,7 +144,7 @@ impl Rim {
     /// True when the program, or only its pixel set, takes these pixels of the row.
     pub fn is_of(&self, subject: &Subject, program: &Program) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
-        let taken = evaluate_at(program, &sample(program, &self.point, &pixel, false)).taken;
+        let taken = evaluate_at(program, &sample(program, &self.point, &pixel)).taken;
         let wrong = differing(&self.inside, &taken);
         are_rims(subject, &self.point, &wrong, 0.5 * RIM)
     }
@@ -273,7 +273,7 @@ impl Windowed {
     /// True when the program takes these pixels, and sums what the document says of them.
     pub fn is_summed_by(&self, subject: &Subject, program: &Program) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
-        let found = evaluate_at(program, &sample(program, &self.point, &pixel, false));
+        let found = evaluate_at(program, &sample(program, &self.point, &pixel));
         let wrong = differing(&self.taken, &found.taken);
         if !wrong.is_empty() {
             return are_rims(subject, &self.point, &wrong, RIM);
@@ -284,7 +284,7 @@ impl Windowed {
             let point = self.point.map(DoubleDouble::from);
             let exact = subject.direct(&point, |column, row| self.takes(column, row));
             let pixel = |channel, column, row| point.pixel(channel, column, row);
-            is_rounding(&evaluate_at(program, &sample(program, &point, &pixel, false)).outputs, &exact, sums)
+            is_rounding(&evaluate_at(program, &sample(program, &point, &pixel)).outputs, &exact, sums)
         }
     }
 }

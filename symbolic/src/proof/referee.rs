@@ -321,14 +321,13 @@ pub(super) fn sample<'a, N: Number>(
     program: &Program,
     point: &'a Point<N>,
     pixel: &'a dyn Fn(usize, usize, usize) -> N,
-    every_pixel: bool,
 ) -> Sample<'a, N> {
     Sample {
         inputs: program.inputs().iter().map(|input| point.input(*input)).collect(),
         columns: point.columns.clone(),
         rows: point.rows.clone(),
         pixel,
-        every_pixel,
+        every_pixel: false,
     }
 }
 
@@ -487,7 +486,7 @@ impl Subject {
     /// What the program makes the sums, every pixel of the point taking part.
     fn found<N: Number>(&self, program: &Program, point: &Point<N>) -> Vec<N> {
         let pixel = |channel, column, row| point.pixel(channel, column, row);
-        evaluate_at(program, &sample(program, point, &pixel, true)).outputs
+        evaluate_at(program, &Sample { every_pixel: true, ..sample(program, point, &pixel) }).outputs
     }
 
     /// The value of the i-th free parameter.

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 
 use isophote_elementary::Function1;
 
-use crate::derive::absorb::{Absorbed, absorb, absorb_numbers, gather};
+use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers, gather};
 use crate::derive::jet::jet;
 use crate::derive::monomial::{Splitter, whole_output};
 use crate::derive::polynomials::collected;
@@ -24,7 +24,7 @@ use crate::program::{
     Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
 use crate::proof::evaluate::{Sample, evaluate_at};
-use crate::proof::hyper::Values;
+use crate::proof::hyper::{Order, Values};
 use crate::proof::modular::Modular;
 use crate::proof::points::Random;
 
@@ -83,10 +83,10 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
 /// The program after the last look, with and without contraction, has the outputs that it had.
 fn improves_nothing_away(program: &Program) {
     let before = outputs(program);
-    for fma in [false, true] {
-        let mut improved = program.clone();
-        improve(&mut improved, fma);
-        assert_eq!(outputs(&improved), before, "contracting {fma}:\n{program:?}\n{improved:?}");
+    for fused in [false, true] {
+        let mut improved = Program { fused, ..program.clone() };
+        improve(&mut improved);
+        assert_eq!(outputs(&improved), before, "contracting {fused}:\n{program:?}\n{improved:?}");
     }
 }
 
@@ -256,14 +256,14 @@ fn rewritten_formulas_are_the_same_formulas() {
             absorb_numbers(graph, &mut roots);
             roots
         });
-        for unify in [false, true] {
+        for scaling in [Scaling::AsWritten, Scaling::Unified] {
             let mut trial = graph.clone();
             let variables = BTreeSet::from([trial.input(Input::Parameter(ParameterId(0))), nodes[2]]);
-            let own = jet(&mut trial, roots[0], &variables, true);
+            let own = jet(&mut trial, roots[0], &variables, Order::Second);
             let mut all = vec![roots[0], roots[1]];
             all.extend(own.first.values().chain(own.second.values()));
             changed[2] += keeps(seed, "absorb", &mut trial, &all, |graph| {
-                let Absorbed { tops, jets, variance, .. } = absorb(graph, &roots[..1], &[own], Some(roots[1]), unify);
+                let Absorbed { tops, jets, variance, .. } = absorb(graph, &roots[..1], &[own], Some(roots[1]), scaling);
                 let jets = jets[0].first.values().chain(jets[0].second.values()).copied();
                 tops.into_iter().chain(variance).chain(jets).collect()
             });

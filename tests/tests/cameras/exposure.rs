@@ -7,8 +7,9 @@ use serde_json::json;
 
 use crate::{Whole, session};
 
-/// Frames until the light must be right.
-const FRAMES: u64 = 15;
+/// Fitted frames until the light must be right. Those that pass while the emulated processor fits are not counted: it takes
+/// seconds for the first.
+const FRAMES: usize = 15;
 
 #[test]
 fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
@@ -45,9 +46,8 @@ fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
         eprintln!("saturated share by frame: {seen:?}; light at the end {}", controls.light());
         let begin = seen.iter().find(|(_, state, _)| state == "tracking").unwrap();
         assert!((begin.2 - 0.6).abs() < 0.1, "it begins at 60 %: {begin:?}");
-        for (frame, state, share) in seen.iter().filter(|(frame, ..)| *frame >= FRAMES) {
+        for (frame, state, share) in &seen[FRAMES..] {
             assert!(state == "tracking" && (0.005..0.04).contains(share), "frame {frame}: {state}, {share}");
         }
-        assert!(seen.iter().any(|(frame, ..)| *frame >= FRAMES));
     });
 }

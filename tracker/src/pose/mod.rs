@@ -5,9 +5,9 @@
 //!
 //! ```text
 //! ellipses ─► both circles of each (conic), P3P ─► seeds ─► joint refinement (seen) ─► minima, best first ─► Pose
-//! pixels ───► start: components, ellipses, all assignments ─► fit of the document ─► direct ─────────────► Pose
+//! outlines ─► start: all assignments ─────────────────────────► fit of the document ─► direct ─────────────► Pose
 //! ```
-//! It must never know pixels, frames or kernels (but for `start`, which looks at the window once).
+//! It must never know pixels, frames or kernels.
 
 mod conic;
 mod direct;
@@ -26,5 +26,6 @@ pub(crate) use direct::Geometry;
 pub(crate) use found::DELTA_CHI_SQUARE_MAX;
 pub use found::{Alternative, Pose};
 pub(crate) use measured::{Fitted, of_ellipses};
+pub(crate) use seen::Five;
 pub(crate) use start::{SPARE, starts};
 pub use target::{Target, TargetError, TargetSpot};

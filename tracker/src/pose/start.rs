@@ -1,6 +1,6 @@
 //! A cold start of a pose: the spots that a window shows, every way to name them, and the poses that suit.
 //!
-//! What comes in: sights (components with moments) and the geometry. What goes out: poses to begin a fit with, the likeliest
+//! What comes in: outlines of things that may be spots, and the geometry. What goes out: poses to begin a fit with, the likeliest
 //! first. The moments are rough: an outline is known to a fifth in size, to a twentieth in shape. That is enough to tell
 //! tilts; which of several alike spots is which only the fit itself may be able to tell, so several poses are handed on.
 
@@ -11,21 +11,20 @@ use super::joint::{Joint, Minimum, SpotSeen};
 use super::rigid::Rigid;
 use super::seen::Five;
 use crate::budget::Spend;
-use crate::sight::start::Sight;
 
 /// A pose to begin with.
 #[derive(Clone, Debug)]
 pub(crate) struct PoseStart {
     pub pose: Rigid,
-    /// The sight of each spot of the target; `None` for one that is not seen.
-    pub sights: Vec<Option<usize>>,
+    /// The outline of each spot of the target; `None` for one that is not seen.
+    pub outlines: Vec<Option<usize>>,
 }
 
 /// Poses handed on.
 const STARTS_MAX: usize = 8;
 /// … whose χ² is larger by at most this.
 const WORSE_MAX: f64 = 60.0;
-/// Sights beyond the target's spots that are considered: distractors.
+/// Outlines beyond the target's spots that are considered: distractors.
 pub(crate) const SPARE: usize = 1;
 /// Centroids of tilted, clipped spots are off by so much, px, and this share of their size.
 const CENTROID: (f64, f64) = (0.3, 0.01);
@@ -34,20 +33,17 @@ const SIZE: f64 = 0.2;
 /// … and the shape of each.
 const SHAPE: f64 = 0.05;
 
-/// Poses that suit the sights, the likeliest first. Sights are in the order of their mass, in frame coordinates by
-/// `origin`. None when `spend` ends the search.
-pub(crate) fn starts(geometry: &Geometry, sights: &[Sight], origin: [f64; 4], spend: Spend) -> Vec<PoseStart> {
+/// Poses that suit the outlines, the likeliest first. Outlines are in the order of their mass, in frame coordinates. None
+/// when `spend` ends the search.
+pub(crate) fn starts(geometry: &Geometry, outlines: &[Five], spend: Spend) -> Vec<PoseStart> {
     let spots = &geometry.target.spots;
-    let count = spots.len().min(sights.len());
+    let count = spots.len().min(outlines.len());
     let mut found: Vec<(Minimum, Vec<Option<usize>>)> = Vec::new();
-    for assignment in assignments(spots.len(), sights.len().min(spots.len() + SPARE), count) {
+    for assignment in assignments(spots.len(), outlines.len().min(spots.len() + SPARE), count) {
         let seen: Vec<SpotSeen> = spots
             .iter()
             .zip(&assignment)
-            .filter_map(|(spot, sight)| {
-                let ellipse = ellipse(&sights[(*sight)?], origin);
-                Some(SpotSeen { spot, ellipse, profile: None })
-            })
+            .filter_map(|(spot, outline)| Some(SpotSeen { spot, ellipse: outlines[(*outline)?], profile: None }))
             .collect();
         let Some(joint) = Joint::new(&geometry.lens, &seen, &rough(&seen)) else { continue };
         let facing = |minimum: &Minimum| {
@@ -60,12 +56,7 @@ pub(crate) fn starts(geometry: &Geometry, sights: &[Sight], origin: [f64; 4], sp
     let best = found.first().map_or(0.0, |(minimum, _)| minimum.chi_square);
     found.retain(|(minimum, _)| minimum.chi_square <= best + WORSE_MAX);
     found.truncate(STARTS_MAX);
-    found.into_iter().map(|(minimum, sights)| PoseStart { pose: minimum.pose, sights }).collect()
-}
-
-fn ellipse(sight: &Sight, origin: [f64; 4]) -> Five {
-    let a = &sight.extent;
-    Five::new(sight.centre[0] + origin[0], sight.centre[1] + origin[1], a[0][0], a[0][1], a[1][1])
+    found.into_iter().map(|(minimum, outlines)| PoseStart { pose: minimum.pose, outlines }).collect()
 }
 
 /// The covariance of rough ellipses, see above.
@@ -86,13 +77,13 @@ fn rough(seen: &[SpotSeen]) -> DMatrix<f64> {
     covariance + &sizes * sizes.transpose()
 }
 
-/// Every way to give `count` of `spots` spots a sight of their own.
-fn assignments(spots: usize, sights: usize, count: usize) -> Vec<Vec<Option<usize>>> {
+/// Every way to give `count` of `spots` spots an outline of their own.
+fn assignments(spots: usize, outlines: usize, count: usize) -> Vec<Vec<Option<usize>>> {
     let mut partial = vec![Vec::new()];
     for left in (0..spots).rev() {
         let mut longer = Vec::new();
         for assignment in &partial {
-            let choices = (0..sights).map(Some).chain([None]);
+            let choices = (0..outlines).map(Some).chain([None]);
             for choice in choices.filter(|choice| choice.is_none() || !assignment.contains(choice)) {
                 let mut next = assignment.clone();
                 next.push(choice);
@@ -102,7 +93,7 @@ fn assignments(spots: usize, sights: usize, count: usize) -> Vec<Vec<Option<usiz
                 }
             }
         }
-        // Sixteen spots would have more ways than there is time: those that name the most massive sights come first.
+        // Sixteen spots would have more ways than there is time: those that name the most massive outlines come first.
         longer.truncate(ASSIGNMENTS_MAX);
         partial = longer;
     }
@@ -127,7 +118,7 @@ mod tests {
     use crate::pose::target::TargetSpot;
 
     /// Six spots, none of which has a name that a picture shows, and one thing more.
-    fn six() -> (Geometry, Vec<Sight>) {
+    fn six() -> (Geometry, Vec<Five>) {
         let model = include_str!("../../../models/three-spots-pose.toml");
         let model = Model::from_toml(model).expect("a shipped model");
         let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
@@ -141,24 +132,18 @@ mod tests {
         geometry.target.spots = places.into_iter().enumerate().map(spot).collect();
         let turn = Rotation3::new(Vector3::new(0.4, -0.3, 0.2)).into_inner();
         let pose = Rigid { rotation: turn, translation: Vector3::new(40.0, -30.0, 900.0) };
-        let seen = |spot: &TargetSpot| {
-            let e = outline(&geometry.lens, &pose, spot).expect("in front of the camera");
-            let mut extent = [[0.0; 4]; 4];
-            [extent[0][0], extent[0][1], extent[1][0], extent[1][1]] = [e[2], e[3], e[3], e[4]];
-            let centre = [e[0], e[1], 0.0, 0.0];
-            Sight { centre, extent, size: [10.0; 4], background: 20.0, amplitude: 100.0, saturated: 0 }
-        };
-        let sights = geometry.target.spots.iter().map(seen).collect();
-        (geometry, sights)
+        let seen = |spot: &TargetSpot| outline(&geometry.lens, &pose, spot).expect("in front of the camera");
+        let outlines = geometry.target.spots.iter().map(seen).collect();
+        (geometry, outlines)
     }
 
     #[test]
     fn six_alike_spots_are_searched_within_a_bound() {
-        let (geometry, sights) = six();
+        let (geometry, outlines) = six();
         // Minutes where the machine is busy: asked for by name.
         if std::env::var_os("ISOPHOTE_LONG").is_some() {
             let (begin, spent) = (Instant::now(), Cell::new(0_u64));
-            let found = starts(&geometry, &sights, [0.0; 4], &|units| {
+            let found = starts(&geometry, &outlines, &|units| {
                 spent.set(spent.get() + units);
                 Ok(())
             });
@@ -168,7 +153,7 @@ mod tests {
         // Given up at some step, it asks no more.
         for last in [0, 1, 1000] {
             let (begin, asked) = (Instant::now(), Cell::new(0));
-            let found = starts(&geometry, &sights, [0.0; 4], &|_| {
+            let found = starts(&geometry, &outlines, &|_| {
                 asked.set(asked.get() + 1);
                 if asked.get() > last { Err(Stop::Cancelled) } else { Ok(()) }
             });

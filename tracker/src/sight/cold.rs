@@ -168,13 +168,14 @@ fn pose_starts(
     let spots = &geometry.target.spots;
     let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
     let mut starts = Vec::new();
-    for pose_start in pose::starts(geometry, sights, origin, &spend) {
+    let outlines: Vec<pose::Five> = sights.iter().map(|sight| outline(sight, origin)).collect();
+    for pose_start in pose::starts(geometry, &outlines, &spend) {
         let sight_of = |parameter: usize| {
             let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
             let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());
             let spot = spots.iter().position(|spot| Some(&spot.name) == name);
-            let own = spot.and_then(|spot| pose_start.sights[spot]);
-            own.or_else(|| pose_start.sights.iter().flatten().next().copied()).map(|index| &sights[index])
+            let own = spot.and_then(|spot| pose_start.outlines[spot]);
+            own.or_else(|| pose_start.outlines.iter().flatten().next().copied()).map(|index| &sights[index])
         };
         for brighter in if clipped { vec![1.0, BRIGHTER] } else { vec![1.0] } {
             let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match parameter.start {
@@ -189,6 +190,12 @@ fn pose_starts(
         }
     }
     (!starts.is_empty()).then_some(starts)
+}
+
+/// In frame coordinates.
+fn outline(sight: &Sight, origin: [f64; 4]) -> pose::Five {
+    let a = &sight.extent;
+    pose::Five::new(sight.centre[0] + origin[0], sight.centre[1] + origin[1], a[0][0], a[0][1], a[1][1])
 }
 
 /// The target whose roles name the parameter, else the first.

@@ -73,3 +73,50 @@ impl Loops {
         Some(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use isophote_jit::{KernelOptions, PixelFormat, has_fma};
+    use isophote_symbolic::{Lowering, Method, Model, ParameterId, Precision};
+
+    use super::*;
+
+    /// Derivatives of `v0 · x / w` by v0 and w, over the pixels of a domain.
+    fn kernel(domain: &str) -> Arc<Kernel> {
+        let text = format!(
+            "name = \"ramp\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\nv0 = {{ start = 1.0 }}\n\
+             w = {{ start = 1.0 }}\n[model]\nintensity = \"v0 * x / w\"\ndomain = \"{domain}\"\n"
+        );
+        let model = Model::from_toml(&text).unwrap();
+        let objective = model.objective(&[ParameterId(0), ParameterId(1)], Method::GaussNewton).unwrap();
+        let program = objective.program(Lowering { fma: has_fma(), drop_saturated: false }).unwrap();
+        let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+        Arc::new(Kernel::compile(&program, &options).unwrap())
+    }
+
+    #[test]
+    fn a_summand_without_pixels_adds_nothing() {
+        let pixels: Vec<u8> = (0..64).collect();
+        let plane = PlaneView::new(PixelFormat::U8, &pixels, 8, 8, 8, 1).unwrap();
+        let window = Window::whole(8, 8);
+        // w = 0: what is taken out of the sums has no value.
+        let bindings = Bindings { parameters: &[1.0, 0.0], entry: &[1.0, 0.0], ..Bindings::default() };
+        let empty = kernel("x < 0");
+        let alone = empty.sums(&bindings, &[plane], window).unwrap();
+        assert!(alone.pixels == 0 && alone.outputs.iter().any(|sum| sum.is_nan()), "{alone:?}");
+        let mut totals = Totals::default();
+        for clipped in [vec![], vec![empty.clone()]] {
+            let loops = Loops { seen: vec![empty.clone()], clipped };
+            loops.sums(&bindings, &[plane], &[window; 2], &mut totals).unwrap();
+            assert_eq!((totals.outputs.as_slice(), totals.pixels), (&vec![0.0; alone.outputs.len()][..], 0));
+        }
+        // And with w = 1, beside one that has pixels.
+        let bindings = Bindings { parameters: &[1.0, 1.0], entry: &[1.0, 1.0], ..Bindings::default() };
+        let full = kernel("x >= 0");
+        let loops = Loops { seen: vec![empty, full.clone()], clipped: vec![] };
+        loops.sums(&bindings, &[plane], &[window], &mut totals).unwrap();
+        let full = full.sums(&bindings, &[plane], window).unwrap();
+        assert_eq!((totals.outputs, totals.pixels), (full.outputs, 64));
+    }
+}
