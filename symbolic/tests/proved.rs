@@ -201,3 +201,18 @@ loss = "tukey(4)"
     let objective = model.objective(&[ParameterId(1), ParameterId(2)], Method::GaussNewton);
     assert!(objective.and_then(|objective| objective.program(Lowering::default())).is_ok());
 }
+
+/// d − d has no value where d has none. A comparison with it is one with what is left, in every program.
+#[test]
+fn what_cancels_in_a_condition_decides_nothing() {
+    let text = format!(
+        "{HEAD}[parameters]\nbx = {{ start = 12.0 }}\nv1 = {{ start = 9.0 }}\n[definitions]\nd = \"sqrt(30 - (x - bx)^2)\"\n\
+         [model]\nintensity = \"v1*if(x > -(d - y) + d, 1 + y, x)\"\n"
+    );
+    let model = Model::from_toml(&text).unwrap();
+    for fma in [false, true] {
+        assert!(model.rendering(Lowering { fma, drop_saturated: false }).is_ok());
+    }
+    assert_eq!(model.predicted(&[23.0, 2.0], &[12.0, 9.0], &[]), 27.0);
+    assert_eq!(model.predicted(&[1.0, 2.0], &[12.0, 9.0], &[]), 9.0);
+}

@@ -123,7 +123,7 @@ impl Elaborator<'_> {
         let mut best = values[0];
         for next in &values[1..] {
             let (a, b) = if name == "min" { (best, *next) } else { (*next, best) };
-            let keep = self.graph.compare(Comparison::Lt, a, b);
+            let keep = self.comparison(Comparison::Lt, a, b);
             best = match self.known_truth(keep) {
                 Some(true) => best,
                 Some(false) => *next,

@@ -1,5 +1,7 @@
 //! Comparisons and what joins them; what is known when the model is read is decided here.
 
+use rustc_hash::FxHashMap;
+
 use super::{Elaborator, Matrix, Poison, Worked};
 use crate::language::graph::{Node, NodeId};
 use crate::language::parser::{Expr, Junction, Relation};
@@ -18,7 +20,37 @@ impl Elaborator<'_> {
             Relation::Eq => (Comparison::Eq, a, b),
             Relation::Ne => (Comparison::Ne, a, b),
         };
-        Ok(Matrix::scalar(self.graph.compare(comparison, a, b)))
+        Ok(Matrix::scalar(self.comparison(comparison, a, b)))
+    }
+
+    /// Compares what is left when all that cancels has cancelled. Where q has no value, q − q has none either and no
+    /// comparison with it holds: a condition that kept it would be another once a later rewrite takes it out.
+    pub fn comparison(&mut self, comparison: Comparison, a: NodeId, b: NodeId) -> NodeId {
+        let [a, b] = [a, b].map(|side| self.cancelled(side));
+        self.graph.compare(comparison, a, b)
+    }
+
+    /// `side` with its sums taken apart where that leaves something out; else as it is, for others may share its parts.
+    fn cancelled(&mut self, side: NodeId) -> NodeId {
+        let nodes = self.graph.reachable(&[side]);
+        self.graph.charge(nodes.len());
+        let mut map = FxHashMap::default();
+        for id in &nodes {
+            let new = match self.graph.node(*id).clone() {
+                Node::Sum(constant, terms) => {
+                    let terms: Vec<_> = terms.iter().map(|(n, c)| (map[n], c.get())).collect();
+                    self.graph.sum(constant.get(), terms)
+                }
+                _ => self.graph.rebuild(*id, &map),
+            };
+            map.insert(*id, new);
+        }
+        let parts = |nodes: &[NodeId]| {
+            let is_part = |n: &&NodeId| !matches!(self.graph.node(**n), Node::Sum(..) | Node::Number(_));
+            nodes.iter().filter(is_part).count()
+        };
+        let left = self.graph.reachable(&[map[&side]]);
+        if parts(&left) < parts(&nodes) { map[&side] } else { side }
     }
 
     /// What is known now is left out.
