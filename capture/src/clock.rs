@@ -1,5 +1,4 @@
-//! The clock of a recording: what its frames say of their times in, seconds on one clock out, which never stands still and
-//! never goes back.
+//! The clock of a recording: what its frames say of their times in, seconds on one clock out, which never goes back.
 //!
 //! A frame's time is the one that `truth.jsonl` names, else that of its file (MCAP's log time, a video's rate), else its number
 //! over the rate at which the recording is said to be taken. Where none of them is known there is no time. Nothing here looks

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::clock::Stamp;
-use crate::files::{Content, Format, PageFault, Pages, extensions_with_topics};
+use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
 use crate::source::SourceError;
@@ -42,8 +42,6 @@ impl From<PathBuf> for Address {
 
 /// More than any signature has.
 const SIGNATURE_BYTES_MAX: u64 = 64;
-
-type Open = fn(&Path, Option<&str>) -> Result<Box<dyn Pages>, PageFault>;
 
 /// A file of several pictures.
 pub(crate) struct Paged {

@@ -52,6 +52,11 @@ impl Recording {
             _ => SourceError::Unreadable { path: path.clone(), reason },
         })?;
         if !about.is_dir() {
+            // A pipe would keep whoever opens it waiting.
+            if !about.is_file() {
+                let reason = std::io::Error::other("it is neither a file nor a folder");
+                return Err(SourceError::Unreadable { path, reason });
+            }
             format_of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {

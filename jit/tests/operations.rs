@@ -92,8 +92,7 @@ fn machine_code_of_every_operation_is_the_interpreter_s() {
                     let bindings = Bindings { parameters: &numbers, ..Bindings::default() };
                     let native = kernel.sums(&bindings, &image.views(), window).unwrap().outputs;
                     let planes = Planes(image.views());
-                    let expected =
-                        interpreter::run(&program, precision, &bindings, &planes, window.into(), None).outputs;
+                    let expected = interpreter::run(&program, precision, &bindings, &planes, window, None).outputs;
                     assert!(
                         same(native[0], expected[0]),
                         "{code:?} at {level:?}, {precision:?}, of {numbers:?}: {native:?}, not {expected:?}; seed {seed}"

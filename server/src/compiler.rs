@@ -1,6 +1,6 @@
 //! The compile thread: everything that takes milliseconds and changes the service goes through this one queue, in order
-//! of arrival. So two swaps in flight are ordered and registry writes need no lock. One model at a time is compiled, its stages on
-//! as many processors as there are ([`crate::threads`]), for the milliseconds that it takes.
+//! of arrival. So two swaps in flight are ordered and registry writes need no lock. One model at a time is compiled, its
+//! stages on several threads ([`isophote_machine::Threads`]), for the milliseconds that it takes.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};

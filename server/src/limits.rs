@@ -31,6 +31,8 @@ pub struct ServiceLimits {
     pub pushed_window: usize,
     /// Frames a second.
     pub rate_hz: f64,
+    /// … and at least, where there is a rate.
+    pub rate_hz_least: f64,
     /// Pixels of a frame or window.
     pub window_pixels: usize,
     /// Sockets.
@@ -51,6 +53,8 @@ pub struct ServiceLimits {
     pub silence_time: Duration,
     /// For streams to end when the service stops.
     pub drain_time: Duration,
+    /// What a client may say of a frame's time, s: 300 years.
+    pub frame_time_s: f64,
     /// For a pushed frame's estimate.
     pub push_time: Duration,
     /// For a session's last fit, when it is stopped.
@@ -77,6 +81,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     pushed_frames: 8,
     pushed_window: 4,
     rate_hz: 10_000.0,
+    rate_hz_least: 1e-3,
     window_pixels: 16 * 1024 * 1024,
     sockets: 1024,
     header_time: Duration::from_secs(10),
@@ -87,8 +92,12 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     ping_time: Duration::from_secs(15),
     silence_time: Duration::from_secs(60),
     drain_time: Duration::from_secs(5),
-    push_time: Duration::from_secs(10),
+    frame_time_s: 1e10,
+    push_time: Duration::from_secs(20),
     fit_time: Duration::from_millis(500),
     frame_time: Duration::from_secs(15),
     swap_time: Duration::from_millis(100),
 };
+
+// Whoever pushed a frame hears what became of its fit.
+const _: () = assert!(LIMITS.frame_time.as_nanos() < LIMITS.push_time.as_nanos());

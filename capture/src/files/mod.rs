@@ -13,7 +13,7 @@ mod y4m;
 
 use std::path::Path;
 
-pub(crate) use format::{Beside, Content, Format, PageFault, Pages, Topics};
+pub(crate) use format::{Beside, Content, Format, Open, PageFault, Pages, Topics};
 
 /// All that are read.
 static FORMATS: [Format; 8] =

@@ -103,7 +103,7 @@ impl Case {
     pub fn interpreted(&self, program: &Program, precision: Precision, stage: &Stage) -> (Outcome, Vec<f32>) {
         let mut plane = self.plane.clone();
         let (bindings, planes) = (self.bindings(), Planes(stage.views()));
-        let outcome = interpreter::run(program, precision, &bindings, &planes, self.window.into(), Some(&mut plane));
+        let outcome = interpreter::run(program, precision, &bindings, &planes, self.window, Some(&mut plane));
         match program.sink() {
             Sink::Plane(_) => (Outcome::default(), plane),
             Sink::Sums { .. } => (outcome, plane),

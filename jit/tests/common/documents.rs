@@ -123,7 +123,7 @@ impl Scene {
     }
 
     fn interpreted(&self, program: &Program, precision: Precision) -> Outcome {
-        interpreter::run(program, precision, &self.bindings(), &Planes(self.image.views()), self.window.into(), None)
+        interpreter::run(program, precision, &self.bindings(), &Planes(self.image.views()), self.window, None)
     }
 }
 
@@ -141,7 +141,7 @@ enum Verdict {
 
 fn judged(objective: &Objective, lowering: Lowering, scene: &Scene, found: &Outcome) -> Verdict {
     let planes = Planes(scene.image.views());
-    let direct = |nudge| objective.direct(lowering, &scene.bindings(), &planes, scene.window.into(), nudge);
+    let direct = |nudge| objective.direct(lowering, &scene.bindings(), &planes, scene.window, nudge);
     let said = direct(0.0);
     let error = |(found, [sum, terms]): (&f64, &[f64; 2])| {
         let error = if found == sum { 0.0 } else { (found - sum).abs() / terms };
@@ -270,7 +270,7 @@ fn empty_rows(objective: &Objective, lowering: Lowering, scene: &Scene) -> u64 {
     let planes = Planes(scene.image.views());
     let is_empty = |y: &usize| {
         let row = Window { y: *y, height: 1, ..scene.window };
-        objective.direct(lowering, &scene.bindings(), &planes, row.into(), 0.0).pixels == 0
+        objective.direct(lowering, &scene.bindings(), &planes, row, 0.0).pixels == 0
     };
     (scene.window.y..scene.window.y + scene.window.height).filter(is_empty).count() as u64
 }
@@ -308,7 +308,7 @@ fn try_planes(model: &Model, scene: &Scene, random: &mut Random, tally: &mut Tal
             for (plane, precision) in filled.iter_mut().zip([precision, Precision::F64]) {
                 *plane = vec![0.0; scene.window.pixels()];
                 let planes = Planes(scene.image.views());
-                interpreter::run(&program, precision, &scene.bindings(), &planes, scene.window.into(), Some(plane));
+                interpreter::run(&program, precision, &scene.bindings(), &planes, scene.window, Some(plane));
             }
             let options = KernelOptions { formats: Vec::new(), packed: true, ..scene.options(&program, precision) };
             let kernel = Kernel::compile(&program, &options).unwrap();

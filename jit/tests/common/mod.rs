@@ -182,7 +182,7 @@ pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, windo
     let (program, precision) = (kernel.program(), kernel.options().precision);
     let native = kernel.sums(bindings, &image.views(), window).unwrap_or_else(|e| panic!("{context}: {e}"));
     let planes = Planes(image.views());
-    let expected = interpreter::run(program, precision, bindings, &planes, window.into(), None);
+    let expected = interpreter::run(program, precision, bindings, &planes, window, None);
     let context = || format!("{context}, {precision:?}, {:?}, strides {:?}, {window:?}", image.format, image.strides);
     assert_eq!(native.pixels, expected.pixels, "pixels: {}", context());
     assert_eq!(native.saturated, expected.saturated, "saturated: {}", context());

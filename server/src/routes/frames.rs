@@ -25,9 +25,6 @@ pub async fn post(
     body: Body,
 ) -> Answer {
     let Query(FrameTime { time_s }) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
-    if time_s.is_some_and(|time_s| !time_s.is_finite()) {
-        return Err(Problem::bad_request("time_s is not a finite number of seconds"));
-    }
     let pushed = Pushed::of(&*app.service.session(&raw(name)?)?)?;
     let media = match media_type(&headers).as_str() {
         "application/octet-stream" => FrameMedia::Raw,

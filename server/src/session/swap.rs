@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 use isophote_tracker::{Compiled, MotionOptions, PredictOptions, Preparing, TrackerOptions, WORK_MAX};
-use isophote_wire::{PredictDocument, SessionDocument, Window};
+use isophote_wire::{PredictDocument, SessionDocument, WindowDocument};
 use tokio::sync::oneshot;
 
 use crate::registry::ModelEntry;
@@ -85,8 +85,8 @@ pub fn options(document: &SessionDocument) -> TrackerOptions {
     }
 }
 
-fn jit_window(window: Window) -> isophote_jit::Window {
-    let Window { x, y, width, height, z, depth, w, length } = window;
+fn jit_window(window: WindowDocument) -> isophote_jit::Window {
+    let WindowDocument { x, y, width, height, z, depth, w, length } = window;
     // What is not named is all there is.
     let slices = isophote_jit::Slices {
         first: [z.unwrap_or(0), w.unwrap_or(0)],

@@ -194,7 +194,8 @@ impl Source {
     }
 
     /// A frame that a client sent.
-    pub fn push(&self, captured: Captured, reply: Reply) -> Result<(), Problem> {
+    pub fn push(&self, mut captured: Captured, reply: Reply) -> Result<(), Problem> {
+        captured.frame.capture_ns = Some(monotonic_ns());
         let mut state = self.shared.lock();
         if state.is_stopping {
             return Err(Problem::stopping());
@@ -263,8 +264,6 @@ impl Worker {
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
             drop(state);
             self.wait_for_fits(); // every pushed frame is answered
-            let mut captured = captured;
-            captured.frame.capture_ns = Some(monotonic_ns());
             self.number(captured, Some(reply));
         }
     }

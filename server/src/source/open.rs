@@ -179,12 +179,11 @@ pub fn pixel_format(format: PushedFormat) -> PixelFormat {
 }
 
 fn check_rate(rate_hz: f64, pace: Pace, prefix: &str) -> Result<(), Problem> {
-    let is_right = if pace == Pace::Fit { rate_hz >= 0.0 } else { rate_hz > 0.0 };
-    if is_right && rate_hz <= LIMITS.rate_hz {
+    let (least, most) = (LIMITS.rate_hz_least, LIMITS.rate_hz);
+    if (least..=most).contains(&rate_hz) || rate_hz == 0.0 && pace == Pace::Fit {
         return Ok(());
     }
-    let message =
-        format!("rate_hz is {rate_hz}; it must be above 0 and at most {} (0 with pace fit: no limit)", LIMITS.rate_hz);
+    let message = format!("rate_hz is {rate_hz}; it must be {least} to {most} (0 with pace fit: no limit)");
     Err(Problem::wrong_key("out-of-range", &format!("{prefix}rate_hz"), message))
 }
 

@@ -28,7 +28,7 @@ pub struct SessionDocument {
     pub start: BTreeMap<String, f64>,
     /// Pixels to look at; the whole frame when absent.
     #[serde(default)]
-    pub window: Option<Window>,
+    pub window: Option<WindowDocument>,
     /// What the camera is.
     #[serde(default)]
     pub camera: Camera,
@@ -130,7 +130,7 @@ pub struct ExposureOptions {
 /// A pixel rectangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Window {
+pub struct WindowDocument {
     /// First column, px.
     pub x: usize,
     /// First row, px.

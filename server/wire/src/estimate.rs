@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Named;
 
-/// What is not known is absent: no `session` and no times offline, no `truth` from a camera.
+/// What is not known is absent: no `session` and no `capture_ns` offline, no `truth` from a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EstimateView {
     /// The session that made it.

@@ -179,13 +179,16 @@ fn product(graph: &mut Graph, factors: &[(NodeId, i32)], jets: &FxHashMap<NodeId
         graph.product(coefficient, list)
     };
     for (i, (a, _)) in factors.iter().enumerate() {
+        if graph.overflowed() {
+            return;
+        }
         if jets[a].first.is_empty() {
             continue;
         }
         let d1 = lowered(graph, i, usize::MAX);
         form.add(graph, d1, &jets[a]);
         for (j, (b, _)) in factors.iter().enumerate().skip(i) {
-            if !jets[b].first.is_empty() {
+            if !jets[b].first.is_empty() && !graph.overflowed() {
                 let d2 = lowered(graph, i, j);
                 form.add_product(graph, d2, &jets[a], &jets[b], i == j);
             }

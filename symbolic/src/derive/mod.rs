@@ -38,7 +38,7 @@ impl Model {
     pub fn objective(&self, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         Objective::derive(self, subset, method)
     }
-    /// Gradient or Hessian in a loop of its own, to compare with the joint loop; it is not checked against the formulas.
+    /// Gradient or Hessian in a loop of its own, to compare with the joint loop; its programs are checked like any other.
     pub fn part_objective(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Objective, Diagnostics> {
         Objective::part(self, subset, method, part)
     }

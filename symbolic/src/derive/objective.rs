@@ -78,7 +78,11 @@ impl Objective {
         if let Some((program, _)) = self.proved(draft, lowering) {
             return Ok(program);
         }
-        self.plainer(lowering).ok_or_else(|| self.origin.unproved(&self.referee))
+        let budget = self.referee.model().budget();
+        self.plainer(lowering, &budget).ok_or_else(|| match budget.is_spent() {
+            true => self.origin.spent(&budget),
+            false => self.origin.unproved(&self.referee),
+        })
     }
 
     /// The loop nest before its check.
@@ -130,16 +134,16 @@ impl Objective {
         graph.reachable(&summed).into_iter().filter_map(channel).collect()
     }
 
-    /// The same sums in the plainest way that passes: other forms, and none of them contracted.
-    pub(crate) fn plainer(&self, lowering: Lowering) -> Option<Program> {
+    /// The same sums in the plainest way that passes, on the document's budget: other forms, and none of them contracted.
+    pub(crate) fn plainer(&self, lowering: Lowering, budget: &Budget) -> Option<Program> {
         let of = |objective: &Objective, lowering: Lowering| {
-            let draft = objective.draft(lowering, Budget::default()).ok()?;
+            let draft = objective.draft(lowering, budget.clone()).ok()?;
             objective.proved(draft, lowering).map(|(program, _)| program)
         };
         let forms = || {
             let Claim::Derivatives { part, .. } = self.referee.claim() else { return Vec::new() };
             let form = |form| {
-                let derived = Setting::of(&self.referee, &self.subset, Budget::default()).objective(form, part).ok()?;
+                let derived = Setting::of(&self.referee, &self.subset, budget.clone()).objective(form, part).ok()?;
                 let mut objective = Objective { referee: self.referee.clone(), ..derived };
                 if self.is_seeing {
                     objective.domain = seeing(&mut objective.graph, objective.domain, &self.channels());
@@ -224,8 +228,8 @@ impl Objective {
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
-        let points = budget::points(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
-        let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), points));
+        let room = budget::room(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
+        let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), room));
         let objective = Objective {
             referee,
             graph,
@@ -317,12 +321,8 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
 
 /// Who judges derivatives, when the document's budget has room for it.
 fn referee(model: &Model, subset: &[ParameterId], method: Method, claim: Claim) -> Result<Arc<Referee>, Diagnostics> {
-    let points = budget::points(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
-    let referee = Referee::new(subject(model, subset, claim), points);
-    if referee.is_too_large() {
-        return Err(WholeModel::of(model).growth(subset.len()));
-    }
-    Ok(Arc::new(referee))
+    let room = budget::room(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
+    Ok(Arc::new(Referee::new(subject(model, subset, claim), room)))
 }
 
 /// What is derived from, the same for every form.

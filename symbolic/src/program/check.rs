@@ -112,6 +112,7 @@ impl Program {
     pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
         let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
         let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused: false };
+        program.check()?; // what is put in order exists
         crate::program::peephole::improve(&mut program);
         program.fused = fused;
         program.check().map(|()| program)

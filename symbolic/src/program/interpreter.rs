@@ -7,6 +7,7 @@ use isophote_elementary::MAGIC;
 
 use crate::program::arithmetic::{Double, Number, Single};
 use crate::program::walk::{Place, Walk, Walked, walk};
+pub use crate::program::window::{Slices, Window};
 use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Precision, Program};
 
 /// Where pixels come from. Coordinates are those of the whole plane.
@@ -18,37 +19,6 @@ pub trait Pixels {
     fn at_place(&self, channel: usize, [x, y, ..]: [usize; 4]) -> f64 {
         self.at(channel, x, y)
     }
-}
-
-/// The third and fourth coordinate of a window: which slices of which volumes.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
-pub struct Slices {
-    /// First slice, first volume.
-    pub first: [usize; 2],
-    /// How many slices of each volume, how many volumes.
-    pub count: [usize; 2],
-}
-
-impl Slices {
-    /// The one slice of a picture.
-    pub const ONE: Slices = Slices { first: [0, 0], count: [1, 1] };
-    /// As many as there are.
-    pub const ALL: Slices = Slices { first: [0, 0], count: [usize::MAX, usize::MAX] };
-}
-
-/// A rectangle of pixels, in one slice or in several.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Window {
-    /// First column.
-    pub x: usize,
-    /// First row.
-    pub y: usize,
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Slices; more than one only for a program of more than two coordinates.
-    pub slices: Slices,
 }
 
 /// What a run hands back.

@@ -23,6 +23,7 @@ pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
 pub(crate) mod walk;
+mod window;
 
 pub use arithmetic::Comparison;
 pub(crate) use arithmetic::holds;

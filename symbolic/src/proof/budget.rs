@@ -1,7 +1,7 @@
 //! What checking a document's programs costs, counted before it is done.
 //!
 //! What comes in: the formulas, and which derivatives are to be checked. What goes out: operations on numbers, as forward
-//! differentiation does them, and how many points a document's budget ([`LIMITS`]) has room for. All stages and all summands
+//! differentiation does them, and at how many points a document's budget ([`LIMITS`]) has room to check. All stages and all summands
 //! of a document share it alike, so that the answer does not depend on which is derived first.
 
 use std::collections::BTreeSet;
@@ -10,7 +10,7 @@ use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::language::limits::LIMITS;
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
-use crate::proof::CONDITIONAL_POINTS;
+use crate::proof::{ANYWHERE, CONDITIONAL_POINTS};
 
 /// Pixels at which all is worked out once: in exact arithmetic, in f64, and over the window.
 const ONCE: usize = 18;
@@ -31,9 +31,17 @@ impl Plan {
     }
 }
 
-/// How many points of a condition's branches each program is checked at: eight, or as many, down to one, as the document's
-/// budget has room for. `None` when there is no room for one.
-pub(crate) fn points(model: &Model, subset: &[ParameterId], method: Method) -> Option<u64> {
+/// At how many points a document is checked.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Room {
+    /// Of a condition's branches, for each program: eight, or as many, down to one, as there is room for.
+    pub points: u64,
+    /// Single pixels tried where the formulas have no value about a target; once more what all else may cost.
+    pub elsewhere: u64,
+}
+
+/// What the document's budget has room for. `None` when that is not one point.
+pub(crate) fn room(model: &Model, subset: &[ParameterId], method: Method) -> Option<Room> {
     let formulas = &model.formulas;
     let mut roots: Vec<NodeId> = vec![formulas.observed, formulas.intensity];
     roots.extend(formulas.noise);
@@ -49,7 +57,9 @@ pub(crate) fn points(model: &Model, subset: &[ParameterId], method: Method) -> O
         pixel = pixel.saturating_add(at_a_pixel(graph, &reachable, &parameters, newton));
     }
     let plan = Plan { pixel: pixel.saturating_mul(model.siblings()), is_conditional };
-    (1..=CONDITIONAL_POINTS).rev().find(|points| plan.operations(*points) <= LIMITS.proof)
+    let points = (1..=CONDITIONAL_POINTS).rev().find(|points| plan.operations(*points) <= LIMITS.proof)?;
+    let elsewhere = ANYWHERE.min((LIMITS.proof / plan.pixel.max(1)) as u64);
+    Some(Room { points, elsewhere })
 }
 
 /// Operations of forward differentiation at one pixel: each operand of a node has as many derivatives as it has parameters

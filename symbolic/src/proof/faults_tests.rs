@@ -6,6 +6,7 @@
 use isophote_elementary::Function1;
 
 use crate::derive::objective::Objective;
+use crate::language::budget::Budget;
 use crate::program::interpreter::{Outcome, Pixels, Slices, Window, run};
 use crate::program::{
     AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Literal, Op, Opcode, Precision, Program,
@@ -315,7 +316,7 @@ fn plainer_sums_leave_blind_pixels_out() {
     each(|model, what| {
         let all: Vec<ParameterId> = [1, 3].map(ParameterId).to_vec();
         let objective = model.objective(&all, Method::GaussNewton).unwrap().skipping_nan();
-        let program = objective.plainer(Lowering { fma: true, drop_saturated: false }).unwrap();
+        let program = objective.plainer(Lowering { fma: true, drop_saturated: false }, &Budget::default()).unwrap();
         assert!(program.pixel_set().mask.is_some(), "{what}\n{program}");
     });
 }

@@ -99,6 +99,12 @@ pub fn all() -> Vec<Hostile> {
     let powers: Vec<(String, String)> = powers.map(|(name, text)| (name.to_string(), text.to_string())).into();
     add("an exponent beyond 32 bits", document(1, &powers, "p0*d4"), Honest);
     add("(x - p0)^900 by products", document(1, &[], "product(x - p0, i, 1, 900)"), Honest);
+    let factors = "product(product(i*x + p0*j + 1, i, 0, 63), j, 0, 63)";
+    add("a product of 4096 factors", document(3, &[], factors), Honest);
+    // Values everywhere, derivatives nowhere: the root's argument is 0 to f64.
+    let waves: Vec<String> = (0..40).map(|i| format!("p{i}*exp(-((x - {i})^2 + y^2)/(9 + p{i}^2))")).collect();
+    let rootless = format!("{} + sqrt(exp(-p0^2 - 1000))", waves.join(" + "));
+    add("derivatives that have no value anywhere", document(40, &[], &rootless), Honest);
     add("powers of 64 in 64 parameters", document(64, &[], &many_powers()), Honest);
 
     // Growth of what is worked out and derived.

@@ -71,6 +71,7 @@ impl Cold {
                 _ => None,
             })
             .collect();
+        view.spend(view.window.pixels()).ok()?;
         let mixture = Mixture::observed(model, constants);
         let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
         let grey = read(&view.planes, view.window, &view.saturation, &mixture);

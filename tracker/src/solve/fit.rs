@@ -10,6 +10,7 @@ use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
+use crate::solve::follow::{Followed, follow};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
@@ -44,6 +45,15 @@ pub(crate) struct Worth {
     pub variance_alone: DVector<f64>,
 }
 
+/// What is known of a start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Begin {
+    /// Nothing.
+    Anywhere,
+    /// It is nearly right: where a target is predicted to be.
+    Nearby,
+}
+
 /// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them; one
 /// that has met pixels that are no numbers, as files of floating point may hold, from its start without those.
 pub(crate) fn fit(
@@ -51,8 +61,15 @@ pub(crate) fn fit(
     view: &View,
     constants: &[f64],
     start: &[f64],
+    begin: Begin,
     control: Control,
 ) -> Result<Fit, CompileFailure> {
+    if begin == Begin::Nearby
+        && control != Control::Blind
+        && let Some(fit) = followed(compiled, view, constants, start)?
+    {
+        return Ok(fit);
+    }
     let fit = fit_controlled(compiled, view, constants, start, control)?;
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
         return fit_controlled(compiled, view, constants, start, Control::Blind);
@@ -75,25 +92,10 @@ fn fit_controlled(
     let parts = parts(model, view, constants, start);
     let mut fit =
         Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None, choice: None };
-    for (index, stage) in model.stages().iter().enumerate() {
-        let gradient = compiled.loops(Job::Stage(index), control, &view.layout)?;
-        let value = match value_kind(model, stage.method) {
-            ValueKind::Full => Job::Report,
-            ValueKind::Entry => Job::Value,
-        };
-        let value = compiled.loops(value, control, &view.layout)?;
-        let free = indices(compiled.order(index));
+    for index in 0..model.stages().len() {
         let passes = Passes::of(compiled, view, &parts, constants);
-        let mut problem = Summed { passes, gradient, value, curvature: curvature(stage.method) };
-        let rules = Rules {
-            free,
-            iterations: stage.iterations,
-            tolerance: stage.tolerance * tolerance_share(compiled.precision()),
-            noise: model.has_noise(),
-            precision: compiled.precision(),
-            rounding: view.rounding,
-            window_pixels: view.window.pixels() as u64,
-        };
+        let mut problem = Summed::of(passes, index, control)?;
+        let rules = rules(compiled, view, index);
         let report = stage::run(&mut problem, &rules, &mut fit.parameters);
         fit.ending = report.ending;
         fit.stages.push(report);
@@ -115,6 +117,50 @@ fn fit_controlled(
         Err(ending) => fit.ending = ending,
     }
     Ok(fit)
+}
+
+/// The short way, for models of one stage whose Hessian is the covariance's. Saturated pixels are left out or censored, as a
+/// plain fit would do when it has met them.
+fn followed(
+    compiled: &StageKernels,
+    view: &View,
+    constants: &[f64],
+    start: &[f64],
+) -> Result<Option<Fit>, CompileFailure> {
+    if compiled.model().stages().len() != 1 || !compiled.is_covariance(0) || compiled.precision() == Precision::F64 {
+        return Ok(None);
+    }
+    let control = Control::Dropping;
+    let parts = parts(compiled.model(), view, constants, start);
+    let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), 0, control)?;
+    let report = match compiled.model().has_noise() {
+        true => Some(compiled.loops(Job::Report, control, &view.layout)?),
+        false => None,
+    };
+    let mut parameters = start.to_vec();
+    let Some(Followed { report: stage, pass }) = follow(&mut problem, &rules(compiled, view, 0), &mut parameters)
+    else {
+        return Ok(None);
+    };
+    let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
+    let worth = worth.ok().filter(|worth| worth.covariance.is_some());
+    let ending = stage.ending;
+    Ok(worth.map(|worth| Fit { parameters, ending, stages: vec![stage], worth: Some(worth), choice: None }))
+}
+
+/// What a stage may do on a view.
+fn rules(compiled: &StageKernels, view: &View, index: usize) -> Rules {
+    let model = compiled.model();
+    let stage = &model.stages()[index];
+    Rules {
+        free: indices(compiled.order(index)),
+        iterations: stage.iterations,
+        tolerance: stage.tolerance * tolerance_share(compiled.precision()),
+        noise: model.has_noise(),
+        precision: compiled.precision(),
+        rounding: view.rounding,
+        window_pixels: view.window.pixels() as u64,
+    }
 }
 
 /// The windows to look at for a fit that begins at `start`.
@@ -204,15 +250,23 @@ impl<'a> Passes<'a> {
 
     /// The passes that nothing follows; `report` is there for models with noise.
     fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
+        let mut pass = Pass::of(self.compiled.last_parameters().len());
+        pass.read(self.run(covariance, end, end)?, Curvature::GaussNewton)?;
+        self.worth_of(pass, report, end, end)
+    }
+
+    /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`.
+    fn worth_of(&mut self, pass: Pass, report: Option<&Loops>, end: &[f64], entry: &[f64]) -> Result<Worth, Ending> {
         let count = self.compiled.last_parameters().len();
-        let mut pass = Pass::of(count);
-        let sums = self.run(covariance, end, end)?;
-        pass.read(sums, Curvature::GaussNewton)?;
-        let (quadratic, met, mut chi_square) = (pass.quadratic, pass.pixels + sums.saturated, sums.seen[0]);
+        let sums = &self.totals;
+        let carried = pass.quadratic.objective - sums.outputs.first().ok_or(Ending::NonFinite)?;
+        let met = pass.pixels + sums.saturated;
+        let mut chi_square = sums.seen.first().ok_or(Ending::NonFinite)? + carried;
         let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
+        let quadratic = pass.quadratic;
         let mut objective = quadratic.objective;
         if let Some(report) = report {
-            let sums = self.run(report, end, end)?;
+            let sums = self.run(report, end, entry)?;
             match (sums.outputs.as_slice(), sums.seen.as_slice()) {
                 (&[full, _], &[_, chi]) => (objective, chi_square) = (full, chi),
                 _ => return Err(Ending::NonFinite),
@@ -270,6 +324,21 @@ struct Summed<'a> {
     gradient: Loops,
     value: Loops,
     curvature: Curvature,
+}
+
+impl<'a> Summed<'a> {
+    /// Those of a stage.
+    fn of(passes: Passes<'a>, index: usize, control: Control) -> Result<Summed<'a>, CompileFailure> {
+        let (compiled, layout) = (passes.compiled, &passes.view.layout);
+        let method = compiled.model().stages()[index].method;
+        let value = match value_kind(compiled.model(), method) {
+            ValueKind::Full => Job::Report,
+            ValueKind::Entry => Job::Value,
+        };
+        let gradient = compiled.loops(Job::Stage(index), control, layout)?;
+        let value = compiled.loops(value, control, layout)?;
+        Ok(Summed { passes, gradient, value, curvature: curvature(method) })
+    }
 }
 
 impl CostFunction for Summed<'_> {

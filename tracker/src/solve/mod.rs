@@ -7,6 +7,7 @@
 pub(crate) mod alternatives;
 pub(crate) mod compiled;
 pub(crate) mod fit;
+pub(crate) mod follow;
 pub(crate) mod loops;
 pub(crate) mod prepare;
 pub(crate) mod stage;

@@ -34,17 +34,17 @@ impl Preparation {
         Preparation { compiled: compiled.clone(), layout: view.layout.clone() }
     }
 
-    /// Derives and compiles all that fits of such frames may ask for, unless somebody has. `keeps_going` is asked every few
-    /// ten milliseconds; what was compiled until it says no is kept for the next time.
+    /// Derives and compiles all that fits of such frames may ask for, unless somebody has. `keeps_going` is asked between two
+    /// models and between the kernels of two; what was compiled until it says no is kept for the next time.
     ///
     /// # Errors
-    /// When a kernel cannot be made. Trackers then go on without alternatives.
+    /// When a kernel cannot be made. From then on trackers of the model go on without alternatives.
     pub fn run(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
         let shelf = self.compiled.shelf();
         if shelf.ready(&self.layout).is_some() {
             return Ok(());
         }
-        let Some(alternatives) = shelf.get_while(&self.compiled, keeps_going)? else { return Ok(()) };
+        let Some(alternatives) = shelf.get_while(&self.compiled, keeps_going) else { return Ok(()) };
         let painted = PlaneLayout::of_format(PixelFormat::F32, self.layout.formats.len());
         let painted = PlaneLayout { packed: true, ..painted };
         for compiled in alternatives.compiled() {
@@ -52,7 +52,7 @@ impl Preparation {
                 if !keeps_going() {
                     return Ok(());
                 }
-                compiled.warm_for(layout, &[control], &InTurn)?;
+                compiled.warm_for(layout, &[control], &InTurn).inspect_err(|_| shelf.give_up())?;
             }
         }
         shelf.warmed(&self.layout);

@@ -115,7 +115,7 @@ impl Rules {
     /// By how much rounding may shift F between two passes. With ρ the largest rounding of a residual, about ρ/4 the usual
     /// one, `|Σ (r + ρ)² − Σ r²| ≈ 2 (ρ/4) √F` for random signs, and n (ρ/4)² where r vanishes; twice that; and the rounding
     /// of the sums themselves.
-    fn slack(&self, objective: f64, pixels: u64) -> f64 {
+    pub(super) fn slack(&self, objective: f64, pixels: u64) -> f64 {
         let relative = match self.precision {
             Precision::F32 => 5e-8,
             Precision::F64 => 4.0 * f64::EPSILON,
@@ -126,14 +126,14 @@ impl Rules {
         relative * objective + 4.0 * rho * objective.sqrt() + 2.0 * pixels as f64 * rho * rho
     }
 
-    fn pixels_needed(&self, first: u64) -> u64 {
+    pub(super) fn pixels_needed(&self, first: u64) -> u64 {
         let parameters = self.free.len() as u64;
         let enough = DOMAIN_PIXELS.max(2 * parameters).min(self.window_pixels.max(parameters).max(1));
         enough.max((DOMAIN_SHARE * first as f64).ceil() as u64)
     }
 
     /// χ²/ν with ν = pixels − parameters; `None` when ν ≤ 0.
-    fn reduced(&self, pass: &Pass) -> Option<f64> {
+    pub(super) fn reduced(&self, pass: &Pass) -> Option<f64> {
         let freedom = pass.pixels.checked_sub(self.free.len() as u64).filter(|&n| n > 0)?;
         Some(pass.quadratic.objective / freedom as f64)
     }

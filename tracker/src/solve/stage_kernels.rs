@@ -136,6 +136,11 @@ impl StageKernels {
         part.map_or(&[], |part| part.objective.subset())
     }
 
+    /// True when a stage sums what the covariance is made of.
+    pub(crate) fn is_covariance(&self, stage: usize) -> bool {
+        self.derived.sum_of(Job::Stage(stage)) == self.derived.sum_of(Job::Covariance)
+    }
+
     /// Free parameters of the last stage.
     pub(crate) fn last_parameters(&self) -> &[ParameterId] {
         self.model.stages().last().map_or(&[], |stage| &stage.parameters)

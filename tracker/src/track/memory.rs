@@ -26,7 +26,7 @@ const DRIFT: f64 = 1.0;
 pub(crate) struct Memory {
     /// Where the next fit starts: all parameters, those of a swapped model that have a value, or nothing.
     pub warm: Option<Vec<Option<f64>>>,
-    /// The last good parameters.
+    /// The last good parameters; NaN for those that a swapped model does not share.
     pub last: Vec<f64>,
     /// Their covariance, of the free ones of the last stage.
     pub covariance: Option<DMatrix<f64>>,
@@ -52,7 +52,7 @@ impl Memory {
         let motion = self.motion.as_ref().zip(shared.places.as_ref());
         let memory = Memory {
             warm: shared.known(self.warm.as_deref()),
-            last: shared.known(Some(&last)).and_then(|last| last.into_iter().collect()).unwrap_or_default(),
+            last: shared.known(Some(&last)).map(|last| shared.with_places(last)).unwrap_or_default(),
             covariance: self.covariance.as_ref().and_then(|covariance| shared.covariance(covariance)),
             clipped: self.clipped,
             found: self.found,
@@ -216,7 +216,7 @@ impl Memory {
         (self.warm, self.reduced, self.motion, self.rival) = (None, None, None, None);
     }
 
-    /// The last good parameters are known, all of them.
+    /// The last good parameters are known, at least those that say where it is.
     pub fn is_complete(&self) -> bool {
         !self.last.is_empty()
     }

@@ -9,6 +9,7 @@
 //!                                                                                         coast, or lose
 //! ```
 
+mod clock;
 mod coordinate;
 mod course;
 pub(crate) mod evidence;
@@ -27,6 +28,7 @@ pub(crate) mod window;
 
 use crate::options::TrackerOptions;
 use crate::solve::alternatives::StartsFrom;
+use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use memory::Memory;
@@ -95,7 +97,12 @@ impl Track {
         let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
-        let is_kept = self.is_expected(solver, look, &candidate.attempt) && self.is_near(solver, &candidate, time_s);
+        // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.
+        let is_substitute = candidate.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
+        let is_unlike = is_substitute && candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
+        let is_kept = !is_unlike
+            && self.is_expected(solver, look, &candidate.attempt)
+            && self.is_near(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
         Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
     }
@@ -110,12 +117,12 @@ impl Track {
         margin: Margin,
         control: Control,
     ) -> Result<(Vec<f64>, Attempt), CompileFailure> {
-        let attempt = solver.attempt(look, &start, control, margin)?;
+        let attempt = solver.attempt(look, &start, Begin::Nearby, control, margin)?;
         let Some(last) = self.memory.last_start().filter(|last| *last != start) else { return Ok((start, attempt)) };
         if solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, look, &attempt) {
             return Ok((start, attempt));
         }
-        let again = solver.attempt(look, &last, control, margin)?;
+        let again = solver.attempt(look, &last, Begin::Anywhere, control, margin)?;
         let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
         Ok(if rank(&again) < rank(&attempt) { (last, again) } else { (start, attempt) })
     }

@@ -43,7 +43,7 @@ impl Solver {
         }
         let view = self.view(look, self.window(look, start, margin));
         let alternatives = match self.options.alternatives {
-            Preparing::AtOnce => Some(self.compiled.shelf().get(&self.compiled)?),
+            Preparing::AtOnce => Some(self.compiled.shelf().get(&self.compiled)),
             Preparing::Beside => self.compiled.shelf().ready(&view.layout),
         };
         let Some(alternatives) = alternatives else {
@@ -67,8 +67,11 @@ impl Solver {
                 && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
                     .coincides(self, start)
         };
-        let chosen = alternatives.best(&view, &self.constants, &starts, plain, &admit)?;
-        let Some(chosen) = chosen else { return Ok(attempt) };
+        // Where an alternative's kernel cannot be made, the fit of the model itself is what there is.
+        let chosen = alternatives.best(&view, &self.constants, &starts, plain, &admit);
+        let Some(chosen) = chosen.inspect_err(|_| self.compiled.shelf().give_up()).ok().flatten() else {
+            return Ok(attempt);
+        };
         let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);
         let mut fit = chosen;
         fit.stages = stages;

@@ -7,7 +7,7 @@ use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
 use crate::sight::view::View;
-use crate::solve::fit::difference;
+use crate::solve::fit::{Begin, difference};
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
 /// The runner-up.
@@ -70,7 +70,7 @@ impl Solver {
     ) -> Result<Attempt, CompileFailure> {
         let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
         let Some(geometry) = &self.geometry else { return Ok(warm) };
-        let mut other = self.attempt(look, &rival.parameters, control, Margin::NONE)?;
+        let mut other = self.attempt(look, &rival.parameters, Begin::Nearby, control, Margin::NONE)?;
         let view = self.view(look, look.window);
         let delta = if other.is_good() { self.delta(&view, geometry, &warm, &other)? } else { None };
         if look.unfinished().is_some() {

@@ -10,6 +10,7 @@ use super::window::{Margin, shape};
 use crate::estimate::Ending;
 use crate::sight::cold::{Cold, Grain, Starts};
 use crate::solve::alternatives;
+use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
 /// Things that are fitted at most, …
@@ -125,6 +126,9 @@ impl Search {
         let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
         if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
             search.look(solver, look, given, Grain::Halved)?;
+        }
+        if look.unfinished().is_some() {
+            return Ok(search);
         }
         let is_small = size_px.is_some_and(|size| size < HALVED_PX);
         if !coarse || is_small || (search.candidates.is_empty() && size_px.is_none()) {
@@ -242,7 +246,7 @@ fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Resu
         if last_resort && best.as_ref().is_some_and(Attempt::is_good) {
             break;
         }
-        let attempt = solver.attempt(look, start, control, margin)?;
+        let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
         let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
         if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
             others.extend(best.replace(attempt));

@@ -100,6 +100,14 @@ pub(crate) fn places(model: &Model) -> impl Iterator<Item = &ParameterId> {
 }
 
 impl<'a> SharedParameters<'a> {
+    /// NaN for what is not known; empty where that is a place.
+    pub fn with_places(&self, known: Vec<Option<f64>>) -> Vec<f64> {
+        match places(self.new).all(|place| known[place.index()].is_some()) {
+            true => known.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect(),
+            false => Vec::new(),
+        }
+    }
+
     /// What is the same in both.
     pub fn of(old: &'a Compiled, new: &'a Compiled, options: &TrackerOptions) -> SharedParameters<'a> {
         let (before, after) = (old.model(), new.model());

@@ -17,7 +17,7 @@ use crate::pose::Geometry;
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
-use crate::solve::fit::{Fit, fit};
+use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::prepare::Preparation;
 use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
@@ -162,18 +162,19 @@ impl Solver {
         &self,
         look: &Look,
         start: &[f64],
+        begin: Begin,
         control: Control,
         margin: Margin,
     ) -> Result<Attempt, CompileFailure> {
         let mut window = self.window(look, start, margin);
-        let mut fitted = fit(&self.compiled, &self.view(look, window), &self.constants, start, control)?;
+        let mut fitted = fit(&self.compiled, &self.view(look, window), &self.constants, start, begin, control)?;
         for _ in 1..WINDOWS {
             if !fitted.ending.is_fit() || holds(window, self.window(look, &fitted.parameters, Margin::NONE)) {
                 break;
             }
             window = self.window(look, &fitted.parameters, margin);
             let view = self.view(look, window);
-            let again = fit(&self.compiled, &view, &self.constants, &fitted.parameters, control)?;
+            let again = fit(&self.compiled, &view, &self.constants, &fitted.parameters, Begin::Anywhere, control)?;
             let reports = again.stages.iter().zip(&fitted.stages);
             let stages = reports.map(|(report, earlier)| report.clone().after(earlier)).collect();
             fitted = Fit { stages, ..again };

@@ -17,6 +17,7 @@ use crate::options::{TrackError, TrackerOptions};
 use crate::solve::compiled::Compiled;
 use crate::solve::prepare::Preparation;
 use crate::solve::stage_kernels::CompileFailure;
+use crate::track::clock::Clock;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::shared::{Carried, SharedParameters};
@@ -29,10 +30,7 @@ pub struct Tracker {
     pub(crate) solver: Solver,
     pub(super) tracks: Vec<Track>,
     advisor: Option<Advisor>,
-    /// Of the last frame: its time and number.
-    last: Option<(f64, u64)>,
-    /// Added to what frames say of their times.
-    shift_s: f64,
+    clock: Clock,
     /// Alternatives that frames were fitted without.
     wanted: Option<Preparation>,
 }
@@ -49,7 +47,7 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, last: None, shift_s: 0.0, wanted: None })
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, clock: Clock::default(), wanted: None })
     }
 
     /// The model's kernels.
@@ -119,7 +117,7 @@ impl Tracker {
             }
             false => frame,
         };
-        let time_s = self.now(frame);
+        let time_s = self.clock.time_s(frame, self.solver.options.motion.period_s);
         let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending))).collect();
         let budget = FrameBudget::new(self.solver.options.work_max, watch);
         let look = self.solver.look(frame).map(|look| look.within(&budget));
@@ -159,25 +157,6 @@ impl Tracker {
                 estimate.exposure_advice = advisor.advise(&self.solver, look, number, estimate);
             }
         }
-    }
-
-    /// When the frame was taken: by its source's clock, else by the machine's, else by its number; never before the last one.
-    fn now(&mut self, frame: &Frame) -> f64 {
-        let period_s = self.solver.options.motion.period_s;
-        let told = frame.time_s.or(frame.capture_ns.map(|ns| ns as f64 * 1e-9));
-        let time_s = match (told, self.last) {
-            (Some(told), None) => told,
-            (Some(told), Some((last_s, _))) if told + self.shift_s > last_s => told + self.shift_s,
-            // A clock that stood still, or begins anew: what comes after goes on from here.
-            (Some(told), Some((last_s, _))) => {
-                self.shift_s = last_s + period_s - told;
-                last_s + period_s
-            }
-            (None, None) => frame.sequence as f64 * period_s,
-            (None, Some((last_s, number))) => last_s + frame.sequence.saturating_sub(number).max(1) as f64 * period_s,
-        };
-        self.last = Some((time_s, frame.sequence));
-        time_s
     }
 
     /// Follows all, then searches for those that are not where they should be.

@@ -7,6 +7,7 @@ use isophote_symbolic::ParameterId;
 use super::starts::{self, Offset};
 use crate::options::{TrackError, TrackerOptions};
 use crate::solve::compiled::Compiled;
+use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
@@ -122,6 +123,6 @@ impl Bench {
     fn attempt(&self, look: &Look, start: &[f64], control: Control, doubt_px: f64) -> Result<Attempt, CompileFailure> {
         // As for a target that is followed, with the start's own doubt in the place of the prediction's.
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX + doubt_px.min(MARGIN_PX_MAX));
-        self.solver.attempt(look, start, control, margin)
+        self.solver.attempt(look, start, Begin::Anywhere, control, margin)
     }
 }

@@ -45,8 +45,12 @@ impl Elaborator<'_> {
             };
             map.insert(*id, new);
         }
+        // What may have no value.
         let parts = |nodes: &[NodeId]| {
-            let is_part = |n: &&NodeId| !matches!(self.graph.node(**n), Node::Sum(..) | Node::Number(_));
+            let is_part = |n: &&NodeId| match self.graph.node(**n) {
+                Node::Product(factors) => factors.iter().any(|(_, exponent)| *exponent < 0),
+                node => matches!(node, Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..)),
+            };
             nodes.iter().filter(is_part).count()
         };
         let left = self.graph.reachable(&[map[&side]]);

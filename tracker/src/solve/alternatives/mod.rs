@@ -23,7 +23,7 @@ use self::residuals::{Over, Predictions};
 pub(crate) use self::shelf::Shelf;
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
-use crate::solve::fit::{Fit, fit};
+use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 
@@ -84,46 +84,40 @@ struct Explained {
 }
 
 impl Alternatives {
-    /// Derives them; kernels follow when they are needed. Empty for a model without noise or not of two coordinates; `None`
-    /// when `keeps_going`, asked before each of them, says no.
+    /// Derives them; kernels follow when they are needed. Empty for a model without noise or not of two coordinates; one that
+    /// cannot be made, which may be more than a model may have, is one fewer. `None` when `keeps_going`, asked before each of
+    /// them, says no.
     pub fn new(
         compiled: &StageKernels,
         cache: &Arc<KernelCache>,
         keeps_going: &dyn Fn() -> bool,
-    ) -> Result<Option<Alternatives>, CompileFailure> {
+    ) -> Option<Alternatives> {
         let model = compiled.model();
         let mut alternatives = Alternatives { own: None, grounds: Vec::new() };
         if !model.has_noise() || model.coordinates().len() != 2 {
-            return Ok(Some(alternatives));
+            return Some(alternatives);
         }
         let precision = compiled.precision();
-        let predicted = |compiled: Arc<StageKernels>| -> Result<Option<Variation>, CompileFailure> {
-            let predictions = Predictions::new(compiled.model(), precision, cache)?;
-            Ok(predictions.map(|predictions| Variation { compiled, predictions }))
-        };
-        let variant = |variant| -> Result<Option<Variation>, CompileFailure> {
+        let variant = |variant| -> Option<Variation> {
             let model = Arc::new(model.variant(variant));
-            match StageKernels::new(model, precision, cache.clone(), &InTurn) {
-                Ok(compiled) => predicted(Arc::new(compiled)),
-                // More than a model may have: there is one alternative fewer.
-                Err(CompileFailure::Model(_)) => Ok(None),
-                Err(failure) => Err(failure),
-            }
+            let compiled = Arc::new(StageKernels::new(model, precision, cache.clone(), &InTurn).ok()?);
+            let predictions = Predictions::new(compiled.model(), precision, cache).ok()??;
+            Some(Variation { compiled, predictions })
         };
         let plain = Variant { degree: 0, loss: Loss::Squares, saturated: Saturated::Censored, reach: REACH };
         let robust = Variant { loss: Loss::Tukey(OUTLIER), saturated: Saturated::Dropped, ..plain };
         if !keeps_going() {
-            return Ok(None);
+            return None;
         }
-        alternatives.own = variant(plain)?;
+        alternatives.own = variant(plain);
         for degree in DEGREES {
             if !keeps_going() {
-                return Ok(None);
+                return None;
             }
-            let (plain, robust) = (variant(Variant { degree, ..plain })?, variant(Variant { degree, ..robust })?);
+            let (plain, robust) = (variant(Variant { degree, ..plain }), variant(Variant { degree, ..robust }));
             alternatives.grounds.extend(plain.zip(robust).map(|(plain, robust)| Ground { degree, plain, robust }));
         }
-        Ok(Some(alternatives))
+        Some(alternatives)
     }
 
     /// The kernels of each.
@@ -251,7 +245,7 @@ impl Variation {
             };
             let scale = scales[round.min(scales.len() - 1)];
             let constants = constants_for(self.compiled.model(), constants, view, scale);
-            let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
+            let fitted = fit(&self.compiled, view, &constants, &parameters, Begin::Anywhere, control)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64)
             {
                 return Ok(None);

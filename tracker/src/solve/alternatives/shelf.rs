@@ -3,56 +3,53 @@
 //! What comes in: the model's kernels. What goes out: its alternatives, or that there are none yet. It never knows who prepares
 //! them.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::Alternatives;
 use crate::sight::view::PlaneLayout;
-use crate::solve::stage_kernels::{CompileFailure, StageKernels};
+use crate::solve::stage_kernels::StageKernels;
 
 /// A model's alternatives, as soon as there are any.
 #[derive(Default)]
 pub(crate) struct Shelf {
-    alternatives: OnceLock<Result<Arc<Alternatives>, CompileFailure>>,
+    alternatives: OnceLock<Arc<Alternatives>>,
     /// Those that all kernels are there for.
     layouts: Mutex<Vec<PlaneLayout>>,
+    /// A kernel could not be made: fits go on without alternatives.
+    is_given_up: AtomicBool,
 }
 
 impl Shelf {
     /// The alternatives, derived now if need be.
-    ///
-    /// # Errors
-    /// When they cannot be derived.
-    pub fn get(&self, kernels: &StageKernels) -> Result<Arc<Alternatives>, CompileFailure> {
-        Ok(self.get_while(kernels, &|| true)?.unwrap_or_default())
+    pub fn get(&self, kernels: &StageKernels) -> Arc<Alternatives> {
+        self.get_while(kernels, &|| true).unwrap_or_default()
     }
 
     /// The same; `None` when `keeps_going` says no before they are derived.
-    ///
-    /// # Errors
-    /// When they cannot be derived, now or before.
-    pub fn get_while(
-        &self,
-        kernels: &StageKernels,
-        keeps_going: &dyn Fn() -> bool,
-    ) -> Result<Option<Arc<Alternatives>>, CompileFailure> {
-        if let Some(known) = self.alternatives.get() {
-            return known.clone().map(Some);
+    pub fn get_while(&self, kernels: &StageKernels, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Alternatives>> {
+        if self.is_given_up.load(Ordering::Relaxed) {
+            return Some(Arc::default());
         }
-        let derived = match Alternatives::new(kernels, kernels.cache(), keeps_going) {
-            Ok(None) => return Ok(None),
-            Ok(Some(alternatives)) => Ok(Arc::new(alternatives)),
-            Err(failure) => Err(failure),
-        };
+        if let Some(known) = self.alternatives.get() {
+            return Some(known.clone());
+        }
+        let derived = Arc::new(Alternatives::new(kernels, kernels.cache(), keeps_going)?);
         // Two who derive the same at a time derive it twice: nobody waits for another. The first one's are kept.
-        self.alternatives.get_or_init(|| derived).clone().map(Some)
+        Some(self.alternatives.get_or_init(|| derived).clone())
     }
 
-    /// Those that a fit of such pixels need not wait for; empty ones where they could not be derived.
+    /// Those that a fit of such pixels need not wait for; empty ones where they were given up.
     pub fn ready(&self, layout: &PlaneLayout) -> Option<Arc<Alternatives>> {
-        match self.alternatives.get()? {
-            Ok(alternatives) => self.is_warm(layout).then(|| alternatives.clone()),
-            Err(_) => Some(Arc::default()),
+        if self.is_given_up.load(Ordering::Relaxed) {
+            return Some(Arc::default());
         }
+        self.alternatives.get().filter(|_| self.is_warm(layout)).cloned()
+    }
+
+    /// There are none from now on.
+    pub fn give_up(&self) {
+        self.is_given_up.store(true, Ordering::Relaxed);
     }
 
     fn is_warm(&self, layout: &PlaneLayout) -> bool {
