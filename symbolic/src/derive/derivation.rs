@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rustc_hash::{FxHashMap, FxHashSet};
+use smallvec::SmallVec;
 
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
@@ -17,7 +18,7 @@ use crate::derive::sums::{Output, Sums, Term};
 use crate::language::graph::{Graph, Mark, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
-use crate::program::Cost;
+use crate::program::Weight;
 use crate::proof::claim::Part;
 use crate::proof::hyper::Order;
 use crate::proof::likelihood::Shape;
@@ -120,7 +121,7 @@ impl Derivation {
         for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
             for (j, v) in target.parameters.iter().enumerate().skip(i) {
                 graph.charge(slopes[i].len() * slopes[j].len());
-                let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
+                let mut products: BTreeMap<usize, SmallVec<[(NodeId, f64); 4]>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {
                     for (m, m_v) in &slopes[j] {
                         if let Some(form) = quadratic.get(&pair(*l, *m)) {
@@ -185,8 +186,9 @@ impl Derivation {
         parts
     }
 
-    /// What the pixel loop of a layout costs, F left out; terms that cancel between forms are counted.
-    pub fn pixel_cost(&mut self, layout: &Layout, lowering: Lowering) -> Option<Cost> {
+    /// What the pixel loop of a layout is taken to cost, F left out, where that is below another's; terms that cancel between
+    /// forms are counted.
+    pub fn pixel_weight(&mut self, layout: &Layout, lowering: Lowering, below: Weight) -> Option<Weight> {
         let parts = self.parts(layout);
         let (mut seen, mut distinct) = (FxHashSet::default(), FxHashSet::default());
         let (mut pixels, mut nodes) = (Vec::new(), Vec::new());
@@ -203,8 +205,7 @@ impl Derivation {
                 nodes.extend(found.filter(|node| distinct.insert(*node)));
             }
         }
-        let cost = schedule::pixel_cost(graph, &nodes, lowering);
-        (!graph.overflowed()).then_some(cost)
+        schedule::pixel_weight(graph, &nodes, lowering, below).filter(|_| !graph.overflowed())
     }
 
     /// One sum for every output, nothing taken apart; the first is F.

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeSet;
 
-use isophote_elementary::Function1;
+use isophote_elementary::{Function1, Modular};
 
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers, gather};
 use crate::derive::jet::jet;
@@ -23,9 +23,8 @@ use crate::program::{
     AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,
     Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
-use crate::proof::evaluate::{Sample, evaluate_at};
+use crate::proof::evaluate::{Loops, Sample, evaluate_at};
 use crate::proof::hyper::{Order, Values};
-use crate::proof::modular::Modular;
 use crate::proof::points::Random;
 
 /// A number for everything that is read, the same for graph and program.
@@ -52,7 +51,7 @@ fn sample(program: &Program) -> Sample<'static, Modular> {
 
 fn outputs(program: &Program) -> Vec<Modular> {
     assert_eq!(program.check(), Ok(()), "{program}");
-    evaluate_at(program, &sample(program)).outputs
+    evaluate_at(&Loops::of(program), &sample(program)).outputs
 }
 
 fn values(graph: &Graph, roots: &[NodeId]) -> Vec<Modular> {
