@@ -44,7 +44,7 @@ pub struct Objective {
     /// Outputs that are F itself: left out of the cost.
     values: usize,
     subset: Vec<ParameterId>,
-    names: crate::program::Names,
+    names: Arc<crate::program::Names>,
     domain: Option<NodeId>,
     /// Pixels that are no number take no part.
     is_seeing: bool,
@@ -236,7 +236,7 @@ impl Objective {
             }
             (ValueKind::Full, _) => vec![Output { name: "F".into(), ..chi_square.clone() }, chi_square],
         };
-        let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());
+        let names = model.names(outputs.iter().map(|o| o.name.clone()).collect()).into();
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
@@ -387,7 +387,7 @@ impl<'a> Setting<'a> {
         let origin = WholeModel::of(model);
         let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
         Ok(Objective {
-            names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
+            names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()).into(),
             sums,
             values: 1,
             referee: (*referee).clone(),

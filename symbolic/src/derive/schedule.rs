@@ -1,6 +1,8 @@
 //! Expressions in, a [`Program`] out: operations are chosen (Horner, shared powers, one reciprocal a denominator), placed at
 //! the outermost level of the loop nest that knows their operands, and contracted to FMA where the lowering allows.
 
+use std::sync::Arc;
+
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::domain;
@@ -23,7 +25,13 @@ const COST: usize = 2;
 const ROOM: usize = 224;
 
 /// The loop nest for sums over the pixels of `domain`.
-pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lowering: Lowering, names: Names) -> Draft {
+pub(crate) fn sums(
+    graph: &mut Graph,
+    sums: &Sums,
+    domain: Option<NodeId>,
+    lowering: Lowering,
+    names: Arc<Names>,
+) -> Draft {
     let mut builder = Builder::new(graph);
     let pixels = sums.summed(builder.graph);
     builder.wanted.extend(pixels.iter().copied());
@@ -104,11 +112,11 @@ pub(crate) fn pixel_weight(graph: &mut Graph, pixels: &[NodeId], lowering: Lower
     }
     let sink = Sink::Sums { accumulators, totals: Vec::new(), outputs: Vec::new() };
     builder.graph.charge(COST * builder.instructions.len());
-    builder.finish(PixelSet::default(), sink, lowering, Names::default()).weight(below)
+    builder.finish(PixelSet::default(), sink, lowering, Default::default()).weight(below)
 }
 
 /// The loop nest that adds `value` to a plane.
-pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Draft {
+pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Arc<Names>) -> Draft {
     let mut builder = Builder::new(graph);
     let value = builder.pixel_value(value);
     Draft::new(builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names))
@@ -266,7 +274,7 @@ impl<'g> Builder<'g> {
         self.emit(op)
     }
 
-    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Program {
+    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Arc<Names>) -> Program {
         let mut program = Program {
             coordinates: names.coordinates.len() as u32,
             channels: names.channels.len() as u32,

@@ -31,6 +31,8 @@ pub(crate) use ids::id;
 pub use ids::{AccumulatorId, ChannelId, ConstantId, CoordinateId, InputId, ParameterId, TotalId, Value};
 pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
 
+use std::sync::Arc;
+
 use crate::language::diagnostic::Span;
 
 /// What a program reads besides pixels. All are f64.
@@ -106,7 +108,7 @@ pub struct Program {
     pub(crate) instructions: Vec<Instruction>,
     pub(crate) pixel_set: PixelSet,
     pub(crate) sink: Sink,
-    pub(crate) names: Names,
+    pub(crate) names: Arc<Names>,
     pub(crate) fused: bool,
 }
 

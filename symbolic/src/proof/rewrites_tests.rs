@@ -74,7 +74,7 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
         instructions,
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators, totals, outputs },
-        names: Names::default(),
+        names: Default::default(),
         fused: false,
     }
 }
@@ -309,7 +309,8 @@ fn instructions_are_what_the_formulas_are() {
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };
             let program =
-                schedule::sums(&mut graph, &sums, None, Lowering { fma, drop_saturated: false }, names).unproved();
+                schedule::sums(&mut graph, &sums, None, Lowering { fma, drop_saturated: false }, names.into())
+                    .unproved();
             assert_eq!(outputs(&program), expected, "seed {seed}, contracting {fma}\n{program:?}");
         }
     }
@@ -354,8 +355,8 @@ fn completed_squares_have_the_same_sums() {
             let mut graph = graph.clone();
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };
-            let program =
-                schedule::sums(&mut graph, sums, None, Lowering { fma, drop_saturated: false }, names).unproved();
+            let program = schedule::sums(&mut graph, sums, None, Lowering { fma, drop_saturated: false }, names.into())
+                .unproved();
             outputs(&program)
         };
         let expected = outputs_of(&before, false);
