@@ -3,7 +3,8 @@
 //! What comes in: an f64, or a vector of them, and how exact the result must be. What goes out: the function's value,
 //! within 2 units in the last place of f64, or, where the caller rounds it to f32, of f32. Each function is written once,
 //! over a [`Machine`]: [`Plain`] evaluates it (that is its meaning), the JIT turns it into vector instructions, a
-//! [`Counter`] says how many. [`DoubleDouble`] and [`ulps`] say how far a value is from the exact one.
+//! [`Counter`] says how many. [`DoubleDouble`] and [`ulps`] say how far a value is from the exact one, [`Modular`] whether two
+//! formulas are the same; a [`Number`] is any arithmetic to work formulas out in.
 //! It must never know: programs, lanes, the compiler.
 
 #![forbid(unsafe_code)]
@@ -20,6 +21,8 @@ mod inverse;
 mod large;
 mod logarithm;
 mod machine;
+mod modular;
+mod number;
 mod plain;
 mod power;
 mod tail;
@@ -33,6 +36,8 @@ pub use counter::Counter;
 pub use double_double::DoubleDouble;
 pub use function::{Function1, Function2};
 pub use machine::{Accuracy, Machine};
+pub use modular::Modular;
+pub use number::Number;
 pub use plain::Plain;
 
 /// The value of a function of one argument.

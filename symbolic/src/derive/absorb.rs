@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use crate::derive::jet::Jet;
+use crate::derive::monomial::Powers;
 use crate::language::graph::{Bits, Graph, Node, NodeId, content};
 use crate::program::Level;
 
@@ -47,8 +48,9 @@ pub(crate) fn absorb(
         scales.clear();
     }
     let mut kept = BTreeSet::new();
-    let mut map = FxHashMap::default();
-    for id in graph.reachable(&roots) {
+    let reachable = graph.reachable(&roots);
+    let mut map = FxHashMap::with_capacity_and_hasher(reachable.len(), FxBuildHasher);
+    for id in reachable {
         let span = graph.span(id);
         graph.set_span(span);
         let new = match graph.node(id).clone() {
@@ -165,8 +167,9 @@ pub(crate) fn shared_factor(graph: &Graph, terms: &[(NodeId, Bits)], level: Leve
 pub(crate) fn absorb_numbers(graph: &mut Graph, roots: &mut [NodeId]) {
     let counts = graph.use_counts(roots);
     let lone = |n: NodeId| counts.get(n.index()) == Some(&1);
-    let mut map = FxHashMap::default();
-    for id in graph.reachable(roots) {
+    let reachable = graph.reachable(roots);
+    let mut map = FxHashMap::with_capacity_and_hasher(reachable.len(), FxBuildHasher);
+    for id in reachable {
         let span = graph.span(id);
         graph.set_span(span);
         let new = match graph.node(id).clone() {
@@ -234,7 +237,7 @@ fn absorbed(
     map: &FxHashMap<NodeId, NodeId>,
     lone: &dyn Fn(NodeId) -> bool,
 ) -> Option<NodeId> {
-    let (pixel, invariant): (Vec<_>, Vec<_>) =
+    let (pixel, invariant): (Powers, Powers) =
         factors.iter().copied().partition(|(n, _)| graph.level(*n) == Level::Pixel);
     let [(sum, 1)] = pixel[..] else { return None };
     let inner = map.get(&sum).copied().unwrap_or(sum);
@@ -242,7 +245,7 @@ fn absorbed(
     if invariant.is_empty() || !lone(sum) || !free_to_scale(graph, &terms, false) {
         return None;
     }
-    let scale: Vec<_> = invariant.iter().map(|(n, e)| (map.get(n).copied().unwrap_or(*n), *e)).collect();
+    let scale: Powers = invariant.iter().map(|(n, e)| (map.get(n).copied().unwrap_or(*n), *e)).collect();
     Some(distributed(graph, &scale, constant, &terms))
 }
 
@@ -262,11 +265,11 @@ fn distributed(graph: &mut Graph, scale: &[(NodeId, i32)], constant: Bits, terms
 }
 
 /// For sums that others use without a factor: the positive invariant factors that some product gives them.
-fn scales(graph: &Graph, roots: &[NodeId], lone: &dyn Fn(NodeId) -> bool) -> FxHashMap<NodeId, Vec<(NodeId, i32)>> {
+fn scales(graph: &Graph, roots: &[NodeId], lone: &dyn Fn(NodeId) -> bool) -> FxHashMap<NodeId, Powers> {
     let mut scales = FxHashMap::default();
     for id in graph.reachable(roots) {
         let Node::Product(factors) = graph.node(id) else { continue };
-        let (pixel, scale): (Vec<_>, Vec<_>) =
+        let (pixel, scale): (Powers, Powers) =
             factors.iter().copied().partition(|(n, _)| graph.level(*n) == Level::Pixel);
         let ([(sum, 1)], false) = (&pixel[..], scale.is_empty()) else { continue };
         let Node::Sum(_, terms) = graph.node(*sum) else { continue };

@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rustc_hash::{FxHashMap, FxHashSet};
+use smallvec::{SmallVec, smallvec};
 
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
@@ -17,7 +18,7 @@ use crate::derive::sums::{Output, Sums, Term};
 use crate::language::graph::{Graph, Mark, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
-use crate::program::Cost;
+use crate::program::Weight;
 use crate::proof::claim::Part;
 use crate::proof::hyper::Order;
 use crate::proof::likelihood::Shape;
@@ -59,8 +60,17 @@ pub(crate) struct Layout {
 /// An output: Σ form · factor.
 #[derive(Clone, Debug)]
 struct Entry {
-    name: String,
+    /// The parameters that F is differentiated by.
+    by: SmallVec<[usize; 2]>,
     uses: Vec<(usize, NodeId)>,
+}
+
+/// What a derivative is called.
+fn name_of(names: &[String], by: &[usize]) -> String {
+    match by {
+        [i, j] => format!("d2F/d{}d{}", names[*i], names[*j]),
+        _ => by.iter().map(|i| format!("dF/d{}", names[*i])).collect(),
+    }
 }
 
 /// The derivatives over cuts; see the module's text.
@@ -71,6 +81,8 @@ pub(crate) struct Derivation {
     /// A factor could change sides, see [`absorb`].
     pub is_unifiable: bool,
     value: NodeId,
+    /// Of the parameters.
+    names: Vec<String>,
     entries: Vec<Entry>,
     /// Factors as polynomials, multiplied out (`true`) or whole.
     factors: FxHashMap<(NodeId, bool), Polynomial>,
@@ -106,9 +118,9 @@ impl Derivation {
         let first: Vec<_> = form.first.iter().map(|(l, n)| (*l, place(*n, "L"))).collect();
         let quadratic: FxHashMap<_, _> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q"))).collect();
         let mut entries = Vec::new();
-        for (u, name) in target.parameters.iter().zip(target.names).filter(|_| target.part.has_gradient()) {
+        for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_gradient()) {
             let uses = first.iter().filter_map(|(l, form)| Some((*form, *totals[l].first.get(u)?))).collect();
-            entries.push(Entry { name: format!("dF/d{name}"), uses });
+            entries.push(Entry { by: smallvec![i], uses });
         }
         // For every parameter the variables that depend on it, with l_u.
         let mut variables: Vec<(NodeId, &Jet)> = totals.iter().map(|(l, jet)| (*l, jet)).collect();
@@ -120,7 +132,7 @@ impl Derivation {
         for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
             for (j, v) in target.parameters.iter().enumerate().skip(i) {
                 graph.charge(slopes[i].len() * slopes[j].len());
-                let mut products: BTreeMap<usize, Vec<(NodeId, f64)>> = BTreeMap::new();
+                let mut products: BTreeMap<usize, SmallVec<[(NodeId, f64); 4]>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {
                     for (m, m_v) in &slopes[j] {
                         if let Some(form) = quadratic.get(&pair(*l, *m)) {
@@ -138,13 +150,21 @@ impl Derivation {
                 for (l, form) in first.iter().filter(|_| target.order == Order::Second) {
                     uses.extend(totals[l].second.get(&pair(*u, *v)).map(|l_uv| (*form, *l_uv)));
                 }
-                entries.push(Entry { name: format!("d2F/d{}d{}", target.names[i], target.names[j]), uses });
+                entries.push(Entry { by: smallvec![i, j], uses });
                 if graph.overflowed() {
                     return None;
                 }
             }
         }
-        Some(Derivation { graph, forms, is_unifiable, value, entries, factors: FxHashMap::default() })
+        Some(Derivation {
+            graph,
+            forms,
+            is_unifiable,
+            value,
+            names: target.names.to_vec(),
+            entries,
+            factors: FxHashMap::default(),
+        })
     }
 
     /// Takes back what was tried since, and leaves what `layout` needs.
@@ -185,8 +205,9 @@ impl Derivation {
         parts
     }
 
-    /// What the pixel loop of a layout costs, F left out; terms that cancel between forms are counted.
-    pub fn pixel_cost(&mut self, layout: &Layout, lowering: Lowering) -> Option<Cost> {
+    /// What the pixel loop of a layout is taken to cost, F left out, where that is below another's; terms that cancel between
+    /// forms are counted.
+    pub fn pixel_weight(&mut self, layout: &Layout, lowering: Lowering, below: Weight) -> Option<Weight> {
         let parts = self.parts(layout);
         let (mut seen, mut distinct) = (FxHashSet::default(), FxHashSet::default());
         let (mut pixels, mut nodes) = (Vec::new(), Vec::new());
@@ -203,19 +224,18 @@ impl Derivation {
                 nodes.extend(found.filter(|node| distinct.insert(*node)));
             }
         }
-        let cost = schedule::pixel_cost(graph, &nodes, lowering);
-        (!graph.overflowed()).then_some(cost)
+        schedule::pixel_weight(graph, &nodes, lowering, below).filter(|_| !graph.overflowed())
     }
 
     /// One sum for every output, nothing taken apart; the first is F.
     pub fn unfactored(&mut self) -> Option<Sums> {
         let graph = &mut self.graph;
         let mut outputs = vec![whole_output(graph, "F", self.value)];
-        for Entry { name, uses } in &self.entries {
+        for Entry { by, uses } in &self.entries {
             let terms: Vec<_> =
                 uses.iter().map(|(form, factor)| (graph.mul(self.forms[*form].1, *factor), 1.0)).collect();
             let node = graph.sum(0.0, terms);
-            outputs.push(whole_output(graph, name, node));
+            outputs.push(whole_output(graph, &name_of(&self.names, by), node));
         }
         (!graph.overflowed()).then_some(Sums { outputs, shift: None })
     }
@@ -224,13 +244,13 @@ impl Derivation {
     pub fn sums(&mut self, layout: &Layout) -> Option<Sums> {
         let parts = self.parts(layout);
         let mut outputs = vec![whole_output(&mut self.graph, "F", self.value)];
-        for Entry { name, uses } in &self.entries {
+        for Entry { by, uses } in &self.entries {
             let mut total = Polynomial::default();
             for (form, factor) in uses {
                 let part = parts[*form].times(&mut self.graph, &self.factors[&(*factor, layout.expand)])?;
                 total.add(&mut self.graph, &part);
             }
-            outputs.push(Output { name: name.clone(), terms: total.into_terms(&mut self.graph) });
+            outputs.push(Output { name: name_of(&self.names, by), terms: total.into_terms(&mut self.graph) });
         }
         (!self.graph.overflowed()).then_some(Sums { outputs, shift: None })
     }

@@ -7,7 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use isophote_elementary::{Function1, Function2};
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxBuildHasher, FxHashMap};
+use smallvec::SmallVec;
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
 use crate::program::Comparison;
@@ -27,11 +28,14 @@ pub(crate) fn pair(a: NodeId, b: NodeId) -> (NodeId, NodeId) {
 /// Units of work that an entry takes besides its node.
 const ENTRY: usize = 2;
 
+/// Weighted entries, mostly few.
+type Terms = SmallVec<[(NodeId, f64); 3]>;
+
 /// Sums of weighted entries, collected before they become nodes.
 #[derive(Default)]
 struct Form {
-    first: BTreeMap<NodeId, Vec<(NodeId, f64)>>,
-    second: BTreeMap<(NodeId, NodeId), Vec<(NodeId, f64)>>,
+    first: BTreeMap<NodeId, Terms>,
+    second: BTreeMap<(NodeId, NodeId), Terms>,
 }
 
 impl Form {
@@ -87,8 +91,8 @@ impl Form {
 
 /// The jet of `root` over `variables`; a variable below another is not seen through it. `root` itself may be a variable.
 pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>, order: Order) -> Jet {
-    let mut jets: FxHashMap<NodeId, Jet> = FxHashMap::default();
     let segment = segment(graph, root, variables);
+    let mut jets: FxHashMap<NodeId, Jet> = FxHashMap::with_capacity_and_hasher(segment.len(), FxBuildHasher);
     graph.charge(ENTRY * segment.len());
     for id in segment {
         let jet = if id != root && variables.contains(&id) {
@@ -125,10 +129,10 @@ fn segment(graph: &Graph, root: NodeId, variables: &BTreeSet<NodeId>) -> BTreeSe
 }
 
 fn step(graph: &mut Graph, id: NodeId, jets: &FxHashMap<NodeId, Jet>) -> Jet {
-    let node = graph.node(id).clone();
-    if operands(&node).all(|n| jets[&n].first.is_empty()) {
+    if operands(graph.node(id)).all(|n| jets[&n].first.is_empty()) {
         return Jet::default();
     }
+    let node = graph.node(id).clone();
     let mut form = Form::default();
     match &node {
         Node::Sum(_, terms) => {

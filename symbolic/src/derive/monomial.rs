@@ -51,6 +51,7 @@ impl Polynomial {
     }
 
     pub fn add(&mut self, graph: &mut Graph, other: &Polynomial) {
+        self.terms.reserve(other.terms.len());
         other.terms.iter().for_each(|(monomial, coefficient)| self.add_term(graph, monomial.clone(), *coefficient));
     }
 
@@ -75,7 +76,7 @@ impl Polynomial {
 
     /// The product, or nothing when it has too many terms.
     pub fn times(&self, graph: &mut Graph, other: &Polynomial) -> Option<Polynomial> {
-        let mut product = Polynomial::default();
+        let mut product = Polynomial { terms: Vec::with_capacity(self.terms.len().max(other.terms.len())) };
         if self.terms.len() * other.terms.len() > 4 * TERMS {
             return None;
         }

@@ -6,7 +6,7 @@
 //! l_u and l_uv are expanded into pixel and row monomials, so that a few accumulators, each L or Q times a monomial, serve
 //! every entry. Gauss–Newton keeps Σ Q_lm l_u l_v with Q from ∂²F/∂r² alone.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use crate::derive::absorb::{Scaling, gather};
 use crate::derive::derivation::{Cuts, Derivation, Target};
@@ -26,7 +26,8 @@ use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
 use crate::proof::hyper::Order;
-use crate::proof::referee::{Referee, Subject};
+use crate::proof::referee::Referee;
+use crate::proof::subject::Subject;
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
 
 /// Units of work that it takes to lower an operation of a formula.
@@ -43,13 +44,13 @@ pub struct Objective {
     /// Outputs that are F itself: left out of the cost.
     values: usize,
     subset: Vec<ParameterId>,
-    names: crate::program::Names,
+    names: Arc<crate::program::Names>,
     domain: Option<NodeId>,
     /// Pixels that are no number take no part.
     is_seeing: bool,
     proof: Option<Proof>,
     /// The program that was proved first: that of [`CHECKED`].
-    checked: Option<Program>,
+    checked: OnceLock<Program>,
     /// What its programs are held against.
     referee: Arc<Referee>,
     origin: WholeModel,
@@ -71,9 +72,30 @@ impl Objective {
     /// # Errors
     /// When it is too long; when no form passes, which is a bug.
     pub fn program(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
-        if let (CHECKED, Some(program)) = (lowering, &self.checked) {
-            return Ok(program.clone());
+        if lowering.fma == CHECKED.fma {
+            let passed = self.passed()?;
+            if !lowering.drop_saturated {
+                return Ok(passed.clone());
+            }
+            let dropped = self.dropped(lowering);
+            let draft = self.origin.checked(&self.graph, Draft::new(passed.without_saturated(&dropped)))?;
+            if let Some(program) = self.referee.proved_alike(draft, &dropped, passed) {
+                return Ok(program);
+            }
         }
+        self.lowered(lowering)
+    }
+
+    /// The program of [`CHECKED`], proved once.
+    fn passed(&self) -> Result<&Program, Diagnostics> {
+        if let Some(program) = self.checked.get() {
+            return Ok(program);
+        }
+        let program = self.lowered(CHECKED)?;
+        Ok(self.checked.get_or_init(|| program))
+    }
+
+    fn lowered(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
         let draft = self.draft(lowering, Budget::default())?;
         if let Some((program, _)) = self.proved(draft, lowering) {
             return Ok(program);
@@ -125,13 +147,7 @@ impl Objective {
 
     /// Channels that the sums read.
     pub(crate) fn channels(&self) -> Vec<ChannelId> {
-        let mut graph = self.graph.drawing_on(Budget::default());
-        let summed = self.sums.summed(&mut graph);
-        let channel = |id: NodeId| match graph.node(id) {
-            Node::Channel(channel) => Some(*channel),
-            _ => None,
-        };
-        graph.reachable(&summed).into_iter().filter_map(channel).collect()
+        self.graph.channels(&self.sums.pixels())
     }
 
     /// The same sums in the plainest way that passes, on the document's budget: other forms, and none of them contracted.
@@ -165,7 +181,7 @@ impl Objective {
         let mut budget = self.graph.budget().clone();
         self.graph.draw_on(Budget::default());
         budget.charge(work);
-        let instructions = self.checked.as_ref().map_or(0, |program| program.instructions().len());
+        let instructions = self.checked.get().map_or(0, |program| program.instructions().len());
         let is_room = budget.keep(self.graph.len() + 2 * instructions);
         if budget.is_spent() || !is_room { Err(self.origin.spent(&budget)) } else { Ok(self) }
     }
@@ -173,7 +189,7 @@ impl Objective {
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
     /// of a picture.
     pub fn skipping_nan(&self) -> Objective {
-        let mut objective = Objective { checked: None, is_seeing: true, ..self.clone() };
+        let mut objective = Objective { checked: OnceLock::new(), is_seeing: true, ..self.clone() };
         let channels = self.channels();
         objective.referee = Arc::new(self.referee.within(|graph, domain| seeing(graph, domain, &channels)));
         objective.domain = seeing(&mut objective.graph, objective.domain, &channels);
@@ -224,7 +240,7 @@ impl Objective {
             }
             (ValueKind::Full, _) => vec![Output { name: "F".into(), ..chi_square.clone() }, chi_square],
         };
-        let names = model.names(outputs.iter().map(|o| o.name.clone()).collect());
+        let names = model.names(outputs.iter().map(|o| o.name.clone()).collect()).into();
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = Sums { outputs, shift: None };
@@ -240,7 +256,7 @@ impl Objective {
             domain,
             is_seeing: false,
             proof: None,
-            checked: None,
+            checked: OnceLock::new(),
             origin: WholeModel::of(model),
             forms: Vec::new(),
         };
@@ -263,7 +279,7 @@ impl Objective {
                 return Err(Refusal::Wrong);
             };
             objective.proof = Some(Proof { form, exact, error, f32_error: referee.f32_error(&program) });
-            objective.checked = Some(program);
+            objective.checked = program.into();
             Ok(objective)
         };
         let found = safest(&mut candidate).map_err(|refusal| match refusal {
@@ -371,7 +387,7 @@ impl<'a> Setting<'a> {
         let origin = WholeModel::of(model);
         let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
         Ok(Objective {
-            names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()),
+            names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()).into(),
             sums,
             values: 1,
             referee: (*referee).clone(),
@@ -382,7 +398,7 @@ impl<'a> Setting<'a> {
             forms: derivation.forms,
             graph: derivation.graph,
             proof: None,
-            checked: None,
+            checked: OnceLock::new(),
         })
     }
 }

@@ -49,7 +49,7 @@ fn filling(
 ) -> Result<Program, Diagnostics> {
     let origin = WholeModel::of(shown.model);
     for lowering in [lowering, Lowering { fma: false, ..lowering }] {
-        let draft = schedule::plane(graph, value, lowering, shown.model.names(vec![name.into()]));
+        let draft = schedule::plane(graph, value, lowering, shown.model.names(vec![name.into()]).into());
         if let Some(program) = plane::proved(shown, origin.checked(graph, draft)?) {
             return Ok(program);
         }

@@ -7,9 +7,10 @@
 //! coefficients that depend on the row the rank is lower still, but such sums cancel: polynomials in a column's number. So
 //! do sums over the branches of a condition, where one is all of a value at some points; these are left as they are.)
 
+use isophote_elementary::Modular;
+
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::proof::hyper::Values;
-use crate::proof::modular::Modular;
 use crate::proof::points::Random;
 
 /// Values that are looked at together.
@@ -32,14 +33,16 @@ pub(crate) fn dependent(graph: &Graph, values: &[NodeId]) -> Vec<(NodeId, Combin
     let mut random = Random(1);
     let mut reduced: Vec<(usize, Vec<Modular>)> = Vec::new();
     let leaves: Vec<NodeId> = reachable.into_iter().filter(|n| is_leaf(graph.node(*n))).collect();
+    let mut evaluator = Values::of(graph, values, &|_| Modular::of_bits(0));
     for _ in 0..width + 8 {
         let residues: Vec<Modular> = leaves.iter().map(|_| Modular::of_bits(random.bits())).collect();
         let leaf = |node: &Node| {
             let place = leaves.iter().position(|n| graph.node(*n) == node);
             place.map_or(Modular::of_bits(0), |i| residues[i])
         };
-        let at = Values::of(graph, values, &leaf).at(&leaf);
-        insert(&mut reduced, std::iter::once(Modular::of_bits(1)).chain(at.into_iter().map(|x| x.value)).collect());
+        evaluator.enter(&leaf);
+        let at = evaluator.at(&leaf);
+        insert(&mut reduced, std::iter::once(Modular::of_bits(1)).chain(at.iter().map(|x| x.value)).collect());
         if reduced.len() == width {
             return Vec::new();
         }

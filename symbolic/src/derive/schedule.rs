@@ -1,6 +1,8 @@
 //! Expressions in, a [`Program`] out: operations are chosen (Horner, shared powers, one reciprocal a denominator), placed at
 //! the outermost level of the loop nest that knows their operands, and contracted to FMA where the lowering allows.
 
+use std::sync::Arc;
+
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::domain;
@@ -10,8 +12,8 @@ use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::{
-    AccumulatorId, Comparison, Cost, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink,
-    TotalId, Value,
+    AccumulatorId, Comparison, Input, InputId, Instruction, Level, Names, Op, Opcode, PixelSet, Program, Sink, TotalId,
+    Value, Weight,
 };
 use crate::proof::draft::Draft;
 
@@ -19,9 +21,17 @@ use crate::proof::draft::Draft;
 const EMISSION: usize = 3;
 /// The same for counting what it costs, spills above all.
 const COST: usize = 2;
+/// Instructions that there is room for at first.
+const ROOM: usize = 224;
 
 /// The loop nest for sums over the pixels of `domain`.
-pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lowering: Lowering, names: Names) -> Draft {
+pub(crate) fn sums(
+    graph: &mut Graph,
+    sums: &Sums,
+    domain: Option<NodeId>,
+    lowering: Lowering,
+    names: Arc<Names>,
+) -> Draft {
     let mut builder = Builder::new(graph);
     let pixels = sums.summed(builder.graph);
     builder.wanted.extend(pixels.iter().copied());
@@ -31,10 +41,8 @@ pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lower
         set.bounds = region.bounds.map(|(lo, hi)| (builder.lower(lo), builder.lower(hi)));
         set.mask = region.mask.map(|m| builder.lower(m));
     }
-    if lowering.drop_saturated {
-        set.saturated = builder.saturated(&pixels);
-    }
-    let accumulators = builder.pixel_values(&pixels);
+    let mut accumulators = vec![Value(0); pixels.len()];
+    by_degree(builder.graph, &pixels).into_iter().for_each(|i| accumulators[i] = builder.pixel_value(pixels[i]));
     let numbers: FxHashMap<NodeId, AccumulatorId> =
         pixels.iter().enumerate().map(|(i, pixel)| (*pixel, AccumulatorId(i as u32))).collect();
     let accumulator = |node: NodeId| numbers[&node];
@@ -76,24 +84,49 @@ pub(crate) fn sums(graph: &mut Graph, sums: &Sums, domain: Option<NodeId>, lower
         }
         outputs.push(sum.unwrap_or_else(|| builder.emit(Opcode::number(0.0).of([]))));
     }
-    builder.finish(set, Sink::Sums { accumulators, totals, outputs }, lowering, names)
+    let saturable = if lowering.drop_saturated { builder.graph.channels(&pixels) } else { Vec::new() };
+    let program = builder.finish(set, Sink::Sums { accumulators, totals, outputs }, lowering, names);
+    Draft::new(if saturable.is_empty() { program } else { program.without_saturated(&saturable) })
 }
 
-/// What the pixel loop that sums `pixels` costs: levels outside of it, and the domain, are not looked at.
-pub(crate) fn pixel_cost(graph: &mut Graph, pixels: &[NodeId], lowering: Lowering) -> Cost {
+/// The weight of the pixel loop that sums `pixels`, where it is below another: levels outside of it, and the domain, are not
+/// looked at.
+pub(crate) fn pixel_weight(graph: &mut Graph, pixels: &[NodeId], lowering: Lowering, below: Weight) -> Option<Weight> {
+    // Each value is added, and each product is one of its own.
+    let products = pixels.iter().filter(|n| matches!(graph.node(**n), Node::Product(_))).count();
+    let most = below.flops as usize;
+    if pixels.len() + products > most {
+        return None;
+    }
     let mut builder = Builder::new(graph);
     builder.wanted.extend(pixels.iter().copied());
-    let accumulators = builder.pixel_values(pixels);
+    let mut accumulators = vec![Value(0); pixels.len()];
+    for i in by_degree(builder.graph, pixels) {
+        accumulators[i] = builder.pixel_value(pixels[i]);
+        let flops = builder.flops_min as usize + pixels.len();
+        let is_ahead =
+            |n: &&NodeId| matches!(builder.graph.node(**n), Node::Product(_)) && !builder.values.contains_key(*n);
+        if flops + products > most && flops + pixels.iter().filter(is_ahead).count() > most {
+            return None;
+        }
+    }
     let sink = Sink::Sums { accumulators, totals: Vec::new(), outputs: Vec::new() };
     builder.graph.charge(COST * builder.instructions.len());
-    builder.finish(PixelSet::default(), sink, lowering, Names::default()).cost()
+    builder.finish(PixelSet::default(), sink, lowering, Default::default()).weight(below)
 }
 
 /// The loop nest that adds `value` to a plane.
-pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Names) -> Draft {
+pub(crate) fn plane(graph: &mut Graph, value: NodeId, lowering: Lowering, names: Arc<Names>) -> Draft {
     let mut builder = Builder::new(graph);
     let value = builder.pixel_value(value);
-    builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names)
+    Draft::new(builder.finish(PixelSet::default(), Sink::Plane(value), lowering, names))
+}
+
+/// Positions of pixel values: small monomials first, so that larger ones find them.
+fn by_degree(graph: &Graph, pixels: &[NodeId]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..pixels.len()).collect();
+    order.sort_by_key(|i| degree(graph, pixels[*i]));
+    order
 }
 
 pub(crate) fn degree(graph: &Graph, node: NodeId) -> i32 {
@@ -114,19 +147,22 @@ pub(crate) struct Builder<'g> {
     /// Sums no two of whose terms share a factor.
     pub apart: FxHashSet<NodeId>,
     span: Option<Span>,
+    /// Flops of the pixel loop so far, weighed, as far as the last look at a program will leave them.
+    flops_min: u32,
 }
 
 impl<'g> Builder<'g> {
     fn new(graph: &'g mut Graph) -> Builder<'g> {
         Builder {
             graph,
-            instructions: Vec::new(),
+            instructions: Vec::with_capacity(ROOM),
             inputs: Vec::new(),
-            known: FxHashMap::default(),
-            values: FxHashMap::default(),
+            known: FxHashMap::with_capacity_and_hasher(ROOM, Default::default()),
+            values: FxHashMap::with_capacity_and_hasher(ROOM, Default::default()),
             wanted: FxHashSet::default(),
             apart: FxHashSet::default(),
             span: None,
+            flops_min: 0,
         }
     }
 
@@ -137,6 +173,10 @@ impl<'g> Builder<'g> {
         }
         let level = op.level(|v| self.instructions[v.index()].level);
         self.graph.charge(EMISSION);
+        if level == Level::Pixel {
+            // A reciprocal may become one with a product.
+            self.flops_min += op.weight() - u32::from(op.code == Opcode::Div);
+        }
         let value = Value(self.instructions.len() as u32);
         self.instructions.push(Instruction { op, level, span: self.span });
         self.known.insert(op, value);
@@ -193,33 +233,6 @@ impl<'g> Builder<'g> {
         self.emit(Opcode::Select.of([always, value, value]))
     }
 
-    /// The pixel values of the accumulators: small monomials first, so that larger ones find them.
-    fn pixel_values(&mut self, pixels: &[NodeId]) -> Vec<Value> {
-        let mut order: Vec<usize> = (0..pixels.len()).collect();
-        order.sort_by_key(|i| degree(self.graph, pixels[*i]));
-        let mut accumulators = vec![Value(0); pixels.len()];
-        for i in order {
-            accumulators[i] = self.pixel_value(pixels[i]);
-        }
-        accumulators
-    }
-
-    /// Where any channel that the pixel values read is at or above its limit.
-    fn saturated(&mut self, pixels: &[NodeId]) -> Option<Value> {
-        let mut found: Option<Value> = None;
-        for id in self.graph.reachable(pixels) {
-            let Node::Channel(channel) = *self.graph.node(id) else { continue };
-            let limit = self.input(Input::Saturation(channel));
-            let pixel = self.emit(Opcode::Channel(channel).of([]));
-            let at_limit = self.emit(Opcode::Compare(Comparison::Le).of([limit, pixel]));
-            found = Some(match found {
-                None => at_limit,
-                Some(before) => self.emit(Opcode::Or.of([before, at_limit])),
-            });
-        }
-        found
-    }
-
     /// The value of a node; operands are visited by worklist, operands first.
     fn lower(&mut self, root: NodeId) -> Value {
         let mut stack: Vec<(NodeId, Option<Step>)> = vec![(root, None)];
@@ -261,7 +274,7 @@ impl<'g> Builder<'g> {
         self.emit(op)
     }
 
-    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Names) -> Draft {
+    fn finish(self, set: PixelSet, sink: Sink, lowering: Lowering, names: Arc<Names>) -> Program {
         let mut program = Program {
             coordinates: names.coordinates.len() as u32,
             channels: names.channels.len() as u32,
@@ -273,6 +286,6 @@ impl<'g> Builder<'g> {
             fused: lowering.fma,
         };
         crate::program::peephole::improve(&mut program);
-        Draft::new(program)
+        program
     }
 }

@@ -9,13 +9,13 @@ use crate::derive::absorb::{Scaling, gather};
 use crate::derive::cuts::cut_classes;
 use crate::derive::derivation::{Cuts, Derivation, Layout, Target, reduced};
 use crate::derive::polynomials::collected;
-use crate::derive::schedule::pixel_cost;
+use crate::derive::schedule::pixel_weight;
 use crate::derive::square::completed;
 use crate::derive::sums::Sums;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
-use crate::program::Cost;
+use crate::program::Weight;
 
 /// Derivations tried at most.
 const DERIVATIONS: usize = 32;
@@ -26,7 +26,7 @@ struct Found {
     cuts: Cuts,
     layout: Layout,
     derivation: Derivation,
-    weight: u64,
+    weight: Weight,
 }
 
 struct Search<'a> {
@@ -95,11 +95,12 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, most: Scaling) ->
     let sums = reduced(&mut best.derivation.graph, sums);
     // Tried on a copy: what does not pay leaves nothing behind, not even a full graph.
     let mut trial = best.derivation.graph.copied();
-    let of = |sums: &Sums, graph: &mut Graph| {
-        let pixels = sums.summed(graph);
-        weight(&pixel_cost(graph, &pixels, LOWERING))
+    let squared = completed(&mut trial, &sums);
+    let mut of = |sums: &Sums| {
+        let pixels = sums.summed(&mut trial);
+        pixel_weight(&mut trial, &pixels, LOWERING, Weight::MOST)
     };
-    let squared = completed(&mut trial, &sums).filter(|squared| of(squared, &mut trial) < of(&sums, &mut trial));
+    let squared = squared.filter(|squared| of(squared) < of(&sums));
     match squared {
         Some(squared) if !trial.overflowed() => {
             best.derivation.graph = trial;
@@ -132,14 +133,13 @@ impl Search<'_> {
             self.work = WORK;
             return;
         };
-        let weight = derivation.pixel_cost(&layout, LOWERING).map(|cost| weight(&cost));
+        let below = self.best.as_ref().map_or(Weight::MOST, |best| best.weight);
+        let weight = derivation.pixel_weight(&layout, LOWERING, below);
         self.work += derivation.graph.work() - self.graph.work();
         if derivation.is_unifiable {
             self.unifiable.insert(cuts.clone());
         }
-        if let Some(weight) = weight
-            && self.best.as_ref().is_none_or(|best| weight < best.weight)
-        {
+        if let Some(weight) = weight {
             self.best = Some(Found { cuts, layout, derivation, weight });
         }
     }
@@ -186,8 +186,7 @@ fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
 /// Takes the layout where it is better; the work that the look took.
 fn try_layout(best: &mut Found, layout: Layout) -> usize {
     let (before, mark) = (best.derivation.graph.work(), best.derivation.graph.mark());
-    let cost = best.derivation.pixel_cost(&layout, LOWERING);
-    match cost.map(|cost| weight(&cost)).filter(|weight| *weight < best.weight) {
+    match best.derivation.pixel_weight(&layout, LOWERING, best.weight) {
         Some(weight) => (best.layout, best.weight) = (layout, weight),
         None => best.derivation.roll_back(mark, &best.layout),
     }
@@ -195,12 +194,3 @@ fn try_layout(best: &mut Found, layout: Layout) -> usize {
 }
 
 const LOWERING: Lowering = Lowering { fma: true, drop_saturated: false };
-
-/// What a pixel is taken to cost: flops, a division as four of them and an elementary function as twenty; of forms that
-/// are equal in these the one with fewer instructions and fewer spills to 15 registers.
-fn weight(cost: &Cost) -> u64 {
-    let calls = cost.calls.values().sum::<u32>();
-    let flops = cost.flops_per_pixel + 3 * cost.divisions + 20 * calls;
-    let rest = cost.instructions_per_pixel + cost.spills[0];
-    (u64::from(flops) << 32) + u64::from(rest)
-}

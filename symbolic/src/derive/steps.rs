@@ -1,14 +1,15 @@
 //! How one node of the graph is computed from others: Horner for sums, shared powers for products, one reciprocal a
 //! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
 
-use rustc_hash::FxHashMap;
 use smallvec::{SmallVec, smallvec};
 
+use crate::derive::monomial::Powers;
 use crate::derive::schedule::Builder;
 use crate::language::graph::{Bits, Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level, Op, Opcode};
 
 type Operands = SmallVec<[NodeId; 3]>;
+type Terms = SmallVec<[(NodeId, f64); 8]>;
 
 /// How one node is computed from others.
 pub(crate) enum Step {
@@ -61,7 +62,7 @@ impl Builder<'_> {
         let has_factor = !self.apart.contains(&node);
         let level = terms.iter().map(|(n, _)| self.graph.level(*n)).max().unwrap_or(Level::Pass);
         let all = terms.iter().map(|(n, c)| (*n, c.get()));
-        let (high, low): (Vec<_>, Vec<_>) = all.partition(|(n, _)| self.graph.level(*n) == level);
+        let (high, low): (Terms, Terms) = all.partition(|(n, _)| self.graph.level(*n) == level);
         let rest = (constant != 0.0 || !low.is_empty()).then(|| self.graph.sum(constant, low.iter().copied()));
         // The inner coordinate plus what is known earlier.
         if let [(node, coefficient)] = high[..]
@@ -89,7 +90,7 @@ impl Builder<'_> {
                         Step::MulAdd(inside, factor, rest)
                     } else {
                         let inside = self.graph.sum(0.0, inside);
-                        let outside = self.graph.sum(0.0, outside.into_iter().chain([(rest, 1.0)]).collect::<Vec<_>>());
+                        let outside = self.graph.sum(0.0, outside.into_iter().chain([(rest, 1.0)]));
                         Step::MulAdd(inside, factor, outside)
                     }
                 }
@@ -143,7 +144,7 @@ impl Builder<'_> {
         }
         let Node::Product(factors) = self.graph.node(node).clone() else { return None };
         let level = self.graph.level(node);
-        let (high, low): (Vec<_>, Vec<_>) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        let (high, low): (Powers, Powers) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
         if !low.is_empty() {
             let low = self.graph.product(coefficient, low);
             let high = self.graph.product(1.0, high);
@@ -178,33 +179,24 @@ impl Builder<'_> {
 
     /// The factor at `level` that most of the terms share, at least two of them.
     fn common_factor(&self, terms: &[(NodeId, f64)], level: Level) -> Option<NodeId> {
-        let mut counts: FxHashMap<NodeId, (usize, i32)> = FxHashMap::default();
-        let mut count = |node: NodeId, exponent: i32| {
-            let (times, total) = counts.entry(node).or_default();
-            *times += 1;
-            *total += exponent;
-        };
+        let mut found: SmallVec<[(NodeId, i32); 16]> = SmallVec::new();
         for (node, _) in terms {
             match self.graph.node(*node) {
                 Node::Product(factors) if !self.graph.is_opaque(*node) => {
-                    for (n, e) in factors.iter().filter(|(n, e)| *e > 0 && self.graph.level(*n) == level) {
-                        count(*n, *e);
-                    }
+                    found.extend(factors.iter().copied().filter(|(n, e)| *e > 0 && self.graph.level(*n) == level));
                 }
-                _ => count(*node, 1),
+                _ => found.push((*node, 1)),
             }
         }
-        counts
-            .into_iter()
-            .filter(|(_, (times, _))| *times > 1)
-            .max_by_key(|(n, (times, total))| (*times, *total, *n))
-            .map(|(n, _)| n)
+        found.sort_unstable_by_key(|(n, _)| *n);
+        let alike = found.chunk_by(|a, b| a.0 == b.0).filter(|alike| alike.len() > 1);
+        let most = alike.max_by_key(|alike| (alike.len(), alike.iter().map(|(_, e)| e).sum::<i32>(), alike[0].0));
+        most.map(|alike| alike[0].0)
     }
 
     /// The terms with the factor, divided by it once, and those without.
-    #[allow(clippy::type_complexity)]
-    fn divide(&mut self, terms: &[(NodeId, f64)], factor: NodeId) -> (Vec<(NodeId, f64)>, Vec<(NodeId, f64)>) {
-        let (mut inside, mut outside) = (Vec::new(), Vec::new());
+    fn divide(&mut self, terms: &[(NodeId, f64)], factor: NodeId) -> (Terms, Terms) {
+        let (mut inside, mut outside) = (Terms::new(), Terms::new());
         for (node, coefficient) in terms {
             let divided = match self.graph.node(*node).clone() {
                 _ if *node == factor => Some(self.graph.number(1.0)),
@@ -229,7 +221,7 @@ impl Builder<'_> {
         let at = terms.iter().rposition(|(n, c)| self.is_plain_product(*n) && *c > 0.0);
         let at = at.or_else(|| terms.iter().rposition(|(n, _)| self.is_plain_product(*n))).unwrap_or(terms.len() - 1);
         let (node, coefficient) = terms[at];
-        let others: Vec<_> =
+        let others: Terms =
             terms.iter().enumerate().filter(|(i, _)| *i != at).map(|(_, t)| *t).chain(rest.map(|r| (r, 1.0))).collect();
         let is_negative = coefficient == 1.0 && others.iter().all(|(_, c)| *c < 0.0);
         let sign = if is_negative { -1.0 } else { 1.0 };
@@ -247,7 +239,7 @@ impl Builder<'_> {
 
     fn product(&mut self, node: NodeId, factors: &[(NodeId, i32)]) -> Step {
         let level = self.graph.level(node);
-        let (high, low): (Vec<_>, Vec<_>) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        let (high, low): (Powers, Powers) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
         if !low.is_empty() {
             let (low, high) = (self.graph.product(1.0, low), self.graph.product(1.0, high));
             return Step::of(Opcode::Mul, [low, high]);

@@ -148,7 +148,8 @@ impl Model {
             _ => f64::NAN,
         };
         let roots = [self.formulas.intensity];
-        let mut evaluator = Evaluator::<Hyper<f64>>::new(&graph, &roots, &parameters, Order::First, &inputs);
+        let mut evaluator = Evaluator::<Hyper<f64>>::new(&graph, &roots, &parameters, Order::First);
+        evaluator.enter(&inputs);
         let middle = centre(self, NEAR);
         let step = |i: usize| REACH_PX * (i as f64 / (GRID - 1) as f64 - 0.5) * 2.0;
         let mut columns = vec![Vec::new(); free.len() + terms.len()];

@@ -66,15 +66,21 @@ pub(crate) struct Graph {
     opaque: Vec<bool>,
     /// Of sums, see [`content`]; 1 of others.
     contents: Vec<f64>,
-    /// By the hash of the node.
-    index: HashTable<NodeId>,
+    /// By the hash of the node, of which each entry keeps as much as growing takes.
+    index: HashTable<(u32, NodeId)>,
     span: Option<Span>,
     overflowed: bool,
     /// Units of work that this graph has taken, and those that it was cloned from.
     work: usize,
     budget: Budget,
     positive: BTreeSet<ParameterId>,
+    /// Room for the terms and the factors that a constructor collects.
+    terms: Vec<(NodeId, Bits)>,
+    factors: Vec<(NodeId, i32)>,
 }
+
+/// Nodes that a copy has room for besides those of the graph.
+const ROOM: usize = 1024;
 
 /// How far a graph was filled.
 #[derive(Clone, Copy)]
@@ -142,10 +148,12 @@ impl Graph {
         graph
     }
 
-    /// A copy that draws on the same budget.
+    /// A copy that draws on the same budget, with room for more.
     pub fn copied(&self) -> Graph {
         let mut graph = self.clone();
         graph.charge(self.len() / 2);
+        graph.nodes.reserve(ROOM);
+        graph.index.reserve(ROOM, |(hash, _)| spread(*hash));
         graph
     }
 
@@ -157,7 +165,8 @@ impl Graph {
     /// Takes back the nodes made since. Nobody may hold one of them, and no older one may have become opaque.
     pub fn roll_back(&mut self, mark: Mark) {
         for id in mark.nodes..self.nodes.len() {
-            if let Ok(entry) = self.index.find_entry(hash(&self.nodes[id]), |known| known.index() == id) {
+            let hash = spread(hash(&self.nodes[id]));
+            if let Ok(entry) = self.index.find_entry(hash, |(_, known)| known.index() == id) {
                 entry.remove();
             }
         }
@@ -180,29 +189,29 @@ impl Graph {
     }
 
     /// The node with this hash that is the one looked for.
-    fn entry(&mut self, hash: u64, is_it: impl Fn(&Node) -> bool) -> Option<NodeId> {
+    fn entry(&mut self, hash: u32, is_it: impl Fn(&Node) -> bool) -> Option<NodeId> {
         self.charge(1);
-        self.index.find(hash, |id| is_it(&self.nodes[id.index()])).copied()
+        let found = self.index.find(spread(hash), |(its, id)| *its == hash && is_it(&self.nodes[id.index()]));
+        found.map(|(_, id)| *id)
     }
 
-    fn push(&mut self, hash: u64, node: Node) -> NodeId {
+    fn push(&mut self, hash: u32, node: Node) -> NodeId {
         if self.nodes.len() >= LIMITS.nodes || self.overflowed {
             self.overflowed = true;
             return NodeId(0);
         }
         let id = NodeId(self.nodes.len() as u32);
-        let own = match &node {
+        let level = match &node {
             Node::Coordinate(c) if c.0 > 0 => Level::Row,
             Node::Coordinate(_) | Node::Channel(_) => Level::Pixel,
-            _ => Level::Pass,
+            node => operands(node).fold(Level::Pass, |level, n| level.max(self.level(n))),
         };
-        let level = operands(&node).map(|n| self.level(n)).max().unwrap_or(own);
         self.contents.push(match &node {
             Node::Sum(constant, terms) => content(*constant, terms),
             _ => 1.0,
         });
         self.nodes.push(node);
-        self.index.insert_unique(hash, id, |id| self::hash(&self.nodes[id.index()]));
+        self.index.insert_unique(spread(hash), (hash, id), |(hash, _)| spread(*hash));
         self.levels.push(level);
         self.spans.push(self.span);
         self.opaque.push(false);
@@ -241,7 +250,8 @@ impl Graph {
     /// constant + Σ coefficient · node. Like terms are collected; sums that are not opaque are taken in.
     pub fn sum(&mut self, constant: f64, terms: impl IntoIterator<Item = (NodeId, f64)>) -> NodeId {
         let mut constant = constant;
-        let mut collected: Few<f64> = SmallVec::new();
+        let mut collected = std::mem::take(&mut self.terms);
+        collected.clear();
         for (node, coefficient) in terms {
             if coefficient == 0.0 {
                 continue;
@@ -250,27 +260,28 @@ impl Graph {
                 Node::Number(bits) => constant += coefficient * bits.get(),
                 Node::Sum(inner, list) if !self.is_opaque(node) || (list.len() == 1 && inner.get() == 0.0) => {
                     constant += coefficient * inner.get();
-                    collected.extend(list.iter().map(|(n, c)| (*n, coefficient * c.get())));
+                    collected.extend(list.iter().map(|(n, c)| (*n, Bits::new(coefficient * c.get()))));
                 }
-                _ => collected.push((node, coefficient)),
+                _ => collected.push((node, Bits::new(coefficient))),
             }
         }
         self.charge(1 + collected.len());
-        merge(&mut collected, |total, coefficient| total + coefficient);
-        collected.retain(|(_, coefficient)| *coefficient != 0.0);
-        match collected[..] {
+        merge(&mut collected, |total, coefficient| Bits::new(total.get() + coefficient.get()));
+        collected.retain(|(_, coefficient)| coefficient.get() != 0.0);
+        let sum = match collected[..] {
             [] => self.number(constant),
-            [(node, 1.0)] if constant == 0.0 => node,
+            [(node, one)] if constant == 0.0 && one.get() == 1.0 => node,
             _ => self.sum_of(Bits::new(constant), &collected),
-        }
+        };
+        self.terms = collected;
+        sum
     }
 
     /// The node of a sum in its canonical form.
-    fn sum_of(&mut self, constant: Bits, terms: &[(NodeId, f64)]) -> NodeId {
-        let terms: Few<Bits> = terms.iter().map(|(n, c)| (*n, Bits::new(*c))).collect();
-        let hash = hash_sum(constant, &terms);
-        let is_it = |known: &Node| matches!(known, Node::Sum(c, list) if *c == constant && list[..] == terms[..]);
-        self.entry(hash, is_it).unwrap_or_else(|| self.push(hash, Node::Sum(constant, terms[..].into())))
+    fn sum_of(&mut self, constant: Bits, terms: &[(NodeId, Bits)]) -> NodeId {
+        let hash = hash_sum(constant, terms);
+        let is_it = |known: &Node| matches!(known, Node::Sum(c, list) if *c == constant && list[..] == *terms);
+        self.entry(hash, is_it).unwrap_or_else(|| self.push(hash, Node::Sum(constant, terms.into())))
     }
 
     /// The node of a product in its canonical form.
@@ -310,7 +321,7 @@ impl Graph {
             && coefficient != 1.0
             && coefficient != 0.0
         {
-            return self.sum_of(Bits::new(0.0), &[(a, coefficient)]);
+            return self.sum_of(Bits::new(0.0), &[(a, Bits::new(coefficient))]);
         }
         self.sum(0.0, [(a, coefficient)])
     }
@@ -323,34 +334,39 @@ impl Graph {
 
     /// coefficient · Π node^exponent. Numeric factors and the contents of sums go to the coefficient, which is kept
     /// outside, on a sum of one term. 0 · x is 0.
-    pub fn product(&mut self, coefficient: f64, factors: impl IntoIterator<Item = (NodeId, i32)>) -> NodeId {
+    pub fn product<F>(&mut self, coefficient: f64, factors: F) -> NodeId
+    where
+        F: IntoIterator<Item = (NodeId, i32), IntoIter: DoubleEndedIterator>,
+    {
         let mut coefficient = coefficient;
-        let mut collected: Few<i32> = SmallVec::new();
-        let mut pending: Few<i32> = factors.into_iter().filter(|(_, e)| *e != 0).collect();
-        while let Some((node, exponent)) = pending.pop() {
+        let mut collected = std::mem::take(&mut self.factors);
+        collected.clear();
+        for (mut node, exponent) in factors.into_iter().rev().filter(|(_, e)| *e != 0) {
+            while let Node::Sum(constant, list) = self.node(node)
+                && list.len() == 1
+                && constant.get() == 0.0
+            {
+                coefficient *= list[0].1.get().powi(exponent);
+                node = list[0].0;
+            }
             match self.node(node) {
                 Node::Number(bits) => coefficient *= bits.get().powi(exponent),
+                // Its factors are as they are to be.
                 Node::Product(list) if !self.is_opaque(node) => {
-                    pending.extend(list.iter().map(|(n, e)| (*n, e.saturating_mul(exponent))));
+                    collected.extend(list.iter().map(|(n, e)| (*n, e.saturating_mul(exponent))));
                 }
-                Node::Sum(constant, list) => {
+                Node::Sum(constant, list) if self.contents[node.index()] != 1.0 && !self.is_opaque(node) => {
                     let content = self.contents[node.index()];
-                    if list.len() == 1 && constant.get() == 0.0 {
-                        coefficient *= list[0].1.get().powi(exponent);
-                        pending.push((list[0].0, exponent));
-                    } else if content != 1.0 && !self.is_opaque(node) {
-                        let constant = Bits::new(constant.get() / content);
-                        let list: Few<f64> = list.iter().map(|(n, c)| (*n, c.get() / content)).collect();
-                        coefficient *= content.powi(exponent);
-                        collected.push((self.sum_of(constant, &list), exponent));
-                    } else {
-                        collected.push((node, exponent));
-                    }
+                    let constant = Bits::new(constant.get() / content);
+                    let list: SmallVec<[_; 8]> = list.iter().map(|(n, c)| (*n, Bits::new(c.get() / content))).collect();
+                    coefficient *= content.powi(exponent);
+                    collected.push((self.sum_of(constant, &list), exponent));
                 }
                 _ => collected.push((node, exponent)),
             }
         }
         if coefficient == 0.0 {
+            self.factors = collected;
             return self.number(0.0);
         }
         self.charge(1 + collected.len());
@@ -359,10 +375,16 @@ impl Graph {
         // Beyond what an exponent can be.
         self.overflowed |= collected.iter().any(|(_, exponent)| exponent.unsigned_abs() >= i32::MAX as u32);
         let body = match collected[..] {
-            [] => return self.number(coefficient),
-            [(node, 1)] => node,
-            _ => self.product_of(&collected),
+            [] => None,
+            [(node, 1)] => Some(node),
+            _ => Some(self.product_of(&collected)),
         };
+        self.factors = collected;
+        let Some(body) = body else { return self.number(coefficient) };
+        if coefficient == 1.0 {
+            self.charge(2);
+            return body;
+        }
         self.scale(coefficient, body)
     }
 
@@ -427,14 +449,31 @@ impl Graph {
 
     /// All nodes below `roots`, roots included, operands first.
     pub fn reachable(&self, roots: &[NodeId]) -> Vec<NodeId> {
-        let mut live = vec![false; self.nodes.len()];
+        let Some(last) = roots.iter().max() else { return Vec::new() };
+        let mut live = vec![false; last.index() + 1];
         roots.iter().for_each(|r| live[r.index()] = true);
-        for i in (0..self.nodes.len()).rev() {
+        let mut found = Vec::with_capacity(live.len());
+        for i in (0..live.len()).rev() {
             if live[i] {
-                operands(&self.nodes[i]).for_each(|n| live[n.index()] = true);
+                found.push(NodeId(i as u32));
+                match &self.nodes[i] {
+                    Node::Sum(_, terms) => terms.iter().for_each(|(n, _)| live[n.index()] = true),
+                    Node::Product(factors) => factors.iter().for_each(|(n, _)| live[n.index()] = true),
+                    node => operands(node).for_each(|n| live[n.index()] = true),
+                }
             }
         }
-        (0..self.nodes.len()).filter(|i| live[*i]).map(|i| NodeId(i as u32)).collect()
+        found.reverse();
+        found
+    }
+
+    /// The channels that are read below `roots`.
+    pub fn channels(&self, roots: &[NodeId]) -> Vec<ChannelId> {
+        let channel = |id: NodeId| match self.node(id) {
+            Node::Channel(channel) => Some(*channel),
+            _ => None,
+        };
+        self.reachable(roots).into_iter().filter_map(channel).collect()
     }
 
     /// Uses of each node by others below `roots`, by index.
@@ -452,8 +491,13 @@ impl Graph {
         let reachable = self.reachable(&[root]);
         self.charge(reachable.len());
         for id in reachable {
-            let node = self.node(id).clone();
-            let replaced = leaf(self, &node);
+            let replaced = match self.node(id) {
+                node @ (Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => {
+                    let node = node.clone();
+                    leaf(self, &node)
+                }
+                _ => None,
+            };
             let new = replaced.unwrap_or_else(|| self.rebuild(id, &map));
             map.insert(id, new);
         }
@@ -475,10 +519,10 @@ impl Graph {
     /// `id` with its operands mapped.
     pub fn rebuild(&mut self, id: NodeId, map: &FxHashMap<NodeId, NodeId>) -> NodeId {
         let at = |n: &NodeId| map.get(n).copied().unwrap_or(*n);
-        let node = self.node(id).clone();
-        if operands(&node).all(|n| at(&n) == n) {
+        if operands(self.node(id)).all(|n| at(&n) == n) {
             return id;
         }
+        let node = self.node(id).clone();
         let before = std::mem::replace(&mut self.span, self.spans[id.index()]);
         let new = match &node {
             Node::Sum(c, terms) => self.sum(c.get(), terms.iter().map(|(n, c)| (at(n), c.get())).collect::<Vec<_>>()),
@@ -534,11 +578,11 @@ impl Graph {
     }
 }
 
-/// Terms or factors, mostly few.
-type Few<T> = SmallVec<[(NodeId, T); 8]>;
-
 /// Sorts by node and makes one of those of the same node.
-fn merge<T: Copy>(list: &mut Few<T>, both: impl Fn(T, T) -> T) {
+fn merge<T: Copy>(list: &mut Vec<(NodeId, T)>, both: impl Fn(T, T) -> T) {
+    if list.is_sorted_by(|a, b| a.0 < b.0) {
+        return;
+    }
     list.sort_by_key(|(node, _)| *node);
     list.dedup_by(|next, kept| {
         let is_same = next.0 == kept.0;
@@ -549,20 +593,25 @@ fn merge<T: Copy>(list: &mut Few<T>, both: impl Fn(T, T) -> T) {
     });
 }
 
-fn hash(node: &Node) -> u64 {
+fn hash(node: &Node) -> u32 {
     match node {
         Node::Sum(constant, terms) => hash_sum(*constant, terms),
         Node::Product(factors) => hash_product(factors),
-        _ => FxBuildHasher.hash_one(node),
+        _ => FxBuildHasher.hash_one(node) as u32,
     }
 }
 
-fn hash_sum(constant: Bits, terms: &[(NodeId, Bits)]) -> u64 {
-    FxBuildHasher.hash_one((constant, terms))
+fn hash_sum(constant: Bits, terms: &[(NodeId, Bits)]) -> u32 {
+    FxBuildHasher.hash_one((constant, terms)) as u32
 }
 
-fn hash_product(factors: &[(NodeId, i32)]) -> u64 {
-    FxBuildHasher.hash_one(factors)
+fn hash_product(factors: &[(NodeId, i32)]) -> u32 {
+    FxBuildHasher.hash_one(factors) as u32
+}
+
+/// As many bits as a table wants.
+fn spread(hash: u32) -> u64 {
+    u64::from(hash).wrapping_mul(0x9e37_79b9_7f4a_7c15)
 }
 
 /// What can be divided out of a sum exactly: the common magnitude, or the greatest common divisor of whole coefficients,

@@ -2,6 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+pub(crate) use isophote_elementary::Number;
 use isophote_elementary::{Accuracy, Function1, Function2, Plain};
 
 /// Ordered comparisons: false when an operand is NaN, except `Ne`, which is true then.
@@ -15,58 +16,6 @@ pub enum Comparison {
     Eq,
     /// ≠
     Ne,
-}
-
-/// An arithmetic.
-pub(crate) trait Number:
-    Copy
-    + PartialOrd
-    + From<f64>
-    + Neg<Output = Self>
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-{
-    /// |x|.
-    fn abs(self) -> Self;
-    /// √x.
-    fn sqrt(self) -> Self;
-    /// x · b + c, with one rounding where the arithmetic has it.
-    fn fma(self, b: Self, c: Self) -> Self {
-        self * b + c
-    }
-    /// An elementary function.
-    fn call1(self, function: Function1) -> Self;
-    /// An elementary function of two arguments.
-    fn call2(self, function: Function2, other: Self) -> Self;
-    /// The number as one to begin with: what it was made of is forgotten, …
-    fn alone(self) -> Self {
-        self
-    }
-    /// … until something is made of it, and of another.
-    fn made_of(self, _a: Self, _b: Option<Self>) -> Self {
-        self
-    }
-    /// 2 / √π.
-    fn two_over_root_pi() -> Self {
-        Self::from(std::f64::consts::FRAC_2_SQRT_PI)
-    }
-}
-
-impl Number for f64 {
-    fn abs(self) -> f64 {
-        f64::abs(self)
-    }
-    fn sqrt(self) -> f64 {
-        f64::sqrt(self)
-    }
-    fn call1(self, function: Function1) -> f64 {
-        function.value(self)
-    }
-    fn call2(self, function: Function2, other: f64) -> f64 {
-        function.value(self, other)
-    }
 }
 
 /// One lane of f32; elementary functions are computed in f64, on a machine that fuses or not, and rounded once.

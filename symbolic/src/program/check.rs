@@ -99,7 +99,7 @@ impl Program {
     /// When they are no program.
     pub fn from_parts(parts: ProgramParts) -> Result<Program, Malformed> {
         let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
-        let names = Names::default();
+        let names = Default::default();
         let program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
         program.check().map(|()| program)
     }
@@ -111,6 +111,7 @@ impl Program {
     /// When they are no program.
     pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
         let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
+        let names = names.into();
         let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused: false };
         program.check()?; // what is put in order exists
         crate::program::peephole::improve(&mut program);

@@ -22,6 +22,7 @@ mod op_tests;
 pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
+mod saturation;
 pub(crate) mod walk;
 mod window;
 
@@ -30,6 +31,8 @@ pub(crate) use arithmetic::holds;
 pub(crate) use ids::id;
 pub use ids::{AccumulatorId, ChannelId, ConstantId, CoordinateId, InputId, ParameterId, TotalId, Value};
 pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
+
+use std::sync::Arc;
 
 use crate::language::diagnostic::Span;
 
@@ -106,7 +109,7 @@ pub struct Program {
     pub(crate) instructions: Vec<Instruction>,
     pub(crate) pixel_set: PixelSet,
     pub(crate) sink: Sink,
-    pub(crate) names: Names,
+    pub(crate) names: Arc<Names>,
     pub(crate) fused: bool,
 }
 
@@ -165,6 +168,20 @@ pub struct Cost {
     pub instructions_per_pixel: u32,
     /// Stores and fetches a pixel for want of registers, where there are 16 of them and where there are 32.
     pub spills: [u32; 2],
+}
+
+/// What a pixel loop is taken to cost: of those with as many flops the one with less of the rest is the cheaper.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub(crate) struct Weight {
+    /// By [`Op::weight`].
+    pub flops: u32,
+    /// Instructions, and spills to 15 registers.
+    pub rest: u32,
+}
+
+impl Weight {
+    /// More than any loop's.
+    pub const MOST: Weight = Weight { flops: u32::MAX, rest: u32::MAX };
 }
 
 /// What the caller gives for [`Program::inputs`]; slices in document order.
@@ -250,6 +267,20 @@ impl Program {
         }
         needed
     }
+    /// Reads other values everywhere.
+    fn rename(&mut self, to: impl Fn(Value) -> Value) {
+        self.instructions.iter_mut().for_each(|instruction| instruction.op = instruction.op.renamed(&to));
+        let set = &mut self.pixel_set;
+        set.bounds = set.bounds.map(|(lo, hi)| (to(lo), to(hi)));
+        set.mask = set.mask.map(&to);
+        set.saturated = set.saturated.map(&to);
+        match &mut self.sink {
+            Sink::Sums { accumulators, totals, outputs } => {
+                accumulators.iter_mut().chain(totals).chain(outputs).for_each(|v| *v = to(*v));
+            }
+            Sink::Plane(value) => *value = to(*value),
+        }
+    }
     /// True when `value` is a truth value.
     pub fn is_truth(&self, mut value: Value) -> bool {
         loop {
@@ -278,6 +309,22 @@ impl Program {
             Input::Shift(c) => bindings.shift.get(c.index()).copied().unwrap_or(0.0),
         };
         self.inputs.iter().map(number)
+    }
+
+    /// What the pixel loop is taken to cost, accumulation included, where that is below another's.
+    pub(crate) fn weight(&self, below: Weight) -> Option<Weight> {
+        let Sink::Sums { accumulators, .. } = &self.sink else { return None };
+        let mut flops = accumulators.len() as u32;
+        let mut rest = flops;
+        for instruction in self.instructions.iter().filter(|i| i.level == Level::Pixel) {
+            flops += instruction.op.weight();
+            rest += u32::from(instruction.op.flops() > 0);
+        }
+        if flops > below.flops {
+            return None;
+        }
+        rest += registers::spills(self, registers::OF_16);
+        Some(Weight { flops, rest }).filter(|weight| *weight < below)
     }
 
     /// Counts what the program does; F itself is part of the count when the program sums it.

@@ -295,6 +295,15 @@ impl Op {
         self.code.row().flops
     }
 
+    /// Flops as the search counts them: a division or a root as four, an elementary function as twenty.
+    pub(crate) fn weight(&self) -> u32 {
+        match self.code {
+            Opcode::Div | Opcode::Sqrt => 4,
+            Opcode::Call1(_) | Opcode::Call2(_) => 20,
+            code => code.row().flops,
+        }
+    }
+
     /// The number that it is.
     pub fn constant(&self) -> Option<f64> {
         match self.code {

@@ -1,12 +1,12 @@
 //! The last look at a program: division instead of a lone reciprocal, FMA, dead code, order by level.
 
-use crate::program::{Instruction, Level, Opcode, Program, Sink, Value};
+use crate::program::{Instruction, Level, Opcode, PixelSet, Program, Sink, Value};
 
 /// Improves the instructions in place, contracts products and sums of a fused program, and sorts by level.
 pub(crate) fn improve(program: &mut Program) {
-    let mut uses = count_uses(program);
     // What nothing reads has no part in the counts.
     let live = live(program);
+    let mut uses = count_uses(program, &live);
     for i in (0..program.instructions.len()).filter(|i| live[*i]) {
         let Instruction { op, level, .. } = program.instructions[i];
         let &[a, b] = op.parts().1 else { continue };
@@ -50,7 +50,7 @@ pub(crate) fn improve(program: &mut Program) {
 
 /// c − x·y and x·y − c as FMA of a negated operand (a sign costs no flop).
 fn contract_differences(program: &mut Program) {
-    let uses = count_uses(program);
+    let uses = count_uses(program, &live(program));
     let mut negated: Vec<Instruction> = Vec::new();
     let count = program.instructions.len();
     for i in 0..count {
@@ -85,11 +85,11 @@ fn factors(program: &Program, value: Value) -> Option<(Value, Value)> {
     }
 }
 
-fn roots(program: &Program) -> Vec<Value> {
-    let set = &program.pixel_set;
+/// What is read besides by instructions.
+pub(super) fn roots(set: &PixelSet, sink: &Sink) -> Vec<Value> {
     let mut roots: Vec<Value> =
         set.bounds.into_iter().flat_map(|(a, b)| [a, b]).chain(set.mask).chain(set.saturated).collect();
-    match &program.sink {
+    match sink {
         Sink::Sums { accumulators, totals, outputs } => roots.extend(accumulators.iter().chain(totals).chain(outputs)),
         Sink::Plane(value) => roots.push(*value),
     }
@@ -98,7 +98,7 @@ fn roots(program: &Program) -> Vec<Value> {
 
 fn live(program: &Program) -> Vec<bool> {
     let mut live = vec![false; program.instructions.len()];
-    let mut stack = roots(program);
+    let mut stack = roots(&program.pixel_set, &program.sink);
     while let Some(value) = stack.pop() {
         if !std::mem::replace(&mut live[value.index()], true) {
             stack.extend(program.instructions[value.index()].op.operands());
@@ -107,11 +107,10 @@ fn live(program: &Program) -> Vec<bool> {
     live
 }
 
-fn count_uses(program: &Program) -> Vec<u32> {
+fn count_uses(program: &Program, live: &[bool]) -> Vec<u32> {
     let mut uses = vec![0; program.instructions.len()];
-    roots(program).iter().for_each(|v| uses[v.index()] += 1);
-    let live = live(program);
-    for (instruction, _) in program.instructions.iter().zip(&live).filter(|(_, live)| **live) {
+    roots(&program.pixel_set, &program.sink).iter().for_each(|v| uses[v.index()] += 1);
+    for (instruction, _) in program.instructions.iter().zip(live).filter(|(_, live)| **live) {
         instruction.op.operands().for_each(|v| uses[v.index()] += 1);
     }
     uses
@@ -123,40 +122,26 @@ pub(crate) fn arrange(program: &mut Program) {
     // Depth-first order within a level, because contraction may have appended operands behind their users.
     let mut order: Vec<usize> = Vec::with_capacity(live.len());
     let mut placed = vec![false; live.len()];
+    let mut stack = Vec::new();
     for start in (0..live.len()).filter(|i| live[*i]) {
-        let mut stack = vec![(start, false)];
-        while let Some((i, ready)) = stack.pop() {
-            if placed[i] {
-                continue;
+        stack.push(start);
+        while let Some(i) = stack.last().copied() {
+            let waiting = stack.len();
+            if !placed[i] {
+                let operands = program.instructions[i].op.operands().map(Value::index);
+                stack.extend(operands.filter(|operand| !placed[*operand]));
             }
-            if ready {
-                placed[i] = true;
-                order.push(i);
-            } else {
-                stack.push((i, true));
-                stack.extend(program.instructions[i].op.operands().map(|v| (v.index(), false)));
+            if stack.len() == waiting {
+                stack.pop();
+                if !std::mem::replace(&mut placed[i], true) {
+                    order.push(i);
+                }
             }
         }
     }
     order.sort_by_key(|i| program.instructions[*i].level);
     let mut new = vec![Value(u32::MAX); live.len()];
     order.iter().enumerate().for_each(|(position, i)| new[*i] = Value(position as u32));
-    let at = |v: Value| new[v.index()];
-    program.instructions = order
-        .iter()
-        .map(|i| {
-            let instruction = program.instructions[*i];
-            Instruction { op: instruction.op.renamed(at), ..instruction }
-        })
-        .collect();
-    let set = &mut program.pixel_set;
-    set.bounds = set.bounds.map(|(a, b)| (at(a), at(b)));
-    set.mask = set.mask.map(at);
-    set.saturated = set.saturated.map(at);
-    match &mut program.sink {
-        Sink::Sums { accumulators, totals, outputs } => {
-            accumulators.iter_mut().chain(totals).chain(outputs).for_each(|v| *v = at(*v));
-        }
-        Sink::Plane(value) => *value = at(*value),
-    }
+    program.instructions = order.iter().map(|i| program.instructions[*i]).collect();
+    program.rename(|v| new[v.index()]);
 }

@@ -14,32 +14,41 @@ pub(crate) const OF_32: usize = 31;
 
 /// Stores and fetches of the pixel loop beyond those that it is made of.
 pub(crate) fn spills(program: &Program, registers: usize) -> u32 {
-    let is_pixel = |v: &Value| program.instruction(*v).level == Level::Pixel;
-    let loop_of = || (0..program.instructions().len() as u32).map(Value).filter(is_pixel);
-    let operands = |v: Value| program.instruction(v).op.operands().filter(is_pixel);
-    // The uses of each value, the next one last.
-    let mut uses: Vec<Vec<u32>> = vec![Vec::new(); program.instructions().len()];
-    for value in loop_of().collect::<Vec<_>>().into_iter().rev() {
-        operands(value).for_each(|v| uses[v.index()].push(value.0));
+    let instructions = program.instructions();
+    let is_pixel = |v: &Value| instructions[v.index()].level == Level::Pixel;
+    let pixels: Vec<Value> = (0..instructions.len() as u32).map(Value).filter(is_pixel).collect();
+    let operands = |v: Value| instructions[v.index()].op.operands().filter(is_pixel);
+    // The users of each value, one after another: those of value v begin at next[v], and end where those of v + 1 begin.
+    let mut next = vec![0_usize; instructions.len() + 1];
+    pixels.iter().for_each(|v| operands(*v).for_each(|operand| next[operand.index()] += 1));
+    let mut total = 0;
+    next.iter_mut().for_each(|count| total += std::mem::replace(count, total));
+    let mut ends = next.clone();
+    let mut users = vec![0_u32; total];
+    for value in &pixels {
+        for operand in operands(*value) {
+            users[ends[operand.index()]] = value.0;
+            ends[operand.index()] += 1;
+        }
     }
-    let carried = loop_of().filter(|v| program.instruction(*v).op.code == Opcode::Offset).count();
+    let carried = pixels.iter().filter(|v| instructions[v.index()].op.code == Opcode::Offset).count();
     let room = registers.saturating_sub(carried).max(3);
-    let (mut held, mut stored, mut count) = (Vec::<Value>::new(), vec![false; program.instructions().len()], 0);
-    for value in loop_of() {
+    let (mut held, mut stored, mut count) = (Vec::<Value>::new(), vec![false; instructions.len()], 0);
+    for value in pixels {
         for operand in operands(value) {
             if !held.contains(&operand) {
                 count += 1;
                 held.push(operand);
             }
-            let rest = &mut uses[operand.index()];
-            while rest.last().is_some_and(|user| *user <= value.0) {
-                rest.pop();
+            let at = &mut next[operand.index()];
+            while *at < ends[operand.index()] && users[*at] <= value.0 {
+                *at += 1;
             }
         }
         held.push(value);
-        held.retain(|v| !uses[v.index()].is_empty());
+        held.retain(|v| next[v.index()] < ends[v.index()]);
         while held.len() > room {
-            let furthest = (0..held.len()).max_by_key(|i| uses[held[*i].index()].last()).unwrap_or(0);
+            let furthest = (0..held.len()).max_by_key(|i| users[next[held[*i].index()]]).unwrap_or(0);
             let gone = held.swap_remove(furthest);
             count += u32::from(!std::mem::replace(&mut stored[gone.index()], true));
         }

@@ -1,7 +1,7 @@
 //! The loop nest, walked: the one place that says in which order a program's instructions run, over which pixels, and what
 //! becomes of their values.
 //!
-//! What comes in: a program and a [`Walk`], which says in which arithmetic, over which rows and pixels, and with how many lanes.
+//! What comes in: a program, taken apart, and a [`Walk`], which says in which arithmetic, over which rows and pixels, and with how many lanes.
 //! What goes out: outputs and counts. [`crate::program::interpreter`] walks in the lanes of machine code, bit for bit;
 //! [`crate::proof::evaluate`] in exact arithmetic, at any numbers. It must never know: what an operation does (the table in
 //! [`crate::program::op`]), or where pixels come from.
@@ -51,10 +51,39 @@ pub(crate) struct Walked<N> {
     pub saturated: u64,
 }
 
-/// The instructions of a level.
-fn level(program: &Program, level: Level) -> Vec<(usize, Op)> {
-    let all = program.instructions.iter().enumerate();
-    all.filter(|(_, x)| x.level == level).map(|(i, x)| (i, x.op)).collect()
+/// A program taken apart, for one walk after another.
+pub(crate) struct Loops<'p> {
+    program: &'p Program,
+    /// By level, in order; the offsets of the inner coordinate stand apart.
+    instructions: [Vec<(usize, Op)>; 5],
+    offsets: Vec<(usize, Value)>,
+    contractions: Vec<Option<(Value, Value)>>,
+}
+
+impl<'p> Loops<'p> {
+    pub fn of(program: &'p Program) -> Loops<'p> {
+        let mut loops = Loops {
+            program,
+            instructions: Default::default(),
+            offsets: Vec::new(),
+            contractions: program.contractions(),
+        };
+        for (i, instruction) in program.instructions.iter().enumerate() {
+            match instruction.op.parts() {
+                (Opcode::Offset, &[c]) if instruction.level == Level::Pixel => loops.offsets.push((i, c)),
+                _ => loops.instructions[instruction.level as usize].push((i, instruction.op)),
+            }
+        }
+        loops
+    }
+
+    pub fn program(&self) -> &'p Program {
+        self.program
+    }
+
+    fn level(&self, level: Level) -> &[(usize, Op)] {
+        &self.instructions[level as usize]
+    }
 }
 
 fn execute<N: Number>(ops: &[(usize, Op)], cells: &mut [Cell<N>], leaf: impl Fn(Op) -> N) {
@@ -64,44 +93,42 @@ fn execute<N: Number>(ops: &[(usize, Op)], cells: &mut [Cell<N>], leaf: impl Fn(
 }
 
 /// Walks a program over the pixels of `set`.
-pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
+pub(crate) fn walk<W: Walk>(loops: &Loops<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
+    let program = loops.program;
     // The check refuses a leaf at another level than its own.
     let nowhere = || W::Outer::from(f64::NAN);
-    let (row_level, row_end) = (level(program, Level::Row), level(program, Level::RowEnd));
-    let mut pixel_level = level(program, Level::Pixel);
-    let offsets: Vec<(usize, Value)> = pixel_level.iter().filter_map(|(i, op)| offset(op).map(|c| (*i, c))).collect();
-    pixel_level.retain(|(_, op)| op.code != Opcode::Offset);
     let (accumulators, totals, outputs) = match &program.sink {
         Sink::Sums { accumulators, totals, outputs } => (&accumulators[..], &totals[..], &outputs[..]),
         Sink::Plane(_) => (&[][..], &[][..], &[][..]),
     };
-    let contractions = program.contractions();
-    let factors = |i: usize| contractions.get(i).copied().flatten();
+    let factors = |i: usize| loops.contractions.get(i).copied().flatten();
     let mut cells = vec![Cell::Number(W::Outer::from(0.0)); program.instructions.len()];
     let mut lanes = vec![Cell::Number(W::Inner::from(0.0)); program.instructions.len()];
     let mut pass_totals = vec![W::Outer::from(0.0); totals.len()];
     let mut walked = Walked { outputs: Vec::new(), pixels: 0, saturated: 0 };
 
-    let pass_level = level(program, Level::Pass);
-    execute(&pass_level, &mut cells, |op| match op.code {
+    let pass_level = loops.level(Level::Pass);
+    execute(pass_level, &mut cells, |op| match op.code {
         Opcode::Input(input) => walk.input(input),
         _ => nowhere(),
     });
     pass_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
     for row in 0..walk.rows() {
-        execute(&row_level, &mut cells, |op| match op.code {
+        let row_level = loops.level(Level::Row);
+        execute(row_level, &mut cells, |op| match op.code {
             Opcode::Outer(c) => walk.coordinate(c, row),
             _ => nowhere(),
         });
         row_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
         let number = |v: Value| cells[v.index()].number();
         let places = walk.places(set.bounds.map(|(lo, hi)| [number(lo), number(hi)]));
-        let along: Vec<_> = offsets.iter().map(|(i, c)| (*i, walk.offset(&places, number(*c)))).collect();
-        let mut sums = vec![vec![W::Inner::from(0.0); walk.lanes()]; accumulators.len()];
+        let along: Vec<_> = loops.offsets.iter().map(|(i, c)| (*i, walk.offset(&places, number(*c)))).collect();
+        let width = walk.lanes();
+        let mut sums = vec![W::Inner::from(0.0); width * accumulators.len()];
         let mut used = 0;
         for (at, Place { column, lane }) in places.into_iter().enumerate() {
             along.iter().for_each(|(i, values)| lanes[*i] = Cell::Number(values[at]));
-            execute(&pixel_level, &mut lanes, |op| match op.code {
+            execute(loops.level(Level::Pixel), &mut lanes, |op| match op.code {
                 Opcode::Channel(channel) => walk.pixel(channel, column, row),
                 _ => W::Inner::from(f64::NAN),
             });
@@ -116,7 +143,7 @@ pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> 
             used += 1;
             let number = |v: Value| lanes[v.index()].number();
             for (i, value) in accumulators.iter().enumerate() {
-                let sum = &mut sums[i][lane];
+                let sum = &mut sums[width * i + lane];
                 *sum = match factors(i) {
                     Some((a, b)) => number(a).fma(number(b), *sum),
                     None => *sum + number(*value),
@@ -133,8 +160,8 @@ pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> 
             continue;
         }
         walked.pixels += used;
-        execute(&row_end, &mut cells, |op| match op.code {
-            Opcode::RowTotal(a) => walk.total(&sums[a.index()]),
+        execute(loops.level(Level::RowEnd), &mut cells, |op| match op.code {
+            Opcode::RowTotal(a) => walk.total(&sums[width * a.index()..][..width]),
             Opcode::RowCount => W::Outer::from(used as f64),
             _ => nowhere(),
         });
@@ -142,19 +169,11 @@ pub(crate) fn walk<W: Walk>(program: &Program, set: &PixelSet, walk: &mut W) -> 
             *total = *total + cells[value.index()].number();
         }
     }
-    execute(&level(program, Level::PassEnd), &mut cells, |op| match op.code {
+    execute(loops.level(Level::PassEnd), &mut cells, |op| match op.code {
         Opcode::PassTotal(t) => pass_totals[t.index()],
         Opcode::PassCount => W::Outer::from(walked.pixels as f64),
         _ => nowhere(),
     });
     walked.outputs = outputs.iter().map(|v| cells[v.index()].number()).collect();
     walked
-}
-
-/// What an offset is from the inner coordinate.
-fn offset(op: &Op) -> Option<Value> {
-    match op.parts() {
-        (Opcode::Offset, &[c]) => Some(c),
-        _ => None,
-    }
 }

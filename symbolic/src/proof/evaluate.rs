@@ -1,33 +1,14 @@
 //! A program's value in any arithmetic: exact meaning, no lanes.
 //!
-//! What comes in: a [`Program`], and numbers for what it reads. What goes out: its outputs as the real-number formulas that its
+//! What comes in: a [`Program`](crate::program::Program), and numbers for what it reads. What goes out: its outputs as the real-number formulas that its
 //! instructions are, worked out in a [`Number`]: f64, double-double, residues, by the same walk ([`crate::program::walk`]) and the
 //! same table of operations as the interpreter, which says what a program's rounding is; this says what it rounds.
 //! It must never know: where a program came from.
 
-use isophote_elementary::{DoubleDouble, Function1, Function2};
-
 pub(crate) use crate::program::arithmetic::Number;
+pub(crate) use crate::program::walk::Loops;
 use crate::program::walk::{Place, Walk, walk};
-use crate::program::{ChannelId, CoordinateId, InputId, PixelSet, Program};
-
-impl Number for DoubleDouble {
-    fn abs(self) -> Self {
-        self.abs()
-    }
-    fn sqrt(self) -> Self {
-        self.sqrt()
-    }
-    fn call1(self, function: Function1) -> Self {
-        self.call1(function)
-    }
-    fn call2(self, function: Function2, other: Self) -> Self {
-        self.call2(function, other)
-    }
-    fn two_over_root_pi() -> Self {
-        Self::from(2.0) / Self::from(-1.0).call1(Function1::Acos).sqrt()
-    }
-}
+use crate::program::{ChannelId, CoordinateId, InputId, PixelSet};
 
 /// Where a program is evaluated: numbers for its inputs, coordinates and pixels.
 pub(crate) struct Sample<'a, N> {
@@ -52,10 +33,10 @@ pub(crate) struct Evaluated<N> {
 }
 
 /// Evaluates a program.
-pub(crate) fn evaluate_at<N: Number>(program: &Program, sample: &Sample<'_, N>) -> Evaluated<N> {
-    let set = if sample.every_pixel { PixelSet::default() } else { program.pixel_set };
+pub(crate) fn evaluate_at<N: Number>(loops: &Loops<'_>, sample: &Sample<'_, N>) -> Evaluated<N> {
+    let set = if sample.every_pixel { PixelSet::default() } else { *loops.program().pixel_set() };
     let mut exactly = Exactly { sample, taken: vec![false; sample.rows.len() * sample.columns.len()] };
-    let outputs = walk(program, &set, &mut exactly).outputs;
+    let outputs = walk(loops, &set, &mut exactly).outputs;
     Evaluated { outputs, taken: exactly.taken }
 }
 

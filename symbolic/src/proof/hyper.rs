@@ -13,21 +13,28 @@ use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::evaluate::Number;
 
 /// A value and its derivatives.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct Hyper<N> {
     pub value: N,
     /// The variables that it depends on, ascending.
     active: Active,
     /// The gradient over the active variables; then the upper triangle of the Hessian, row by row, or nothing where only
     /// first orders are asked for.
-    derivatives: Vec<N>,
+    derivatives: SmallVec<[N; 8]>,
 }
 
 type Active = SmallVec<[u16; 12]>;
 
+impl<N: Number> Clone for Hyper<N> {
+    fn clone(&self) -> Self {
+        let (active, derivatives) = (SmallVec::from_slice(&self.active), SmallVec::from_slice(&self.derivatives));
+        Hyper { value: self.value, active, derivatives }
+    }
+}
+
 impl<N: Number> Hyper<N> {
     pub fn fixed(value: N) -> Hyper<N> {
-        Hyper { value, active: SmallVec::new(), derivatives: Vec::new() }
+        Hyper { value, active: SmallVec::new(), derivatives: SmallVec::new() }
     }
 
     fn first(&self) -> &[N] {
@@ -40,19 +47,23 @@ impl<N: Number> Hyper<N> {
 
     /// f(self) from f, f′, f″.
     pub fn unary(&self, (value, slope, bend): (N, N, N)) -> Hyper<N> {
-        let first = self.first();
-        let mut derivatives = Vec::with_capacity(self.derivatives.len());
-        derivatives.extend(first.iter().map(|d| slope * *d));
-        let mut second = self.second().iter();
-        for (i, a) in first.iter().enumerate() {
-            derivatives.extend(first[i..].iter().zip(&mut second).map(|(b, s)| slope * *s + bend * (*a * *b)));
+        let mut result = self.linear(value, slope);
+        if self.second().is_empty() {
+            return result;
         }
-        Hyper { value, active: self.active.clone(), derivatives }
+        let mut second = result.derivatives[self.active.len()..].iter_mut();
+        for (i, a) in self.first().iter().enumerate() {
+            self.first()[i..].iter().zip(&mut second).for_each(|(b, s)| *s = *s + bend * (*a * *b));
+        }
+        result
     }
 
     /// c · self.
     fn linear(&self, value: N, c: N) -> Hyper<N> {
-        Hyper { value, active: self.active.clone(), derivatives: self.derivatives.iter().map(|d| c * *d).collect() }
+        let mut result = self.clone();
+        result.value = value;
+        result.derivatives.iter_mut().for_each(|d| *d = c * *d);
+        result
     }
 
     /// f(self, b).
@@ -71,38 +82,50 @@ impl<N: Number> Hyper<N> {
     /// Over the variables of both: `first` of the two first derivatives, `second` of the two second ones and of a_i, a_j, b_i
     /// and b_j.
     fn combined(&self, b: &Hyper<N>, value: N, first: &impl Fn(N, N) -> N, second: &impl Fn([N; 6]) -> N) -> Hyper<N> {
+        if self.active != b.active || self.derivatives.len() != b.derivatives.len() {
+            return self.merged(b, value, first, second);
+        }
+        let (in_a, in_b) = (self.first(), b.first());
+        let mut result = self.clone();
+        result.value = value;
+        let (firsts, seconds) = result.derivatives.split_at_mut(in_a.len());
+        firsts.iter_mut().zip(in_b).for_each(|(a, b)| *a = first(*a, *b));
+        if seconds.is_empty() {
+            return result;
+        }
+        let mut seconds = seconds.iter_mut().zip(b.second());
+        for (i, (ai, bi)) in in_a.iter().zip(in_b).enumerate() {
+            let row = in_a[i..].iter().zip(&in_b[i..]).zip(&mut seconds);
+            row.for_each(|((aj, bj), (sa, sb))| *sa = second([*sa, *sb, *ai, *aj, *bi, *bj]));
+        }
+        result
+    }
+
+    /// The same where the variables differ.
+    fn merged(&self, b: &Hyper<N>, value: N, first: &impl Fn(N, N) -> N, second: &impl Fn([N; 6]) -> N) -> Hyper<N> {
+        let mut merged = Hyper::fixed(value);
+        let mut places: SmallVec<[[Option<usize>; 2]; 12]> = SmallVec::new();
+        let (mut in_a, mut in_b) = (0, 0);
+        let of = |x: &Hyper<N>, at: Option<usize>| at.map_or(N::from(0.0), |at| x.derivatives[at]);
+        while let Some(variable) = [self.active.get(in_a), b.active.get(in_b)].into_iter().flatten().min().copied() {
+            let place = |x: &Hyper<N>, next: &mut usize| {
+                let is_its = x.active.get(*next) == Some(&variable);
+                *next += usize::from(is_its);
+                is_its.then(|| *next - 1)
+            };
+            let [i, j] = [place(self, &mut in_a), place(b, &mut in_b)];
+            merged.active.push(variable);
+            merged.derivatives.push(first(of(self, i), of(b, j)));
+            places.push([i, j]);
+        }
         let has_second = !self.second().is_empty() || !b.second().is_empty();
-        if self.active == b.active && self.derivatives.len() == b.derivatives.len() {
-            let (in_a, in_b) = (self.first(), b.first());
-            let mut derivatives = Vec::with_capacity(self.derivatives.len());
-            derivatives.extend(in_a.iter().zip(in_b).map(|(a, b)| first(*a, *b)));
-            let mut pairs = self.second().iter().zip(b.second());
-            for (i, (ai, bi)) in in_a.iter().zip(in_b).enumerate() {
-                let row = in_a[i..].iter().zip(&in_b[i..]).zip(&mut pairs);
-                derivatives.extend(row.map(|((aj, bj), (sa, sb))| second([*sa, *sb, *ai, *aj, *bi, *bj])));
-            }
-            return Hyper { value, active: self.active.clone(), derivatives };
+        for (at, [ai, bi]) in places.iter().enumerate().filter(|_| has_second) {
+            merged.derivatives.extend(places[at..].iter().map(|[aj, bj]| {
+                let (sa, sb) = (self.second_at(*ai, *aj), b.second_at(*bi, *bj));
+                second([sa, sb, of(self, *ai), of(self, *aj), of(b, *bi), of(b, *bj)])
+            }));
         }
-        let zero = N::from(0.0);
-        let mut active: Active = self.active.iter().chain(&b.active).copied().collect();
-        active.sort_unstable();
-        active.dedup();
-        let places = |x: &Hyper<N>| -> SmallVec<[Option<usize>; 12]> {
-            active.iter().map(|variable| x.active.binary_search(variable).ok()).collect()
-        };
-        let (in_a, in_b) = (places(self), places(b));
-        let first_of = |x: &Hyper<N>, i: Option<usize>| i.map_or(zero, |i| x.derivatives[i]);
-        let n = active.len();
-        let mut derivatives = Vec::with_capacity(if has_second { n * (n + 3) / 2 } else { n });
-        derivatives.extend((0..n).map(|i| first(first_of(self, in_a[i]), first_of(b, in_b[i]))));
-        for i in (0..n).filter(|_| has_second) {
-            let (ai, bi) = (first_of(self, in_a[i]), first_of(b, in_b[i]));
-            for j in i..n {
-                let (sa, sb) = (self.second_at(in_a[i], in_a[j]), b.second_at(in_b[i], in_b[j]));
-                derivatives.push(second([sa, sb, ai, first_of(self, in_a[j]), bi, first_of(b, in_b[j])]));
-            }
-        }
-        Hyper { value, active, derivatives }
+        merged
     }
 
     fn second_at(&self, i: Option<usize>, j: Option<usize>) -> N {
@@ -216,7 +239,7 @@ impl<N: Number> Quantity for Hyper<N> {
     }
     fn variable(value: N, variable: u16, order: Order) -> Self {
         let (one, zero) = (N::from(1.0), N::from(0.0));
-        let derivatives = if order == Order::Second { vec![one, zero] } else { vec![one] };
+        let derivatives = if order == Order::Second { smallvec![one, zero] } else { smallvec![one] };
         Hyper { value, active: smallvec![variable], derivatives }
     }
     fn value(&self) -> N {
@@ -299,11 +322,12 @@ enum Cell<Q> {
 /// Evaluates `roots` again and again at changing pixels; what is known per pass is worked out once.
 pub(crate) struct Evaluator<'a, Q> {
     graph: &'a Graph,
-    roots: &'a [NodeId],
+    roots: Vec<NodeId>,
     order: Order,
     variables: FxHashMap<NodeId, u16>,
     /// By node.
     cells: Vec<Cell<Q>>,
+    outer: Vec<NodeId>,
     inner: Vec<NodeId>,
 }
 
@@ -312,33 +336,35 @@ pub(crate) type Values<'a, N> = Evaluator<'a, Bare<N>>;
 
 impl<'a, N: Number> Values<'a, N> {
     /// `leaf` gives inputs.
-    pub fn of(graph: &'a Graph, roots: &'a [NodeId], leaf: &dyn Fn(&Node) -> N) -> Values<'a, N> {
-        Evaluator::new(graph, roots, &[], Order::First, leaf)
+    pub fn of(graph: &'a Graph, roots: &[NodeId], leaf: &dyn Fn(&Node) -> N) -> Values<'a, N> {
+        let mut values = Evaluator::new(graph, roots, &[], Order::First);
+        values.enter(leaf);
+        values
     }
 }
 
 impl<'a, Q: Quantity> Evaluator<'a, Q> {
-    /// `variables` are the nodes to differentiate by; `leaf` gives inputs.
-    pub fn new(
-        graph: &'a Graph,
-        roots: &'a [NodeId],
-        variables: &[NodeId],
-        order: Order,
-        leaf: &dyn Fn(&Node) -> Q::Number,
-    ) -> Evaluator<'a, Q> {
+    /// `variables` are the nodes to differentiate by. [`Self::enter`] comes before anything is evaluated.
+    pub fn new(graph: &'a Graph, roots: &[NodeId], variables: &[NodeId], order: Order) -> Evaluator<'a, Q> {
         let variables = variables.iter().enumerate().map(|(i, node)| (*node, i as u16)).collect();
         let (outer, inner): (Vec<_>, Vec<_>) =
             graph.reachable(roots).into_iter().partition(|node| graph.level(*node) == Level::Pass);
-        let cells = vec![Cell::Truth(false); graph.len()];
-        let mut evaluator = Evaluator { graph, roots, order, variables, cells, inner };
-        outer.into_iter().for_each(|node| evaluator.work_out(node, leaf));
-        evaluator
+        let last = outer.last().max(inner.last());
+        let cells = vec![Cell::Truth(false); last.map_or(0, |node| node.index() + 1)];
+        Evaluator { graph, roots: roots.to_vec(), order, variables, cells, outer, inner }
+    }
+
+    /// With these inputs from here on.
+    pub fn enter(&mut self, leaf: &dyn Fn(&Node) -> Q::Number) {
+        for i in 0..self.outer.len() {
+            self.work_out(self.outer[i], leaf);
+        }
     }
 
     /// The roots at one pixel; `leaf` gives coordinates and channels.
-    pub fn at(&mut self, leaf: &dyn Fn(&Node) -> Q::Number) -> Vec<Q> {
+    pub fn at(&mut self, leaf: &dyn Fn(&Node) -> Q::Number) -> SmallVec<[&Q; 2]> {
         self.step(leaf);
-        self.roots.iter().map(|root| self.number(*root).clone()).collect()
+        self.roots.iter().map(|root| self.number(*root)).collect()
     }
 
     /// The first root, a truth value, at one pixel.
@@ -381,16 +407,16 @@ impl<'a, Q: Quantity> Evaluator<'a, Q> {
                 Cell::Number(sum)
             }
             Node::Product(factors) => {
-                let mut product: Option<Q> = None;
-                for (n, exponent) in factors.iter() {
-                    let power = if *exponent == 1 { None } else { Some(at(n).power(*exponent)) };
-                    let factor = power.as_ref().unwrap_or_else(|| at(n));
-                    product = Some(match product {
-                        None => factor.clone(),
-                        Some(product) => product.mul(factor),
-                    });
-                }
-                Cell::Number(product.unwrap_or_else(|| Q::fixed(number(1.0))))
+                let (first, others) = match &factors[..] {
+                    [(a, 1), (b, 1), others @ ..] => (at(a).mul(at(b)), others),
+                    [(a, exponent), others @ ..] => (at(a).power(*exponent), others),
+                    [] => (Q::fixed(number(1.0)), &[][..]),
+                };
+                let times = |product: Q, (n, exponent): &(NodeId, i32)| match exponent {
+                    1 => product.mul(at(n)),
+                    _ => product.mul(&at(n).power(*exponent)),
+                };
+                Cell::Number(others.iter().fold(first, times))
             }
             Node::Sqrt(a) => Cell::Number(at(a).sqrt()),
             Node::Abs(a) => {

@@ -24,13 +24,13 @@ pub(crate) mod evaluate;
 mod faults_tests;
 pub(crate) mod hyper;
 pub(crate) mod likelihood;
-pub(crate) mod modular;
 pub(crate) mod pixels;
 pub(crate) mod plane;
 pub(crate) mod points;
 pub(crate) mod referee;
 #[cfg(test)]
 mod rewrites_tests;
+pub(crate) mod subject;
 pub(crate) mod weighed;
 
 use serde::{Deserialize, Serialize};

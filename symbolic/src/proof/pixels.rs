@@ -10,16 +10,17 @@ use crate::language::graph::{Node, NodeId};
 use crate::program::peephole::arrange;
 use crate::program::{ChannelId, Program, Sink};
 use crate::proof::TOLERANCE;
-use crate::proof::evaluate::evaluate_at;
+use crate::proof::evaluate::{Loops, evaluate_at};
 use crate::proof::hyper::Values;
 use crate::proof::likelihood::Shape;
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
-use crate::proof::referee::{Subject, is_rounding, sample, worst};
+use crate::proof::referee::{is_rounding, worst};
+use crate::proof::subject::{Subject, sample};
 use crate::proof::weighed::Weighed;
 
 /// How near a rim, px, a pixel may belong or not.
 pub(super) const RIM: f64 = 1e-6;
-/// Halvings of the widest step between columns that come nearer than that.
+/// Halvings of a step between columns at most.
 const HALVINGS: u32 = 32;
 /// Steps between columns, px: each way from the target the first and its doubles.
 const STEP: f64 = 1.37;
@@ -69,11 +70,15 @@ pub(super) fn columns_at_rims(middle: f64, inside: &mut dyn FnMut(f64) -> bool) 
     let mut columns: Vec<f64> = outwards.clone().rev().map(|step| middle - step).collect();
     columns.push(middle);
     columns.extend(outwards.map(|step| middle + step));
+    let mut at_right = inside(columns[0]);
     for i in 1..columns.len() {
         let (mut left, mut right) = (columns[i - 1], columns[i]);
-        let at_left = inside(left);
-        if at_left != inside(right) {
+        let at_left = std::mem::replace(&mut at_right, inside(right));
+        if at_left != at_right {
             for _ in 0..HALVINGS {
+                if right - left <= 0.5 * RIM {
+                    break;
+                }
                 let between = 0.5 * (left + right);
                 if inside(between) == at_left { left = between } else { right = between }
             }
@@ -142,9 +147,9 @@ impl Rim {
     }
 
     /// True when the program, or only its pixel set, takes these pixels of the row.
-    pub fn is_of(&self, subject: &Subject, program: &Program) -> bool {
+    pub fn is_of(&self, subject: &Subject, loops: &Loops<'_>) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
-        let taken = evaluate_at(program, &sample(program, &self.point, &pixel)).taken;
+        let taken = evaluate_at(loops, &sample(loops, &self.point, &pixel)).taken;
         let wrong = differing(&self.inside, &taken);
         are_rims(subject, &self.point, &wrong, 0.5 * RIM)
     }
@@ -262,7 +267,8 @@ impl Windowed {
             }
         }
         let mut window = Windowed { point, taken, sums: None };
-        window.sums = subject.weighed(&window.point, |column, row| window.takes(column, row));
+        let evaluator = &mut subject.evaluator();
+        window.sums = subject.weighed(evaluator, &window.point, |column, row| window.takes(column, row));
         window
     }
 
@@ -271,9 +277,9 @@ impl Windowed {
     }
 
     /// True when the program takes these pixels, and sums what the document says of them.
-    pub fn is_summed_by(&self, subject: &Subject, program: &Program) -> bool {
+    pub fn is_summed_by(&self, subject: &Subject, loops: &Loops<'_>) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
-        let found = evaluate_at(program, &sample(program, &self.point, &pixel));
+        let found = evaluate_at(loops, &sample(loops, &self.point, &pixel));
         let wrong = differing(&self.taken, &found.taken);
         if !wrong.is_empty() {
             return are_rims(subject, &self.point, &wrong, RIM);
@@ -284,7 +290,7 @@ impl Windowed {
             let point = self.point.map(DoubleDouble::from);
             let exact = subject.direct(&point, |column, row| self.takes(column, row));
             let pixel = |channel, column, row| point.pixel(channel, column, row);
-            is_rounding(&evaluate_at(program, &sample(program, &point, &pixel)).outputs, &exact, sums)
+            is_rounding(&evaluate_at(loops, &sample(loops, &point, &pixel)).outputs, &exact, sums)
         }
     }
 }

@@ -1,13 +1,14 @@
 //! Made-up points for the check of a program: numbers for everything that a model's formulas read, with a target in the
 //! middle of them, and a small picture of it. The same every time.
 
+use isophote_elementary::Modular;
+
 use crate::language::graph::Node;
 use crate::language::model::{Estimator, Model, Parameter, Start};
 use crate::program::Input;
 use crate::program::interpreter::{Pixels, Slices, Window};
 use crate::proof::evaluate::Number;
 use crate::proof::hyper::Values;
-use crate::proof::modular::Modular;
 
 /// Columns of a picture.
 const WIDTH: usize = 36;

@@ -5,45 +5,33 @@
 
 use std::sync::OnceLock;
 
-use isophote_elementary::{DoubleDouble, Function1};
+use isophote_elementary::{DoubleDouble, Modular};
 
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Loss, Model};
+use crate::language::model::Model;
 use crate::program::interpreter;
 use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
 use crate::proof::budget::Room;
-use crate::proof::claim::{Claim, ValueKind};
+use crate::proof::claim::Claim;
 use crate::proof::draft::Draft;
-use crate::proof::evaluate::{Number, Sample, evaluate_at};
-use crate::proof::hyper::{Bare, Evaluator, Hyper, Order, Values};
+use crate::proof::evaluate::Loops;
+use crate::proof::hyper::{Evaluator, Hyper};
 use crate::proof::likelihood::Shape;
-use crate::proof::modular::Modular;
 use crate::proof::pixels::{Rim, Windowed, set_of};
 use crate::proof::points::{
     BESIDE, FAR, NEAR, Picture, Point, Random, anywhere, centre, limit, picture, plausible, residues,
 };
+use crate::proof::subject::Subject;
 use crate::proof::weighed::Weighed;
-use crate::proof::{ENOUGH, Errors, LARGEST, POINTS, REFEREE, SMALLEST, TOLERANCE};
+use crate::proof::{ENOUGH, Errors, POINTS, REFEREE, SMALLEST, TOLERANCE};
 
 /// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
 const UNSEEN: f64 = 1e-12;
-/// How much larger a prediction may be than a residual of which f64 knows on which side of a threshold it is.
-const CERTAIN: f64 = 1e10;
 /// Instructions of a program that is run in f32 on one row only.
 const LONG: usize = 2000;
 
-/// What the sums are of, as the document says it: no rewrite has seen it.
-#[derive(Clone, Debug)]
-pub(crate) struct Subject {
-    pub model: Model,
-    pub graph: Graph,
-    pub residual: NodeId,
-    pub variance: Option<NodeId>,
-    pub shape: Shape,
-    pub domain: Option<NodeId>,
-    pub parameters: Vec<NodeId>,
-    pub claim: Claim,
-}
+/// Works out what rounding errors are measured against.
+type Weighing<'a> = Evaluator<'a, Hyper<Weighed>>;
 
 /// A point, and what the sums are there.
 #[derive(Clone, Debug)]
@@ -114,6 +102,15 @@ impl Referee {
         Some((draft.passed(), errors))
     }
 
+    /// The program, when it is one that passed but for its saturated pixels, and leaves those of these channels out.
+    pub fn proved_alike(&self, draft: Draft, dropped: &[ChannelId], passed: &Program) -> Option<Program> {
+        let loops = Loops::of(draft.program());
+        let is_right = loops.program().pixel_set().saturated.is_some() != dropped.is_empty()
+            && loops.program().is_alike(passed)
+            && self.windows(dropped).iter().all(|window| window.is_summed_by(&self.subject, &loops));
+        is_right.then(|| draft.passed())
+    }
+
     pub(super) fn check(&self, program: &Program, dropped: &[ChannelId]) -> Option<Errors> {
         let outputs = program.sink().outputs().len();
         let set = program.pixel_set();
@@ -124,23 +121,24 @@ impl Referee {
         {
             return None;
         }
-        let agrees = |known: &Known<Modular, Modular>| self.subject.found(program, &known.point) == known.sums;
+        let loops = &Loops::of(program);
+        let agrees = |known: &Known<Modular, Modular>| self.subject.found(loops, &known.point) == known.sums;
         let exact = self.exact.get_or_init(|| self.residues(0..1)).iter().all(agrees)
             && (!(self.is_conditional || has_branches(program)) || self.further().iter().all(agrees));
         let (error, right) = match self.sampled() {
             Some(known) => {
-                let (error, right) = self.compared(program, known, |_| true);
+                let (error, right) = self.compared(loops, known, |_| true);
                 (Some(error), right)
             }
             None => (None, true),
         };
         let right = right
             && (exact || error.is_some())
-            && self.beside().iter().all(|known| self.compared(program, known, |_| true).1)
+            && self.beside().iter().all(|known| self.compared(loops, known, |_| true).1)
             // Far off, powers may leave f64's range in a program that do not in the formulas: such a sum tells nothing.
-            && (!self.is_conditional || self.far().iter().all(|known| self.compared(program, known, f64::is_finite).1))
+            && (!self.is_conditional || self.far().iter().all(|known| self.compared(loops, known, f64::is_finite).1))
             && self.has_its_rims(program)
-            && self.windows(dropped).iter().all(|window| window.is_summed_by(&self.subject, program));
+            && self.windows(dropped).iter().all(|window| window.is_summed_by(&self.subject, loops));
         right.then_some(Errors { exact, error })
     }
 
@@ -149,9 +147,10 @@ impl Referee {
     }
 
     fn residues(&self, seeds: std::ops::Range<u64>) -> Vec<Known<Modular, Modular>> {
+        let mut evaluator = self.subject.evaluator();
         let at = |seed| {
             let point = residues(&self.subject.model, &mut Random(seed));
-            let sums = self.subject.direct(&point, |_, _| true);
+            let sums = self.subject.summed(&mut evaluator, &point, |_, _| true, |_| true).unwrap_or_default();
             Known { point, sums }
         };
         seeds.map(at).collect()
@@ -162,15 +161,16 @@ impl Referee {
         self.sampled().is_none()
     }
 
-    fn known(&self, point: Point<f64>) -> Option<Known<f64, Weighed>> {
-        let sums = self.subject.weighed(&point, |_, _| true)?;
+    fn known(&self, evaluator: &mut Weighing<'_>, point: Point<f64>) -> Option<Known<f64, Weighed>> {
+        let sums = self.subject.weighed(evaluator, &point, |_, _| true)?;
         Some(Known { point, sums })
     }
 
     /// Single pixels somewhere, at any parameters: what formulas have a value for may be elsewhere than targets are put.
     fn anywhere(&self) -> &[Known<f64, Weighed>] {
         self.anywhere.get_or_init(|| {
-            let at = |seed| self.known(anywhere(&self.subject.model, &mut Random(seed)));
+            let mut evaluator = self.subject.evaluator();
+            let at = |seed| self.known(&mut evaluator, anywhere(&self.subject.model, &mut Random(seed)));
             (0..self.room.elsewhere).filter_map(at).take(ENOUGH).collect()
         })
     }
@@ -178,10 +178,11 @@ impl Referee {
     /// The first point where all is finite.
     fn sampled(&self) -> Option<&Known<f64, Weighed>> {
         let made = || {
+            let mut evaluator = self.subject.evaluator();
             (0..POINTS).find_map(|seed| {
                 let model = &self.subject.model;
                 let point = plausible(model, centre(model, NEAR), &mut Random(seed));
-                self.known(point)
+                self.known(&mut evaluator, point)
             })
         };
         self.sampled.get_or_init(|| made().or_else(|| self.anywhere().first().cloned())).as_ref()
@@ -190,14 +191,15 @@ impl Referee {
     fn beside(&self) -> &[Known<f64, Weighed>] {
         self.beside.get_or_init(|| {
             let (model, subject) = (&self.subject.model, &self.subject);
+            let (mut values, mut evaluator) = (subject.values(), subject.evaluator());
             let at = |seed| {
                 let mut point = plausible(model, centre(model, BESIDE), &mut Random(seed));
                 point.columns.truncate(2);
                 point.rows.truncate(1);
-                if !subject.show_threshold(&mut point) {
+                if !subject.show_threshold(&mut values, &mut point) {
                     return None;
                 }
-                self.known(point)
+                self.known(&mut evaluator, point)
             };
             let found: Vec<_> = (0..if self.is_conditional { self.room.points } else { 1 }).filter_map(at).collect();
             if found.is_empty() { self.anywhere().to_vec() } else { found }
@@ -207,12 +209,13 @@ impl Referee {
     /// Where every branch that far-off parameters take shows.
     fn far(&self) -> &[Known<f64, Weighed>] {
         self.far.get_or_init(|| {
+            let mut evaluator = self.subject.evaluator();
             let at = |seed| {
                 let mut random = Random(seed);
                 let model = &self.subject.model;
                 let mut point = plausible(model, centre(model, NEAR), &mut random);
                 point.move_far(&mut random);
-                self.known(point)
+                self.known(&mut evaluator, point)
             };
             (0..self.room.points).filter_map(at).collect()
         })
@@ -224,7 +227,8 @@ impl Referee {
         rims.is_empty() || {
             let mut set = set_of(program);
             set.pixel_set.saturated = None;
-            rims.iter().all(|rim| rim.is_of(&self.subject, &set))
+            let loops = Loops::of(&set);
+            rims.iter().all(|rim| rim.is_of(&self.subject, &loops))
         }
     }
 
@@ -237,14 +241,14 @@ impl Referee {
     }
 
     /// The error in f64 of the sums that are told, and whether that is rounding only.
-    fn compared(&self, program: &Program, known: &Known<f64, Weighed>, is_told: fn(f64) -> bool) -> (f64, bool) {
-        let found = self.subject.found(program, &known.point);
+    fn compared(&self, loops: &Loops<'_>, known: &Known<f64, Weighed>, is_told: fn(f64) -> bool) -> (f64, bool) {
+        let found = self.subject.found(loops, &known.point);
         let told: Vec<usize> = (0..found.len()).filter(|i| is_told(found[*i])).collect();
         let sums = picked(&known.sums, &told);
         let error = worst(&picked(&found, &told), &sums);
         let is_rounding = || {
             let point = known.point.map(DoubleDouble::from);
-            let (found, exact) = (self.subject.found(program, &point), self.subject.direct(&point, |_, _| true));
+            let (found, exact) = (self.subject.found(loops, &point), self.subject.direct(&point, |_, _| true));
             is_rounding(&picked(&found, &told), &picked(&exact, &told), &sums)
         };
         (error, error <= TOLERANCE || is_rounding())
@@ -306,21 +310,6 @@ fn has_branches(program: &Program) -> bool {
     program.instructions().iter().zip(summed).any(|(instruction, summed)| summed && branches(instruction.op))
 }
 
-/// What a program reads at a point.
-pub(super) fn sample<'a, N: Number>(
-    program: &Program,
-    point: &'a Point<N>,
-    pixel: &'a dyn Fn(usize, usize, usize) -> N,
-) -> Sample<'a, N> {
-    Sample {
-        inputs: program.inputs().iter().map(|input| point.input(*input)).collect(),
-        columns: point.columns.clone(),
-        rows: point.rows.clone(),
-        pixel,
-        every_pixel: false,
-    }
-}
-
 fn picked<T: Copy>(all: &[T], indices: &[usize]) -> Vec<T> {
     indices.iter().map(|i| all[*i]).collect()
 }
@@ -340,154 +329,4 @@ pub(super) fn is_rounding(found: &[DoubleDouble], exact: &[DoubleDouble], weighe
         (*found - *exact).to_f64().abs() <= REFEREE * weighed.terms.max(exact.to_f64().abs()).max(SMALLEST)
     };
     found.iter().zip(exact).zip(weighed).all(is_near)
-}
-
-impl Subject {
-    fn roots(&self) -> Vec<NodeId> {
-        [Some(self.residual), self.variance].into_iter().flatten().collect()
-    }
-
-    /// How many numbers the sums are.
-    fn outputs(&self) -> usize {
-        let n = self.parameters.len();
-        match self.claim {
-            Claim::Value(ValueKind::Entry) => 1,
-            Claim::Value(ValueKind::Full) => 2,
-            Claim::Derivatives { part, .. } => {
-                1 + usize::from(part.has_gradient()) * n + usize::from(part.has_hessian()) * (n * (n + 1) / 2)
-            }
-        }
-    }
-
-    /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it; false
-    /// where those are what rounding leaves of much larger numbers.
-    fn show_threshold(&self, point: &mut Point<f64>) -> bool {
-        let threshold = match self.shape {
-            Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c)) => c,
-            Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares) => 1.0,
-        };
-        // Without pixels the residual is −intensity, as far as observed values are pixels.
-        point.pixels = vec![0.0; self.model.channels.len() * point.rows.len() * point.columns.len()];
-        let (mut pixels, mut are_sure) = (Vec::new(), true);
-        for values in self.values(point) {
-            let deviation = values.get(1).map_or(1.0, |variance| variance.value.sqrt());
-            let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
-            are_sure &= values[0].value.abs() < CERTAIN * threshold * deviation;
-            pixels.push(side * threshold * deviation - values[0].value);
-        }
-        point.pixels = (0..self.model.channels.len()).flat_map(|_| pixels.iter().copied()).collect();
-        are_sure
-    }
-
-    /// Residual and variance at each pixel of a point, row by row.
-    fn values(&self, point: &Point<f64>) -> Vec<Vec<Bare<f64>>> {
-        let roots = self.roots();
-        let mut evaluator = Values::of(&self.graph, &roots, &|node| point.given(node));
-        let places = (0..point.rows.len()).flat_map(|row| (0..point.columns.len()).map(move |column| (column, row)));
-        let at = |(column, row): (usize, usize)| {
-            let pixel = |channel| point.pixel(channel, column, row);
-            evaluator.at(&|node| point.read(node, point.columns[column], &point.rows[row], &pixel))
-        };
-        places.map(at).collect()
-    }
-
-    /// The sums over pixels that take part, with their terms. `None` where they are no evidence: a robust loss makes a number of
-    /// what is no number, or too large for its powers.
-    pub(super) fn weighed(
-        &self,
-        point: &Point<f64>,
-        takes_part: impl Fn(usize, usize) -> bool,
-    ) -> Option<Vec<Weighed>> {
-        let width = point.columns.len();
-        let is_ordinary = |(i, values): (usize, &Vec<Bare<f64>>)| {
-            !takes_part(i % width, i / width) || values.iter().all(|x| x.value.abs() < LARGEST)
-        };
-        if !self.values(point).iter().enumerate().all(is_ordinary) {
-            return None;
-        }
-        let sums = self.direct(&point.map(Weighed::from), takes_part);
-        sums.iter().all(|x| x.value.is_finite() && x.terms < LARGEST).then_some(sums)
-    }
-
-    /// How far the formulas are differentiated.
-    pub(super) fn order(&self) -> Order {
-        match self.claim {
-            Claim::Derivatives { newton: true, .. } => Order::Second,
-            _ => Order::First,
-        }
-    }
-
-    /// What the document's formulas make the sums, over the point's pixels that take part.
-    pub(super) fn direct<N: Number>(&self, point: &Point<N>, takes_part: impl Fn(usize, usize) -> bool) -> Vec<N> {
-        let roots = self.roots();
-        let given = |node: &Node| point.given(node);
-        let mut evaluator = Evaluator::new(&self.graph, &roots, &self.parameters, self.order(), &given);
-        let mut sums = vec![N::from(0.0); self.outputs()];
-        for (row, outer) in point.rows.iter().enumerate() {
-            for (column, x) in point.columns.iter().enumerate() {
-                if !takes_part(column, row) {
-                    continue;
-                }
-                let pixel = |channel| point.pixel(channel, column, row);
-                let entries = self.entries(&evaluator.at(&|node| point.read(node, *x, outer, &pixel)));
-                sums.iter_mut().zip(entries).for_each(|(sum, entry)| *sum = *sum + entry);
-            }
-        }
-        sums
-    }
-
-    /// What one pixel adds, by its residual and variance.
-    fn entries<N: Number>(&self, values: &[Hyper<N>]) -> Vec<N> {
-        let n = self.parameters.len() as u16;
-        let (residual, variance) = (&values[0], values.get(1));
-        let mut entries = Vec::with_capacity(self.outputs());
-        match self.claim {
-            Claim::Value(kind) => {
-                let variance = variance.map(|v| v.value);
-                let [value, ..] = self.shape.direct(residual.value, variance);
-                if kind == ValueKind::Full {
-                    let logarithm = variance.filter(|_| self.shape.has_logarithm()).map(|v| v.call1(Function1::Log));
-                    entries.push(logarithm.map_or(value, |logarithm| value + logarithm));
-                }
-                entries.push(value);
-            }
-            Claim::Derivatives { newton: true, part } => {
-                let f = self.shape.newton(residual, variance);
-                entries.push(f.value);
-                if part.has_gradient() {
-                    entries.extend(f.gradients(n));
-                }
-                if part.has_hessian() {
-                    entries.extend(f.hessians(n));
-                }
-            }
-            Claim::Derivatives { newton: false, part } => {
-                let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value));
-                let slopes: Vec<N> = residual.gradients(n).collect();
-                entries.push(value);
-                if part.has_gradient() {
-                    entries.extend(slopes.iter().map(|slope| l * *slope));
-                }
-                if part.has_hessian() {
-                    let rows = slopes.iter().enumerate();
-                    entries.extend(rows.flat_map(|(i, u)| slopes[i..].iter().map(move |v| q * *u * *v)));
-                }
-            }
-        }
-        entries
-    }
-
-    /// What the program makes the sums, every pixel of the point taking part.
-    fn found<N: Number>(&self, program: &Program, point: &Point<N>) -> Vec<N> {
-        let pixel = |channel, column, row| point.pixel(channel, column, row);
-        evaluate_at(program, &Sample { every_pixel: true, ..sample(program, point, &pixel) }).outputs
-    }
-
-    /// The value of the i-th free parameter.
-    fn value(&self, i: usize, point: &Point<f64>) -> f64 {
-        match self.graph.node(self.parameters[i]) {
-            Node::Input(input) => point.input(*input),
-            _ => f64::NAN,
-        }
-    }
 }

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeSet;
 
-use isophote_elementary::Function1;
+use isophote_elementary::{Function1, Modular};
 
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers, gather};
 use crate::derive::jet::jet;
@@ -23,9 +23,8 @@ use crate::program::{
     AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,
     Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
-use crate::proof::evaluate::{Sample, evaluate_at};
+use crate::proof::evaluate::{Loops, Sample, evaluate_at};
 use crate::proof::hyper::{Order, Values};
-use crate::proof::modular::Modular;
 use crate::proof::points::Random;
 
 /// A number for everything that is read, the same for graph and program.
@@ -52,7 +51,7 @@ fn sample(program: &Program) -> Sample<'static, Modular> {
 
 fn outputs(program: &Program) -> Vec<Modular> {
     assert_eq!(program.check(), Ok(()), "{program}");
-    evaluate_at(program, &sample(program)).outputs
+    evaluate_at(&Loops::of(program), &sample(program)).outputs
 }
 
 fn values(graph: &Graph, roots: &[NodeId]) -> Vec<Modular> {
@@ -75,7 +74,7 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
         instructions,
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators, totals, outputs },
-        names: Names::default(),
+        names: Default::default(),
         fused: false,
     }
 }
@@ -310,7 +309,8 @@ fn instructions_are_what_the_formulas_are() {
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };
             let program =
-                schedule::sums(&mut graph, &sums, None, Lowering { fma, drop_saturated: false }, names).unproved();
+                schedule::sums(&mut graph, &sums, None, Lowering { fma, drop_saturated: false }, names.into())
+                    .unproved();
             assert_eq!(outputs(&program), expected, "seed {seed}, contracting {fma}\n{program:?}");
         }
     }
@@ -355,8 +355,8 @@ fn completed_squares_have_the_same_sums() {
             let mut graph = graph.clone();
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };
-            let program =
-                schedule::sums(&mut graph, sums, None, Lowering { fma, drop_saturated: false }, names).unproved();
+            let program = schedule::sums(&mut graph, sums, None, Lowering { fma, drop_saturated: false }, names.into())
+                .unproved();
             outputs(&program)
         };
         let expected = outputs_of(&before, false);

@@ -7,18 +7,17 @@
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use isophote_elementary::{Function1, Function2};
-
-use crate::proof::evaluate::Number;
+use crate::{Function1, Function2, Number};
 
 const P: u64 = (1 << 61) - 1;
 
 /// A residue, below the prime.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) struct Modular(u64);
+pub struct Modular(u64);
 
 impl Modular {
     /// Of any bits, for random points.
+    #[inline]
     pub fn of_bits(bits: u64) -> Modular {
         Modular(bits % P)
     }
@@ -35,19 +34,22 @@ impl Modular {
         (t_next.abs() < SMALL && t_next != 0).then(|| r_next as f64 / t_next as f64)
     }
 
-    fn power(self, mut exponent: u64) -> Modular {
-        let (mut square, mut power) = (self, Modular(1));
-        while exponent > 0 {
-            if exponent & 1 == 1 {
-                power = power * square;
-            }
-            square = square * square;
-            exponent >>= 1;
-        }
-        power
+    /// By Fermat, x to the power of P − 2; that of 0 is 0.
+    fn inverse(self) -> Modular {
+        let squared = |x: Modular, times: u32| (0..times).fold(x, |x, _| x * x);
+        // The power of 2ⁿ − 1, squared k times and multiplied by that of 2ᵏ − 1, is that of 2ⁿ⁺ᵏ − 1.
+        let of_2 = squared(self, 1) * self;
+        let of_4 = squared(of_2, 2) * of_2;
+        let of_8 = squared(of_4, 4) * of_4;
+        let of_16 = squared(of_8, 8) * of_8;
+        let of_32 = squared(of_16, 16) * of_16;
+        let of_56 = squared(squared(of_32, 16) * of_16, 8) * of_8;
+        let of_59 = squared(squared(of_56, 2) * of_2, 1) * self;
+        squared(of_59, 2) * self
     }
 
     /// A value that depends on the tag and the residue alone.
+    #[inline]
     fn opaque(self, tag: u64) -> Modular {
         let mut z = self.0 ^ tag.wrapping_mul(0x9e37_79b9_7f4a_7c15);
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -88,12 +90,13 @@ impl From<f64> for Modular {
         let (exponent, fraction) = ((bits >> 52) as i64, bits & ((1 << 52) - 1));
         let (mantissa, exponent) =
             if exponent == 0 { (fraction, -1074) } else { (fraction | 1 << 52, exponent - 1075) };
-        let value = Modular(mantissa) * Modular(2).power(exponent.rem_euclid(61) as u64);
+        let value = Modular(mantissa) * Modular(1 << exponent.rem_euclid(61));
         if x < 0.0 { -value } else { value }
     }
 }
 
 impl PartialOrd for Modular {
+    #[inline]
     fn partial_cmp(&self, other: &Modular) -> Option<Ordering> {
         let difference = (*self - *other).0;
         Some(match difference {
@@ -105,12 +108,14 @@ impl PartialOrd for Modular {
 }
 impl Neg for Modular {
     type Output = Modular;
+    #[inline]
     fn neg(self) -> Modular {
         Modular(if self.0 == 0 { 0 } else { P - self.0 })
     }
 }
 impl Add for Modular {
     type Output = Modular;
+    #[inline]
     fn add(self, b: Modular) -> Modular {
         let sum = self.0 + b.0;
         Modular(if sum >= P { sum - P } else { sum })
@@ -118,12 +123,14 @@ impl Add for Modular {
 }
 impl Sub for Modular {
     type Output = Modular;
+    #[inline]
     fn sub(self, b: Modular) -> Modular {
         self + -b
     }
 }
 impl Mul for Modular {
     type Output = Modular;
+    #[inline]
     fn mul(self, b: Modular) -> Modular {
         let product = u128::from(self.0) * u128::from(b.0);
         Modular((product as u64) & P) + Modular((product >> 61) as u64)
@@ -131,22 +138,28 @@ impl Mul for Modular {
 }
 impl Div for Modular {
     type Output = Modular;
-    /// By Fermat; x / 0 is 0.
+    /// x / 0 is 0.
+    #[allow(clippy::suspicious_arithmetic_impl)] // a product with the inverse
+    #[inline]
     fn div(self, b: Modular) -> Modular {
-        self * b.power(P - 2)
+        self * b.inverse()
     }
 }
 
 impl Number for Modular {
+    #[inline]
     fn abs(self) -> Modular {
         if self < Modular(0) { -self } else { self }
     }
+    #[inline]
     fn sqrt(self) -> Modular {
         self.opaque(1)
     }
+    #[inline]
     fn call1(self, function: Function1) -> Modular {
         self.opaque(16 + function as u64)
     }
+    #[inline]
     fn call2(self, function: Function2, other: Modular) -> Modular {
         self.opaque(64 + function as u64) + other.opaque(96 + function as u64) * self.opaque(128)
     }

@@ -1,0 +1,204 @@
+//! What a program's sums are of, and what the formulas make them at a point: forward differentiation, pixel by pixel.
+//!
+//! What comes in: a point. What goes out: each sum, in any arithmetic. It never knows a derivation; of a program it knows what
+//! it makes of the same point.
+
+use isophote_elementary::Function1;
+
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::model::{Loss, Model};
+use crate::proof::LARGEST;
+use crate::proof::claim::{Claim, ValueKind};
+use crate::proof::evaluate::{Loops, Number, Sample, evaluate_at};
+use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
+use crate::proof::likelihood::Shape;
+use crate::proof::points::Point;
+use crate::proof::weighed::Weighed;
+
+/// How much larger a prediction may be than a residual of which f64 knows on which side of a threshold it is.
+const CERTAIN: f64 = 1e10;
+
+/// What the sums are of, as the document says it: no rewrite has seen it.
+#[derive(Clone, Debug)]
+pub(crate) struct Subject {
+    pub model: Model,
+    pub graph: Graph,
+    pub residual: NodeId,
+    pub variance: Option<NodeId>,
+    pub shape: Shape,
+    pub domain: Option<NodeId>,
+    pub parameters: Vec<NodeId>,
+    pub claim: Claim,
+}
+
+impl Subject {
+    pub(super) fn roots(&self) -> Vec<NodeId> {
+        [Some(self.residual), self.variance].into_iter().flatten().collect()
+    }
+
+    /// How many numbers the sums are.
+    pub(super) fn outputs(&self) -> usize {
+        let n = self.parameters.len();
+        match self.claim {
+            Claim::Value(ValueKind::Entry) => 1,
+            Claim::Value(ValueKind::Full) => 2,
+            Claim::Derivatives { part, .. } => {
+                1 + usize::from(part.has_gradient()) * n + usize::from(part.has_hessian()) * (n * (n + 1) / 2)
+            }
+        }
+    }
+
+    /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it; false
+    /// where those are what rounding leaves of much larger numbers.
+    pub(super) fn show_threshold(&self, evaluator: &mut Values<'_, f64>, point: &mut Point<f64>) -> bool {
+        let threshold = match self.shape {
+            Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c)) => c,
+            Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares) => 1.0,
+        };
+        // Without pixels the residual is −intensity, as far as observed values are pixels.
+        let (mut pixels, mut are_sure) = (Vec::new(), true);
+        evaluator.enter(&|node| point.given(node));
+        for (outer, x) in point.rows.iter().flat_map(|outer| point.columns.iter().map(move |x| (outer, *x))) {
+            let values = evaluator.at(&|node| point.read(node, x, outer, &|_| 0.0));
+            let deviation = values.get(1).map_or(1.0, |variance| variance.value.sqrt());
+            let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
+            are_sure &= values[0].value.abs() < CERTAIN * threshold * deviation;
+            pixels.push(side * threshold * deviation - values[0].value);
+        }
+        point.pixels = (0..self.model.channels.len()).flat_map(|_| pixels.iter().copied()).collect();
+        are_sure
+    }
+
+    /// The sums over pixels that take part, with their terms. `None` where they are no evidence: a robust loss makes a number of
+    /// what is no number, or too large for its powers.
+    pub(super) fn weighed(
+        &self,
+        evaluator: &mut Evaluator<'_, Hyper<Weighed>>,
+        point: &Point<f64>,
+        takes_part: impl Fn(usize, usize) -> bool,
+    ) -> Option<Vec<Weighed>> {
+        let is_ordinary = |values: &[&Hyper<Weighed>]| values.iter().all(|x| x.value.value.abs() < LARGEST);
+        let sums = self.summed(evaluator, &point.map(Weighed::from), takes_part, is_ordinary)?;
+        sums.iter().all(|x| x.value.is_finite() && x.terms < LARGEST).then_some(sums)
+    }
+
+    /// How far the formulas are differentiated.
+    pub(super) fn order(&self) -> Order {
+        match self.claim {
+            Claim::Derivatives { newton: true, .. } => Order::Second,
+            _ => Order::First,
+        }
+    }
+
+    /// Evaluates the formulas with their derivatives, at one point after another.
+    pub(super) fn evaluator<N: Number>(&self) -> Evaluator<'_, Hyper<N>> {
+        Evaluator::new(&self.graph, &self.roots(), &self.parameters, self.order())
+    }
+
+    /// The same without derivatives.
+    pub(super) fn values(&self) -> Values<'_, f64> {
+        Evaluator::new(&self.graph, &self.roots(), &[], Order::First)
+    }
+
+    /// What the document's formulas make the sums, over the point's pixels that take part.
+    pub(super) fn direct<N: Number>(&self, point: &Point<N>, takes_part: impl Fn(usize, usize) -> bool) -> Vec<N> {
+        self.summed(&mut self.evaluator(), point, takes_part, |_| true).unwrap_or_default()
+    }
+
+    /// The same; nothing where the values of a pixel that takes part are no evidence.
+    pub(super) fn summed<N: Number>(
+        &self,
+        evaluator: &mut Evaluator<'_, Hyper<N>>,
+        point: &Point<N>,
+        takes_part: impl Fn(usize, usize) -> bool,
+        is_evidence: impl Fn(&[&Hyper<N>]) -> bool,
+    ) -> Option<Vec<N>> {
+        evaluator.enter(&|node| point.given(node));
+        let mut sums = vec![N::from(0.0); self.outputs()];
+        for (row, outer) in point.rows.iter().enumerate() {
+            for (column, x) in point.columns.iter().enumerate() {
+                if !takes_part(column, row) {
+                    continue;
+                }
+                let pixel = |channel| point.pixel(channel, column, row);
+                let values = evaluator.at(&|node| point.read(node, *x, outer, &pixel));
+                if !is_evidence(&values) {
+                    return None;
+                }
+                let entries = self.entries(&values);
+                sums.iter_mut().zip(entries).for_each(|(sum, entry)| *sum = *sum + entry);
+            }
+        }
+        Some(sums)
+    }
+
+    /// What one pixel adds, by its residual and variance.
+    fn entries<N: Number>(&self, values: &[&Hyper<N>]) -> Vec<N> {
+        let n = self.parameters.len() as u16;
+        let (residual, variance) = (values[0], values.get(1).copied());
+        let mut entries = Vec::with_capacity(self.outputs());
+        match self.claim {
+            Claim::Value(kind) => {
+                let variance = variance.map(|v| v.value);
+                let [value, ..] = self.shape.direct(residual.value, variance);
+                if kind == ValueKind::Full {
+                    let logarithm = variance.filter(|_| self.shape.has_logarithm()).map(|v| v.call1(Function1::Log));
+                    entries.push(logarithm.map_or(value, |logarithm| value + logarithm));
+                }
+                entries.push(value);
+            }
+            Claim::Derivatives { newton: true, part } => {
+                let f = self.shape.newton(residual, variance);
+                entries.push(f.value);
+                if part.has_gradient() {
+                    entries.extend(f.gradients(n));
+                }
+                if part.has_hessian() {
+                    entries.extend(f.hessians(n));
+                }
+            }
+            Claim::Derivatives { newton: false, part } => {
+                let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value));
+                let slopes: Vec<N> = residual.gradients(n).collect();
+                entries.push(value);
+                if part.has_gradient() {
+                    entries.extend(slopes.iter().map(|slope| l * *slope));
+                }
+                if part.has_hessian() {
+                    let rows = slopes.iter().enumerate();
+                    entries.extend(rows.flat_map(|(i, u)| slopes[i..].iter().map(move |v| q * *u * *v)));
+                }
+            }
+        }
+        entries
+    }
+
+    /// What the program makes the sums, every pixel of the point taking part.
+    pub(super) fn found<N: Number>(&self, loops: &Loops<'_>, point: &Point<N>) -> Vec<N> {
+        let pixel = |channel, column, row| point.pixel(channel, column, row);
+        evaluate_at(loops, &Sample { every_pixel: true, ..sample(loops, point, &pixel) }).outputs
+    }
+
+    /// The value of the i-th free parameter.
+    pub(super) fn value(&self, i: usize, point: &Point<f64>) -> f64 {
+        match self.graph.node(self.parameters[i]) {
+            Node::Input(input) => point.input(*input),
+            _ => f64::NAN,
+        }
+    }
+}
+
+/// What a program reads at a point.
+pub(super) fn sample<'a, N: Number>(
+    loops: &Loops<'_>,
+    point: &'a Point<N>,
+    pixel: &'a dyn Fn(usize, usize, usize) -> N,
+) -> Sample<'a, N> {
+    Sample {
+        inputs: loops.program().inputs().iter().map(|input| point.input(*input)).collect(),
+        columns: point.columns.clone(),
+        rows: point.rows.clone(),
+        pixel,
+        every_pixel: false,
+    }
+}
