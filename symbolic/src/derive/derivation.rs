@@ -2,7 +2,7 @@
 //!
 //! What comes in: the residual, the free parameters, and a choice of cuts (shared nodes such as s, treated as variables).
 //! What goes out: forms (the costly pixel values L_l and Q_lm), for every output the factors l_u, l_u m_v, l_uv that they are
-//! multiplied with, and, for a choice of how the forms are taken apart, the [`Sums`] and what their pixel loop costs.
+//! multiplied with, and, for a choice of how the forms are taken apart, the [`FactoredSums`] and what their loop costs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use crate::derive::jet::{Jet, compose, jet, pair, totals};
 use crate::derive::monomial::{Polynomial, Powers, Splitter, terms, whole_output};
 use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
-use crate::derive::sums::{Output, Sums, Term};
+use crate::derive::sums::{FactoredSums, Output, Term};
 use crate::language::graph::{Graph, Mark, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
@@ -25,7 +25,7 @@ use crate::proof::likelihood::Shape;
 
 /// What is differentiated: the same for every choice.
 #[derive(Clone, Copy)]
-pub(crate) struct Target<'a> {
+pub(crate) struct Differentiand<'a> {
     /// The nodes of the free parameters, and their names.
     pub parameters: &'a [NodeId],
     pub names: &'a [String],
@@ -90,20 +90,20 @@ pub(crate) struct Derivation {
 
 impl Derivation {
     /// Nothing when the graph overflows.
-    pub fn new(mut graph: Graph, target: &Target<'_>, cuts: &Cuts) -> Option<Derivation> {
-        let variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(target.parameters).copied().collect();
+    pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts) -> Option<Derivation> {
+        let variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
         // The top variables: r, and σ² where it is differentiated.
-        let mut tops = vec![target.residual];
-        tops.extend(target.variance.filter(|_| target.order == Order::Second));
-        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, target.order)).collect();
+        let mut tops = vec![differentiand.residual];
+        tops.extend(differentiand.variance.filter(|_| differentiand.order == Order::Second));
+        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, differentiand.order)).collect();
         let Absorbed { tops, jets, variance, is_unifiable } =
-            absorb(&mut graph, &tops, &jets, target.variance, cuts.scaling);
-        let (value, mut form) = top_form(&mut graph, target, &tops, &jets, variance)?;
-        if !target.part.has_hessian() {
+            absorb(&mut graph, &tops, &jets, differentiand.variance, cuts.scaling);
+        let (value, mut form) = top_form(&mut graph, differentiand, &tops, &jets, variance)?;
+        if !differentiand.part.has_hessian() {
             form.second.clear();
         }
         let ascending: Vec<NodeId> = cuts.nodes.iter().copied().collect();
-        let totals = totals(&mut graph, &ascending, target.parameters, target.order);
+        let totals = totals(&mut graph, &ascending, differentiand.parameters, differentiand.order);
         if graph.overflowed() {
             return None;
         }
@@ -118,7 +118,7 @@ impl Derivation {
         let first: Vec<_> = form.first.iter().map(|(l, n)| (*l, place(*n, "L"))).collect();
         let quadratic: FxHashMap<_, _> = form.second.iter().map(|(k, n)| (*k, place(*n, "Q"))).collect();
         let mut entries = Vec::new();
-        for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_gradient()) {
+        for (i, u) in differentiand.parameters.iter().enumerate().filter(|_| differentiand.part.has_gradient()) {
             let uses = first.iter().filter_map(|(l, form)| Some((*form, *totals[l].first.get(u)?))).collect();
             entries.push(Entry { by: smallvec![i], uses });
         }
@@ -128,9 +128,9 @@ impl Derivation {
         let slopes = |u: &NodeId| -> Vec<(NodeId, NodeId)> {
             variables.iter().filter_map(|(l, jet)| Some((*l, *jet.first.get(u)?))).collect()
         };
-        let slopes: Vec<_> = target.parameters.iter().map(slopes).collect();
-        for (i, u) in target.parameters.iter().enumerate().filter(|_| target.part.has_hessian()) {
-            for (j, v) in target.parameters.iter().enumerate().skip(i) {
+        let slopes: Vec<_> = differentiand.parameters.iter().map(slopes).collect();
+        for (i, u) in differentiand.parameters.iter().enumerate().filter(|_| differentiand.part.has_hessian()) {
+            for (j, v) in differentiand.parameters.iter().enumerate().skip(i) {
                 graph.charge(slopes[i].len() * slopes[j].len());
                 let mut products: BTreeMap<usize, SmallVec<[(NodeId, f64); 4]>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {
@@ -147,7 +147,7 @@ impl Derivation {
                         uses.push((form, factor));
                     }
                 }
-                for (l, form) in first.iter().filter(|_| target.order == Order::Second) {
+                for (l, form) in first.iter().filter(|_| differentiand.order == Order::Second) {
                     uses.extend(totals[l].second.get(&pair(*u, *v)).map(|l_uv| (*form, *l_uv)));
                 }
                 entries.push(Entry { by: smallvec![i, j], uses });
@@ -161,7 +161,7 @@ impl Derivation {
             forms,
             is_unifiable,
             value,
-            names: target.names.to_vec(),
+            names: differentiand.names.to_vec(),
             entries,
             factors: FxHashMap::default(),
         })
@@ -228,7 +228,7 @@ impl Derivation {
     }
 
     /// One sum for every output, nothing taken apart; the first is F.
-    pub fn unfactored(&mut self) -> Option<Sums> {
+    pub fn unfactored(&mut self) -> Option<FactoredSums> {
         let graph = &mut self.graph;
         let mut outputs = vec![whole_output(graph, "F", self.value)];
         for Entry { by, uses } in &self.entries {
@@ -237,11 +237,11 @@ impl Derivation {
             let node = graph.sum(0.0, terms);
             outputs.push(whole_output(graph, &name_of(&self.names, by), node));
         }
-        (!graph.overflowed()).then_some(Sums { outputs, shift: None })
+        (!graph.overflowed()).then_some(FactoredSums { outputs, shift: None })
     }
 
     /// The sums of a layout; the first output is F.
-    pub fn sums(&mut self, layout: &Layout) -> Option<Sums> {
+    pub fn sums(&mut self, layout: &Layout) -> Option<FactoredSums> {
         let parts = self.parts(layout);
         let mut outputs = vec![whole_output(&mut self.graph, "F", self.value)];
         for Entry { by, uses } in &self.entries {
@@ -252,7 +252,7 @@ impl Derivation {
             }
             outputs.push(Output { name: name_of(&self.names, by), terms: total.into_terms(&mut self.graph) });
         }
-        (!self.graph.overflowed()).then_some(Sums { outputs, shift: None })
+        (!self.graph.overflowed()).then_some(FactoredSums { outputs, shift: None })
     }
 }
 
@@ -260,7 +260,7 @@ impl Derivation {
 const RANK: usize = LIMITS.work / 16;
 
 /// The sums without those that are combinations of others, F's own left alone.
-pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
+pub(crate) fn reduced(graph: &mut Graph, sums: FactoredSums) -> FactoredSums {
     let own =
         sums.outputs.first().map(|f| f.terms.iter().filter_map(|t| t.pixel).collect::<Vec<_>>()).unwrap_or_default();
     let mut pixels: Vec<NodeId> = sums.pixels().into_iter().filter(|pixel| !own.contains(pixel)).collect();
@@ -283,18 +283,18 @@ pub(crate) fn reduced(graph: &mut Graph, sums: Sums) -> Sums {
     };
     let outputs = sums.outputs.into_iter();
     let outputs = outputs.map(|o| Output { terms: o.terms.into_iter().flat_map(&mut replaced).collect(), ..o });
-    Sums { outputs: outputs.collect(), shift: None }
+    FactoredSums { outputs: outputs.collect(), shift: None }
 }
 
 /// F and its form over cuts and parameters: the top variables eliminated.
 fn top_form(
     graph: &mut Graph,
-    target: &Target<'_>,
+    differentiand: &Differentiand<'_>,
     tops: &[NodeId],
     jets: &[Jet],
     variance: Option<NodeId>,
 ) -> Option<(NodeId, Jet)> {
-    let (value, top) = target.shape.jet(graph, target.order, tops, variance);
+    let (value, top) = differentiand.shape.jet(graph, differentiand.order, tops, variance);
     let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
     let form = compose(graph, &top, &|t| of[&t]);
     (!graph.overflowed()).then_some((value, form))

@@ -9,12 +9,12 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::derive::absorb::{Scaling, gather};
-use crate::derive::derivation::{Cuts, Derivation, Target};
+use crate::derive::derivation::{Cuts, Derivation, Differentiand};
 use crate::derive::expressions::Expressions;
 use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
-use crate::derive::sums::{Output, Sums};
+use crate::derive::sums::{FactoredSums, Output};
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
 use crate::language::diagnostic::Diagnostics;
@@ -40,7 +40,7 @@ const NEAR_LIMIT: f64 = 3.0;
 #[derive(Clone, Debug)]
 pub struct Objective {
     graph: Graph,
-    sums: Sums,
+    sums: FactoredSums,
     /// Outputs that are F itself: left out of the cost.
     values: usize,
     subset: Vec<ParameterId>,
@@ -243,7 +243,7 @@ impl Objective {
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect()).into();
         let domain = entry_domain(&mut graph, model);
         let work = LOWERED * graph.reachable(&[chi]).len();
-        let sums = Sums { outputs, shift: None };
+        let sums = FactoredSums { outputs, shift: None };
         let room = budget::room(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
         let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), room));
         let objective = Objective {
@@ -377,11 +377,11 @@ impl<'a> Setting<'a> {
         let order = if is_second { Order::Second } else { Order::First };
         let (residual, variance) = (*residual, *variance);
         let shape = model.formulas.shape();
-        let target = Target { parameters, names: &names, residual, variance, shape, order, part };
+        let differentiand = Differentiand { parameters, names: &names, residual, variance, shape, order, part };
         let derived = match form {
-            Form::Factored => search::fewest_flops(graph, &target, Scaling::Unified),
-            Form::Plain => search::fewest_flops(graph, &target, Scaling::AsWritten),
-            Form::Unfactored => Derivation::new(graph.copied(), &target, &Cuts::default())
+            Form::Factored => search::fewest_flops(graph, &differentiand, Scaling::Unified),
+            Form::Plain => search::fewest_flops(graph, &differentiand, Scaling::AsWritten),
+            Form::Unfactored => Derivation::new(graph.copied(), &differentiand, &Cuts::default())
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
         };
         let origin = WholeModel::of(model);

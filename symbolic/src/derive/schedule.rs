@@ -7,7 +7,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::derive::domain;
 use crate::derive::steps::Step;
-use crate::derive::sums::{Shift, Sums};
+use crate::derive::sums::{FactoredSums, Shift};
 use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
@@ -27,7 +27,7 @@ const ROOM: usize = 224;
 /// The loop nest for sums over the pixels of `domain`.
 pub(crate) fn sums(
     graph: &mut Graph,
-    sums: &Sums,
+    sums: &FactoredSums,
     domain: Option<NodeId>,
     lowering: Lowering,
     names: Arc<Names>,

@@ -7,11 +7,11 @@ use std::collections::BTreeSet;
 
 use crate::derive::absorb::{Scaling, gather};
 use crate::derive::cuts::cut_classes;
-use crate::derive::derivation::{Cuts, Derivation, Layout, Target, reduced};
+use crate::derive::derivation::{Cuts, Derivation, Differentiand, Layout, reduced};
 use crate::derive::polynomials::collected;
 use crate::derive::schedule::pixel_weight;
 use crate::derive::square::completed;
-use crate::derive::sums::Sums;
+use crate::derive::sums::FactoredSums;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
@@ -31,7 +31,7 @@ struct Found {
 
 struct Search<'a> {
     graph: &'a Graph,
-    target: &'a Target<'a>,
+    differentiand: &'a Differentiand<'a>,
     best: Option<Found>,
     tried: BTreeSet<Cuts>,
     /// Tried ones that leave a factor which could change sides.
@@ -41,11 +41,15 @@ struct Search<'a> {
 }
 
 /// The cheapest way that is found; nothing when no way stays within the limits. `most` is how far sums may be rewritten.
-pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, most: Scaling) -> Option<(Derivation, Sums)> {
-    let classes = cut_classes(graph, target.residual, target.parameters);
+pub(crate) fn fewest_flops(
+    graph: &Graph,
+    differentiand: &Differentiand<'_>,
+    most: Scaling,
+) -> Option<(Derivation, FactoredSums)> {
+    let classes = cut_classes(graph, differentiand.residual, differentiand.parameters);
     let mut search = Search {
         graph,
-        target,
+        differentiand,
         best: None,
         tried: BTreeSet::new(),
         unifiable: BTreeSet::new(),
@@ -61,7 +65,7 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, most: Scaling) ->
         search.attempt(Cuts { nodes: class.clone(), ..Cuts::default() });
     }
     // One class more or less, while that pays. Without any, every pair of parameters has a form of its own.
-    let pairs = target.parameters.len() * (target.parameters.len() + 3) / 2;
+    let pairs = differentiand.parameters.len() * (differentiand.parameters.len() + 3) / 2;
     while classes.len() > 1 || search.best.as_ref()?.derivation.forms.len() >= pairs {
         let before = search.best.as_ref()?.cuts.nodes.clone();
         for class in classes.iter().rev() {
@@ -96,7 +100,7 @@ pub(crate) fn fewest_flops(graph: &Graph, target: &Target<'_>, most: Scaling) ->
     // Tried on a copy: what does not pay leaves nothing behind, not even a full graph.
     let mut trial = best.derivation.graph.copied();
     let squared = completed(&mut trial, &sums);
-    let mut of = |sums: &Sums| {
+    let mut of = |sums: &FactoredSums| {
         let pixels = sums.summed(&mut trial);
         pixel_weight(&mut trial, &pixels, LOWERING, Weight::MOST)
     };
@@ -117,19 +121,19 @@ impl Search<'_> {
         if self.derivations >= DERIVATIONS || is_spent || !self.tried.insert(cuts.clone()) {
             return;
         }
-        let (mut graph, mut residual) = (self.graph.copied(), self.target.residual);
+        let (mut graph, mut residual) = (self.graph.copied(), self.differentiand.residual);
         if let Some(variable) = cuts.collect {
             residual = collected(&mut graph, residual, variable);
             residual = gather(&mut graph, residual);
-            if residual == levelled(&mut graph, self.target.residual) {
+            if residual == levelled(&mut graph, self.differentiand.residual) {
                 return;
             }
             graph.set_opaque(residual);
         }
-        let target = Target { residual, ..*self.target };
+        let differentiand = Differentiand { residual, ..*self.differentiand };
         self.derivations += 1;
         let layout = Layout { expand: true, split: BTreeSet::new() };
-        let Some(mut derivation) = Derivation::new(graph, &target, &cuts) else {
+        let Some(mut derivation) = Derivation::new(graph, &differentiand, &cuts) else {
             self.work = WORK;
             return;
         };

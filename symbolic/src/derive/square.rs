@@ -10,7 +10,7 @@ use rustc_hash::FxHashMap;
 
 use crate::derive::domain::parabola;
 use crate::derive::monomial::Splitter;
-use crate::derive::sums::{Shift, Sums};
+use crate::derive::sums::{FactoredSums, Shift};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level};
 
@@ -18,7 +18,7 @@ use crate::program::{CoordinateId, Level};
 const SUMS: usize = 16;
 
 /// The sums with their first parabola over the column completed; nothing when there is none.
-pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
+pub(crate) fn completed(graph: &mut Graph, sums: &FactoredSums) -> Option<FactoredSums> {
     let pixels = sums.pixels();
     let reachable = graph.reachable(&pixels);
     let is_sum = |n: &NodeId| graph.level(*n) == Level::Pixel && matches!(graph.node(*n), Node::Sum(..));
@@ -72,5 +72,5 @@ pub(crate) fn completed(graph: &mut Graph, sums: &Sums) -> Option<Sums> {
         }
     }
     let distance = at_vertex(graph, offset);
-    Some(Sums { outputs, shift: Some(Shift { offset, centred, distance }) })
+    Some(FactoredSums { outputs, shift: Some(Shift { offset, centred, distance }) })
 }

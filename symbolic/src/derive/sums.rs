@@ -28,13 +28,13 @@ pub struct Output {
 }
 
 #[derive(Clone, Debug)]
-pub(crate) struct Sums {
+pub(crate) struct FactoredSums {
     pub outputs: Vec<Output>,
     /// Totals over one offset of the column are made from those over another, once a row.
     pub shift: Option<Shift>,
 }
 
-impl Sums {
+impl FactoredSums {
     /// The pixel values that are really summed.
     pub fn summed(&self, graph: &mut Graph) -> Vec<NodeId> {
         let Some(shift) = &self.shift else { return self.pixels() };

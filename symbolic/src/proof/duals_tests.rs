@@ -19,7 +19,7 @@ use random::{Place, Random};
 
 use crate::program::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
-use crate::proof::evaluate::{Loops, Sample, evaluate_at};
+use crate::proof::evaluate::{Loops, Raster, evaluate_at};
 use crate::proof::weighed::Weighed;
 use crate::{Lowering, Method, Model};
 
@@ -154,7 +154,7 @@ impl Pixels for Noise {
 
 /// The outputs of a sums program over the pixels of a window; empty for a plane program.
 fn evaluate<N: Scalar>(program: &Program, bindings: &Bindings<'_>, pixels: &dyn Pixels, window: Window) -> Vec<N> {
-    let sample = Sample {
+    let sample = Raster {
         inputs: program.gather(bindings).map(N::from).collect(),
         columns: (window.x..window.x + window.width).map(|x| N::from(x as f64)).collect(),
         rows: (window.y..window.y + window.height).map(|y| vec![N::from(y as f64)]).collect(),

@@ -11,7 +11,7 @@ use crate::program::walk::{Place, Walk, walk};
 use crate::program::{ChannelId, CoordinateId, InputId, PixelSet};
 
 /// Where a program is evaluated: numbers for its inputs, coordinates and pixels.
-pub(crate) struct Sample<'a, N> {
+pub(crate) struct Raster<'a, N> {
     /// In the order of [`Program::inputs`].
     pub inputs: Vec<N>,
     /// Values of the inner coordinate.
@@ -33,7 +33,7 @@ pub(crate) struct Evaluated<N> {
 }
 
 /// Evaluates a program.
-pub(crate) fn evaluate_at<N: Number>(loops: &Loops<'_>, sample: &Sample<'_, N>) -> Evaluated<N> {
+pub(crate) fn evaluate_at<N: Number>(loops: &Loops<'_>, sample: &Raster<'_, N>) -> Evaluated<N> {
     let set = if sample.every_pixel { PixelSet::default() } else { *loops.program().pixel_set() };
     let mut exactly = Exactly { sample, taken: vec![false; sample.rows.len() * sample.columns.len()] };
     let outputs = walk(loops, &set, &mut exactly).outputs;
@@ -42,7 +42,7 @@ pub(crate) fn evaluate_at<N: Number>(loops: &Loops<'_>, sample: &Sample<'_, N>) 
 
 /// A walk over a sample: one lane, and every column as it is.
 struct Exactly<'s, 'p, N> {
-    sample: &'s Sample<'p, N>,
+    sample: &'s Raster<'p, N>,
     taken: Vec<bool>,
 }
 

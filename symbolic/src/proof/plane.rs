@@ -10,7 +10,7 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, TotalId, Value};
 use crate::proof::draft::Draft;
-use crate::proof::evaluate::{Loops, Number, Sample, evaluate_at};
+use crate::proof::evaluate::{Loops, Number, Raster, evaluate_at};
 use crate::proof::hyper::Values;
 use crate::proof::pixels::{RIM, columns_at_rims};
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, anywhere, centre, plausible, residues};
@@ -165,7 +165,7 @@ fn pixels<N: Number>(summing: &Loops<'_>, point: &Point<N>) -> Vec<N> {
     let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
     for (row, outer) in point.rows.iter().enumerate() {
         for (column, x) in point.columns.iter().enumerate() {
-            let sample = Sample {
+            let sample = Raster {
                 inputs: summing.program().inputs().iter().map(|input| point.input(*input)).collect(),
                 columns: vec![*x],
                 rows: vec![outer.clone()],

@@ -15,7 +15,7 @@ use crate::derive::monomial::{Splitter, whole_output};
 use crate::derive::polynomials::collected;
 use crate::derive::schedule;
 use crate::derive::square::completed;
-use crate::derive::sums::{Output, Sums, Term};
+use crate::derive::sums::{FactoredSums, Output, Term};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::peephole::improve;
@@ -23,7 +23,7 @@ use crate::program::{
     AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,
     Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
-use crate::proof::evaluate::{Loops, Sample, evaluate_at};
+use crate::proof::evaluate::{Loops, Raster, evaluate_at};
 use crate::proof::hyper::{Order, Values};
 use crate::proof::points::Random;
 
@@ -39,8 +39,8 @@ fn leaf(input: &Node) -> Modular {
     Modular::of_bits(Random(u64::from(place)).bits())
 }
 
-fn sample(program: &Program) -> Sample<'static, Modular> {
-    Sample {
+fn sample(program: &Program) -> Raster<'static, Modular> {
+    Raster {
         inputs: program.inputs.iter().map(|input| leaf(&Node::Input(*input))).collect(),
         columns: vec![leaf(&Node::Coordinate(CoordinateId(0)))],
         rows: vec![(1..4).map(|c| leaf(&Node::Coordinate(CoordinateId(c)))).collect()],
@@ -303,7 +303,7 @@ fn instructions_are_what_the_formulas_are() {
         let outputs_of = |graph: &mut Graph| -> Vec<Output> {
             roots.iter().map(|root| whole_output(graph, "value", *root)).collect()
         };
-        let sums = Sums { outputs: outputs_of(&mut graph), shift: None };
+        let sums = FactoredSums { outputs: outputs_of(&mut graph), shift: None };
         for fma in [false, true] {
             let mut graph = graph.clone();
             let names =
@@ -348,10 +348,10 @@ fn completed_squares_have_the_same_sums() {
             let node = graph.product(random.pick(&[1.0, -2.0]), [(form, 1), (d, power), (e, random.below(2) as i32)]);
             all.push(whole_output(&mut graph, "value", node));
         }
-        let before = Sums { outputs: all, shift: None };
+        let before = FactoredSums { outputs: all, shift: None };
         let Some(after) = completed(&mut graph, &before) else { continue };
         squared += 1;
-        let outputs_of = |sums: &Sums, fma: bool| {
+        let outputs_of = |sums: &FactoredSums, fma: bool| {
             let mut graph = graph.clone();
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };

@@ -9,7 +9,7 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Loss, Model};
 use crate::proof::LARGEST;
 use crate::proof::claim::{Claim, ValueKind};
-use crate::proof::evaluate::{Loops, Number, Sample, evaluate_at};
+use crate::proof::evaluate::{Loops, Number, Raster, evaluate_at};
 use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
 use crate::proof::likelihood::Shape;
 use crate::proof::points::Point;
@@ -176,7 +176,7 @@ impl Subject {
     /// What the program makes the sums, every pixel of the point taking part.
     pub(super) fn found<N: Number>(&self, loops: &Loops<'_>, point: &Point<N>) -> Vec<N> {
         let pixel = |channel, column, row| point.pixel(channel, column, row);
-        evaluate_at(loops, &Sample { every_pixel: true, ..sample(loops, point, &pixel) }).outputs
+        evaluate_at(loops, &Raster { every_pixel: true, ..sample(loops, point, &pixel) }).outputs
     }
 
     /// The value of the i-th free parameter.
@@ -193,8 +193,8 @@ pub(super) fn sample<'a, N: Number>(
     loops: &Loops<'_>,
     point: &'a Point<N>,
     pixel: &'a dyn Fn(usize, usize, usize) -> N,
-) -> Sample<'a, N> {
-    Sample {
+) -> Raster<'a, N> {
+    Raster {
         inputs: loops.program().inputs().iter().map(|input| point.input(*input)).collect(),
         columns: point.columns.clone(),
         rows: point.rows.clone(),

@@ -142,3 +142,20 @@ fn a_prediction_that_leads_astray_is_dropped() {
     }
     assert!(searched <= 1, "{searched}");
 }
+
+/// A robust fit about the prediction takes a part of the target for the target, and the rest for its ground.
+#[test]
+fn a_target_that_jumps_by_its_radius_is_where_it_is() {
+    type Path<'a> = &'a dyn Fn(f64) -> [f64; 2];
+    let jump = |by: [f64; 2]| move |t: f64| if t < 0.19 { [150.0, 100.0] } else { [150.0 + by[0], 100.0 + by[1]] };
+    let swing = |size: f64| move |t: f64| [150.0 + size * (1e3 * t).sin(), 100.0 + size * (777.0 * t).cos()];
+    let jumps = [[5.0, 11.0], [-9.0, 6.0], [12.0, 1.0], [2.0, -13.0]].map(jump);
+    let swings = [10.0, 12.0].map(swing);
+    let all = jumps.iter().map(|path| (path as Path, 40_u64)).chain(swings.iter().map(|path| (path as Path, 80)));
+    let quick = SPOT.replace("quadrature = 2", "quadrature = 1");
+    for (number, (path, frames)) in all.enumerate() {
+        let tally = shaken(&quick, [10.0, 7.0], 0.0, frames, path);
+        eprintln!("{number}: {tally:?}");
+        assert!(tally.wrong == 0 && tally.tracking as u64 == frames, "{number}: {tally:?}");
+    }
+}

@@ -81,6 +81,15 @@ impl Memory {
         Some(start)
     }
 
+    /// Parameters with the target where it should be.
+    pub fn foreseen(&self, solver: &Solver, mut parameters: Vec<Option<f64>>, time_s: f64) -> Vec<Option<f64>> {
+        if let Some(predicted) = self.predicted(time_s) {
+            let (state, _) = predicted.places();
+            places(solver).zip(state.iter()).for_each(|(place, at)| parameters[place.index()] = Some(*at));
+        }
+        parameters
+    }
+
     /// The last parameters as they were.
     pub fn last_start(&self) -> Option<Vec<f64>> {
         self.warm.as_ref()?.iter().copied().collect()

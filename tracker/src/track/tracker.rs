@@ -183,7 +183,7 @@ impl Tracker {
                     let track = &self.tracks[number];
                     if search.is_none() && look.unfinished().is_none() {
                         let size_px = track.memory.size_px(solver);
-                        search = Some(Search::run(solver, look, &self.given(track), kept.clone(), size_px)?);
+                        search = Some(Search::run(solver, look, &self.given(track, time_s), kept.clone(), size_px)?);
                     }
                     match (look.unfinished(), &mut search) {
                         (None, Some(search)) => track.settle(solver, look, doubtful, search, time_s),
@@ -201,12 +201,12 @@ impl Tracker {
         Ok(outcomes.into_iter().flatten().collect())
     }
 
-    /// Numbers that take the place of what a search sees: those that a swap has carried, else those of the session. Of
-    /// several targets none is said to be anywhere.
-    fn given(&self, track: &Track) -> Vec<Option<f64>> {
+    /// Numbers that take the place of what a search sees: those that a swap has carried, the target being where it should be
+    /// by now, else those of the session. Of several targets none is said to be anywhere.
+    fn given(&self, track: &Track, time_s: f64) -> Vec<Option<f64>> {
         let model = self.solver.model();
         if let Some(warm) = track.memory.warm.as_ref().filter(|warm| warm.iter().any(Option::is_none)) {
-            return warm.clone();
+            return track.memory.foreseen(&self.solver, warm.clone(), time_s);
         }
         let mut given = self.solver.options.start_of(model);
         if self.tracks.len() > 1 {

@@ -244,7 +244,7 @@ fn a_swap_carries_what_both_models_have() {
     // A dark disc takes the place of the bright spot: its bound refuses the brightness, the rest is carried.
     let carried = tracker.swap(compiled(DISC, Precision::F32), TrackerOptions::default());
     assert_eq!(carried.reset, ["e", "v1"]);
-    assert_eq!(tracker.track(&frame).state, TrackState::Lost);
+    assert_eq!(tracker.track(&frame).state, TrackState::Coasting);
 }
 
 #[test]
