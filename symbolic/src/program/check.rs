@@ -107,13 +107,15 @@ impl Program {
     /// A program from parts whose instructions stand in any order of levels, operands first: they are put in order, and what
     /// nothing reads is left out.
     ///
+    /// # Panics
+    /// When an operand, or what the sink reads, is none of the instructions.
+    ///
     /// # Errors
     /// When they are no program.
     pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
         let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
         let names = names.into();
         let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused: false };
-        program.check()?; // what is put in order exists
         crate::program::peephole::improve(&mut program);
         program.fused = fused;
         program.check().map(|()| program)

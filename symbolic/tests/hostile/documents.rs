@@ -101,6 +101,10 @@ pub fn all() -> Vec<Hostile> {
     add("(x - p0)^900 by products", document(1, &[], "product(x - p0, i, 1, 900)"), Honest);
     let factors = "product(product(i*x + p0*j + 1, i, 0, 63), j, 0, 63)";
     add("a product of 4096 factors", document(3, &[], factors), Honest);
+    let either = "sum(sum(max(i*x*p0, sin(p1*j*x)), i, 0, 63), j, 0, 63)";
+    add("the larger of two, 4096 times", document(3, &[], either), Honest);
+    let cases = "sum(sum(if(i*j < x*p0, p1*i*x, p2*j*y), i, 0, 63), j, 0, 63)";
+    add("one of two, 4096 times", document(3, &[], cases), Honest);
     // Values everywhere, derivatives nowhere: the root's argument is 0 to f64.
     let waves: Vec<String> = (0..40).map(|i| format!("p{i}*exp(-((x - {i})^2 + y^2)/(9 + p{i}^2))")).collect();
     let rootless = format!("{} + sqrt(exp(-p0^2 - 1000))", waves.join(" + "));
