@@ -183,10 +183,7 @@ fn product(graph: &mut Graph, factors: &[(NodeId, i32)], jets: &FxHashMap<NodeId
         graph.product(coefficient, list)
     };
     for (i, (a, _)) in factors.iter().enumerate() {
-        if graph.overflowed() {
-            return;
-        }
-        if jets[a].first.is_empty() {
+        if graph.overflowed() || jets[a].first.is_empty() {
             continue;
         }
         let d1 = lowered(graph, i, usize::MAX);

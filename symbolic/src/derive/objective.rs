@@ -330,8 +330,7 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     let residual = residual(&mut graph, model);
     let variance = variance(&mut graph, model, claim);
     let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-    let domain = entry_domain(&mut graph, model);
-    let shape = model.formulas.shape();
+    let (domain, shape) = (entry_domain(&mut graph, model), model.formulas.shape());
     Subject { model: model.clone(), graph, residual, variance, shape, domain, parameters, claim }
 }
 

@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use isophote_elementary::MAGIC;
 
 use crate::program::arithmetic::{Double, Number, Single};
-use crate::program::walk::{Loops, Place, Walk, Walked, walk};
+use crate::program::walk::{LoopNest, Place, Walk, Walked, walk};
 pub use crate::program::window::{Slices, Window};
 use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Precision, Program};
 
@@ -85,7 +85,7 @@ fn in_lanes(
         ($number:ty) => {{
             let inner = PhantomData::<$number>;
             let mut lanes = Lanes { inner, lanes, inputs, pixels, window, depth, length, plane };
-            walk(&Loops::of(program), &program.pixel_set, &mut lanes)
+            walk(&LoopNest::of(program), &program.pixel_set, &mut lanes)
         }};
     }
     let Walked { outputs, pixels, saturated } = match (precision, program.fused) {

@@ -52,7 +52,7 @@ pub(crate) struct Walked<N> {
 }
 
 /// A program taken apart, for one walk after another.
-pub(crate) struct Loops<'p> {
+pub(crate) struct LoopNest<'p> {
     program: &'p Program,
     /// By level, in order; the offsets of the inner coordinate stand apart.
     instructions: [Vec<(usize, Op)>; 5],
@@ -60,9 +60,9 @@ pub(crate) struct Loops<'p> {
     contractions: Vec<Option<(Value, Value)>>,
 }
 
-impl<'p> Loops<'p> {
-    pub fn of(program: &'p Program) -> Loops<'p> {
-        let mut loops = Loops {
+impl<'p> LoopNest<'p> {
+    pub fn of(program: &'p Program) -> LoopNest<'p> {
+        let mut loops = LoopNest {
             program,
             instructions: Default::default(),
             offsets: Vec::new(),
@@ -93,7 +93,7 @@ fn execute<N: Number>(ops: &[(usize, Op)], cells: &mut [Cell<N>], leaf: impl Fn(
 }
 
 /// Walks a program over the pixels of `set`.
-pub(crate) fn walk<W: Walk>(loops: &Loops<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
+pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
     let program = loops.program;
     // The check refuses a leaf at another level than its own.
     let nowhere = || W::Outer::from(f64::NAN);

@@ -17,20 +17,6 @@ const ONCE: usize = 18;
 /// Pixels that each further point of a condition adds: in exact arithmetic, far off, and about a threshold.
 const FURTHER: usize = 12;
 
-/// Operations of a document's checks with so many points for conditions.
-struct Plan {
-    /// At one pixel, by set of parameters.
-    pixel: usize,
-    is_conditional: bool,
-}
-
-impl Plan {
-    fn operations(&self, points: u64) -> usize {
-        let further = if self.is_conditional { FURTHER.saturating_mul(points as usize) } else { 0 };
-        self.pixel.saturating_mul(ONCE + further)
-    }
-}
-
 /// At how many points a document is checked.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Room {
@@ -56,9 +42,11 @@ pub(crate) fn room(model: &Model, subset: &[ParameterId], method: Method) -> Opt
     for (parameters, newton) in sets {
         pixel = pixel.saturating_add(at_a_pixel(graph, &reachable, &parameters, newton));
     }
-    let plan = Plan { pixel: pixel.saturating_mul(model.siblings()), is_conditional };
-    let points = (1..=CONDITIONAL_POINTS).rev().find(|points| plan.operations(*points) <= LIMITS.proof)?;
-    let elsewhere = ANYWHERE.min((LIMITS.proof / plan.pixel.max(1)) as u64);
+    let pixel = pixel.saturating_mul(model.siblings()).max(1);
+    let pixels = |points: u64| if is_conditional { ONCE + FURTHER * points as usize } else { ONCE };
+    let is_affordable = |points: &u64| pixel.saturating_mul(pixels(*points)) <= LIMITS.proof;
+    let points = (1..=CONDITIONAL_POINTS).rev().find(is_affordable)?;
+    let elsewhere = ANYWHERE.min((LIMITS.proof / pixel) as u64);
     Some(Room { points, elsewhere })
 }
 

@@ -19,7 +19,7 @@ use random::{Place, Random};
 
 use crate::program::interpreter::{Pixels, Slices, Window, run};
 use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
-use crate::proof::evaluate::{Loops, Raster, evaluate_at};
+use crate::proof::evaluate::{LoopNest, Raster, evaluate_at};
 use crate::proof::weighed::Weighed;
 use crate::{Lowering, Method, Model};
 
@@ -161,7 +161,7 @@ fn evaluate<N: Scalar>(program: &Program, bindings: &Bindings<'_>, pixels: &dyn 
         pixel: &|channel, column, row| pixels.at(channel, window.x + column, window.y + row).into(),
         every_pixel: false,
     };
-    evaluate_at(&Loops::of(program), &sample).outputs
+    evaluate_at(&LoopNest::of(program), &sample).outputs
 }
 
 /// What became of the points.

@@ -6,7 +6,7 @@
 //! It must never know: where a program came from.
 
 pub(crate) use crate::program::arithmetic::Number;
-pub(crate) use crate::program::walk::Loops;
+pub(crate) use crate::program::walk::LoopNest;
 use crate::program::walk::{Place, Walk, walk};
 use crate::program::{ChannelId, CoordinateId, InputId, PixelSet};
 
@@ -33,7 +33,7 @@ pub(crate) struct Evaluated<N> {
 }
 
 /// Evaluates a program.
-pub(crate) fn evaluate_at<N: Number>(loops: &Loops<'_>, sample: &Raster<'_, N>) -> Evaluated<N> {
+pub(crate) fn evaluate_at<N: Number>(loops: &LoopNest<'_>, sample: &Raster<'_, N>) -> Evaluated<N> {
     let set = if sample.every_pixel { PixelSet::default() } else { *loops.program().pixel_set() };
     let mut exactly = Exactly { sample, taken: vec![false; sample.rows.len() * sample.columns.len()] };
     let outputs = walk(loops, &set, &mut exactly).outputs;

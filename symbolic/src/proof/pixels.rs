@@ -10,7 +10,7 @@ use crate::language::graph::{Node, NodeId};
 use crate::program::peephole::arrange;
 use crate::program::{ChannelId, Program, Sink};
 use crate::proof::TOLERANCE;
-use crate::proof::evaluate::{Loops, evaluate_at};
+use crate::proof::evaluate::{LoopNest, evaluate_at};
 use crate::proof::hyper::Values;
 use crate::proof::likelihood::Shape;
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
@@ -147,7 +147,7 @@ impl Rim {
     }
 
     /// True when the program, or only its pixel set, takes these pixels of the row.
-    pub fn is_of(&self, subject: &Subject, loops: &Loops<'_>) -> bool {
+    pub fn is_of(&self, subject: &Subject, loops: &LoopNest<'_>) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
         let taken = evaluate_at(loops, &sample(loops, &self.point, &pixel)).taken;
         let wrong = differing(&self.inside, &taken);
@@ -277,7 +277,7 @@ impl Windowed {
     }
 
     /// True when the program takes these pixels, and sums what the document says of them.
-    pub fn is_summed_by(&self, subject: &Subject, loops: &Loops<'_>) -> bool {
+    pub fn is_summed_by(&self, subject: &Subject, loops: &LoopNest<'_>) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
         let found = evaluate_at(loops, &sample(loops, &self.point, &pixel));
         let wrong = differing(&self.taken, &found.taken);

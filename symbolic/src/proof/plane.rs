@@ -10,7 +10,7 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, TotalId, Value};
 use crate::proof::draft::Draft;
-use crate::proof::evaluate::{Loops, Number, Raster, evaluate_at};
+use crate::proof::evaluate::{LoopNest, Number, Raster, evaluate_at};
 use crate::proof::hyper::Values;
 use crate::proof::pixels::{RIM, columns_at_rims};
 use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, anywhere, centre, plausible, residues};
@@ -36,7 +36,7 @@ pub(crate) fn proved(shown: &Shown<'_>, draft: Draft) -> Option<Program> {
 impl Shown<'_> {
     fn is_what(&self, program: &Program) -> bool {
         let Some(summing) = summing(program) else { return false };
-        let summing = Loops::of(&summing);
+        let summing = LoopNest::of(&summing);
         let exact = (0..CONDITIONAL_POINTS).all(|seed| {
             let point = residues(self.model, &mut Random(seed));
             self.values(&point) == pixels(&summing, &point)
@@ -55,7 +55,7 @@ impl Shown<'_> {
     }
 
     /// True when there is a place with something to be shown, and all such places show it.
-    fn is_right_anywhere(&self, summing: &Loops<'_>) -> bool {
+    fn is_right_anywhere(&self, summing: &LoopNest<'_>) -> bool {
         let mut compared = 0;
         self.anywhere().all(|point| self.is_right_at(summing, &point, &mut compared)) && compared > 0
     }
@@ -72,7 +72,7 @@ impl Shown<'_> {
     }
 
     /// True when the plane ends where the domain does.
-    fn is_right_at_rims(&self, summing: &Loops<'_>) -> bool {
+    fn is_right_at_rims(&self, summing: &LoopNest<'_>) -> bool {
         let Some(domain) = self.domain else { return true };
         let roots = [domain];
         [(NEAR, 0.0), (FAR, 0.0), (NEAR, 2.0 * SIZE)].into_iter().all(|(place, off)| {
@@ -102,7 +102,7 @@ impl Shown<'_> {
         })
     }
 
-    fn is_right_at(&self, summing: &Loops<'_>, point: &Point<f64>, compared: &mut usize) -> bool {
+    fn is_right_at(&self, summing: &LoopNest<'_>, point: &Point<f64>, compared: &mut usize) -> bool {
         let expected = self.values(&point.map(Weighed::from));
         let found = pixels(summing, point);
         let is_near = |(found, expected): (&f64, &Weighed)| {
@@ -161,7 +161,7 @@ fn summing(program: &Program) -> Option<Program> {
 }
 
 /// What it shows at each pixel, row by row. A pixel outside of the program's own set shows nothing.
-fn pixels<N: Number>(summing: &Loops<'_>, point: &Point<N>) -> Vec<N> {
+fn pixels<N: Number>(summing: &LoopNest<'_>, point: &Point<N>) -> Vec<N> {
     let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
     for (row, outer) in point.rows.iter().enumerate() {
         for (column, x) in point.columns.iter().enumerate() {

@@ -14,7 +14,7 @@ use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
 use crate::proof::budget::Room;
 use crate::proof::claim::Claim;
 use crate::proof::draft::Draft;
-use crate::proof::evaluate::Loops;
+use crate::proof::evaluate::LoopNest;
 use crate::proof::hyper::{Evaluator, Hyper};
 use crate::proof::likelihood::Shape;
 use crate::proof::pixels::{Rim, Windowed, set_of};
@@ -104,7 +104,7 @@ impl Referee {
 
     /// The program, when it is one that passed but for its saturated pixels, and leaves those of these channels out.
     pub fn proved_alike(&self, draft: Draft, dropped: &[ChannelId], passed: &Program) -> Option<Program> {
-        let loops = Loops::of(draft.program());
+        let loops = LoopNest::of(draft.program());
         let is_right = loops.program().pixel_set().saturated.is_some() != dropped.is_empty()
             && loops.program().is_alike(passed)
             && self.windows(dropped).iter().all(|window| window.is_summed_by(&self.subject, &loops));
@@ -121,15 +121,12 @@ impl Referee {
         {
             return None;
         }
-        let loops = &Loops::of(program);
+        let loops = &LoopNest::of(program);
         let agrees = |known: &Known<Modular, Modular>| self.subject.found(loops, &known.point) == known.sums;
         let exact = self.exact.get_or_init(|| self.residues(0..1)).iter().all(agrees)
             && (!(self.is_conditional || has_branches(program)) || self.further().iter().all(agrees));
         let (error, right) = match self.sampled() {
-            Some(known) => {
-                let (error, right) = self.compared(loops, known, |_| true);
-                (Some(error), right)
-            }
+            Some(known) => self.compared(loops, known, |_| true),
             None => (None, true),
         };
         let right = right
@@ -227,7 +224,7 @@ impl Referee {
         rims.is_empty() || {
             let mut set = set_of(program);
             set.pixel_set.saturated = None;
-            let loops = Loops::of(&set);
+            let loops = LoopNest::of(&set);
             rims.iter().all(|rim| rim.is_of(&self.subject, &loops))
         }
     }
@@ -241,7 +238,12 @@ impl Referee {
     }
 
     /// The error in f64 of the sums that are told, and whether that is rounding only.
-    fn compared(&self, loops: &Loops<'_>, known: &Known<f64, Weighed>, is_told: fn(f64) -> bool) -> (f64, bool) {
+    fn compared(
+        &self,
+        loops: &LoopNest<'_>,
+        known: &Known<f64, Weighed>,
+        is_told: fn(f64) -> bool,
+    ) -> (Option<f64>, bool) {
         let found = self.subject.found(loops, &known.point);
         let told: Vec<usize> = (0..found.len()).filter(|i| is_told(found[*i])).collect();
         let sums = picked(&known.sums, &told);
@@ -251,7 +253,7 @@ impl Referee {
             let (found, exact) = (self.subject.found(loops, &point), self.subject.direct(&point, |_, _| true));
             is_rounding(&picked(&found, &told), &picked(&exact, &told), &sums)
         };
-        (error, error <= TOLERANCE || is_rounding())
+        (Some(error), error <= TOLERANCE || is_rounding())
     }
 
     /// The gradient's error in f32 on a picture of the target beside its place; `None` when it is finite nowhere.

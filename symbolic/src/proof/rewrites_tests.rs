@@ -23,7 +23,7 @@ use crate::program::{
     AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,
     Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
-use crate::proof::evaluate::{Loops, Raster, evaluate_at};
+use crate::proof::evaluate::{LoopNest, Raster, evaluate_at};
 use crate::proof::hyper::{Order, Values};
 use crate::proof::points::Random;
 
@@ -51,7 +51,7 @@ fn sample(program: &Program) -> Raster<'static, Modular> {
 
 fn outputs(program: &Program) -> Vec<Modular> {
     assert_eq!(program.check(), Ok(()), "{program}");
-    evaluate_at(&Loops::of(program), &sample(program)).outputs
+    evaluate_at(&LoopNest::of(program), &sample(program)).outputs
 }
 
 fn values(graph: &Graph, roots: &[NodeId]) -> Vec<Modular> {

@@ -9,7 +9,7 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Loss, Model};
 use crate::proof::LARGEST;
 use crate::proof::claim::{Claim, ValueKind};
-use crate::proof::evaluate::{Loops, Number, Raster, evaluate_at};
+use crate::proof::evaluate::{LoopNest, Number, Raster, evaluate_at};
 use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
 use crate::proof::likelihood::Shape;
 use crate::proof::points::Point;
@@ -174,7 +174,7 @@ impl Subject {
     }
 
     /// What the program makes the sums, every pixel of the point taking part.
-    pub(super) fn found<N: Number>(&self, loops: &Loops<'_>, point: &Point<N>) -> Vec<N> {
+    pub(super) fn found<N: Number>(&self, loops: &LoopNest<'_>, point: &Point<N>) -> Vec<N> {
         let pixel = |channel, column, row| point.pixel(channel, column, row);
         evaluate_at(loops, &Raster { every_pixel: true, ..sample(loops, point, &pixel) }).outputs
     }
@@ -190,7 +190,7 @@ impl Subject {
 
 /// What a program reads at a point.
 pub(super) fn sample<'a, N: Number>(
-    loops: &Loops<'_>,
+    loops: &LoopNest<'_>,
     point: &'a Point<N>,
     pixel: &'a dyn Fn(usize, usize, usize) -> N,
 ) -> Raster<'a, N> {

@@ -155,7 +155,6 @@ fn step(planes: &[PlaneView], mixture: &Mixture) -> f64 {
     if whole { largest } else { 0.0 }
 }
 
-/// Appends one row of the window.
 /// Whether pixels may be no numbers, which stands for unknown ones.
 pub(crate) fn may_be_nan(planes: &[PlaneView]) -> bool {
     planes.iter().any(|plane| matches!(plane.format(), PixelFormat::F32 | PixelFormat::F64))
@@ -172,6 +171,7 @@ fn fill(planes: &[PlaneView], values: &mut [f64]) {
     values.iter_mut().filter(|value| value.is_nan()).for_each(|value| *value = median);
 }
 
+/// Appends one row of the window.
 fn read_row(
     planes: &[PlaneView],
     window: Window,

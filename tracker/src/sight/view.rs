@@ -95,6 +95,18 @@ impl<'a> View<'a> {
         self.budget.map_or(Ok(()), |budget| budget.spend(pixels as u64))
     }
 
+    /// Pixels of the window that are numbers in every plane.
+    pub fn numbers(&self) -> usize {
+        let (first, [width, height, depth, length]) = (self.window.first(), self.window.size());
+        let is_number = |number: &usize| {
+            let (x, row) = (number % width, number / width);
+            let at = [x, row % height, row / height % depth, row / height / depth];
+            let place = std::array::from_fn(|axis| first[axis] + at[axis]);
+            self.planes.iter().all(|plane| plane.pixel_at(place).is_finite())
+        };
+        (0..width * height * depth * length).filter(is_number).count()
+    }
+
     /// Pixels are integers.
     pub fn holds_whole_values(&self) -> bool {
         self.planes.iter().all(is_whole)

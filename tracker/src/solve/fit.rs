@@ -10,7 +10,7 @@ use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
-use crate::solve::follow::{Followed, follow};
+use crate::solve::follow::{ShortWay, follow};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
@@ -95,7 +95,7 @@ fn fit_controlled(
     for index in 0..model.stages().len() {
         let passes = Passes::of(compiled, view, &parts, constants);
         let mut problem = Summed::of(passes, index, control)?;
-        let rules = rules(compiled, view, index);
+        let rules = rules(compiled, view, index, control);
         let report = stage::run(&mut problem, &rules, &mut fit.parameters);
         fit.ending = report.ending;
         fit.stages.push(report);
@@ -138,7 +138,8 @@ fn followed(
         false => None,
     };
     let mut parameters = start.to_vec();
-    let Some(Followed { report: stage, pass }) = follow(&mut problem, &rules(compiled, view, 0), &mut parameters)
+    let Some(ShortWay { report: stage, pass }) =
+        follow(&mut problem, &rules(compiled, view, 0, control), &mut parameters)
     else {
         return Ok(None);
     };
@@ -149,7 +150,7 @@ fn followed(
 }
 
 /// What a stage may do on a view.
-fn rules(compiled: &StageKernels, view: &View, index: usize) -> Rules {
+fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -> Rules {
     let model = compiled.model();
     let stage = &model.stages()[index];
     Rules {
@@ -159,7 +160,7 @@ fn rules(compiled: &StageKernels, view: &View, index: usize) -> Rules {
         noise: model.has_noise(),
         precision: compiled.precision(),
         rounding: view.rounding,
-        window_pixels: view.window.pixels() as u64,
+        window_pixels: if control == Control::Blind { view.numbers() } else { view.window.pixels() } as u64,
     }
 }
 

@@ -21,7 +21,7 @@ const LEFT: f64 = 0.05;
 const PASSES: u32 = 4;
 
 /// What a start that was nearly right came to.
-pub(crate) struct Followed {
+pub(crate) struct ShortWay {
     pub report: StageReport,
     /// At the point where the last step began; F is what it will be at its end.
     pub pass: Pass,
@@ -29,7 +29,7 @@ pub(crate) struct Followed {
 
 /// Moves `point` to the minimum; `None`, with `point` as it was, where a step does not do what it promises, where bounds or
 /// rounding have a say, or where too many steps would be needed. What ends every pass is for the caller to find out anew.
-pub(crate) fn follow<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> Option<Followed> {
+pub(crate) fn follow<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> Option<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
@@ -67,7 +67,7 @@ pub(crate) fn follow<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mu
         if before.is_some_and(|(_, last)| is_near(last, length)) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= step.reduction;
-            return Some(Followed { report, pass });
+            return Some(ShortWay { report, pass });
         }
         before = Some((objective, length));
     }

@@ -24,7 +24,7 @@ struct Last {
 
 /// See the text above.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Clock {
+pub(super) struct FrameClock {
     last: Option<Last>,
     /// Added to what frames say of their times.
     shift_s: f64,
@@ -33,7 +33,7 @@ pub(super) struct Clock {
 /// Times beyond this are no times: 300 years.
 const FARTHEST_S: f64 = 1e10;
 
-impl Clock {
+impl FrameClock {
     /// When the frame was taken: by its source's clock, else by the machine's, else by its number, frames being `period_s`
     /// apart; always after the last one.
     pub fn time_s(&mut self, frame: &Frame, period_s: f64) -> f64 {
@@ -74,7 +74,7 @@ mod tests {
 
     /// Times of frames that say these: seconds of the source, else of the machine.
     fn times(said: &[(Option<f64>, Option<f64>)]) -> Vec<f64> {
-        let mut clock = Clock::default();
+        let mut clock = FrameClock::default();
         let mut time = |(number, (source_s, machine_s)): (usize, &(Option<f64>, Option<f64>))| {
             let mut frame = TestPicture::new(4, 4, Vec::new()).frame().with_sequence(number as u64);
             (frame.time_s, frame.capture_ns) = (*source_s, machine_s.map(|s| (s * 1e9) as u64));

@@ -247,3 +247,5 @@ mod tests;
 mod jitter_tests;
 #[cfg(test)]
 mod swap_tests;
+#[cfg(test)]
+mod unknown_tests;

@@ -17,7 +17,7 @@ use crate::options::{TrackError, TrackerOptions};
 use crate::solve::compiled::Compiled;
 use crate::solve::prepare::Preparation;
 use crate::solve::stage_kernels::CompileFailure;
-use crate::track::clock::Clock;
+use crate::track::clock::FrameClock;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::shared::{Carried, SharedParameters};
@@ -30,7 +30,7 @@ pub struct Tracker {
     pub(crate) solver: Solver,
     pub(super) tracks: Vec<Track>,
     advisor: Option<Advisor>,
-    clock: Clock,
+    clock: FrameClock,
     /// Alternatives that frames were fitted without.
     wanted: Option<Preparation>,
 }
@@ -47,7 +47,7 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, clock: Clock::default(), wanted: None })
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, clock: FrameClock::default(), wanted: None })
     }
 
     /// The model's kernels.

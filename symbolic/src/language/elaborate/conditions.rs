@@ -45,16 +45,12 @@ impl Elaborator<'_> {
             };
             map.insert(*id, new);
         }
-        // What may have no value.
-        let parts = |nodes: &[NodeId]| {
-            let is_part = |n: &&NodeId| match self.graph.node(**n) {
-                Node::Product(factors) => factors.iter().any(|(_, exponent)| *exponent < 0),
-                node => matches!(node, Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..)),
-            };
-            nodes.iter().filter(is_part).count()
+        let may_have_no_value = |n: &&NodeId| match self.graph.node(**n) {
+            Node::Product(factors) => factors.iter().any(|(_, exponent)| *exponent < 0),
+            node => matches!(node, Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..)),
         };
-        let left = self.graph.reachable(&[map[&side]]);
-        if parts(&left) < parts(&nodes) { map[&side] } else { side }
+        let parts = |nodes: &[NodeId]| nodes.iter().filter(may_have_no_value).count();
+        if parts(&self.graph.reachable(&[map[&side]])) < parts(&nodes) { map[&side] } else { side }
     }
 
     /// What is known now is left out.
