@@ -3,6 +3,8 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +17,11 @@ use super::ioctl::DeviceNode;
 pub(super) const DEVICES: &str = "/dev";
 /// What the kernel says about them.
 const CLASS: &str = "/sys/class/video4linux";
+
+/// How often a camera is looked for that is listed and has no path, …
+const LOOKS: usize = 10;
+/// … and how long is waited before each further look.
+const SETTLING: Duration = Duration::from_millis(50);
 
 /// A camera, whatever its number.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -127,8 +134,22 @@ fn describe(found: &OpenCamera) -> CameraInfo {
     }
 }
 
-/// The camera that a document names: a path, or an identity.
+/// The camera that a document names: a path, or an identity. While its node is being made a camera may be listed whose path is
+/// not there yet: that is waited for.
 pub(super) fn named(device: &str) -> Result<OpenCamera, CameraError> {
+    let is_listed = |one: &String| one.strip_prefix(device).is_some_and(|rest| rest.starts_with(" ("));
+    for _ in 1..LOOKS {
+        match named_now(device) {
+            Err(CameraError::Missing { present, .. }) if present.iter().any(is_listed) => {
+                thread::park_timeout(SETTLING)
+            }
+            found => return found,
+        }
+    }
+    named_now(device)
+}
+
+fn named_now(device: &str) -> Result<OpenCamera, CameraError> {
     let mut all = all();
     if !device.starts_with('/') {
         let at = all.iter().position(|found| found.key == device).ok_or_else(|| missing(device, &all))?;
