@@ -183,7 +183,8 @@ fn check_rate(rate_hz: f64, pace: Pace, prefix: &str) -> Result<(), Problem> {
     if (least..=most).contains(&rate_hz) || rate_hz == 0.0 && pace == Pace::Fit {
         return Ok(());
     }
-    let message = format!("rate_hz is {rate_hz}; it must be {least} to {most} (0 with pace fit: no limit)");
+    let message =
+        format!("rate_hz is {rate_hz}; it must be above 0, from {least} to {most} (0 with pace fit: no limit)");
     Err(Problem::wrong_key("out-of-range", &format!("{prefix}rate_hz"), message))
 }
 

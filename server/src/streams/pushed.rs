@@ -66,7 +66,10 @@ impl Pushed {
     pub async fn decode(&self, media: FrameMedia, bytes: Vec<u8>, time_s: Option<f64>) -> Result<Frame, Problem> {
         let most = LIMITS.frame_time_s;
         if time_s.is_some_and(|time_s| !(-most..=most).contains(&time_s)) {
-            return Err(Problem::bad_request(format!("time_s must be a number of seconds from {} to {most}", -most)));
+            return Err(Problem::bad_request(format!(
+                "time_s is not a finite number of seconds from {} to {most}",
+                -most
+            )));
         }
         let document = self.document.clone();
         let decoding = tokio::task::spawn_blocking(move || decode(&document, media, bytes));

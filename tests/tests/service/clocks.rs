@@ -121,7 +121,12 @@ fn pushed_frames_carry_the_times_of_their_client() {
         estimate = service.request("POST", &path, &media, &frame(number)).expect(200);
     }
     check("POST", &estimate);
-    for (query, words) in [("time_s=soon", "invalid"), ("time_s=inf", "finite"), ("time=1", "unknown field")] {
+    for (query, words) in [
+        ("time_s=soon", "invalid"),
+        ("time_s=inf", "finite"),
+        ("time_s=1e300", "finite number of seconds from"),
+        ("time=1", "unknown field"),
+    ] {
         let answer =
             service.request("POST", &format!("/v1/sessions/one/frames?{query}"), &media, &frame(0)).expect(400);
         assert!(answer["detail"].as_str().unwrap().contains(words), "{answer}");
