@@ -7,7 +7,7 @@ use std::sync::Arc;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isophote_benches::speed::frame::{HEIGHT, WIDTH, bytes, picture, truth};
 use isophote_benches::text;
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window, has_fma};
 use isophote_machine::Threads;
 use isophote_symbolic::{Bindings, Estimator, Lowering, Method, Model, Precision, Start};
 use isophote_tracker::{Compiled, Frame, Plane, Tracker, TrackerOptions};
@@ -34,9 +34,11 @@ fn passes(criterion: &mut Criterion) {
                 (PixelFormat::U8, &byte, Precision::F32),
                 (PixelFormat::U8, &byte, Precision::F64),
             ] {
-                let kernel =
-                    Kernel::compile(&program, &KernelOptions { precision, formats: vec![format], packed: true })
-                        .unwrap();
+                let kernel = Kernel::compile(
+                    &program,
+                    &KernelOptions { width: VectorWidth::Bits128, precision, formats: vec![format], packed: true },
+                )
+                .unwrap();
                 let size = format.bytes_per_pixel();
                 let plane = PlaneView::new(format, bytes, WIDTH, HEIGHT, WIDTH * size, size).unwrap();
                 let bindings = Bindings {
@@ -75,7 +77,12 @@ fn functions(criterion: &mut Criterion) {
         for (number, stage) in model.stages().iter().enumerate() {
             let objective = model.objective(&stage.parameters, Method::GaussNewton).unwrap();
             let program = objective.program(Lowering { fma: has_fma(), drop_saturated: false }).unwrap();
-            let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+            let options = KernelOptions {
+                width: VectorWidth::Bits128,
+                precision: Precision::F32,
+                formats: vec![PixelFormat::U8],
+                packed: true,
+            };
             let kernel = Kernel::compile(&program, &options).unwrap();
             let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
             let pass = || kernel.sums(&bindings, &[plane], Window::whole(WIDTH, HEIGHT)).unwrap();

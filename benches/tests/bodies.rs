@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use isophote_benches::bodies::{body_flops, over_pixels_of, plain_program};
 use isophote_symbolic::interpreter::{Pixels, Slices, Window, run};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Part, Precision, Program, Sink, Value};
+use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Part, Precision, Program, Sink, Value};
 
 struct Picture;
 
@@ -35,7 +35,7 @@ fn outputs(model: &Model, program: &Program) -> Vec<f64> {
     let parameters: Vec<f64> = model.parameters().iter().map(|p| value(&p.name)).collect();
     let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
     let window = Window { x: 0, y: 0, width: 12, height: 8, slices: Slices::ONE };
-    let outcome = run(program, Precision::F64, &bindings, &Picture, window, None);
+    let outcome = run(program, Precision::F64, Lanes::Two, &bindings, &Picture, window, None);
     assert_eq!(outcome.pixels, 96);
     outcome.outputs
 }
@@ -124,8 +124,8 @@ fn plain_sums_over_another_programs_pixels() {
     let parameters = [5.3, 3.7, 0.1, 0.02, 0.15, -0.5, -0.3, 20.0, 150.0];
     let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
     let window = Window { x: 0, y: 0, width: 12, height: 8, slices: Slices::ONE };
-    let [all, some, ours] =
-        [&plain, &over, &optimised].map(|program| run(program, Precision::F64, &bindings, &Picture, window, None));
+    let [all, some, ours] = [&plain, &over, &optimised]
+        .map(|program| run(program, Precision::F64, Lanes::Two, &bindings, &Picture, window, None));
     assert!(all.pixels == 96 && some.pixels == ours.pixels && ours.pixels < 40, "{} {}", some.pixels, ours.pixels);
     for (a, b) in some.outputs.iter().zip(&ours.outputs[1..]) {
         assert!((a - b).abs() <= 1e-9 * a.abs(), "{a} {b}");

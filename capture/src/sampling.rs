@@ -12,7 +12,7 @@
 
 use std::sync::Arc;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Diagnostics, Lowering, Model, Precision};
 
 /// Rows rendered at a time: with 640 pixels a row two planes of f32 fill 80 KiB at most and usually far less.
@@ -55,7 +55,7 @@ impl Scene {
         let lowering = Lowering { fma: false, drop_saturated: false };
         let program = model.rendering(lowering).map_err(SceneFault::Model)?;
         let formats = vec![PixelFormat::U8; program.channels()];
-        let options = KernelOptions { precision: Precision::F32, formats, packed: true };
+        let options = KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats, packed: true };
         let kernel = Kernel::compile(&program, &options).map_err(|error| SceneFault::Compile(error.to_string()))?;
         Ok(Scene { kernel, samples: samples as usize })
     }

@@ -4,8 +4,11 @@ use std::collections::BTreeMap;
 use std::str::FromStr;
 
 use isophote_capture::camera::ControlValue;
-use isophote_jit::{Slices, Window};
+use isophote_jit::{Processor, Slices, VectorWidth, Window, fastest_width};
+use isophote_machine::monotonic_ns;
 use isophote_symbolic::Precision;
+
+use crate::failure::Failure;
 
 /// `k=v,…`: numbers by name.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,6 +45,37 @@ impl From<PrecisionArgument> for Precision {
             PrecisionArgument::F32 => Precision::F32,
             PrecisionArgument::F64 => Precision::F64,
         }
+    }
+}
+
+/// How wide the vectors of the pixel loops are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum VectorWidthArgument {
+    /// What is fastest on this machine, which is measured.
+    Auto,
+    /// 128 bits: on every machine the same sums, bit for bit.
+    #[value(name = "128")]
+    Bits128,
+    /// 256 bits (x86-64 with AVX2 and FMA).
+    #[value(name = "256")]
+    Bits256,
+    /// 512 bits (x86-64 with AVX-512).
+    #[value(name = "512")]
+    Bits512,
+}
+
+impl VectorWidthArgument {
+    /// A width that this machine has.
+    pub fn width(self) -> Result<VectorWidth, Failure> {
+        let width = match self {
+            VectorWidthArgument::Auto => return Ok(fastest_width(&monotonic_ns)),
+            VectorWidthArgument::Bits128 => VectorWidth::Bits128,
+            VectorWidthArgument::Bits256 => VectorWidth::Bits256,
+            VectorWidthArgument::Bits512 => VectorWidth::Bits512,
+        };
+        let bits = 8 * width.bytes();
+        let absent = || Failure::Usage(format!("--vector-width {bits}: this processor has no vectors of {bits} bits"));
+        Processor::Host.has(width).then_some(width).ok_or_else(absent)
     }
 }
 

@@ -79,7 +79,7 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
 /// Follows the target through all frames.
 fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
     let options = TrackerOptions { camera: camera.clone(), ..TrackerOptions::default() };
-    let mut run = OfflineRun::open(document, model, &args.frames, None, options)?;
+    let mut run = OfflineRun::open(document, model, &args.frames, None, (options, Arc::default()))?;
     let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     while let Some(Captured { frame, truth, .. }) = run.recording.next().map_err(Failure::other)? {

@@ -3,15 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use isophote_capture::encode::encode_png_rgb;
 use isophote_capture::{Captured, FrameSource};
-use isophote_jit::Window;
+use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Estimate, ExposureGoal, Pose, TrackState, TrackerOptions, contours};
 use isophote_wire as wire;
 
-use crate::arguments::{NumberArgs, PrecisionArgument, WindowArgument};
+use crate::arguments::{NumberArgs, PrecisionArgument, VectorWidthArgument, WindowArgument};
 use crate::failure::Failure;
 use crate::output::with_deviation;
 use crate::{model_files, offline, output, overlay};
@@ -48,6 +49,9 @@ pub struct FitArgs {
     /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
+    /// Bits of a vector: with 128 sums are the same on every machine, bit for bit; auto: what is fastest on this one
+    #[arg(long, value_enum, default_value_t = VectorWidthArgument::Bits128)]
+    pub vector_width: VectorWidthArgument,
     /// Write a picture of each frame with the fitted contour and centre
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
@@ -61,7 +65,8 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     check_overlay(args, &model)?;
     let precision = args.precision.map(Precision::from);
-    let mut run = offline::OfflineRun::open(&args.model, &model, &args.frames, precision, options(args)?)?;
+    let cache = Arc::new(KernelCache::of_width(args.vector_width.width()?));
+    let mut run = offline::OfflineRun::open(&args.model, &model, &args.frames, precision, (options(args)?, cache))?;
     let mut tracker = run.tracker()?;
     let frames = run.recording.path();
     let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, frames)).transpose()?;

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use isophote_capture::Recording;
+use isophote_jit::KernelCache;
 use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Camera, CompileFailure, Compiled, Intrinsics, Target, Tracker, TrackerOptions};
@@ -31,12 +32,12 @@ impl OfflineRun {
         model: &Arc<Model>,
         frames: &Path,
         precision: Option<Precision>,
-        options: TrackerOptions,
+        (options, cache): (TrackerOptions, Arc<KernelCache>),
     ) -> Result<OfflineRun, Failure> {
         let recording = recording(frames, model)?;
         let is_csv = recording.csv_channels().map_err(Failure::other)?.is_some();
         let precision = precision.unwrap_or(if is_csv { Precision::F64 } else { Precision::F32 });
-        let compiled = compile(document, model.clone(), precision)?;
+        let compiled = compile_with(document, model.clone(), precision, cache)?;
         Ok(OfflineRun { recording, options: TrackerOptions { precision, ..options }, compiled })
     }
 
@@ -55,7 +56,16 @@ pub fn recording(frames: &Path, model: &Model) -> Result<Recording, Failure> {
 
 /// Derives and compiles the stages of the document at that path.
 pub fn compile(document: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<Compiled>, Failure> {
-    let compiled = Compiled::with_cache(model, precision, Arc::default(), &Threads);
+    compile_with(document, model, precision, Arc::default())
+}
+
+fn compile_with(
+    document: &Path,
+    model: Arc<Model>,
+    precision: Precision,
+    cache: Arc<KernelCache>,
+) -> Result<Arc<Compiled>, Failure> {
+    let compiled = Compiled::with_cache(model, precision, cache, &Threads);
     compiled.map(Arc::new).map_err(|failure| refused(document, &failure))
 }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use isophote_server::{Options, Server, StartError};
 
+use crate::arguments::VectorWidthArgument;
 use crate::failure::Failure;
 
 /// Run the service: models, sources, sessions and streams over HTTP
@@ -19,11 +20,15 @@ pub struct ServeArgs {
     /// With a synthetic source and a running session, both named demo
     #[arg(long)]
     pub demo: bool,
+    /// Bits of a vector; auto: what is fastest on this machine, measured at the start
+    #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
+    pub vector_width: VectorWidthArgument,
 }
 
 /// Serves until SIGINT or SIGTERM. The line on standard error is for people and programs: it names the real port.
 pub fn run(args: &ServeArgs) -> Result<(), Failure> {
-    let options = Options { listen: args.listen, data: args.data.clone(), demo: args.demo };
+    let width = args.vector_width.width()?;
+    let options = Options { listen: args.listen, data: args.data.clone(), demo: args.demo, width };
     let server = Server::start(&options).map_err(|error| match error {
         StartError::NotLoopback(_) => Failure::Usage(error.to_string()),
         other => Failure::Other(other.to_string()),

@@ -1,5 +1,5 @@
 //! The long run: `cargo run --release -p isophote-jit --example soak`; behind `--` the parts that are wanted, of `cycles`,
-//! `swaps`, `largest`, `cache`, `documents`.
+//! `swaps`, `largest`, `cache`, `documents`, `triples`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs)]
 
 #[path = "../tests/common/mod.rs"]
@@ -7,25 +7,28 @@ mod common;
 
 use std::time::Instant;
 
-use common::Random;
+use common::differential::{Case, Stage, agree};
 use common::documents::{Tally, try_document};
 use common::generate::{self, Variety};
 use common::soak::{admitted, cycles, resident_kib, subjects, swapping};
-use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, has_fma};
+use common::{Random, widths};
+use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, VectorWidth, has_fma};
 use isophote_symbolic::{LIMITS, Level, Lowering, Precision, Program};
 
 const CYCLES: usize = 100_000;
 const SWAPS: usize = 10_000;
 const DOCUMENTS: u64 = 10_000;
+const TRIPLES: usize = 1_000_000;
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let parts: [(&str, fn()); 5] = [
+    let parts: [(&str, fn()); 6] = [
         ("cycles", run_cycles),
         ("swaps", run_swaps),
         ("largest", run_largest),
         ("cache", run_cache),
         ("documents", run_documents),
+        ("triples", run_triples),
     ];
     parts
         .iter()
@@ -87,6 +90,7 @@ fn run_largest() {
             Variety { fma: has_fma(), calls: false, lengths: [lengths[0], lengths[1], pixels], sums: pixels / 4 };
         let program = generate::program(&mut Random(pixels as u64), variety, false);
         let options = KernelOptions {
+            width: VectorWidth::Bits128,
             precision: Precision::F32,
             formats: vec![PixelFormat::U8; program.channels()],
             packed: true,
@@ -127,7 +131,12 @@ fn row(
 /// A model sent again: its kernels are there.
 fn run_cache() {
     let model = common::shipped("thesis-spot");
-    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let options = KernelOptions {
+        width: VectorWidth::Bits128,
+        precision: Precision::F32,
+        formats: vec![PixelFormat::U8],
+        packed: true,
+    };
     let programs = |drop_saturated| common::programs(&model, Lowering { fma: has_fma(), drop_saturated });
     let programs: Vec<_> = [programs(false), programs(true)].into_iter().flatten().collect();
     let cache = KernelCache::default();
@@ -169,4 +178,44 @@ fn run_documents() {
     let faults = tally.faults.len();
     tally.faults.clear();
     println!("{faults} faults in {:.0} s: {tally:?}", start.elapsed().as_secs_f64());
+}
+
+/// Generated programs over generated pixels and numbers, with vectors of every width that this machine has: machine code and
+/// interpreter say the same.
+fn run_triples() {
+    for width in widths() {
+        let (start, mut programs, mut triples, mut wrong) = (Instant::now(), 0, 0, 0);
+        for seed in 1_000_000.. {
+            if triples >= TRIPLES {
+                break;
+            }
+            let mut random = Random(seed);
+            let longest = *random.pick(&[4, 10, 30, 60, 150]);
+            let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
+            let (fma, calls) = (has_fma() && random.below(2) == 0, random.below(3) == 0);
+            let is_picture = random.below(8) == 0;
+            let program = generate::program(&mut random, Variety { fma, calls, lengths, sums: 9 }, is_picture);
+            let precision = *random.pick(&[Precision::F32, Precision::F64]);
+            let lanes = width.lanes(precision);
+            let mut stage = Stage::new(&mut random, &program, lanes);
+            let kernel = Kernel::compile(&program, &stage.options(precision, width)).unwrap();
+            for odds in [0, 3, 10, 40] {
+                stage.draw(&mut random, odds);
+                for _ in 0..25 {
+                    let case = Case::new(&mut random, &stage, odds);
+                    let expected = case.interpreted(&program, (precision, lanes), &stage);
+                    if !agree(&case.native(&kernel, &stage), &expected) {
+                        println!("seed {seed}, {width:?}: {case:?}");
+                        wrong += 1;
+                    }
+                    triples += 1;
+                }
+            }
+            programs += 1;
+        }
+        println!(
+            "{width:?}: {wrong} of {triples} triples of program, pixels and numbers differ; {programs} programs in {:.0} s",
+            start.elapsed().as_secs_f64()
+        );
+    }
 }

@@ -50,6 +50,14 @@ pub(crate) struct Args {
     pub depth: i64,
     /// The window's volumes.
     pub length: i64,
+    /// Where a group begins at the latest, so that it ends inside of the window, px from its first column.
+    pub furthest: i64,
+    /// The last row of a slice, the last slice of a volume, the last volume, from the first ones of the window.
+    pub last: [i64; 3],
+    /// The last row of all.
+    pub last_row: i64,
+    /// `Sink::Plane`: bytes from a row of the output plane to the next.
+    pub target_stride: i64,
     /// Written: pixels that took part.
     pub pixels: i64,
     /// Written: pixels left out for saturation.
@@ -92,6 +100,19 @@ impl Functions {
         };
         let at = usize::from(machine.fused) * Function1::EVERY.len() + function as usize;
         (table + at * Self::SLOT) as i32
+    }
+    /// How many vectors the form for lanes at a byte offset takes; `None` where there is none.
+    #[cfg(all(target_arch = "x86_64", unix))]
+    pub fn operands_of_lanes(offset: usize) -> Option<usize> {
+        let within =
+            |start: usize, bytes: usize| (start..start + bytes).contains(&offset) && offset.is_multiple_of(Self::SLOT);
+        let (first, second) = (std::mem::offset_of!(Functions, single1), std::mem::offset_of!(Functions, single2));
+        let (third, fourth) = (std::mem::offset_of!(Functions, double1), std::mem::offset_of!(Functions, double2));
+        let [ones, twos] = [2 * Function1::EVERY.len() * Self::SLOT, 2 * Function2::ALL.len() * Self::SLOT];
+        if within(first, ones) || within(third, ones) {
+            return Some(1);
+        }
+        (within(second, twos) || within(fourth, twos)).then_some(2)
     }
     /// The byte offset of a function's form for lanes on that machine.
     pub fn lanes2(precision: Precision, machine: Plain, function: Function2) -> i32 {

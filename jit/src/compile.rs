@@ -3,7 +3,7 @@
 use cranelift_codegen::control::ControlPlane;
 use cranelift_codegen::ir::Function;
 use cranelift_codegen::{CompiledCode, Context, verify_function};
-use isophote_symbolic::{Opcode, Program, Sink};
+use isophote_symbolic::{Opcode, Program, Sink, Value};
 
 use crate::addresses::{Extent, addresses};
 use crate::audit;
@@ -11,7 +11,7 @@ use crate::error::CompileError;
 use crate::host::{self, Allocator, Processor};
 use crate::limits::{KernelLimits, LIMITS};
 use crate::lower::lower;
-use crate::options::KernelOptions;
+use crate::options::{KernelOptions, VectorWidth};
 
 /// Machine code that needs nothing filled in, within [`LIMITS`].
 pub(crate) struct Native {
@@ -19,17 +19,38 @@ pub(crate) struct Native {
     pub alignment: u64,
     /// Bytes of stack that a call takes.
     pub frame_bytes: usize,
+    /// Of wide vectors: which bytes are there for which value, in order.
+    pub sources: Vec<(usize, usize, Value)>,
 }
 
 /// Machine code of a program.
 pub(crate) fn native(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
+    if options.width != VectorWidth::Bits128 {
+        return wide(program, options, processor);
+    }
     let (function, allocator) = audited(program, options, processor)?;
     let mut context = Context::for_function(function);
     let compiled = translate(&mut context, processor, allocator)?;
     let bytes = compiled.code_buffer().to_vec();
     let frame_bytes = frame_bytes(compiled)?;
     within(LIMITS, bytes.len(), frame_bytes)?;
-    Ok(Native { bytes, alignment: u64::from(compiled.buffer.alignment), frame_bytes })
+    Ok(Native { bytes, alignment: u64::from(compiled.buffer.alignment), frame_bytes, sources: Vec::new() })
+}
+
+/// The same with vectors that the compiler does not have.
+#[cfg(all(target_arch = "x86_64", unix))]
+fn wide(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
+    check(program, options, processor)?;
+    let (assembled, frame_bytes) = crate::wide::code(program, options)?;
+    within(LIMITS, assembled.bytes.len(), frame_bytes)?;
+    let sources = assembled.spans.iter().map(|spoken| (spoken.start, spoken.end, spoken.value)).collect();
+    Ok(Native { bytes: assembled.bytes, sources, alignment: crate::wide::ALIGNMENT as u64, frame_bytes })
+}
+
+/// No other processor has them here.
+#[cfg(not(all(target_arch = "x86_64", unix)))]
+fn wide(_: &Program, options: &KernelOptions, _: Processor) -> Result<Native, CompileError> {
+    Err(CompileError::NoVectors { bits: 8 * options.width.bytes() })
 }
 
 /// Spilled values, the record, saved registers, and the return address with the caller's frame pointer.
@@ -82,6 +103,9 @@ pub(crate) fn translate(
 /// What the lowering takes for granted.
 fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
     let any = program.instructions().iter().any(|i| matches!(i.op.code, Opcode::Channel(_)));
+    if !processor.has(options.width) {
+        return Err(CompileError::NoVectors { bits: 8 * options.width.bytes() });
+    }
     let (channels, formats) = (program.channels(), options.formats.len());
     let renders = matches!(program.sink(), Sink::Plane(_));
     if formats != channels && (any || !renders || formats != 0) {

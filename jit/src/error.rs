@@ -12,6 +12,12 @@ pub enum CompileError {
     /// The program multiplies and adds with one rounding, which this processor does not offer.
     #[error("this processor has no fused multiply-add; lower the program without")]
     NoFma,
+    /// This processor has no vectors that wide, or none that we write code for.
+    #[error("this processor has no vectors of {bits} bits")]
+    NoVectors {
+        /// Of a vector.
+        bits: usize,
+    },
     /// As many formats as channels are needed.
     #[error("the program has {channels} channels, {formats} pixel formats were given")]
     Formats {

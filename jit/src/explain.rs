@@ -8,10 +8,10 @@ use cranelift_codegen::Context;
 use cranelift_codegen::ir::SourceLoc;
 use isophote_symbolic::{Program, Span, Value};
 
-use crate::compile::{audited, translate};
+use crate::compile::{audited, native, translate};
 use crate::error::CompileError;
 use crate::host::Processor;
-use crate::options::KernelOptions;
+use crate::options::{KernelOptions, VectorWidth};
 
 /// One line of text.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -38,6 +38,9 @@ pub struct Explained {
 /// # Errors
 /// Those of [`crate::Kernel::compile`].
 pub fn explain(program: &Program, options: &KernelOptions) -> Result<Explained, CompileError> {
+    if options.width != VectorWidth::Bits128 {
+        return wide(program, options);
+    }
     let (function, allocator) = audited(program, options, Processor::Host)?;
     let clif = function.display().to_string();
     let mut context = Context::for_function(function);
@@ -53,6 +56,16 @@ pub fn explain(program: &Program, options: &KernelOptions) -> Result<Explained, 
     };
     let explained = |lines: Vec<(String, Option<Value>)>| lines.into_iter().map(|l| line(program, l)).collect();
     Ok(Explained { clif: explained(clif.lines().map(of_clif).collect()), machine: explained(machine) })
+}
+
+/// The same of vectors that the compiler does not have.
+fn wide(program: &Program, options: &KernelOptions) -> Result<Explained, CompileError> {
+    let native = native(program, options, Processor::Host)?;
+    let source = |(start, end, value): &(usize, usize, Value)| Source { start: *start, end: *end, value: *value };
+    let sources: Vec<Source> = native.sources.iter().map(source).collect();
+    let text = format!("; vectors of {} bits do not pass through this form", 8 * options.width.bytes());
+    let machine = machine::lines(&native.bytes, &sources).into_iter().map(|l| line(program, l)).collect();
+    Ok(Explained { clif: vec![Line { text, value: None, span: None }], machine })
 }
 
 fn line(program: &Program, (text, value): (String, Option<Value>)) -> Line {

@@ -6,6 +6,7 @@ use cranelift_codegen::isa::{OwnedTargetIsa, TargetIsa};
 use cranelift_codegen::settings::{self, Configurable};
 
 use crate::error::CompileError;
+use crate::options::VectorWidth;
 
 /// Which register allocator: the better one takes time that grows faster than the program, so that functions beyond
 /// [`INSTRUCTIONS_FOR_BACKTRACKING`] get the linear one.
@@ -76,17 +77,45 @@ fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, S
 impl Processor {
     /// Whether it multiplies and adds with one rounding. Only then may a program with `Opcode::Fma` be compiled for it.
     pub fn has_fma(self) -> bool {
-        match isa(self, Allocator::Backtracking) {
-            Ok(isa) if cfg!(target_arch = "x86_64") => has_all(&isa.isa_flags(), &["has_fma", "has_avx"]),
-            Ok(_) => true,
-            Err(_) => false,
+        match self {
+            Processor::Host => host_has_fma(),
+            Processor::Baseline => cfg!(not(target_arch = "x86_64")),
+        }
+    }
+
+    /// Whether it has vectors of that width, and we write code for them.
+    pub fn has(self, width: VectorWidth) -> bool {
+        match (self, width) {
+            (_, VectorWidth::Bits128) => true,
+            (Processor::Host, wide) => host_has(wide),
+            (Processor::Baseline, _) => false,
         }
     }
 }
 
-/// A flag that the compiler does not know by this name is one that the processor does not have.
-fn has_all(flags: &[settings::Value], names: &[&str]) -> bool {
-    names.iter().all(|name| flags.iter().any(|flag| flag.name == *name && flag.as_bool() == Some(true)))
+#[cfg(target_arch = "x86_64")]
+fn host_has_fma() -> bool {
+    is_x86_feature_detected!("fma") && is_x86_feature_detected!("avx")
+}
+#[cfg(not(target_arch = "x86_64"))]
+fn host_has_fma() -> bool {
+    true
+}
+
+#[cfg(all(target_arch = "x86_64", unix))]
+fn host_has(width: VectorWidth) -> bool {
+    let narrow = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") && host_has_fma();
+    let wide = || {
+        is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512vl")
+    };
+    narrow && (width != VectorWidth::Bits512 || wide())
+}
+#[cfg(not(all(target_arch = "x86_64", unix)))]
+fn host_has(_: VectorWidth) -> bool {
+    false
 }
 
 /// Whether this machine's processor multiplies and adds with one rounding.
@@ -110,14 +139,14 @@ mod tests {
         assert!(!Processor::Baseline.has_fma());
     }
 
+    /// The compiler may not use what we say is there, but what it uses must be there.
     #[test]
-    fn a_flag_of_another_name_is_not_there() {
-        let isa = isa(Processor::Host, Allocator::Backtracking).unwrap();
-        let flags = isa.isa_flags();
-        let there: Vec<&str> = flags.iter().filter(|flag| flag.as_bool() == Some(true)).map(|flag| flag.name).collect();
-        assert!(has_all(&flags, &there) && has_all(&flags, &[]));
-        assert!(!has_all(&flags, &["has_fused"]) && !has_all(&[], &["has_fma"]));
-        assert!(flags.iter().any(|flag| flag.name == "has_fma") && flags.iter().any(|flag| flag.name == "has_avx"));
+    fn the_compiler_multiplies_and_adds_at_once_where_we_say_so() {
+        let flags = isa(Processor::Host, Allocator::Backtracking).unwrap().isa_flags();
+        let has = |name: &str| flags.iter().any(|flag| flag.name == name && flag.as_bool() == Some(true));
+        assert_eq!(has("has_fma") && has("has_avx"), has_fma());
+        assert!(!Processor::Host.has(VectorWidth::Bits512) || Processor::Host.has(VectorWidth::Bits256));
+        assert!(!Processor::Baseline.has(VectorWidth::Bits256) && Processor::Baseline.has(VectorWidth::Bits128));
     }
 
     /// A frame of many pages must not step over the page that guards the stack's end.

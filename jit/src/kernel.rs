@@ -49,7 +49,7 @@ impl Kernel {
             formats: options.formats.clone(),
             packed: options.packed,
             renders: matches!(program.sink(), Sink::Plane(_)),
-            lanes: options.precision.lanes(),
+            lanes: options.lanes().count(),
         };
         let code = Code::load(&compiled, shape).map_err(CompileError::NoCodeMemory)?;
         Ok(Kernel { program: program.clone(), options: options.clone(), frame_bytes: compiled.frame_bytes, code })

@@ -11,7 +11,7 @@
 //! that it touches is inside a slice whose bounds a type has proven before; `unsafe` stands in `runner.rs` alone.
 //!
 //! ```
-//! use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+//! use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window, has_fma};
 //! use isophote_symbolic::{Bindings, Lowering, Model, Precision, ValueKind};
 //!
 //! let text = r#"
@@ -27,7 +27,8 @@
 //! let lowering = Lowering { fma: has_fma(), drop_saturated: false };
 //! let objective = model.value_objective(ValueKind::Entry).map_err(|faults| format!("{faults:?}"))?;
 //! let program = objective.program(lowering).map_err(|faults| format!("{faults:?}"))?;
-//! let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+//! let (precision, width) = (Precision::F32, VectorWidth::Bits128);
+//! let options = KernelOptions { precision, width, formats: vec![PixelFormat::U8], packed: true };
 //! let kernel = Kernel::compile(&program, &options)?;
 //!
 //! let pixels = [3, 4, 5, 6, 7, 8];
@@ -41,6 +42,9 @@
 
 #![deny(unsafe_code)]
 
+#[cfg(test)]
+extern crate self as isophote_jit; // what unit tests share with those of the doors
+
 mod abi;
 mod addresses;
 mod audit;
@@ -52,10 +56,13 @@ mod host;
 mod kernel;
 mod limits;
 mod lower;
+mod measure;
 mod options;
 mod plan;
 mod plane;
 mod runner;
+#[cfg(all(target_arch = "x86_64", unix))]
+mod wide;
 
 pub use cache::{CacheCounts, KernelCache};
 pub use error::{CompileError, RunError};
@@ -63,5 +70,6 @@ pub use explain::{Explained, Line, explain};
 pub use host::{Processor, has_fma};
 pub use kernel::{Kernel, Sums};
 pub use limits::{KernelLimits, LIMITS};
-pub use options::KernelOptions;
+pub use measure::fastest_width;
+pub use options::{KernelOptions, VectorWidth};
 pub use plane::{PixelFormat, PlaneError, PlaneView, Slices, Window};

@@ -1,16 +1,67 @@
 //! `KernelOptions`: what a kernel is compiled for besides its program.
 
-use isophote_symbolic::Precision;
+use isophote_symbolic::{Lanes, Precision};
 
 use crate::plane::PixelFormat;
+
+/// How many bits the vectors of the pixel loop have.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
+pub enum VectorWidth {
+    /// 4 × f32 or 2 × f64, on every processor.
+    #[default]
+    Bits128,
+    /// 8 × f32 or 4 × f64.
+    Bits256,
+    /// 16 × f32 or 8 × f64.
+    Bits512,
+}
+
+impl VectorWidth {
+    /// Every width, the narrowest first.
+    pub const ALL: [VectorWidth; 3] = [VectorWidth::Bits128, VectorWidth::Bits256, VectorWidth::Bits512];
+
+    /// Of a vector.
+    pub fn bytes(self) -> usize {
+        16 << self as usize
+    }
+
+    /// Vector registers that code may use.
+    pub(crate) fn registers(self) -> usize {
+        match self {
+            VectorWidth::Bits128 | VectorWidth::Bits256 => 16,
+            VectorWidth::Bits512 => 32,
+        }
+    }
+
+    /// Pixels that one group holds.
+    pub fn lanes(self, precision: Precision) -> Lanes {
+        use VectorWidth::{Bits128, Bits256, Bits512};
+        match (self, precision) {
+            (Bits128, Precision::F64) => Lanes::Two,
+            (Bits128, Precision::F32) | (Bits256, Precision::F64) => Lanes::Four,
+            (Bits256, Precision::F32) | (Bits512, Precision::F64) => Lanes::Eight,
+            (Bits512, Precision::F32) => Lanes::Sixteen,
+        }
+    }
+}
 
 /// What a kernel is compiled for besides its program.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct KernelOptions {
     /// The arithmetic of the pixel loop.
     pub precision: Precision,
+    /// The vectors of the pixel loop. Which pixels are summed together follows from it, so that sums of different widths
+    /// differ in their last bits.
+    pub width: VectorWidth,
     /// How the pixels of each channel are stored; may be empty for a program that renders.
     pub formats: Vec<PixelFormat>,
     /// The pixels of a row follow each other without gaps, in every plane.
     pub packed: bool,
+}
+
+impl KernelOptions {
+    /// Pixels that one group holds.
+    pub fn lanes(&self) -> Lanes {
+        self.width.lanes(self.precision)
+    }
 }

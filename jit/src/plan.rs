@@ -5,6 +5,7 @@
 //! the record, so that nothing but the loop's own vectors is alive across the loop: register allocation stays short and
 //! linear, and x64 reads an operand in memory for free.
 
+use crate::options::VectorWidth;
 use isophote_symbolic::{Instruction, Level, Opcode, PixelSet, Program, Sink, Value};
 
 /// Which part of the record.
@@ -84,15 +85,11 @@ pub(crate) struct Plan<'a> {
     pub rows_bytes: u32,
 }
 
-/// Vector registers of x64. Sums get what a group leaves free of them, then operands, the most read first: within
-/// 1 % of the fastest of a dozen splits, on each of four kernels of thesis-spot.
-const REGISTERS: usize = 16;
-
 /// Vectors in use at the busiest place of an elementary function.
-const FUNCTION_REGISTERS: usize = 7;
+pub(crate) const FUNCTION_REGISTERS: usize = 7;
 
-#[derive(Default)]
 struct Record {
+    width: VectorWidth,
     pass_bytes: u32,
     rows_bytes: u32,
 }
@@ -111,7 +108,7 @@ impl Record {
         self.take(area, 8)
     }
     fn vector(&mut self, area: Area) -> Slot {
-        self.take(area, 16)
+        self.take(area, self.width.bytes() as u32)
     }
 }
 
@@ -124,11 +121,12 @@ fn area(level: Level) -> Area {
 }
 
 impl<'a> Plan<'a> {
-    /// Plans a program.
-    pub fn new(program: &'a Program) -> Plan<'a> {
+    /// Plans a program for registers as many and as wide as `width` has them. Sums get what a group leaves free, then operands,
+    /// the most read first: within 1 % of the fastest of a dozen splits, on each of four kernels of thesis-spot.
+    pub fn new(program: &'a Program, width: VectorWidth) -> Plan<'a> {
         let count = program.instructions().len();
         let pixels = order(program);
-        let mut record = Record::default();
+        let mut record = Record { width, pass_bytes: 0, rows_bytes: 0 };
 
         let mut scalars = vec![None; count];
         let mut pairs = vec![None; count];
@@ -165,7 +163,7 @@ impl<'a> Plan<'a> {
         }
         let calls = pixels.iter().any(|v| program.instruction(*v).op.is_call());
         let busy = busy_registers(program, &pixels) + if calls { FUNCTION_REGISTERS } else { 0 };
-        let mut free = REGISTERS.saturating_sub(busy);
+        let mut free = width.registers().saturating_sub(busy);
         let mut settle = |record: &mut Record, area: Area| {
             let register = free > 0;
             free = free.saturating_sub(1);
@@ -225,13 +223,18 @@ impl<'a> Plan<'a> {
 
     /// True when the program looks at each pixel before it takes it.
     pub fn is_masked(&self) -> bool {
-        let PixelSet { mask, saturated, .. } = self.program.pixel_set();
-        mask.is_some() || saturated.is_some()
+        is_masked(self.program)
     }
 }
 
+/// True when the program looks at each pixel before it takes it.
+pub(crate) fn is_masked(program: &Program) -> bool {
+    let PixelSet { mask, saturated, .. } = program.pixel_set();
+    mask.is_some() || saturated.is_some()
+}
+
 /// The values that leave the pixel level, the pixel set's included.
-fn sinks(program: &Program) -> impl Iterator<Item = Value> {
+pub(crate) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
     let summed = match program.sink() {
         Sink::Sums { accumulators, .. } => accumulators.as_slice(),
@@ -242,7 +245,7 @@ fn sinks(program: &Program) -> impl Iterator<Item = Value> {
 
 /// The pixel instructions that are needed; those that decide on the pixel come first, so that a sum can be added to as
 /// soon as its value is there.
-fn order(program: &Program) -> Vec<Value> {
+pub(crate) fn order(program: &Program) -> Vec<Value> {
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
     let first = program.made_of(mask.into_iter().chain(saturated));
     let all = program.made_of(sinks(program));
@@ -253,7 +256,7 @@ fn order(program: &Program) -> Vec<Value> {
 }
 
 /// Who reads which pass or row value as an f64: (level of the reader, value).
-fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
+pub(crate) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
     let mut reads = Vec::new();
     for instruction in program.instructions() {
         let level = match (instruction.level, instruction.op.code) {
@@ -275,7 +278,7 @@ fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
 
 /// Vectors in use at the busiest place of a group: values computed and still to be read, what the pixel set needs, the
 /// running offsets, and one for an operand on its way from memory.
-fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
+pub(crate) fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
     let mut last_read = vec![0_usize; program.instructions().len()];
     for (at, value) in pixels.iter().enumerate() {
         program.instruction(*value).op.operands().for_each(|v| last_read[v.index()] = at);

@@ -4,11 +4,15 @@
 
 mod common;
 
-use common::{Image, Random, agree, agree_with, document, lowerings, parameters, programs, shipped};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, Window};
+use common::{Image, Random, agree, agree_with, document, lowerings, parameters, programs, shipped, widths};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Lowering, Model, Precision};
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
+
+fn arithmetics() -> impl Iterator<Item = (Precision, VectorWidth)> {
+    PRECISIONS.into_iter().flat_map(|precision| widths().into_iter().map(move |width| (precision, width)))
+}
 
 /// Documents that make every part of the lowering work.
 const OWN: [&str; 5] = [
@@ -171,23 +175,25 @@ fn windows_of_every_width() {
     let seed = 3;
     let mut random = Random(seed);
     for model in [shipped("thesis-spot"), shipped("spot"), document(OWN[0]), document(OWN[4])] {
-        for (drop_saturated, precision) in [(false, Precision::F32), (true, Precision::F32), (false, Precision::F64)] {
+        let kinds = [(false, Precision::F32), (true, Precision::F32), (false, Precision::F64)];
+        for ((drop_saturated, precision), width) in kinds.iter().flat_map(|k| widths().into_iter().map(|w| (*k, w))) {
             let program = programs(&model, Lowering { fma: false, drop_saturated }).swap_remove(2).1;
             for gaps in [[0, 0], [1, 0]] {
                 let image = image(&model, PixelFormat::U8, gaps, &mut random);
                 let options = KernelOptions {
+                    width,
                     precision,
                     formats: vec![image.format; model.channels().len()],
                     packed: gaps == [0, 0],
                 };
                 let kernel = Kernel::compile(&program, &options).unwrap();
-                for width in 1..=11 {
-                    for _ in 0..6 {
+                for columns in 1..=19 {
+                    for _ in 0..4 {
                         let height = 1 + random.below(image.height);
                         let window = Window {
-                            x: random.below(image.width - width + 1),
+                            x: random.below(image.width - columns + 1),
                             y: random.below(image.height - height + 1),
-                            width,
+                            width: columns,
                             height,
                             slices: Slices::ONE,
                         };
@@ -233,10 +239,14 @@ fn odd_parameters() {
     let mut random = Random(seed);
     for model in models() {
         for (name, program) in programs(&model, Lowering { fma: false, drop_saturated: false }) {
-            for precision in PRECISIONS {
+            for (precision, width) in arithmetics() {
                 let image = image(&model, PixelFormat::U8, [0, 0], &mut random);
-                let options =
-                    KernelOptions { precision, formats: vec![image.format; model.channels().len()], packed: true };
+                let options = KernelOptions {
+                    width,
+                    precision,
+                    formats: vec![image.format; model.channels().len()],
+                    packed: true,
+                };
                 let kernel = Kernel::compile(&program, &options).unwrap();
                 for _ in 0..12 {
                     let mut values = parameters(&model, size(&model), &mut random);
@@ -376,10 +386,10 @@ fn stacks_agree_slice_by_slice() {
     let mut random = Random(seed);
     for model in STACKS.map(document) {
         let length = if model.coordinates().len() == 4 { 4 } else { 1 };
-        let size = [13, 9, 5, length];
+        let size = [21, 9, 5, length];
         for lowering in lowerings() {
             for (name, program) in programs(&model, lowering) {
-                for precision in PRECISIONS {
+                for (precision, width) in arithmetics() {
                     let format = *random.pick(&PixelFormat::ALL);
                     let gaps = *random.pick(&[[0, 0, 0, 0], [0, 5, 2, 9], [1, 0, 3, 0], [7, 11, 1, 4]]);
                     let image = Image::stack(format, size, model.channels().len(), gaps, |_, _| {
@@ -387,7 +397,8 @@ fn stacks_agree_slice_by_slice() {
                     });
                     let packed = gaps[0] == 0;
                     let formats = vec![format; model.channels().len()];
-                    let kernel = Kernel::compile(&program, &KernelOptions { precision, formats, packed }).unwrap();
+                    let kernel =
+                        Kernel::compile(&program, &KernelOptions { width, precision, formats, packed }).unwrap();
                     let saturation = vec![250.0; model.channels().len()];
                     for whole in [true, false, false] {
                         let side = |n: usize, random: &mut Random| {

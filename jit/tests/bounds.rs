@@ -5,8 +5,8 @@
 
 mod common;
 
-use common::{Random, lowerings, parameters, programs, shipped};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneError, PlaneView, RunError, Slices, Window};
+use common::{Random, lowerings, parameters, programs, shipped, widths};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneError, PlaneView, RunError, Slices, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Lowering, Precision, Program};
 
 fn program() -> Program {
@@ -14,7 +14,11 @@ fn program() -> Program {
 }
 
 fn kernel(format: PixelFormat, packed: bool) -> Kernel {
-    Kernel::compile(&program(), &KernelOptions { precision: Precision::F32, formats: vec![format], packed }).unwrap()
+    Kernel::compile(
+        &program(),
+        &KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: vec![format], packed },
+    )
+    .unwrap()
 }
 
 #[test]
@@ -87,7 +91,12 @@ fn slices_that_do_not_fit_are_refused() {
     assert!(flat.sums(&bindings, &[view], window([4, 1], [1, 1])).is_ok(), "one slice is a picture");
     let refused = flat.sums(&bindings, &[view], window([0, 0], [2, 1]));
     assert!(matches!(refused, Err(RunError::Slices { coordinates: 2, .. })), "{refused:?}");
-    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let options = KernelOptions {
+        width: VectorWidth::Bits128,
+        precision: Precision::F32,
+        formats: vec![PixelFormat::U8],
+        packed: true,
+    };
     let deep = Kernel::compile(&stacked(), &options).unwrap();
     assert!(deep.sums(&bindings, &[view], window([0, 0], [5, 2])).is_ok());
     for (first, count) in [
@@ -128,11 +137,11 @@ fn nothing_outside_a_stack_is_read() {
             for packed in [true, false] {
                 let size = format.bytes_per_pixel();
                 let pixel = if packed { size } else { size + 1 };
-                let options = KernelOptions { precision, formats: vec![format], packed };
-                let kernel = Kernel::compile(&stacked(), &options).unwrap();
-                for width in 1..=9 {
-                    let sides = [width, 1 + random.below(4), 1 + random.below(4), 1 + random.below(3)];
-                    let row = width * pixel + random.below(4);
+                for (vectors, columns) in columns() {
+                    let options = KernelOptions { width: vectors, precision, formats: vec![format], packed };
+                    let kernel = Kernel::compile(&stacked(), &options).unwrap();
+                    let sides = [columns, 1 + random.below(4), 1 + random.below(4), 1 + random.below(3)];
+                    let row = columns * pixel + random.below(4);
                     let slice = sides[1] * row + random.below(9);
                     let strides = [pixel, row, slice, sides[2] * slice + random.below(9)];
                     let last: usize = sides.iter().zip(strides).map(|(n, stride)| (n - 1) * stride).sum();
@@ -163,6 +172,12 @@ fn planes_of_another_kind_are_refused() {
     let given = kernel.sums(&bindings, &[view(PixelFormat::U8, 3)], window);
     assert!(matches!(given, Err(RunError::Packing { channel: 0, stride: 3 })));
     assert!(kernel.render(&bindings, window, &mut [0.0; 25]).is_err(), "it sums");
+}
+
+/// Vectors, with rows of up to one pixel more than two groups of bytes.
+fn columns() -> Vec<(VectorWidth, usize)> {
+    let of = |width: VectorWidth| (1..=1 + width.bytes() / 2).map(move |columns| (width, columns));
+    widths().into_iter().flat_map(of).collect()
 }
 
 /// Bytes with an unreadable page before the first and after the last.
@@ -203,9 +218,9 @@ fn no_byte_beyond_the_plane_is_touched() {
                 let pixel = if packed { size } else { size + 1 + random.below(3) };
                 for lowering in lowerings().into_iter().take(2) {
                     for (_, program) in programs(&model, lowering).into_iter().take(3) {
-                        let options = KernelOptions { precision, formats: vec![format], packed };
-                        let kernel = Kernel::compile(&program, &options).unwrap();
-                        for width in 1..=9 {
+                        for (vectors, width) in columns() {
+                            let options = KernelOptions { width: vectors, precision, formats: vec![format], packed };
+                            let kernel = Kernel::compile(&program, &options).unwrap();
                             let height = 1 + random.below(5);
                             let row = width * pixel + random.below(4);
                             let bytes = (height - 1) * row + (width - 1) * pixel + size;

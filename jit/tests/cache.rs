@@ -6,7 +6,7 @@ mod common;
 use std::sync::{Arc, Barrier};
 
 use common::{document, programs, shipped};
-use isophote_jit::{CompileError, KernelCache, KernelOptions, PixelFormat};
+use isophote_jit::{CompileError, KernelCache, KernelOptions, PixelFormat, VectorWidth};
 use isophote_symbolic::{
     Instruction, Level, Lowering, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
 };
@@ -14,7 +14,7 @@ use isophote_symbolic::{
 const PLAIN: Lowering = Lowering { fma: false, drop_saturated: false };
 
 fn options(precision: Precision) -> KernelOptions {
-    KernelOptions { precision, formats: vec![PixelFormat::U8], packed: true }
+    KernelOptions { width: VectorWidth::Bits128, precision, formats: vec![PixelFormat::U8], packed: true }
 }
 
 /// Hands back a number.
@@ -116,7 +116,8 @@ fn threads_that_ask_at_once_share_one_compilation() {
 #[test]
 fn a_failure_is_told_to_each_who_asks_and_leaves_nothing_behind() {
     let cache = KernelCache::default();
-    let wrong = KernelOptions { precision: Precision::F32, formats: Vec::new(), packed: true };
+    let wrong =
+        KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: Vec::new(), packed: true };
     for asked in 1..3 {
         let error = cache.get_or_compile(&constant(1.0), &wrong).unwrap_err();
         assert_eq!(error, CompileError::Formats { channels: 1, formats: 0 });
@@ -127,7 +128,8 @@ fn a_failure_is_told_to_each_who_asks_and_leaves_nothing_behind() {
 #[test]
 fn who_waits_for_a_compilation_that_fails_goes_on() {
     let program = programs(&shipped("spot"), PLAIN).swap_remove(2).1;
-    let wrong = KernelOptions { precision: Precision::F32, formats: Vec::new(), packed: true };
+    let wrong =
+        KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: Vec::new(), packed: true };
     for _ in 0..50 {
         let (cache, barrier) = (KernelCache::default(), Barrier::new(4));
         let ask = || {

@@ -4,8 +4,8 @@
 
 mod common;
 
-use common::{Image, Random, agree_with, document};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, Window, explain, has_fma};
+use common::{Image, Random, agree_with, document, widths};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, VectorWidth, Window, explain, has_fma};
 use isophote_symbolic::{Bindings, Function1, Function2, Lowering, Method, Model, ParameterId, Precision, Program};
 
 /// So many tangents that no function of the loop becomes vector code.
@@ -103,12 +103,16 @@ const ROWS: usize = 1500;
 
 /// Each row has two pixels of its own: groups with all lanes alike, so that their sum is exact, and a last group of one.
 fn compare(formula: &str, fma: bool, precision: Precision, many: bool, seed: u64) {
+    widths().into_iter().for_each(|width| compare_at(width, formula, fma, precision, many, seed));
+}
+
+fn compare_at(width: VectorWidth, formula: &str, fma: bool, precision: Precision, many: bool, seed: u64) {
     let model = model(formula, many);
     let program = program(&model, fma);
     let formats = vec![PixelFormat::F64; 2];
-    let kernel = Kernel::compile(&program, &KernelOptions { precision, formats, packed: true }).unwrap();
+    let kernel = Kernel::compile(&program, &KernelOptions { width, precision, formats, packed: true }).unwrap();
     let mut random = Random(seed);
-    let lanes = precision.lanes();
+    let lanes = width.lanes(precision).count();
     let mut numbers = vec![[[0.0; 2]; 2]; ROWS];
     numbers.iter_mut().flatten().flatten().for_each(|number| *number = argument(&mut random, precision));
     // Special values meet each other.
@@ -152,7 +156,8 @@ fn the_table_is_the_interpreter_s() {
 
 fn calls(formula: &str, precision: Precision, many: bool) -> usize {
     let program = program(&model(formula, many), false);
-    let options = KernelOptions { precision, formats: vec![PixelFormat::F64; 2], packed: true };
+    let options =
+        KernelOptions { width: VectorWidth::Bits128, precision, formats: vec![PixelFormat::F64; 2], packed: true };
     explain(&program, &options).unwrap().clif.iter().filter(|line| line.text.contains("call_indirect")).count()
 }
 
@@ -165,6 +170,6 @@ fn few_functions_are_vector_code_and_many_are_called() {
             assert!(calls(formula, precision, true) >= 2 * 41, "{formula}");
         }
         // Two halves of f32 in two groups: calls for large arguments.
-        assert_eq!(calls("sin(r)", precision, false), precision.lanes(), "{precision:?}");
+        assert_eq!(calls("sin(r)", precision, false), VectorWidth::Bits128.lanes(precision).count(), "{precision:?}");
     }
 }

@@ -7,11 +7,12 @@ mod common;
 use std::collections::HashSet;
 use std::mem::discriminant;
 
-use common::Random;
 use common::differential::{Case, Stage, agree, first_difference};
 use common::fault::planted;
 use common::generate::{Variety, program};
-use isophote_jit::{Kernel, Processor};
+use common::{Random, widths};
+use isophote_jit::{Kernel, KernelOptions, Processor, VectorWidth};
+use isophote_symbolic::interpreter::Outcome;
 use isophote_symbolic::{Level, Opcode, Precision, Program};
 
 const PROGRAMS: u64 = 2000;
@@ -24,12 +25,13 @@ const ODDS: [usize; 4] = [0, 3, 10, 40];
 struct Subject {
     program: Program,
     precision: Precision,
+    width: VectorWidth,
     stage: Stage,
     random: Random,
 }
 
 impl Subject {
-    fn new(processor: Processor, seed: u64) -> Subject {
+    fn new(processor: Processor, width: VectorWidth, seed: u64) -> Subject {
         let mut random = Random(seed);
         let longest = *random.pick(&[4, 10, 30, 60]);
         let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
@@ -38,8 +40,8 @@ impl Subject {
         let renders = random.below(8) == 0;
         let program = program(&mut random, variety, renders);
         let precision = *random.pick(&[Precision::F32, Precision::F64]);
-        let stage = Stage::new(&mut random, &program);
-        Subject { program, precision, stage, random }
+        let stage = Stage::new(&mut random, &program, width.lanes(precision));
+        Subject { program, precision, width, stage, random }
     }
 
     /// Calls `see` with so many windows, until it says false.
@@ -56,27 +58,35 @@ impl Subject {
         }
     }
 
+    fn options(&self) -> KernelOptions {
+        self.stage.options(self.precision, self.width)
+    }
+
+    fn interpreted(&self, program: &Program, case: &Case) -> (Outcome, Vec<f32>) {
+        case.interpreted(program, (self.precision, self.width.lanes(self.precision)), &self.stage)
+    }
+
     fn kernel(&self, processor: Processor, seed: u64) -> Kernel {
-        let kernel = Kernel::compile_for(processor, &self.program, &self.stage.options(self.precision));
+        let kernel = Kernel::compile_for(processor, &self.program, &self.options());
         kernel.unwrap_or_else(|error| panic!("seed {seed}: {error}"))
     }
 }
 
 /// Panics where native code for `processor` and the interpreter differ.
-fn programs_agree(processor: Processor, seeds: std::ops::Range<u64>) {
+fn programs_agree(processor: Processor, width: VectorWidth, seeds: std::ops::Range<u64>) {
     let programs = seeds.end - seeds.start;
     let (mut cases, mut telling) = (0, 0);
     for seed in seeds {
-        let mut subject = Subject::new(processor, seed);
+        let mut subject = Subject::new(processor, width, seed);
         let kernel = subject.kernel(processor, seed);
         subject.windows(WINDOWS, |subject, case| {
-            let Subject { program, precision, stage, .. } = subject;
-            let (native, expected) = (case.native(&kernel, stage), case.interpreted(program, *precision, stage));
+            let Subject { program, stage, .. } = subject;
+            let (native, expected) = (case.native(&kernel, stage), subject.interpreted(program, case));
             assert!(
                 agree(&native, &expected),
                 "seed {seed}: {}\n{native:?}\n{expected:?}\n{case:?}\n{:?}\n{program:?}",
-                first_difference(program, *precision, stage, case),
-                stage.options(*precision),
+                first_difference(program, &subject.options(), stage, case),
+                subject.options(),
             );
             cases += 1;
             let numbers = expected.0.outputs.iter().copied().chain(expected.1.iter().map(|x| f64::from(*x)));
@@ -90,26 +100,35 @@ fn programs_agree(processor: Processor, seeds: std::ops::Range<u64>) {
 
 #[test]
 fn two_million_cases_agree() {
-    programs_agree(Processor::Host, 0..PROGRAMS);
+    programs_agree(Processor::Host, VectorWidth::Bits128, 0..PROGRAMS);
+}
+
+#[test]
+fn wide_vectors_agree() {
+    for width in widths().into_iter().filter(|width| *width != VectorWidth::Bits128) {
+        programs_agree(Processor::Host, width, 0..PROGRAMS);
+    }
 }
 
 #[test]
 fn processors_without_extensions_agree() {
-    programs_agree(Processor::Baseline, PROGRAMS..PROGRAMS + PROGRAMS / 4);
+    programs_agree(Processor::Baseline, VectorWidth::Bits128, PROGRAMS..PROGRAMS + PROGRAMS / 4);
 }
 
 #[test]
 fn planted_faults_are_noticed() {
     let (mut matter, mut noticed, mut missed) = (0, 0, Vec::new());
     for seed in 10_000..10_800 {
-        let mut subject = Subject::new(Processor::Host, seed);
+        let all = widths();
+        let width = all[seed as usize % all.len()];
+        let mut subject = Subject::new(Processor::Host, width, seed);
         let kernel = subject.kernel(Processor::Host, seed);
         let mut try_one = |_| planted(&subject.program, &mut subject.random);
         let Some((what, wrong)) = (0..20).find_map(&mut try_one) else { continue };
         // A change that shows nowhere in four times as many windows does not matter: dead code, or the same in disguise.
         let (mut seen, mut first) = (0, None);
         subject.windows(4 * WINDOWS, |subject, case| {
-            let expected = case.interpreted(&wrong, subject.precision, &subject.stage);
+            let expected = subject.interpreted(&wrong, case);
             seen += 1;
             if !agree(&case.native(&kernel, &subject.stage), &expected) {
                 first = Some(seen);
@@ -131,7 +150,7 @@ fn planted_faults_are_noticed() {
 fn the_generator_knows_every_operation_at_every_level() {
     let mut met = HashSet::new();
     for seed in 0..PROGRAMS {
-        let Subject { program, .. } = Subject::new(Processor::Host, seed);
+        let Subject { program, .. } = Subject::new(Processor::Host, VectorWidth::Bits128, seed);
         met.extend(program.instructions().iter().map(|i| (discriminant(&i.op.code), i.level)));
     }
     let mut places = HashSet::new();

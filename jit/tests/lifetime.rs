@@ -6,7 +6,7 @@
 mod common;
 
 use common::{Random, parameters, programs, shipped};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Lowering, Precision};
 
 /// Anonymous maps that are executable, and all that are writable as well.
@@ -32,7 +32,12 @@ fn a_kernel_may_move_between_threads() {
 fn code_lives_as_long_as_its_kernel() {
     let model = shipped("thesis-spot");
     let program = programs(&model, Lowering { fma: false, drop_saturated: false }).swap_remove(2).1;
-    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let options = KernelOptions {
+        width: VectorWidth::Bits128,
+        precision: Precision::F32,
+        formats: vec![PixelFormat::U8],
+        packed: true,
+    };
     let compile = || Kernel::compile(&program, &options).unwrap();
     drop(compile());
     let (before, _) = executable_maps();

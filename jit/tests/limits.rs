@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Image, agree_with};
-use isophote_jit::{CompileError, Kernel, KernelOptions, LIMITS, PixelFormat, RunError, Slices, Window};
+use isophote_jit::{CompileError, Kernel, KernelOptions, LIMITS, PixelFormat, RunError, Slices, VectorWidth, Window};
 use isophote_symbolic::{
     AccumulatorId, Bindings, CoordinateId, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts,
     Sink, TotalId, Value,
@@ -36,7 +36,10 @@ fn wide(rows: usize, channels: u32) -> Program {
 
 fn compiled(program: &Program) -> Result<Kernel, CompileError> {
     let formats = vec![PixelFormat::U8; program.channels()];
-    Kernel::compile(program, &KernelOptions { precision: Precision::F32, formats, packed: true })
+    Kernel::compile(
+        program,
+        &KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats, packed: true },
+    )
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Image, Planes, Random, same};
+use common::{Image, Planes, Random, same, widths};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window, has_fma};
 use isophote_symbolic::interpreter;
 use isophote_symbolic::{
@@ -79,8 +79,10 @@ fn machine_code_of_every_operation_is_the_interpreter_s() {
         let truths: &[bool] = if code.row().result == Kind::Either { &[false, true] } else { &[false] };
         for (level, truths) in at.flat_map(|level| truths.iter().map(move |truths| (level, *truths))) {
             let program = program(code, level, truths);
-            for precision in [Precision::F32, Precision::F64] {
-                let options = KernelOptions { precision, formats: vec![PixelFormat::F32], packed: true };
+            for (precision, width) in
+                [Precision::F32, Precision::F64].into_iter().flat_map(|p| widths().into_iter().map(move |w| (p, w)))
+            {
+                let options = KernelOptions { width, precision, formats: vec![PixelFormat::F32], packed: true };
                 let kernel = Kernel::compile(&program, &options).unwrap();
                 for case in 0..60 {
                     let numbers: [f64; 4] = std::array::from_fn(|_| match case % 3 {
@@ -92,10 +94,12 @@ fn machine_code_of_every_operation_is_the_interpreter_s() {
                     let bindings = Bindings { parameters: &numbers, ..Bindings::default() };
                     let native = kernel.sums(&bindings, &image.views(), window).unwrap().outputs;
                     let planes = Planes(image.views());
-                    let expected = interpreter::run(&program, precision, &bindings, &planes, window, None).outputs;
+                    let expected =
+                        interpreter::run(&program, precision, options.lanes(), &bindings, &planes, window, None)
+                            .outputs;
                     assert!(
                         same(native[0], expected[0]),
-                        "{code:?} at {level:?}, {precision:?}, of {numbers:?}: {native:?}, not {expected:?}; seed {seed}"
+                        "{code:?} at {level:?}, {options:?}, of {numbers:?}: {native:?}, not {expected:?}; seed {seed}"
                     );
                     met += 1;
                 }

@@ -3,8 +3,8 @@
 
 mod common;
 
-use common::{Random, document, lowerings, parameters, shipped};
-use isophote_jit::{Kernel, KernelOptions, RunError, Slices, Window};
+use common::{Random, document, lowerings, parameters, shipped, widths};
+use isophote_jit::{Kernel, KernelOptions, RunError, Slices, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Precision, interpreter};
 
 struct NoPixels;
@@ -34,12 +34,19 @@ fn planes_agree() {
         let tall = if model.coordinates().len() == 1 { 1 } else { 9 };
         for lowering in lowerings() {
             let program = model.rendering(lowering).unwrap();
-            for precision in [Precision::F32, Precision::F64] {
-                let options = KernelOptions { precision, formats: vec![], packed: true };
+            for (precision, width) in
+                [Precision::F32, Precision::F64].into_iter().flat_map(|p| widths().into_iter().map(move |w| (p, w)))
+            {
+                let options = KernelOptions { width, precision, formats: vec![], packed: true };
                 let kernel = Kernel::compile(&program, &options).unwrap();
-                for width in 1..=13 {
-                    let window =
-                        Window { x: random.below(40), y: random.below(tall), width, height: tall, slices: Slices::ONE };
+                for columns in 1..=37 {
+                    let window = Window {
+                        x: random.below(40),
+                        y: random.below(tall),
+                        width: columns,
+                        height: tall,
+                        slices: Slices::ONE,
+                    };
                     let values = parameters(&model, [40, 9], &mut random);
                     let shift = [random.between(-0.5, 0.5), random.between(-0.5, 0.5)];
                     let bindings =
@@ -48,7 +55,15 @@ fn planes_agree() {
                     let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
                     let mut expected = native.clone();
                     kernel.render(&bindings, window, &mut native).unwrap();
-                    interpreter::run(&program, precision, &bindings, &NoPixels, window, Some(&mut expected));
+                    interpreter::run(
+                        &program,
+                        precision,
+                        options.lanes(),
+                        &bindings,
+                        &NoPixels,
+                        window,
+                        Some(&mut expected),
+                    );
                     let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
                     assert!(
                         native.iter().zip(&expected).all(same),
@@ -77,18 +92,21 @@ fn volumes_agree() {
     let seed = 2;
     let mut random = Random(seed);
     let program = document(STACK).rendering(lowerings()[0]).unwrap();
-    for precision in [Precision::F32, Precision::F64] {
-        let kernel = Kernel::compile(&program, &KernelOptions { precision, formats: vec![], packed: true }).unwrap();
-        for width in 1..=9 {
+    for (precision, width) in
+        [Precision::F32, Precision::F64].into_iter().flat_map(|p| widths().into_iter().map(move |w| (p, w)))
+    {
+        let options = KernelOptions { width, precision, formats: vec![], packed: true };
+        let kernel = Kernel::compile(&program, &options).unwrap();
+        for columns in 1..=19 {
             let slices = Slices { first: [random.below(5), random.below(5)], count: [3, 2] };
-            let window = Window { x: random.below(9), y: random.below(9), width, height: 4, slices };
+            let window = Window { x: random.below(9), y: random.below(9), width: columns, height: 4, slices };
             let shift: [f64; 4] = std::array::from_fn(|_| random.between(-0.5, 0.5));
             let values = [random.between(5.0, 15.0), random.between(1.0, 9.0)];
             let bindings = Bindings { parameters: &values, entry: &values, shift: &shift, ..Bindings::default() };
             let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
             let mut expected = native.clone();
             kernel.render(&bindings, window, &mut native).unwrap();
-            interpreter::run(&program, precision, &bindings, &NoPixels, window, Some(&mut expected));
+            interpreter::run(&program, precision, options.lanes(), &bindings, &NoPixels, window, Some(&mut expected));
             let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
             assert!(native.iter().zip(&expected).all(same), "{precision:?} {window:?} seed {seed}");
         }
@@ -99,7 +117,8 @@ fn volumes_agree() {
 fn a_plane_of_another_size_is_refused() {
     let model = shipped("spot");
     let program = model.rendering(lowerings()[0]).unwrap();
-    let options = KernelOptions { precision: Precision::F32, formats: vec![], packed: true };
+    let options =
+        KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: vec![], packed: true };
     let kernel = Kernel::compile(&program, &options).unwrap();
     let bindings = Bindings::default();
     let window = Window::whole(4, 3);

@@ -13,6 +13,7 @@ use axum::Router;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use isophote_jit::VectorWidth;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, mpsc, watch};
 
@@ -31,6 +32,8 @@ pub struct Options {
     pub data: Option<PathBuf>,
     /// With a synthetic source and a running session, both named `demo`.
     pub demo: bool,
+    /// The vectors of the kernels of all sessions; the processor must have them.
+    pub width: VectorWidth,
 }
 
 /// Why the service does not start.
@@ -72,7 +75,7 @@ impl Server {
         if !options.listen.ip().is_loopback() {
             return Err(StartError::NotLoopback(options.listen));
         }
-        let service = Arc::new(Service::open(options.data.as_deref())?);
+        let service = Arc::new(Service::open(options.data.as_deref(), options.width)?);
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .thread_name("http")

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use isophote_jit::KernelCache;
+use isophote_jit::{KernelCache, VectorWidth};
 use isophote_machine::Threads;
 use isophote_symbolic::{Diagnostics, Model, Precision};
 use isophote_tracker::Compiled;
@@ -184,8 +184,8 @@ const SHIPPED: [&str; 25] = [
 impl Registry {
     /// The shipped models, and those of the folder over them. A stored document that this build refuses is reported and
     /// left where it is.
-    pub fn open(data: Option<&Path>) -> Result<Registry, StoreError> {
-        let cache: Arc<KernelCache> = Arc::default();
+    pub fn open(data: Option<&Path>, width: VectorWidth) -> Result<Registry, StoreError> {
+        let cache = Arc::new(KernelCache::of_width(width));
         let mut models = BTreeMap::new();
         for text in SHIPPED {
             match Model::from_toml(text) {
@@ -289,7 +289,7 @@ mod tests {
 
     #[test]
     fn a_second_session_and_a_model_sent_again_compile_nothing() {
-        let registry = Registry::open(None).unwrap();
+        let registry = Registry::open(None, VectorWidth::default()).unwrap();
         let warm = |entry: &ModelEntry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8, &Threads).unwrap();
         let spot = registry.get("spot").unwrap();
         warm(&spot);

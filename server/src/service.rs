@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
+use isophote_jit::VectorWidth;
 use isophote_machine::monotonic_ns;
 use isophote_symbolic::Precision;
 use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
@@ -74,10 +75,10 @@ pub enum OpenError {
 }
 
 impl Service {
-    /// Models are loaded, nothing runs yet.
-    pub fn open(data: Option<&Path>) -> Result<Service, OpenError> {
+    /// Models are loaded, nothing runs yet; kernels will have vectors of that width.
+    pub fn open(data: Option<&Path>, width: VectorWidth) -> Result<Service, OpenError> {
         Ok(Service {
-            registry: Registry::open(data)?,
+            registry: Registry::open(data, width)?,
             compiler: Compiler::start()?,
             sources: Table::default(),
             sessions: Table::default(),

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use isophote_symbolic::interpreter::{Outcome, Pixels, Slices, Window, run};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Start, ValueKind};
+use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Start, ValueKind};
 
 struct Pattern;
 impl Pixels for Pattern {
@@ -57,6 +57,7 @@ fn outcome(model: &Model, program: &isophote_symbolic::Program, p: &[f64], entry
     run(
         program,
         Precision::F64,
+        Lanes::Two,
         &bindings,
         &Pattern,
         Window { x: 0, y: 0, width: 37, height, slices: Slices { first: [0, 0], count } },

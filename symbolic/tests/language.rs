@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use isophote_symbolic::interpreter::{Pixels, Slices, Window, run};
-use isophote_symbolic::{Bindings, Formula, Lowering, Method, Model, ParameterId, Precision};
+use isophote_symbolic::{Bindings, Formula, Lanes, Lowering, Method, Model, ParameterId, Precision};
 
 #[test]
 fn values() {
@@ -112,6 +112,7 @@ intensity = "p*x + f(3, 4) + norm(row(M, 1)) + norm(twice([0, 1.5])) + poly([1, 
     run(
         &program,
         Precision::F64,
+        Lanes::Two,
         &bindings,
         &Flat,
         Window { x: 0, y: 0, width: 1, height: 1, slices: Slices::ONE },
@@ -290,6 +291,7 @@ fn no_nan_from_the_branch_not_taken() {
         let out = run(
             &program,
             Precision::F64,
+            Lanes::Two,
             &bindings,
             &Flat,
             Window { x: 0, y: 0, width: 11, height: 1, slices: Slices::ONE },
@@ -311,6 +313,7 @@ fn offsets_are_taken_in_f64() {
     run(
         &program,
         Precision::F32,
+        Lanes::Four,
         &bindings,
         &Flat,
         Window { x: 2996, y: 0, width: 9, height: 1, slices: Slices::ONE },

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Saturated, ValueKind};
+use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Saturated, ValueKind};
 
 /// A spot; LIKELIHOOD stands for further keys of `[model]`.
 const SPOT: &str = r#"
@@ -60,7 +60,7 @@ const POINT: [f64; 7] = [20.1, 17.0, 0.0081, 0.0004, 0.0118, 21.0, 280.0];
 
 fn sums(program: &isophote_symbolic::Program, parameters: &[f64], entry: &[f64]) -> interpreter::Outcome {
     let bindings = Bindings { parameters, entry, constants: &[0.05, 0.75], saturation: &[254.5; 3], shift: &[] };
-    interpreter::run(program, Precision::F64, &bindings, &Picture, WINDOW, None)
+    interpreter::run(program, Precision::F64, Lanes::Two, &bindings, &Picture, WINDOW, None)
 }
 
 /// The gradient and, of Newton's method, the Hessian of each summand against differences of its F.
@@ -168,7 +168,7 @@ fn variants_have_what_the_model_lacks_and_skip_what_is_blind() {
     let program = objective.program(Lowering { fma: false, drop_saturated: true }).unwrap();
     let bindings =
         Bindings { parameters: &POINT, entry: &POINT, constants: &[0.05, 0.75], saturation: &[254.5], shift: &[] };
-    let outcome = interpreter::run(&program, Precision::F64, &bindings, &Blinded, WINDOW, None);
+    let outcome = interpreter::run(&program, Precision::F64, Lanes::Two, &bindings, &Blinded, WINDOW, None);
     let whole = sums(&program, &POINT, &POINT);
     assert!(outcome.outputs.iter().all(|sum| sum.is_finite()) && outcome.pixels < whole.pixels && outcome.pixels > 100);
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
+use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
 
 const HEAD: &str = "name = \"proved\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n";
 
@@ -16,7 +16,7 @@ impl Pixels for Ramp {
 fn sums(program: &Program, parameters: &[f64], constants: &[f64]) -> Vec<f64> {
     let bindings = Bindings { parameters, entry: parameters, constants, saturation: &[255.0], shift: &[] };
     let window = Window { x: 0, y: 0, width: 24, height: 24, slices: Slices::ONE };
-    interpreter::run(program, Precision::F64, &bindings, &Ramp, window, None).outputs
+    interpreter::run(program, Precision::F64, Lanes::Two, &bindings, &Ramp, window, None).outputs
 }
 
 fn all(model: &Model) -> Vec<ParameterId> {

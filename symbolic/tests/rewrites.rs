@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, Objective, Precision, Program, ValueKind};
+use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, Objective, Precision, Program, ValueKind};
 
 /// A model of two coordinates over given parameters.
 fn model(parameters: &str, intensity: &str, domain: &str) -> Model {
@@ -145,7 +145,7 @@ fn contraction_keeps_signs_where_the_minuend_is_a_factor() {
         let program = objective.program(Lowering { fma, drop_saturated: false }).unwrap();
         let bindings = Bindings { parameters: &[0.5], entry: &[0.5], saturation: &[255.0], ..Bindings::default() };
         let window = Window { x: 0, y: 0, width: 9, height: 5, slices: Slices::ONE };
-        interpreter::run(&program, Precision::F64, &bindings, &Flat, window, None).outputs
+        interpreter::run(&program, Precision::F64, Lanes::Two, &bindings, &Flat, window, None).outputs
     };
     for objective in [
         model.value_objective(ValueKind::Entry).unwrap(),

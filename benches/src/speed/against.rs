@@ -1,7 +1,7 @@
 //! The kernels of the thesis' spot against the same loops made ahead of time, and against those that one has without isophote.
 
 use isophote_export::PixelType;
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
 
 use super::appendix;
@@ -43,8 +43,11 @@ pub fn kernel(model: &Model, subset: &str, format: PixelFormat, drop_saturated: 
     let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
     let lowering = Lowering { fma: has_fma(), drop_saturated };
     let program = model.objective(&ids, Method::Newton).unwrap().program(lowering).unwrap();
-    Kernel::compile(&program, &KernelOptions { precision: Precision::F32, formats: vec![format], packed: true })
-        .unwrap()
+    Kernel::compile(
+        &program,
+        &KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: vec![format], packed: true },
+    )
+    .unwrap()
 }
 
 impl Case {

@@ -5,7 +5,7 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Instant;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, has_fma};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth, has_fma};
 use isophote_machine::Threads;
 use isophote_symbolic::{Lowering, Model, Precision};
 use isophote_tracker::{Compiled, InTurn, Workers};
@@ -68,7 +68,12 @@ pub fn cold() -> Took {
 pub fn warm() -> Vec<(&'static str, Took)> {
     let document = text("thesis-spot");
     let model = Arc::new(Model::from_toml(&document).unwrap());
-    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+    let options = KernelOptions {
+        width: VectorWidth::Bits128,
+        precision: Precision::F32,
+        formats: vec![PixelFormat::U8],
+        packed: true,
+    };
     let plain = || {
         let model = Model::from_toml(&document).unwrap();
         for stage in model.stages() {

@@ -1,6 +1,6 @@
 //! The frames of the speed figures: a spot whose domain s ≤ 1 covers half of 640 × 480 px.
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window, has_fma};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Model, Precision};
 
 /// px
@@ -45,7 +45,12 @@ pub fn values(model: &Model, value: impl Fn(&str) -> f64) -> Vec<f64> {
 /// The model's picture and a pattern over it, the same in every run.
 pub fn picture(model: &Model, parameters: &[f64], [width, height]: [usize; 2]) -> Vec<f32> {
     let program = model.rendering(Lowering { fma: has_fma(), drop_saturated: false }).unwrap();
-    let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::F32], packed: true };
+    let options = KernelOptions {
+        width: VectorWidth::Bits128,
+        precision: Precision::F32,
+        formats: vec![PixelFormat::F32],
+        packed: true,
+    };
     let mut plane = vec![0.0; width * height];
     let bindings = Bindings { parameters, entry: parameters, ..Bindings::default() };
     Kernel::compile(&program, &options).unwrap().render(&bindings, Window::whole(width, height), &mut plane).unwrap();

@@ -90,7 +90,7 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
 
 fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<TrialFrames, Failure> {
     let options = TrackerOptions { camera, ..TrackerOptions::default() };
-    let mut run = OfflineRun::open(document, model, path, None, options)?;
+    let mut run = OfflineRun::open(document, model, path, None, (options, Arc::default()))?;
     let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
     let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);
     while let Some(captured) = run.recording.next().map_err(Failure::other)? {

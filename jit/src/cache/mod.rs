@@ -16,7 +16,7 @@ use isophote_symbolic::{Program, Sink, Value};
 use self::key::KernelKey;
 use crate::error::CompileError;
 use crate::kernel::Kernel;
-use crate::options::KernelOptions;
+use crate::options::{KernelOptions, VectorWidth};
 
 /// What a cache did and what it holds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -37,6 +37,7 @@ pub struct CacheCounts {
 #[derive(Debug)]
 pub struct KernelCache {
     budget_bytes: usize,
+    width: VectorWidth,
     shelf: Mutex<Shelf>,
     /// A compilation ended, well or not.
     ended: Condvar,
@@ -74,7 +75,33 @@ impl KernelCache {
 
     /// A cache that lets unused kernels go when all together need more than `budget_bytes`.
     pub fn new(budget_bytes: usize) -> KernelCache {
-        KernelCache { budget_bytes, shelf: Mutex::default(), ended: Condvar::new() }
+        KernelCache { budget_bytes, width: VectorWidth::default(), shelf: Mutex::default(), ended: Condvar::new() }
+    }
+
+    /// A cache of [`KernelCache::BUDGET_BYTES`] for users who want vectors of that width, see [`KernelCache::get_or_compile_wide`].
+    pub fn of_width(width: VectorWidth) -> KernelCache {
+        KernelCache { width, ..KernelCache::default() }
+    }
+
+    /// The vectors that its users want.
+    pub fn width(&self) -> VectorWidth {
+        self.width
+    }
+
+    /// The kernel of `program` with vectors of the cache's width, whatever the options say, or of 128 bits where that would be
+    /// too large.
+    ///
+    /// # Errors
+    /// Those of [`Kernel::compile`].
+    pub fn get_or_compile_wide(&self, program: &Program, options: &KernelOptions) -> Result<Arc<Kernel>, CompileError> {
+        match self.get_or_compile(program, &KernelOptions { width: self.width, ..options.clone() }) {
+            Err(CompileError::CodeTooLarge { .. } | CompileError::FrameTooLarge { .. })
+                if self.width != VectorWidth::Bits128 =>
+            {
+                self.get_or_compile(program, &KernelOptions { width: VectorWidth::Bits128, ..options.clone() })
+            }
+            kernel => kernel,
+        }
     }
 
     /// What it did so far and what it holds.

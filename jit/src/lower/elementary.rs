@@ -12,6 +12,7 @@ use isophote_symbolic::{Opcode, Precision};
 
 use super::emit::{CallForm, Emitter};
 use crate::abi::Functions;
+use crate::options::VectorWidth;
 use crate::plan::Plan;
 
 /// Instructions of all elementary functions of a group, up to which they become vector code. Compile time grows with
@@ -28,7 +29,7 @@ pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
         _ => {}
     });
     // An instruction of the program is a few dozen operations at most, so that the sum stays small.
-    halves.all(|()| counter.count() * precision.lanes() / 2 <= INLINED_MAX)
+    halves.all(|()| counter.count() * VectorWidth::Bits128.lanes(precision).count() / 2 <= INLINED_MAX)
 }
 
 fn accuracy(precision: Precision) -> Accuracy {

@@ -122,7 +122,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
     }
 
     pub fn lanes(&self) -> usize {
-        self.options.precision.lanes()
+        self.options.lanes().count()
     }
 
     pub fn integer(&mut self, value: i64) -> ir::Value {

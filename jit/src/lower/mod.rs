@@ -29,12 +29,12 @@ use isophote_symbolic::{Level, Program};
 use self::emit::{Areas, Emitter, arg};
 use self::group::Group;
 use self::running::Running;
-use crate::options::KernelOptions;
+use crate::options::{KernelOptions, VectorWidth};
 use crate::plan::Plan;
 
 /// The loop nest of `program`, for `isa`'s calling convention.
 pub(crate) fn lower(program: &Program, options: &KernelOptions, isa: &dyn TargetIsa) -> Function {
-    let plan = Plan::new(program);
+    let plan = Plan::new(program, VectorWidth::Bits128);
     let mut signature = Signature::new(isa.default_call_conv());
     signature.params.push(ir::AbiParam::new(types::I64));
     let mut function = Function::with_name_signature(UserFuncName::default(), signature);

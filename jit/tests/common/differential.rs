@@ -3,11 +3,11 @@
 #![allow(dead_code, clippy::unwrap_used)]
 
 use super::{Image, Planes, Random, same};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, Window};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, VectorWidth, Window};
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
-    AccumulatorId, Bindings, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId,
-    Value,
+    AccumulatorId, Bindings, Instruction, Lanes, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink,
+    TotalId, Value,
 };
 
 /// Planes that a program is run on, each with a format and gaps of its own.
@@ -18,8 +18,9 @@ pub struct Stage {
 
 impl Stage {
     /// Formats and gaps by `random`; half of all stages are packed.
-    pub fn new(random: &mut Random, program: &Program) -> Stage {
-        let mut size = [13, 4, 1, 1];
+    pub fn new(random: &mut Random, program: &Program, lanes: Lanes) -> Stage {
+        // Three groups and one pixel.
+        let mut size = [3 * lanes.count().max(4) + 1, 4, 1, 1];
         (2..program.coordinates()).for_each(|axis| size[axis] = 3);
         let is_packed = random.below(2) == 0;
         let image = |random: &mut Random| {
@@ -31,9 +32,9 @@ impl Stage {
         Stage { images: (0..program.channels()).map(|_| image(random)).collect(), size }
     }
 
-    pub fn options(&self, precision: Precision) -> KernelOptions {
+    pub fn options(&self, precision: Precision, width: VectorWidth) -> KernelOptions {
         let packed = self.images.iter().all(|image| image.strides[0] == image.format.bytes_per_pixel());
-        KernelOptions { precision, formats: self.images.iter().map(|image| image.format).collect(), packed }
+        KernelOptions { width, precision, formats: self.images.iter().map(|image| image.format).collect(), packed }
     }
 
     /// New pixels; one of `odds` is special, none for 0.
@@ -47,7 +48,7 @@ impl Stage {
         }
     }
 
-    fn views(&self) -> Vec<PlaneView<'_>> {
+    pub fn views(&self) -> Vec<PlaneView<'_>> {
         self.images.iter().flat_map(Image::views).collect()
     }
 }
@@ -66,9 +67,9 @@ pub struct Case {
 }
 
 impl Case {
-    /// A window of 1 to 9 pixels somewhere on the stage.
+    /// A window of up to two groups and one pixel somewhere on the stage.
     pub fn new(random: &mut Random, stage: &Stage, odds: usize) -> Case {
-        let mut left = 9;
+        let mut left = 2 * (stage.size[0] / 3) + 1;
         let sides: Vec<(usize, usize)> = stage
             .size
             .iter()
@@ -90,6 +91,11 @@ impl Case {
         Bindings { parameters, entry, constants, saturation, shift }
     }
 
+    /// What is bound, where it runs, what the output plane holds before.
+    pub fn parts(&self) -> (Bindings<'_>, Window, &[f32]) {
+        (self.bindings(), self.window, &self.plane)
+    }
+
     pub fn native(&self, kernel: &Kernel, stage: &Stage) -> (Outcome, Vec<f32>) {
         let mut plane = self.plane.clone();
         if let Sink::Plane(_) = kernel.program().sink() {
@@ -100,10 +106,15 @@ impl Case {
         (Outcome { outputs: sums.outputs, pixels: sums.pixels, saturated: sums.saturated }, plane)
     }
 
-    pub fn interpreted(&self, program: &Program, precision: Precision, stage: &Stage) -> (Outcome, Vec<f32>) {
+    pub fn interpreted(
+        &self,
+        program: &Program,
+        (precision, lanes): (Precision, Lanes),
+        stage: &Stage,
+    ) -> (Outcome, Vec<f32>) {
         let mut plane = self.plane.clone();
         let (bindings, planes) = (self.bindings(), Planes(stage.views()));
-        let outcome = interpreter::run(program, precision, &bindings, &planes, self.window, Some(&mut plane));
+        let outcome = interpreter::run(program, precision, lanes, &bindings, &planes, self.window, Some(&mut plane));
         match program.sink() {
             Sink::Plane(_) => (Outcome::default(), plane),
             Sink::Sums { .. } => (outcome, plane),
@@ -122,7 +133,7 @@ pub fn agree(a: &(Outcome, Vec<f32>), b: &(Outcome, Vec<f32>)) -> bool {
 }
 
 /// The first pixel value in which native code and the interpreter differ, for a message.
-pub fn first_difference(program: &Program, precision: Precision, stage: &Stage, case: &Case) -> String {
+pub fn first_difference(program: &Program, options: &KernelOptions, stage: &Stage, case: &Case) -> String {
     let pixel = |i: &usize| program.instructions()[*i].level == Level::Pixel && !program.is_truth(Value(*i as u32));
     for i in (0..program.instructions().len()).filter(pixel) {
         let mut instructions = program.instructions()[..=i].to_vec();
@@ -140,8 +151,9 @@ pub fn first_difference(program: &Program, precision: Precision, stage: &Stage, 
             fused: program.is_fused(),
         });
         let Ok(one) = one else { continue };
-        let Ok(kernel) = Kernel::compile(&one, &stage.options(precision)) else { continue };
-        let (native, expected) = (case.native(&kernel, stage).0, case.interpreted(&one, precision, stage).0);
+        let Ok(kernel) = Kernel::compile(&one, options) else { continue };
+        let (native, expected) =
+            (case.native(&kernel, stage).0, case.interpreted(&one, (options.precision, options.lanes()), stage).0);
         if !same(native.outputs[0], expected.outputs[0]) {
             let text = program.operation_text(value);
             return format!("v{i} = {text} is the first: {:?}, not {:?}", native.outputs[0], expected.outputs[0]);

@@ -4,8 +4,8 @@
 
 use super::fault::planted;
 use super::grammar::{Document, PARAMETERS, Variety};
-use super::{Image, Planes, Random, lowerings, same};
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, Window};
+use super::{Image, Planes, Random, lowerings, same, widths};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, VectorWidth, Window};
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
     Bindings, Diagnostics, DirectSums, Lowering, Method, Model, Objective, Opcode, ParameterId, Part, Precision,
@@ -117,13 +117,14 @@ impl Scene {
         }
     }
 
-    fn options(&self, program: &Program, precision: Precision) -> KernelOptions {
+    fn options(&self, program: &Program, precision: Precision, width: VectorWidth) -> KernelOptions {
         let packed = self.image.strides[0] == self.image.format.bytes_per_pixel();
-        KernelOptions { precision, formats: vec![self.image.format; program.channels()], packed }
+        KernelOptions { width, precision, formats: vec![self.image.format; program.channels()], packed }
     }
 
-    fn interpreted(&self, program: &Program, precision: Precision) -> Outcome {
-        interpreter::run(program, precision, &self.bindings(), &Planes(self.image.views()), self.window, None)
+    fn interpreted(&self, program: &Program, precision: Precision, width: VectorWidth) -> Outcome {
+        let (lanes, planes) = (width.lanes(precision), Planes(self.image.views()));
+        interpreter::run(program, precision, lanes, &self.bindings(), &planes, self.window, None)
     }
 }
 
@@ -243,16 +244,18 @@ fn try_sums(model: &Model, scenes: &[Scene; 2], random: &mut Random, tally: &mut
         tally.programs += 1;
         let scene = &scenes[usize::from(what.starts_with("seeing"))];
         let precision = *random.pick(&[Precision::F32, Precision::F64]);
-        let kernel = Kernel::compile(&program, &scene.options(&program, precision)).unwrap();
+        let width = *random.pick(&widths());
+        let kernel = Kernel::compile(&program, &scene.options(&program, precision, width)).unwrap();
         let native = kernel.sums(&scene.bindings(), &scene.image.views(), scene.window).unwrap();
         let native = Outcome { outputs: native.outputs, pixels: native.pixels, saturated: native.saturated };
-        let expected = scene.interpreted(&program, precision);
+        let expected = scene.interpreted(&program, precision, width);
         tally.runs += 1;
         if !is_same(&native, &expected) {
-            tally.faults.push(format!("{what} {precision:?}: native {native:?}, interpreter {expected:?}"));
+            tally.faults.push(format!("{what} {precision:?} {width:?}: native {native:?}, interpreter {expected:?}"));
             continue;
         }
-        let double = if precision == Precision::F64 { native } else { scene.interpreted(&program, Precision::F64) };
+        let double =
+            if precision == Precision::F64 { native } else { scene.interpreted(&program, Precision::F64, width) };
         match judged(&objective, lowering, scene, &double) {
             Verdict::Right(error) => {
                 tally.compared += 1;
@@ -304,13 +307,16 @@ fn try_planes(model: &Model, scene: &Scene, random: &mut Random, tally: &mut Tal
             }
             tally.programs += 1;
             let precision = *random.pick(&[Precision::F32, Precision::F64]);
+            let width = *random.pick(&widths());
             let mut filled = [Vec::new(), Vec::new()];
             for (plane, precision) in filled.iter_mut().zip([precision, Precision::F64]) {
                 *plane = vec![0.0; scene.window.pixels()];
                 let planes = Planes(scene.image.views());
-                interpreter::run(&program, precision, &scene.bindings(), &planes, scene.window, Some(plane));
+                let lanes = width.lanes(precision);
+                interpreter::run(&program, precision, lanes, &scene.bindings(), &planes, scene.window, Some(plane));
             }
-            let options = KernelOptions { formats: Vec::new(), packed: true, ..scene.options(&program, precision) };
+            let options =
+                KernelOptions { formats: Vec::new(), packed: true, ..scene.options(&program, precision, width) };
             let kernel = Kernel::compile(&program, &options).unwrap();
             let mut native = vec![0.0; scene.window.pixels()];
             kernel.render(&scene.bindings(), scene.window, &mut native).unwrap();
@@ -376,7 +382,8 @@ pub fn try_faults(seed: u64) -> [u64; 2] {
     let mut counts = [0, 0];
     for Summing { objective, lowering, program, .. } in summing(&model, &mut random, &mut Tally::default()) {
         let Some((_, wrong)) = planted(&program, &mut random) else { continue };
-        let [right, wrong] = [&program, &wrong].map(|program| scene.interpreted(program, Precision::F64));
+        let [right, wrong] =
+            [&program, &wrong].map(|program| scene.interpreted(program, Precision::F64, VectorWidth::Bits128));
         let is_plain = matches!(judged(&objective, lowering, &scene, &right), Verdict::Right(_));
         let differs = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-6 * a.abs() || a.is_nan() != b.is_nan();
         let shows = right.pixels != wrong.pixels || right.outputs.iter().zip(&wrong.outputs).any(differs);

@@ -10,7 +10,7 @@ pub mod generate;
 pub mod grammar;
 pub mod soak;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window, has_fma};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Processor, VectorWidth, Window, has_fma};
 use isophote_symbolic::interpreter::{self, Outcome, Pixels};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
 
@@ -172,18 +172,30 @@ pub fn agree(
     context: &str,
 ) -> Outcome {
     let packed = image.strides[0] == image.format.bytes_per_pixel();
-    let options = KernelOptions { precision, formats: vec![image.format; program.channels()], packed };
-    let kernel = Kernel::compile(program, &options).unwrap_or_else(|e| panic!("{context}: {e}"));
-    agree_with(&kernel, bindings, image, window, context)
+    let mut outcome = None;
+    for width in widths() {
+        let options = KernelOptions { width, precision, formats: vec![image.format; program.channels()], packed };
+        let kernel = Kernel::compile(program, &options).unwrap_or_else(|e| panic!("{context}, {width:?}: {e}"));
+        outcome = Some(agree_with(&kernel, bindings, image, window, context));
+    }
+    outcome.unwrap()
+}
+
+/// The vectors that this machine has; says which it lacks.
+pub fn widths() -> Vec<VectorWidth> {
+    let (there, absent): (Vec<_>, Vec<_>) = VectorWidth::ALL.into_iter().partition(|width| Processor::Host.has(*width));
+    static SAID: std::sync::Once = std::sync::Once::new();
+    SAID.call_once(|| absent.iter().for_each(|width| eprintln!("skipped: this processor has no {width:?}")));
+    there
 }
 
 /// The same with a kernel at hand.
 pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, window: Window, context: &str) -> Outcome {
-    let (program, precision) = (kernel.program(), kernel.options().precision);
+    let (program, options) = (kernel.program(), kernel.options());
     let native = kernel.sums(bindings, &image.views(), window).unwrap_or_else(|e| panic!("{context}: {e}"));
     let planes = Planes(image.views());
-    let expected = interpreter::run(program, precision, bindings, &planes, window, None);
-    let context = || format!("{context}, {precision:?}, {:?}, strides {:?}, {window:?}", image.format, image.strides);
+    let expected = interpreter::run(program, options.precision, options.lanes(), bindings, &planes, window, None);
+    let context = || format!("{context}, {options:?}, strides {:?}, {window:?}", image.strides);
     assert_eq!(native.pixels, expected.pixels, "pixels: {}", context());
     assert_eq!(native.saturated, expected.saturated, "saturated: {}", context());
     assert_eq!(native.outputs.len(), expected.outputs.len(), "outputs: {}", context());

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use super::{Image, Random, document, parameters, programs, shipped};
-use isophote_jit::{CompileError, Kernel, KernelOptions, PixelFormat, Sums, Window};
+use isophote_jit::{CompileError, Kernel, KernelOptions, PixelFormat, Sums, VectorWidth, Window};
 use isophote_symbolic::{Bindings, LIMITS, Lowering, Method, Model, ParameterId, Precision, Program};
 
 /// A program with what it is run on.
@@ -22,8 +22,12 @@ impl Subject {
         let channels = model.channels().len();
         let image = Image::new(PixelFormat::U8, [40, 30], channels, [0, 0], |_, x, y| ((x * 31 + y * 17) % 251) as f64);
         let values = parameters(model, [40, 30], &mut random);
-        let options =
-            KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8; channels], packed: true };
+        let options = KernelOptions {
+            width: VectorWidth::Bits128,
+            precision: Precision::F32,
+            formats: vec![PixelFormat::U8; channels],
+            packed: true,
+        };
         Subject { program, options, image, values }
     }
 

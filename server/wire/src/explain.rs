@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use isophote_jit::{CompileError, Kernel, KernelOptions, Line, PixelFormat, has_fma};
+use isophote_jit::{CompileError, Kernel, KernelOptions, Line, PixelFormat, VectorWidth, has_fma};
 use isophote_notation::Show;
 use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Span};
 use isophote_tracker::CompileFailure;
@@ -66,7 +66,8 @@ pub fn explain(
     let lowering = Lowering { fma: has_fma(), drop_saturated: false };
     let program = objective.program(lowering)?;
     let formats = vec![PixelFormat::U8; model.channels().len()];
-    let options = KernelOptions { precision: Precision::F32, packed: formats.len() == 1, formats };
+    let options =
+        KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, packed: formats.len() == 1, formats };
     drop(Kernel::compile(&program, &options)?); // for its time alone
     let compile_ms = clock_ns().saturating_sub(start_ns) as f64 / 1e6;
     let text = match show {

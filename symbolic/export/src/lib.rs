@@ -2,7 +2,7 @@
 //!
 //! What comes in: a program, the model that it was made of (for names and formulas), and [`ExportOptions`]. What goes out: one
 //! file of C99 or Rust 2021 that needs nothing but the language's mathematics, with the program's loops in sight: pass, row,
-//! pixel, row end, pass end. With one lane it computes what [`isophote_symbolic::interpreter::run_in_lanes`] computes with one, bit for
+//! pixel, row end, pass end. With one lane it computes what [`isophote_symbolic::interpreter::run`] computes with one, bit for
 //! bit, elementary functions apart: they are the platform's.
 //! It must never know: how a frame lies in memory; an exported function is told by strides, counted in pixels.
 //!

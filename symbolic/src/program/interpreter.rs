@@ -8,7 +8,7 @@ use isophote_elementary::MAGIC;
 use crate::program::arithmetic::{Double, Number, Single};
 use crate::program::walk::{LoopNest, Place, Walk, Walked, walk};
 pub use crate::program::window::{Slices, Window};
-use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Precision, Program};
+use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Lanes, Precision, Program};
 
 /// Where pixels come from. Coordinates are those of the whole plane.
 pub trait Pixels {
@@ -37,36 +37,12 @@ pub fn nearest(x: f64) -> f64 {
     (x + MAGIC) - MAGIC
 }
 
-/// Runs a program over a window. `plane` is the output of a plane program: a value for each pixel of the window, added to.
+/// Runs a program over a window, so many pixels at a time. `plane` is the output of a plane program: a value for each pixel
+/// of the window, added to.
 pub fn run(
     program: &Program,
     precision: Precision,
-    bindings: &Bindings<'_>,
-    pixels: &dyn Pixels,
-    window: Window,
-    plane: Option<&mut [f32]>,
-) -> Outcome {
-    in_lanes(program, precision, precision.lanes(), bindings, pixels, window, plane)
-}
-
-/// The same with another number of lanes, which exported source may have: 1, 2, 4, 8 or 16; `None` for any other.
-pub fn run_in_lanes(
-    program: &Program,
-    precision: Precision,
-    lanes: usize,
-    bindings: &Bindings<'_>,
-    pixels: &dyn Pixels,
-    window: Window,
-    plane: Option<&mut [f32]>,
-) -> Option<Outcome> {
-    let is_known = matches!(lanes, 1 | 2 | 4 | 8 | 16);
-    is_known.then(|| in_lanes(program, precision, lanes, bindings, pixels, window, plane))
-}
-
-fn in_lanes(
-    program: &Program,
-    precision: Precision,
-    lanes: usize,
+    lanes: Lanes,
     bindings: &Bindings<'_>,
     pixels: &dyn Pixels,
     window: Window,
@@ -84,8 +60,8 @@ fn in_lanes(
     macro_rules! run {
         ($number:ty) => {{
             let inner = PhantomData::<$number>;
-            let mut lanes = Lanes { inner, lanes, inputs, pixels, window, depth, length, plane };
-            walk(&LoopNest::of(program), &program.pixel_set, &mut lanes)
+            let mut groups = Groups { inner, lanes: lanes.count(), inputs, pixels, window, depth, length, plane };
+            walk(&LoopNest::of(program), &program.pixel_set, &mut groups)
         }};
     }
     let Walked { outputs, pixels, saturated } = match (precision, program.fused) {
@@ -101,7 +77,7 @@ fn in_lanes(
 type Scalar = Double<false>;
 
 /// Groups of pixels, one a lane; everything outside of the pixel loop in f64.
-struct Lanes<'a, N> {
+struct Groups<'a, N> {
     inner: PhantomData<N>,
     lanes: usize,
     inputs: Vec<f64>,
@@ -113,7 +89,7 @@ struct Lanes<'a, N> {
     plane: Option<&'a mut [f32]>,
 }
 
-impl<N> Lanes<'_, N> {
+impl<N> Groups<'_, N> {
     /// Where a row is: y, z, w.
     fn outer(&self, row: usize) -> [usize; 3] {
         let Window { y, height, slices, .. } = self.window;
@@ -122,7 +98,7 @@ impl<N> Lanes<'_, N> {
     }
 }
 
-impl<N: Number + Into<f64>> Walk for Lanes<'_, N> {
+impl<N: Number + Into<f64>> Walk for Groups<'_, N> {
     type Outer = Scalar;
     type Inner = N;
 

@@ -6,7 +6,7 @@
 //! ```text
 //! pass:      f64, once a call            parameters, constants and what follows from them
 //!   row:     f64, once a row             outer coordinates, bounds of the domain
-//!     pixel: lanes (4 x f32 or 2 x f64)  one value a pixel; accumulators sum some of them over the row
+//!     pixel: lanes of f32 or f64          one value a pixel; accumulators sum some of them over the row
 //!   row end: f64, once a row with pixels row totals of accumulators, times what depends on the row
 //! pass end:  f64, once a call            outputs from pass totals
 //! ```
@@ -128,24 +128,42 @@ pub struct Names {
     pub outputs: Vec<String>,
 }
 
-/// The arithmetic of the pixel level.
+/// The arithmetic of the pixel level; rows are summed in f64.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
-    /// 4 lanes of f32; rows are summed in f64.
+    /// Lanes of f32.
     #[default]
     F32,
-    /// 2 lanes of f64.
+    /// Lanes of f64.
     F64,
 }
 
-impl Precision {
-    /// Pixels that one group holds.
-    pub fn lanes(self) -> usize {
-        match self {
-            Precision::F32 => 4,
-            Precision::F64 => 2,
-        }
+/// Pixels that one group holds. Which of them a lane sums follows from their number, so that sums are equal bit for bit only
+/// among the same.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Lanes {
+    /// One pixel at a time.
+    One = 1,
+    /// Two.
+    Two = 2,
+    /// Four.
+    Four = 4,
+    /// Eight.
+    Eight = 8,
+    /// Sixteen.
+    Sixteen = 16,
+}
+
+impl Lanes {
+    /// So many lanes; `None` where that is no power of two up to 16.
+    pub fn of(count: usize) -> Option<Lanes> {
+        [Lanes::One, Lanes::Two, Lanes::Four, Lanes::Eight, Lanes::Sixteen].into_iter().find(|l| l.count() == count)
+    }
+
+    /// How many they are.
+    pub fn count(self) -> usize {
+        self as usize
     }
 }
 

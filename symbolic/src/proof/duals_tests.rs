@@ -18,7 +18,7 @@ use numbers::{Hyper, Scalar, pair};
 use random::{Place, Random};
 
 use crate::program::interpreter::{Pixels, Slices, Window, run};
-use crate::program::{Bindings, Instruction, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
+use crate::program::{Bindings, Instruction, Lanes, Level, Op, Opcode, ParameterId, Precision, Program, Sink, Value};
 use crate::proof::evaluate::{LoopNest, Raster, evaluate_at};
 use crate::proof::weighed::Weighed;
 use crate::{Lowering, Method, Model};
@@ -193,7 +193,7 @@ fn compare(case: &Case, program: &Program, at: &Point, tally: &mut Tally, strict
     }
     let constants = [at.constant];
     let bindings = at.bindings(&constants);
-    let found = run(program, Precision::F64, &bindings, &Noise, at.window, None).outputs;
+    let found = run(program, Precision::F64, Lanes::Two, &bindings, &Noise, at.window, None).outputs;
     assert_eq!(found.len(), expected.len());
     let error = |found: f64, expected: f64, terms: f64| {
         if found == expected { 0.0 } else { (found - expected).abs() / terms.max(SMALLEST) }

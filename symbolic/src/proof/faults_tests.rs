@@ -9,8 +9,8 @@ use crate::derive::objective::Objective;
 use crate::language::budget::Budget;
 use crate::program::interpreter::{Outcome, Pixels, Slices, Window, run};
 use crate::program::{
-    AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Literal, Op, Opcode, Precision, Program,
-    Sink, TotalId, Value,
+    AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Lanes, Literal, Op, Opcode, Precision,
+    Program, Sink, TotalId, Value,
 };
 use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
@@ -104,7 +104,15 @@ fn outcomes(program: &Program) -> Vec<(Outcome, Vec<f32>)> {
         let window = Window { x: 0, y: 0, width: 27, height: 24, slices: Slices::ONE };
         let mut plane = vec![0.0; 27 * 24];
         let is_plane = matches!(program.sink, Sink::Plane(_));
-        let outcome = run(program, Precision::F64, &bindings, &Scene(seed), window, is_plane.then_some(&mut plane[..]));
+        let outcome = run(
+            program,
+            Precision::F64,
+            Lanes::Two,
+            &bindings,
+            &Scene(seed),
+            window,
+            is_plane.then_some(&mut plane[..]),
+        );
         (outcome, plane)
     };
     (0..4).map(run_in).collect()

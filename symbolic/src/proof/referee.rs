@@ -10,7 +10,7 @@ use isophote_elementary::{DoubleDouble, Modular};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Model;
 use crate::program::interpreter;
-use crate::program::{Bindings, ChannelId, Op, Opcode, Precision, Program, Sink};
+use crate::program::{Bindings, ChannelId, Lanes, Op, Opcode, Precision, Program, Sink};
 use crate::proof::budget::Room;
 use crate::proof::claim::Claim;
 use crate::proof::draft::Draft;
@@ -286,7 +286,9 @@ impl Referee {
             saturation: &saturation,
             shift: &[],
         };
-        let run = |precision| interpreter::run(program, precision, &bindings, picture, picture.window, None).outputs;
+        let run = |precision| {
+            interpreter::run(program, precision, Lanes::Four, &bindings, picture, picture.window, None).outputs
+        };
         let (single, double) = (run(Precision::F32), run(Precision::F64));
         let mut diagonal = 1 + n;
         let (mut error, mut largest) = (0.0_f64, 0.0_f64);

@@ -2,7 +2,9 @@
 
 use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
-use isophote_symbolic::{Bindings, Estimator, Lowering, Method, Model, ParameterId, Precision, Program, Sink, Start};
+use isophote_symbolic::{
+    Bindings, Estimator, Lanes, Lowering, Method, Model, ParameterId, Precision, Program, Sink, Start,
+};
 use isophote_tests::repository;
 
 /// Pixels of a plane along each coordinate.
@@ -246,8 +248,8 @@ impl Case {
         };
         let mut plane = vec![0.0_f32; count[..self.dimensions()].iter().product()];
         let out = self.renders().then_some(&mut plane[..]);
-        let outcome =
-            interpreter::run_in_lanes(&self.program, self.precision, self.lanes, &bindings, self, window, out).unwrap();
+        let lanes = Lanes::of(self.lanes).unwrap();
+        let outcome = interpreter::run(&self.program, self.precision, lanes, &bindings, self, window, out);
         let numbers = if self.renders() { plane.into_iter().map(f64::from).collect() } else { outcome.outputs };
         Outcome { numbers, counts: [outcome.pixels, outcome.saturated] }
     }

@@ -53,7 +53,9 @@ impl Running {
         Running::start_with(None, false)
     }
     pub fn start_with(data: Option<&Path>, demo: bool) -> Running {
-        let options = Options { listen: "127.0.0.1:0".parse().unwrap(), data: data.map(Path::to_path_buf), demo };
+        let width = isophote_jit::VectorWidth::default();
+        let (listen, data) = ("127.0.0.1:0".parse().unwrap(), data.map(Path::to_path_buf));
+        let options = Options { listen, data, demo, width };
         let server = Server::start(&options).unwrap();
         let address = server.address().to_string();
         Running { server: Some(server), ..Running::at(&address) }

@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Window};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Precision, Prediction, Roles};
 use nalgebra::DMatrix;
 
@@ -86,6 +86,7 @@ impl Kernels {
         }
         let program = solver.model().prediction(Prediction::Intensity, lowering(Control::Plain))?.ok()?;
         let options = KernelOptions {
+            width: VectorWidth::Bits128,
             precision: Precision::F32,
             formats: vec![PixelFormat::F32; program.channels()],
             packed: true,

@@ -11,7 +11,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth};
 use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, Objective, ParameterId, Proof, Stage};
 use serde::{Deserialize, Serialize};
 
@@ -149,6 +149,7 @@ impl Compiled {
             let program = objective.program(lowering(Control::Plain)).map_err(CompileFailure::Model)?;
             let channels = model.channels().len();
             let options = KernelOptions {
+                width: VectorWidth::Bits128,
                 precision: self.precision(),
                 formats: vec![PixelFormat::U8; channels],
                 packed: channels == 1,

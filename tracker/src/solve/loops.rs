@@ -77,7 +77,7 @@ impl Loops {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use isophote_jit::{KernelOptions, PixelFormat, has_fma};
+    use isophote_jit::{KernelOptions, PixelFormat, VectorWidth, has_fma};
     use isophote_symbolic::{Lowering, Method, Model, ParameterId, Precision};
 
     use super::*;
@@ -91,7 +91,12 @@ mod tests {
         let model = Model::from_toml(&text).unwrap();
         let objective = model.objective(&[ParameterId(0), ParameterId(1)], Method::GaussNewton).unwrap();
         let program = objective.program(Lowering { fma: has_fma(), drop_saturated: false }).unwrap();
-        let options = KernelOptions { precision: Precision::F32, formats: vec![PixelFormat::U8], packed: true };
+        let options = KernelOptions {
+            precision: Precision::F32,
+            width: VectorWidth::Bits128,
+            formats: vec![PixelFormat::U8],
+            packed: true,
+        };
         Arc::new(Kernel::compile(&program, &options).unwrap())
     }
 

@@ -230,8 +230,13 @@ impl StageKernels {
                 &skipping
             }
         };
-        let options = KernelOptions { precision, formats: layout.formats.clone(), packed: layout.packed };
-        let kernel = self.cache.get_or_compile(program, &options);
+        let options = KernelOptions {
+            width: self.cache.width(),
+            precision,
+            formats: layout.formats.clone(),
+            packed: layout.packed,
+        };
+        let kernel = self.cache.get_or_compile_wide(program, &options);
         let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
         let mut ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);
         if find(&ready).is_none() {

@@ -61,11 +61,11 @@ impl Predictions {
         precision: Precision,
         cache: &KernelCache,
     ) -> Result<Option<Predictions>, CompileFailure> {
-        let options = KernelOptions { precision, formats: Vec::new(), packed: true };
+        let options = KernelOptions { width: cache.width(), precision, formats: Vec::new(), packed: true };
         let kernel = |model: &Model, what| -> Result<Option<Arc<Kernel>>, CompileFailure> {
             let Some(program) = model.prediction(what, lowering(Control::Plain)) else { return Ok(None) };
             let program = program.map_err(CompileFailure::Model)?;
-            let kernel = cache.get_or_compile(&program, &options);
+            let kernel = cache.get_or_compile_wide(&program, &options);
             kernel.map(Some).map_err(|error| CompileFailure::Kernel(Arc::new(error)))
         };
         let mut entries = Vec::new();

@@ -1,0 +1,338 @@
+//! Instructions in order, with labels and constants, and the bytes that they become.
+//!
+//! What comes in: instructions, one after the other, in three sections. What goes out: bytes: the sections, then the
+//! constants. It must never know: programs, or what the instructions are for.
+
+use std::collections::BTreeMap;
+
+use iced_x86::{Code, Encoder, IcedError, Instruction, MemoryOperand, Register};
+use isophote_symbolic::Value;
+
+use crate::error::CompileError;
+
+/// A place in the code.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Label(usize);
+
+/// Where memory is addressed from.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Anchor {
+    /// The frame: rsp.
+    Frame,
+    /// The constants behind the code.
+    Pool,
+    /// An address in a register.
+    At(Register),
+}
+
+/// A place in memory.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct MemoryPlace {
+    pub base: Anchor,
+    /// A register, and by how much it is multiplied.
+    pub index: Option<(Register, u32)>,
+    /// Bytes.
+    pub offset: i32,
+    /// One element, for all lanes.
+    pub is_spread: bool,
+}
+
+impl MemoryPlace {
+    pub fn new(base: Anchor, offset: i32) -> MemoryPlace {
+        MemoryPlace { base, index: None, offset, is_spread: false }
+    }
+    pub fn spread(self) -> MemoryPlace {
+        MemoryPlace { is_spread: true, ..self }
+    }
+    pub fn indexed(self, register: Register, scale: u32) -> MemoryPlace {
+        MemoryPlace { index: Some((register, scale)), ..self }
+    }
+    pub fn plus(self, bytes: usize) -> MemoryPlace {
+        MemoryPlace { offset: self.offset + bytes as i32, ..self }
+    }
+
+    fn operand(self) -> MemoryOperand {
+        let base = match self.base {
+            Anchor::Frame => Register::RSP,
+            Anchor::Pool => Register::RIP,
+            Anchor::At(register) => register,
+        };
+        let (index, scale) = self.index.unwrap_or((Register::None, 1));
+        // What is relative to the instruction is filled in at the end.
+        let offset = if self.base == Anchor::Pool { 0 } else { i64::from(self.offset) };
+        let has_offset = u32::from(offset != 0 || self.base == Anchor::Pool);
+        MemoryOperand::new(base, index, scale, offset, has_offset, self.is_spread, Register::None)
+    }
+}
+
+/// What is filled in when the places of all instructions are known.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Reference {
+    Nothing,
+    Label(Label),
+    /// An offset among the constants.
+    Pool(i32),
+}
+
+/// One instruction, or a label before the next.
+#[derive(Clone, Debug)]
+enum Item {
+    Instruction { instruction: Instruction, reference: Reference, value: Option<Value> },
+    Label(Label),
+}
+
+/// The sections, in the order of the code.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Section {
+    /// Makes the frame, whose size is known last.
+    Entry,
+    Body,
+    /// What hardly ever runs.
+    Rare,
+}
+
+/// A list of instructions.
+#[derive(Clone, Default, Debug)]
+pub(super) struct Instructions {
+    items: Vec<Item>,
+    error: Option<IcedError>,
+}
+
+/// An operand of an instruction on general registers.
+#[derive(Clone, Copy)]
+pub(super) enum Operand {
+    Register(Register),
+    Memory(MemoryPlace),
+    Number(i32),
+}
+
+impl From<Register> for Operand {
+    fn from(register: Register) -> Operand {
+        Operand::Register(register)
+    }
+}
+impl From<MemoryPlace> for Operand {
+    fn from(place: MemoryPlace) -> Operand {
+        Operand::Memory(place)
+    }
+}
+impl From<i32> for Operand {
+    fn from(number: i32) -> Operand {
+        Operand::Number(number)
+    }
+}
+
+/// 64-bit instructions of two operands: by register, from memory, by a number.
+macro_rules! instructions {
+    ($($(#[$doc:meta])* $name:ident = $register:ident $memory:ident $number:ident;)*) => {
+        $($(#[$doc])* pub fn $name(&mut self, to: Register, from: impl Into<Operand>) {
+            match from.into() {
+                Operand::Register(from) => self.add(Instruction::with2(Code::$register, to, from)),
+                Operand::Memory(from) => self.add_at(from, |from| Instruction::with2(Code::$memory, to, from)),
+                Operand::Number(number) => self.add(Instruction::with2(Code::$number, to, number)),
+            }
+        })*
+    };
+}
+
+impl Instructions {
+    /// An instruction that reads no constant and jumps nowhere.
+    pub fn add(&mut self, instruction: Result<Instruction, IcedError>) {
+        self.push(instruction, Reference::Nothing);
+    }
+
+    /// An instruction with a memory operand.
+    pub fn add_at(&mut self, place: MemoryPlace, make: impl FnOnce(MemoryOperand) -> Result<Instruction, IcedError>) {
+        let reference = if place.base == Anchor::Pool { Reference::Pool(place.offset) } else { Reference::Nothing };
+        self.push(make(place.operand()), reference);
+    }
+
+    fn push(&mut self, instruction: Result<Instruction, IcedError>, reference: Reference) {
+        match instruction {
+            Ok(instruction) => self.items.push(Item::Instruction { instruction, reference, value: None }),
+            Err(error) => self.error = self.error.take().or(Some(error)),
+        }
+    }
+
+    instructions! {
+        /// to = from
+        mov = Mov_r64_rm64 Mov_r64_rm64 Mov_rm64_imm32;
+        /// to += from
+        plus = Add_r64_rm64 Add_r64_rm64 Add_rm64_imm32;
+        /// to −= from
+        minus = Sub_r64_rm64 Sub_r64_rm64 Sub_rm64_imm32;
+        /// to &= from
+        and = And_r64_rm64 And_r64_rm64 And_rm64_imm32;
+        /// Compares.
+        compare = Cmp_r64_rm64 Cmp_r64_rm64 Cmp_rm64_imm32;
+    }
+
+    /// to ·= from
+    pub fn times(&mut self, to: Register, from: MemoryPlace) {
+        self.add_at(from, |from| Instruction::with2(Code::Imul_r64_rm64, to, from));
+    }
+    /// to = `from`, if that is smaller, of numbers without a sign.
+    pub fn at_most(&mut self, to: Register, from: Register) {
+        self.compare(to, from);
+        self.add(Instruction::with2(Code::Cmova_r64_rm64, to, from));
+    }
+    /// Writes 64 bits.
+    pub fn store(&mut self, to: MemoryPlace, from: Register) {
+        self.add_at(to, |to| Instruction::with2(Code::Mov_rm64_r64, to, from));
+    }
+    /// Writes the low 32 bits of a register, given by its 32-bit name.
+    pub fn store_low(&mut self, to: MemoryPlace, from: Register) {
+        self.add_at(to, |to| Instruction::with2(Code::Mov_rm32_r32, to, from));
+    }
+    /// Adds 64 bits to memory.
+    pub fn plus_at(&mut self, to: MemoryPlace, from: Register) {
+        self.add_at(to, |to| Instruction::with2(Code::Add_rm64_r64, to, from));
+    }
+    /// The address of a place.
+    pub fn point(&mut self, to: Register, place: MemoryPlace) {
+        self.add_at(place, |place| Instruction::with2(Code::Lea_r64_m, to, place));
+    }
+    /// A jump by a `…_rel32_64` code.
+    pub fn jump(&mut self, code: Code, to: Label) {
+        self.push(Instruction::with_branch(code, 0), Reference::Label(to));
+    }
+    /// What comes next is at `label`.
+    pub fn label(&mut self, label: Label) {
+        self.items.push(Item::Label(label));
+    }
+}
+
+/// The code under construction.
+pub(super) struct Assembler {
+    sections: [Instructions; 3],
+    section: Section,
+    pool: Vec<u8>,
+    constants: BTreeMap<Vec<u8>, i32>,
+    labels: usize,
+    value: Option<Value>,
+}
+
+/// Bytes between two offsets, and which value asked for them.
+pub(crate) struct Spoken {
+    pub start: usize,
+    pub end: usize,
+    pub value: Value,
+}
+
+/// Machine code: instructions, a gap, constants.
+pub(crate) struct Assembled {
+    pub bytes: Vec<u8>,
+    /// Where the instructions end.
+    pub code_end: usize,
+    /// Where the constants begin.
+    pub pool_start: usize,
+    pub spans: Vec<Spoken>,
+}
+
+/// Constants of any size stand at a multiple of it.
+pub(crate) const ALIGNMENT: usize = 64;
+
+impl Assembler {
+    pub fn new() -> Assembler {
+        Assembler {
+            sections: Default::default(),
+            section: Section::Body,
+            pool: Vec::new(),
+            constants: BTreeMap::new(),
+            labels: 0,
+            value: None,
+        }
+    }
+
+    pub fn new_label(&mut self) -> Label {
+        self.labels += 1;
+        Label(self.labels - 1)
+    }
+
+    /// What comes next stands in `section`; hands back the one before.
+    pub fn switch_to(&mut self, section: Section) -> Section {
+        std::mem::replace(&mut self.section, section)
+    }
+
+    /// What comes next was asked for by `value`.
+    pub fn speak_for(&mut self, value: Option<Value>) {
+        self.value = value;
+    }
+
+    /// Adds what `make` writes.
+    pub fn write(&mut self, make: impl FnOnce(&mut Instructions)) {
+        let mut items = Instructions::default();
+        make(&mut items);
+        self.append(items);
+    }
+
+    /// Adds a list.
+    pub fn append(&mut self, items: Instructions) {
+        let section = &mut self.sections[self.section as usize];
+        section.error = section.error.take().or(items.error);
+        section.items.extend(items.items.into_iter().map(|item| match item {
+            Item::Instruction { instruction, reference, .. } => {
+                Item::Instruction { instruction, reference, value: self.value }
+            }
+            label => label,
+        }));
+    }
+
+    /// The place of a constant.
+    pub fn constant(&mut self, bytes: &[u8]) -> MemoryPlace {
+        let offset = *self.constants.entry(bytes.to_vec()).or_insert_with(|| {
+            let start = self.pool.len().next_multiple_of(bytes.len());
+            self.pool.resize(start, 0);
+            self.pool.extend(bytes);
+            start as i32
+        });
+        MemoryPlace::new(Anchor::Pool, offset)
+    }
+
+    /// The bytes of everything.
+    ///
+    /// # Errors
+    /// When an instruction cannot be encoded, which only a bug could ask for.
+    pub fn assemble(self) -> Result<Assembled, CompileError> {
+        let bug = |error: String| CompileError::Compiler(format!("the assembler refused an instruction: {error}"));
+        let (mut bytes, mut labels, mut open, mut spans) = (Vec::new(), vec![0; self.labels], Vec::new(), Vec::new());
+        let mut encoder = Encoder::new(64);
+        for section in self.sections {
+            if let Some(error) = section.error {
+                return Err(bug(error.to_string()));
+            }
+            for item in section.items {
+                let (instruction, reference, value) = match item {
+                    Item::Label(Label(label)) => {
+                        labels[label] = bytes.len();
+                        continue;
+                    }
+                    Item::Instruction { instruction, reference, value } => (instruction, reference, value),
+                };
+                let start = bytes.len();
+                encoder.encode(&instruction, start as u64).map_err(|e| bug(format!("{e}: {instruction:?}")))?;
+                bytes.extend(encoder.take_buffer());
+                let at = match reference {
+                    Reference::Nothing => None,
+                    Reference::Label(_) => Some(bytes.len() - size_of::<i32>()),
+                    Reference::Pool(_) => Some(start + encoder.get_constant_offsets().displacement_offset()),
+                };
+                open.extend(at.map(|at| (at, bytes.len(), reference)));
+                spans.extend(value.map(|value| Spoken { start, end: bytes.len(), value }));
+            }
+        }
+        let code_end = bytes.len();
+        let pool_start = code_end.next_multiple_of(ALIGNMENT);
+        for (at, next, reference) in open {
+            let target = match reference {
+                Reference::Nothing => continue,
+                Reference::Label(Label(label)) => labels[label] as i64,
+                Reference::Pool(offset) => pool_start as i64 + i64::from(offset),
+            };
+            bytes[at..at + size_of::<i32>()].copy_from_slice(&((target - next as i64) as i32).to_le_bytes());
+        }
+        bytes.resize(pool_start, 0);
+        bytes.extend(self.pool);
+        Ok(Assembled { bytes, code_end, pool_start, spans })
+    }
+}

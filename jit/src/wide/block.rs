@@ -1,0 +1,210 @@
+//! Straight-line vector code that has no registers yet.
+//!
+//! What comes in: operations, one after the other. What goes out: a [`Block`] for [`super::allocation`]. A value is made once;
+//! a *variable* lives longer than a block and is changed in place. It must never know: programs, loops, registers' names.
+
+use std::collections::BTreeMap;
+
+use isophote_symbolic::Value;
+use smallvec::SmallVec;
+
+use super::assembler::{Assembler, Instructions, MemoryPlace};
+use super::operation::{Element, Operation, Portion};
+use crate::options::VectorWidth;
+
+/// A vector of a block.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub(super) struct Id(pub u32);
+
+impl Id {
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+/// Where a vector is that a block does not make.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Resident {
+    /// The register that has it as long as the block runs.
+    pub register: Option<u8>,
+    pub memory: MemoryPlace,
+}
+
+/// What is known of a vector beforehand.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(super) struct Given {
+    pub register: Option<u8>,
+    pub memory: Option<MemoryPlace>,
+    /// Its memory changes: no register may keep it.
+    pub is_fleeting: bool,
+}
+
+/// What a block does, in order.
+#[derive(Clone, Debug)]
+pub(super) enum Act {
+    /// Makes a value.
+    Compute { operation: Operation, element: Element, result: Id, operands: SmallVec<[Id; 3]> },
+    /// variable += term, or += the product of two, where `only` holds.
+    Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, only: Option<Id> },
+    /// Writes memory.
+    Store { operand: Id, extent: Portion, element: Element, memory: MemoryPlace },
+    /// Calls the function of the table, a few lanes at a time.
+    Call { element: Element, offset: i32, operands: SmallVec<[Id; 2]>, result: Id },
+    /// `truth ? function(x) : usual`, where the truth is rare.
+    Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
+    /// The truth of each lane as a bit of eax.
+    Truths { operand: Id, element: Element },
+    /// What runs on general registers; of vectors it reads none.
+    Scalar(Instructions),
+}
+
+/// Straight-line code.
+pub(super) struct Block<'a> {
+    pub assembler: &'a mut Assembler,
+    pub width: VectorWidth,
+    pub acts: Vec<(Act, Option<Value>)>,
+    pub givens: Vec<Given>,
+    constants: BTreeMap<Vec<u8>, Id>,
+    value: Option<Value>,
+}
+
+impl<'a> Block<'a> {
+    pub fn new(assembler: &'a mut Assembler, width: VectorWidth) -> Block<'a> {
+        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants: BTreeMap::new(), value: None }
+    }
+
+    /// What comes next was asked for by `value`.
+    pub fn speak_for(&mut self, value: Option<Value>) {
+        self.value = value;
+    }
+
+    pub fn act(&mut self, act: Act) {
+        self.acts.push((act, self.value));
+    }
+
+    fn id(&mut self, given: Given) -> Id {
+        self.givens.push(given);
+        Id(self.givens.len() as u32 - 1)
+    }
+
+    /// A value that an act will make.
+    pub fn new_value(&mut self) -> Id {
+        self.id(Given::default())
+    }
+
+    /// A value that is in memory as long as the block runs.
+    pub fn kept(&mut self, memory: MemoryPlace) -> Id {
+        self.id(Given { memory: Some(memory), ..Given::default() })
+    }
+
+    /// What memory holds at the moment of each use.
+    pub fn fleeting(&mut self, memory: MemoryPlace) -> Id {
+        self.id(Given { memory: Some(memory), is_fleeting: true, ..Given::default() })
+    }
+
+    /// A value of the surroundings.
+    pub fn held(&mut self, held: Resident) -> Id {
+        self.id(Given { register: held.register, memory: Some(held.memory), is_fleeting: false })
+    }
+
+    /// A variable of the surroundings.
+    pub fn variable(&mut self, held: Resident) -> Id {
+        self.id(Given { register: held.register, memory: Some(held.memory), is_fleeting: true })
+    }
+
+    /// The same bytes in every lane: at 256 bits a vector, at 512 one element.
+    pub fn constant_bytes(&mut self, element: &[u8]) -> Id {
+        let bytes = match self.width {
+            VectorWidth::Bits512 => element.to_vec(),
+            _ => element.repeat(self.width.bytes() / element.len()),
+        };
+        let is_spread = self.width == VectorWidth::Bits512;
+        self.constant_of(bytes, is_spread)
+    }
+
+    /// A vector of a constant for each lane.
+    pub fn constant_lanes(&mut self, element: Element, lane: impl Fn(usize) -> f64) -> Id {
+        let lanes = 0..self.width.bytes() / element.bytes();
+        self.constant_of(lanes.flat_map(|i| bytes(element, lane(i))).collect(), false)
+    }
+
+    fn constant_of(&mut self, bytes: Vec<u8>, is_spread: bool) -> Id {
+        if let Some(id) = self.constants.get(&bytes) {
+            return *id;
+        }
+        let memory = MemoryPlace { is_spread, ..self.assembler.constant(&bytes) };
+        let id = self.kept(memory);
+        self.constants.insert(bytes, id);
+        id
+    }
+
+    /// A number in every lane, rounded to the element.
+    pub fn number(&mut self, element: Element, number: f64) -> Id {
+        self.constant_bytes(&bytes(element, number))
+    }
+
+    /// A pattern of bits in every lane of f64.
+    pub fn pattern(&mut self, bits: u64) -> Id {
+        self.constant_bytes(&bits.to_le_bytes())
+    }
+
+    /// The bit that is the sign, in every lane.
+    pub fn sign(&mut self, element: Element) -> Id {
+        self.number(element, -0.0)
+    }
+
+    pub fn compute<const N: usize>(&mut self, operation: Operation, element: Element, operands: [Id; N]) -> Id {
+        let result = self.new_value();
+        self.act(Act::Compute { operation, element, result, operands: operands.into_iter().collect() });
+        result
+    }
+
+    /// All bits but the sign, in every lane.
+    pub fn magnitude(&mut self, element: Element) -> Id {
+        match element {
+            Element::Single => self.constant_bytes(&(u32::MAX >> 1).to_le_bytes()),
+            Element::Double => self.pattern(u64::MAX >> 1),
+        }
+    }
+
+    /// All bits turned.
+    pub fn not(&mut self, element: Element, truth: Id) -> Id {
+        let all = self.constant_bytes(&u64::MAX.to_le_bytes()[..element.bytes()]);
+        self.compute(Operation::Xor, element, [truth, all])
+    }
+
+    pub fn store(&mut self, element: Element, extent: Portion, operand: Id, memory: MemoryPlace) {
+        self.act(Act::Store { operand, extent, element, memory });
+    }
+
+    /// General instructions.
+    pub fn scalar(&mut self, make: impl FnOnce(&mut Instructions)) {
+        let mut instructions = Instructions::default();
+        make(&mut instructions);
+        self.act(Act::Scalar(instructions));
+    }
+}
+
+/// A number as an element.
+fn bytes(element: Element, number: f64) -> Vec<u8> {
+    match element {
+        Element::Single => (number as f32).to_le_bytes().to_vec(),
+        Element::Double => number.to_le_bytes().to_vec(),
+    }
+}
+
+impl Act {
+    /// The vectors that it reads.
+    pub fn operands(&self) -> SmallVec<[Id; 4]> {
+        match self {
+            Act::Compute { operands, .. } => operands.iter().copied().collect(),
+            Act::Sum { variable, terms, only, .. } => {
+                [*variable].into_iter().chain(terms.iter().copied()).chain(*only).collect()
+            }
+            Act::Store { operand, .. } | Act::Truths { operand, .. } => [*operand].into_iter().collect(),
+            Act::Call { operands, .. } => operands.iter().copied().collect(),
+            Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),
+            Act::Scalar(_) => SmallVec::new(),
+        }
+    }
+}

@@ -1,0 +1,471 @@
+//! A processor made of software, for code that this machine cannot run: each instruction does what the manual says, lane by
+//! lane; every address must belong to a region.
+
+use std::collections::BTreeMap;
+
+use iced_x86::{Code, Instruction, Mnemonic, OpKind, Register};
+use isophote_elementary::{Accuracy, Function1, Function2, Plain};
+use isophote_symbolic::Precision;
+
+use crate::abi::Functions;
+
+type Vector = [u8; 64];
+
+/// Instructions that no right program of the tests needs.
+const STEPS_MAX: usize = 1_000_000;
+
+/// How a run ended.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Ended {
+    Returned,
+    Never,
+}
+
+/// Memory, registers, and what the last comparison said.
+pub(super) struct Emulator {
+    /// Bytes by the address of their first.
+    pub regions: BTreeMap<u64, Vec<u8>>,
+    pub general: [u64; 16],
+    vectors: [Vector; 32],
+    masks: [u64; 8],
+    compared: [u64; 2],
+    /// Where the table of functions is.
+    pub functions: u64,
+    pub steps: usize,
+}
+
+fn lanes<const N: usize>(vector: &Vector) -> Vec<[u8; N]> {
+    vector.chunks_exact(N).map(|lane| lane.try_into().unwrap()).collect()
+}
+
+fn together<const N: usize>(lanes: impl IntoIterator<Item = [u8; N]>) -> Vector {
+    let mut vector = [0; 64];
+    vector.chunks_exact_mut(N).zip(lanes).for_each(|(place, lane)| place.copy_from_slice(&lane));
+    vector
+}
+
+fn singles(f: impl Fn(f32, f32, f32) -> f32, [a, b, c]: [&Vector; 3]) -> Vector {
+    let [a, b, c] = [a, b, c].map(lanes::<4>);
+    together((0..16).map(|i| {
+        let [a, b, c] = [a[i], b[i], c[i]].map(f32::from_le_bytes);
+        f(a, b, c).to_le_bytes()
+    }))
+}
+
+fn doubles(f: impl Fn(f64, f64, f64) -> f64, [a, b, c]: [&Vector; 3]) -> Vector {
+    let [a, b, c] = [a, b, c].map(lanes::<8>);
+    together((0..8).map(|i| {
+        let [a, b, c] = [a[i], b[i], c[i]].map(f64::from_le_bytes);
+        f(a, b, c).to_le_bytes()
+    }))
+}
+
+fn words(f: impl Fn(u64, u64, u64) -> u64, [a, b, c]: [&Vector; 3]) -> Vector {
+    let [a, b, c] = [a, b, c].map(lanes::<8>);
+    together((0..8).map(|i| {
+        let [a, b, c] = [a[i], b[i], c[i]].map(u64::from_le_bytes);
+        f(a, b, c).to_le_bytes()
+    }))
+}
+
+/// Whether numbers compare as the byte of an instruction asks.
+fn compares(how: u8, a: f64, b: f64) -> bool {
+    match how {
+        0x00 => a == b,
+        0x04 => a != b,
+        0x11 => a < b,
+        0x12 => a <= b,
+        _ => panic!("comparison {how:#x}"),
+    }
+}
+
+impl Emulator {
+    pub fn new(functions: u64) -> Emulator {
+        Emulator {
+            regions: BTreeMap::new(),
+            general: [0; 16],
+            vectors: [[0xEE; 64]; 32],
+            masks: [0; 8],
+            compared: [0; 2],
+            functions,
+            steps: 0,
+        }
+    }
+
+    fn region(&mut self, address: u64, bytes: usize) -> &mut [u8] {
+        let (start, region) = self.regions.range_mut(..=address).next_back().expect("an address before all regions");
+        let at = (address - start) as usize;
+        assert!(at + bytes <= region.len(), "{bytes} bytes at {address:#x} leave their region");
+        &mut region[at..at + bytes]
+    }
+
+    pub fn read(&mut self, address: u64, bytes: usize) -> Vec<u8> {
+        self.region(address, bytes).to_vec()
+    }
+
+    fn write(&mut self, address: u64, bytes: &[u8]) {
+        self.region(address, bytes.len()).copy_from_slice(bytes);
+    }
+
+    fn register(&self, register: Register) -> u64 {
+        let wide = |first: Register| self.general[register as usize - first as usize];
+        match register {
+            Register::None => 0,
+            _ if (Register::RAX..=Register::R15).contains(&register) => wide(Register::RAX),
+            _ if (Register::EAX..=Register::R15D).contains(&register) => wide(Register::EAX) & u64::from(u32::MAX),
+            Register::CX => self.general[1] & 0xFFFF,
+            Register::CL => self.general[1] & 0xFF,
+            _ => panic!("{register:?}"),
+        }
+    }
+
+    fn set_register(&mut self, register: Register, value: u64) {
+        match register {
+            _ if (Register::RAX..=Register::R15).contains(&register) => {
+                self.general[register as usize - Register::RAX as usize] = value;
+            }
+            _ if (Register::EAX..=Register::R15D).contains(&register) => {
+                self.general[register as usize - Register::EAX as usize] = value & u64::from(u32::MAX);
+            }
+            _ => panic!("{register:?}"),
+        }
+    }
+
+    fn address(&self, i: &Instruction) -> u64 {
+        if i.is_ip_rel_memory_operand() {
+            return i.ip_rel_memory_address();
+        }
+        let index = self.register(i.memory_index()).wrapping_mul(i.memory_index_scale().into());
+        self.register(i.memory_base()).wrapping_add(index).wrapping_add(i.memory_displacement64())
+    }
+
+    /// A general operand; memory as many bytes as the instruction reads.
+    fn operand(&mut self, i: &Instruction, operand: u32) -> u64 {
+        match i.op_kind(operand) {
+            OpKind::Register => self.register(i.op_register(operand)),
+            OpKind::Memory => {
+                let mut bytes = self.read(self.address(i), i.memory_size().size());
+                bytes.resize(8, 0);
+                u64::from_le_bytes(bytes.try_into().unwrap())
+            }
+            OpKind::Immediate32to64 => i.immediate32to64() as u64,
+            kind => panic!("{kind:?}"),
+        }
+    }
+
+    fn number(register: Register) -> (usize, usize) {
+        for (first, bytes) in [(Register::XMM0, 16), (Register::YMM0, 32), (Register::ZMM0, 64)] {
+            if (first..=first + 31).contains(&register) {
+                return (register as usize - first as usize, bytes);
+            }
+        }
+        panic!("{register:?}")
+    }
+
+    /// A vector operand; one element of memory in all lanes where the instruction asks for it.
+    fn vector(&mut self, i: &Instruction, operand: u32) -> Vector {
+        match i.op_kind(operand) {
+            OpKind::Register => self.vectors[Self::number(i.op_register(operand)).0],
+            OpKind::Memory => {
+                let bytes = self.read(self.address(i), i.memory_size().size());
+                let mut vector = [0; 64];
+                let times = if i.is_broadcast() { 64 / bytes.len() } else { 1 };
+                vector[..bytes.len() * times].copy_from_slice(&bytes.repeat(times));
+                vector
+            }
+            kind => panic!("{kind:?}"),
+        }
+    }
+
+    fn mask_number(register: Register) -> usize {
+        register as usize - Register::K0 as usize
+    }
+
+    /// Leaves a result where the first operand is; of `element` bytes those that a mask asks for.
+    fn leave(&mut self, i: &Instruction, result: Vector, element: usize) {
+        if i.op0_kind() == OpKind::Memory {
+            let bytes = i.memory_size().size();
+            return self.write(self.address(i), &result[..bytes]);
+        }
+        let (number, bytes) = Self::number(i.op0_register());
+        let old = self.vectors[number];
+        let mask = match i.op_mask() {
+            Register::None => u64::MAX,
+            mask => self.masks[Self::mask_number(mask)],
+        };
+        let lane = |at: usize| mask >> (at / element) & 1 == 1;
+        self.vectors[number] = std::array::from_fn(|at| match at < bytes {
+            true if lane(at) => result[at],
+            true => old[at],
+            false => 0,
+        });
+    }
+
+    /// Runs from the first instruction until it returns, or for too long.
+    pub fn run(&mut self, instructions: &[Instruction]) -> Ended {
+        let places: BTreeMap<u64, usize> = instructions.iter().enumerate().map(|(at, i)| (i.ip(), at)).collect();
+        let mut at = 0;
+        loop {
+            let i = &instructions[at];
+            self.steps += 1;
+            if self.steps > STEPS_MAX {
+                return Ended::Never;
+            }
+            let [a, b] = self.compared;
+            let [x, y] = [a, b].map(|number| number as i64);
+            let jumps = match i.code() {
+                Code::Retnq => return Ended::Returned,
+                Code::Jmp_rel32_64 => true,
+                Code::Je_rel32_64 => a == b,
+                Code::Jne_rel32_64 => a != b,
+                Code::Jl_rel32_64 => x < y,
+                Code::Jle_rel32_64 => x <= y,
+                Code::Jg_rel32_64 => x > y,
+                Code::Jge_rel32_64 => x >= y,
+                Code::Jae_rel32_64 => a >= b,
+                _ => {
+                    if !self.general_instruction(i) {
+                        self.vector_instruction(i);
+                    }
+                    false
+                }
+            };
+            at = if jumps { places[&i.near_branch64()] } else { at + 1 };
+        }
+    }
+
+    fn general_instruction(&mut self, i: &Instruction) -> bool {
+        let result = match i.mnemonic() {
+            Mnemonic::Mov | Mnemonic::Movzx => self.operand(i, 1),
+            Mnemonic::Lea => self.address(i),
+            Mnemonic::Add => self.operand(i, 0).wrapping_add(self.operand(i, 1)),
+            Mnemonic::Sub => self.operand(i, 0).wrapping_sub(self.operand(i, 1)),
+            Mnemonic::And => self.operand(i, 0) & self.operand(i, 1),
+            Mnemonic::Imul => self.operand(i, 0).wrapping_mul(self.operand(i, 1)),
+            Mnemonic::Popcnt => self.operand(i, 1).count_ones().into(),
+            Mnemonic::Cmova if self.compared[0] > self.compared[1] => self.operand(i, 1),
+            Mnemonic::Cmp => {
+                self.compared = [self.operand(i, 0), self.operand(i, 1)];
+                return true;
+            }
+            Mnemonic::Test => {
+                self.compared = [self.operand(i, 0) & self.operand(i, 1), 0];
+                return true;
+            }
+            Mnemonic::Cmova | Mnemonic::Vzeroupper => return true,
+            Mnemonic::Push => {
+                self.general[4] -= 8;
+                self.write(self.general[4], &self.register(i.op0_register()).to_le_bytes());
+                return true;
+            }
+            Mnemonic::Pop => {
+                let bytes = self.read(self.general[4], 8);
+                self.set_register(i.op0_register(), u64::from_le_bytes(bytes.try_into().unwrap()));
+                self.general[4] += 8;
+                return true;
+            }
+            Mnemonic::Call => {
+                self.call((self.address(i) - self.functions) as i32);
+                return true;
+            }
+            _ => return false,
+        };
+        match i.op0_kind() {
+            OpKind::Register => self.set_register(i.op0_register(), result),
+            _ => self.write(self.address(i), &result.to_le_bytes()[..i.memory_size().size()]),
+        }
+        true
+    }
+
+    /// A function of the table; it forgets what registers its caller must not rely on.
+    fn call(&mut self, offset: i32) {
+        let [first, second] = [self.general[7], self.general[6]];
+        let mut found = false;
+        for fused in [false, true] {
+            let machine = Plain { fused };
+            for (precision, accuracy) in [(Precision::F32, Accuracy::Single), (Precision::F64, Accuracy::Double)] {
+                for f in Function1::EVERY.iter().filter(|f| Functions::lanes1(precision, machine, **f) == offset) {
+                    self.apply(precision, [first, first], |x, _| f.value_with(machine, accuracy, x));
+                    found = true;
+                }
+                for f in Function2::ALL.iter().filter(|f| Functions::lanes2(precision, machine, **f) == offset) {
+                    self.apply(precision, [first, second], |x, y| f.value_with(machine, accuracy, x, y));
+                    found = true;
+                }
+            }
+        }
+        assert!(found, "no function at {offset}");
+        [0, 1, 2, 6, 7, 8, 9, 10, 11].iter().for_each(|register| self.general[*register] = 0xDEAD);
+        self.vectors = [[0xDD; 64]; 32];
+        self.masks = [0xDDDD; 8];
+    }
+
+    fn apply(&mut self, precision: Precision, [first, second]: [u64; 2], f: impl Fn(f64, f64) -> f64) {
+        let [a, b] = [first, second].map(|address| self.read(address, 16));
+        let result: Vec<u8> = match precision {
+            Precision::F32 => {
+                let number = |lane: &[u8]| f64::from(f32::from_le_bytes(lane.try_into().unwrap()));
+                let lanes = a.chunks(4).zip(b.chunks(4));
+                lanes.flat_map(|(a, b)| (f(number(a), number(b)) as f32).to_le_bytes()).collect()
+            }
+            Precision::F64 => {
+                let number = |lane: &[u8]| f64::from_le_bytes(lane.try_into().unwrap());
+                a.chunks(8).zip(b.chunks(8)).flat_map(|(a, b)| f(number(a), number(b)).to_le_bytes()).collect()
+            }
+        };
+        self.write(first, &result);
+    }
+
+    fn vector_instruction(&mut self, i: &Instruction) {
+        use Mnemonic::*;
+        let operands = (0..i.op_count()).filter(|at| {
+            let is_mask =
+                i.op_kind(*at) == OpKind::Register && (Register::K0..=Register::K7).contains(&i.op_register(*at));
+            let is_general = i.op_kind(*at) == OpKind::Register && i.op_register(*at).is_gpr();
+            matches!(i.op_kind(*at), OpKind::Register | OpKind::Memory) && !is_mask && !is_general
+        });
+        let stores = i.op0_kind() == OpKind::Memory;
+        let all: Vec<u32> = operands.filter(|at| !(stores && *at == 0)).collect();
+        let v: Vec<Vector> = all.into_iter().map(|at| self.vector(i, at)).collect();
+        let zero = [0; 64];
+        let at = |n: usize| v.get(n).unwrap_or(&zero);
+        let three = |a: usize, b: usize, c: usize| [at(a), at(b), at(c)];
+        let byte =
+            i.op_count().checked_sub(1).filter(|last| i.op_kind(*last) == OpKind::Immediate8).map(|_| i.immediate8());
+        let (result, element) = match i.mnemonic() {
+            Vaddps => (singles(|_, a, b| a + b, three(0, 1, 2)), 4),
+            Vaddpd => (doubles(|_, a, b| a + b, three(0, 1, 2)), 8),
+            Vsubps => (singles(|_, a, b| a - b, three(0, 1, 2)), 4),
+            Vsubpd => (doubles(|_, a, b| a - b, three(0, 1, 2)), 8),
+            Vmulps => (singles(|_, a, b| a * b, three(0, 1, 2)), 4),
+            Vmulpd => (doubles(|_, a, b| a * b, three(0, 1, 2)), 8),
+            Vdivps => (singles(|_, a, b| a / b, three(0, 1, 2)), 4),
+            Vdivpd => (doubles(|_, a, b| a / b, three(0, 1, 2)), 8),
+            Vsqrtps => (singles(|_, a, _| a.sqrt(), three(0, 1, 1)), 4),
+            Vsqrtpd => (doubles(|_, a, _| a.sqrt(), three(0, 1, 1)), 8),
+            Vfmadd132ps => (singles(|a, b, c| a.mul_add(c, b), three(0, 1, 2)), 4),
+            Vfmadd132pd => (doubles(|a, b, c| a.mul_add(c, b), three(0, 1, 2)), 8),
+            Vfmadd213ps => (singles(|a, b, c| b.mul_add(a, c), three(0, 1, 2)), 4),
+            Vfmadd213pd => (doubles(|a, b, c| b.mul_add(a, c), three(0, 1, 2)), 8),
+            Vfmadd231ps => (singles(|a, b, c| b.mul_add(c, a), three(0, 1, 2)), 4),
+            Vfmadd231pd => (doubles(|a, b, c| b.mul_add(c, a), three(0, 1, 2)), 8),
+            Vandps | Vandpd => (words(|_, a, b| a & b, three(0, 1, 2)), 8),
+            Vandnps | Vandnpd => (words(|_, a, b| !a & b, three(0, 1, 2)), 8),
+            Vorps | Vorpd => (words(|_, a, b| a | b, three(0, 1, 2)), 8),
+            Vxorps | Vxorpd => (words(|_, a, b| a ^ b, three(0, 1, 2)), 8),
+            Vpaddq => (words(|_, a, b| a.wrapping_add(b), three(0, 1, 2)), 8),
+            Vpsubq => (words(|_, a, b| a.wrapping_sub(b), three(0, 1, 2)), 8),
+            Vpsllq => (words(|_, a, _| a << i.immediate8(), three(0, 1, 1)), 8),
+            Vpsrlq => (words(|_, a, _| a >> i.immediate8(), three(0, 1, 1)), 8),
+            Vpternlogd | Vpternlogq => {
+                assert_eq!(byte, Some(0xca));
+                (words(|a, b, c| a & b | !a & c, three(0, 1, 2)), 8)
+            }
+            Vblendvps => {
+                let picks = lanes::<4>(at(3));
+                let [a, b] = [at(1), at(2)].map(lanes::<4>);
+                (together((0..16).map(|n| if picks[n][3] & 0x80 != 0 { b[n] } else { a[n] })), 4)
+            }
+            Vblendvpd => {
+                let picks = lanes::<8>(at(3));
+                let [a, b] = [at(1), at(2)].map(lanes::<8>);
+                (together((0..8).map(|n| if picks[n][7] & 0x80 != 0 { b[n] } else { a[n] })), 8)
+            }
+            Vcmpps | Vcmppd | Vpcmpeqq => return self.compare(i, &v, byte),
+            Vcvtps2pd => {
+                let wide = lanes::<4>(at(1)).into_iter().map(|x| f64::from(f32::from_le_bytes(x)).to_le_bytes());
+                (together(wide.take(8)), 8)
+            }
+            Vcvtpd2ps => {
+                let narrow = lanes::<8>(at(1)).into_iter().map(|x| (f64::from_le_bytes(x) as f32).to_le_bytes());
+                (together(narrow), 4)
+            }
+            Vcvtdq2ps => {
+                (together(lanes::<4>(at(1)).into_iter().map(|x| (i32::from_le_bytes(x) as f32).to_le_bytes())), 4)
+            }
+            Vcvtdq2pd => {
+                let wide = lanes::<4>(at(1)).into_iter().map(|x| f64::from(i32::from_le_bytes(x)).to_le_bytes());
+                (together(wide.take(8)), 8)
+            }
+            Vpmovzxbd => (together(at(1).iter().take(16).map(|x| u32::from(*x).to_le_bytes())), 4),
+            Vpmovzxwd => {
+                let words = lanes::<2>(at(1)).into_iter().take(16);
+                (together(words.map(|x| u32::from(u16::from_le_bytes(x)).to_le_bytes())), 4)
+            }
+            Vextractf128 | Vextractf32x4 => (together(lanes::<16>(at(1)).into_iter().skip(1).take(1)), 4),
+            Vextractf64x4 => (together(lanes::<32>(at(1)).into_iter().skip(1)), 8),
+            Vinsertf128 => (together([lanes::<16>(at(1))[0], lanes::<16>(at(2))[0]]), 4),
+            Vinsertf64x4 => (together([lanes::<32>(at(1))[0], lanes::<32>(at(2))[0]]), 8),
+            Vpermilpd => {
+                assert_eq!(byte, Some(1));
+                let pair = lanes::<8>(at(1));
+                (together([pair[1], pair[0]]), 8)
+            }
+            Vbroadcastss => (together([lanes::<4>(at(1))[0]; 16]), 4),
+            Vbroadcastsd => (together([lanes::<8>(at(1))[0]; 8]), 8),
+            Vmovups | Vmovss | Vmovsd if stores => (*at(0), 4),
+            Vmovups => (*at(1), 4),
+            Vaddsd => {
+                let mut sum = lanes::<8>(at(1));
+                sum[0] = (f64::from_le_bytes(sum[0]) + f64::from_le_bytes(lanes::<8>(at(2))[0])).to_le_bytes();
+                (together(sum.into_iter().take(2)), 8)
+            }
+            Vcvtsi2sd => {
+                let mut number = lanes::<8>(at(1));
+                number[0] = (self.register(i.op2_register()) as i64 as f64).to_le_bytes();
+                (together(number.into_iter().take(2)), 8)
+            }
+            Vmovmskps | Vmovmskpd | Vpmovd2m | Vpmovq2m | Vpmovm2d | Vpmovm2q | Kmovw => return self.masks(i, &v),
+            other => panic!("{other:?}"),
+        };
+        let element = if i.op_mask() == Register::None { 1 } else { element };
+        self.leave(i, result, element);
+    }
+
+    fn compare(&mut self, i: &Instruction, v: &[Vector], byte: Option<u8>) {
+        let is_mask = (Register::K0..=Register::K7).contains(&i.op0_register());
+        let (a, b) = if is_mask { (&v[0], &v[1]) } else { (&v[1], &v[2]) };
+        let truths: Vec<bool> = match (i.mnemonic(), byte) {
+            (Mnemonic::Vpcmpeqq, _) => lanes::<8>(a).iter().zip(lanes::<8>(b)).map(|(a, b)| *a == b).collect(),
+            (Mnemonic::Vcmppd, Some(how)) => {
+                let number = f64::from_le_bytes;
+                lanes::<8>(a).iter().zip(lanes::<8>(b)).map(|(a, b)| compares(how, number(*a), number(b))).collect()
+            }
+            (_, Some(how)) => {
+                let number = |lane: [u8; 4]| f64::from(f32::from_le_bytes(lane));
+                lanes::<4>(a).iter().zip(lanes::<4>(b)).map(|(a, b)| compares(how, number(*a), number(b))).collect()
+            }
+            (other, None) => panic!("{other:?}"),
+        };
+        if is_mask {
+            self.masks[Self::mask_number(i.op0_register())] =
+                truths.iter().enumerate().fold(0, |bits, (lane, truth)| bits | u64::from(*truth) << lane);
+            return;
+        }
+        let bytes = 64 / truths.len();
+        let result = std::array::from_fn(|at| if truths[at / bytes] { 0xFF } else { 0 });
+        self.leave(i, result, 1);
+    }
+
+    fn masks(&mut self, i: &Instruction, v: &[Vector]) {
+        let signs = |element: usize, bytes: usize| {
+            let tops = (0..bytes / element).map(|lane| v[0][lane * element + element - 1] >> 7);
+            tops.enumerate().fold(0, |bits, (lane, top)| bits | u64::from(top) << lane)
+        };
+        let (to, from) = (i.op0_register(), i.op1_register());
+        match i.mnemonic() {
+            Mnemonic::Vmovmskps => self.set_register(to, signs(4, 32)),
+            Mnemonic::Vmovmskpd => self.set_register(to, signs(8, 32)),
+            Mnemonic::Vpmovd2m => self.masks[Self::mask_number(to)] = signs(4, 64),
+            Mnemonic::Vpmovq2m => self.masks[Self::mask_number(to)] = signs(8, 64),
+            Mnemonic::Kmovw if to.is_gpr() => self.set_register(to, self.masks[Self::mask_number(from)] & 0xFFFF),
+            Mnemonic::Kmovw => self.masks[Self::mask_number(to)] = self.register(from) & 0xFFFF,
+            made => {
+                let element = if made == Mnemonic::Vpmovm2d { 4 } else { 8 };
+                let mask = self.masks[Self::mask_number(from)];
+                let result = std::array::from_fn(|at| if mask >> (at / element) & 1 == 1 { 0xFF } else { 0 });
+                self.leave(i, result, 1);
+            }
+        }
+    }
+}

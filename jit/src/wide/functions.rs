@@ -1,0 +1,221 @@
+//! Elementary functions as vector code, or as calls where that would be too much code.
+//!
+//! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine makes an operation of each
+//! step, on whole vectors of f64. Lanes of f32 are widened in two halves and rounded once.
+
+use std::cell::RefCell;
+
+use isophote_elementary::{Accuracy, Counter, Function1, Machine, Plain, call1, call2};
+use isophote_symbolic::{Opcode, Precision, Program, Value};
+
+use super::block::{Act, Block, Id};
+use super::operation::{Element, Operation, comparison};
+use crate::abi::Functions;
+
+/// Operations of all elementary functions of a group, up to which they become vector code.
+const INLINED_MAX: usize = 3000;
+
+/// How the functions of the pixel loop are evaluated.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Evaluation {
+    pub precision: Precision,
+    /// Multiplies and adds with one rounding.
+    pub is_fused: bool,
+    /// As vector code; else by calls.
+    pub is_inlined: bool,
+}
+
+impl Evaluation {
+    /// Of the pixel instructions of a program.
+    pub fn new(program: &Program, pixels: &[Value], precision: Precision) -> Evaluation {
+        let fused = program.is_fused();
+        let counter = Counter::of(&Plain { fused });
+        let mut evaluation = Evaluation { precision, is_fused: fused, is_inlined: false };
+        let (accuracy, vectors) = (evaluation.accuracy(), evaluation.vectors());
+        evaluation.is_inlined = pixels.iter().all(|v| {
+            match program.instruction(*v).op.code {
+                Opcode::Call1(f) => call1(&counter, f, accuracy, ()),
+                Opcode::Call2(f) => call2(&counter, f, accuracy, (), ()),
+                _ => {}
+            }
+            counter.count() * vectors <= INLINED_MAX
+        });
+        evaluation
+    }
+
+    fn accuracy(self) -> Accuracy {
+        match self.precision {
+            Precision::F32 => Accuracy::Single,
+            Precision::F64 => Accuracy::Double,
+        }
+    }
+
+    /// Of f64, for a group.
+    fn vectors(self) -> usize {
+        match self.precision {
+            Precision::F32 => 2,
+            Precision::F64 => 1,
+        }
+    }
+}
+
+impl Block<'_> {
+    /// A function of each lane of a group.
+    pub fn function(&mut self, evaluation: Evaluation, code: Opcode, operands: &[Id]) -> Option<Id> {
+        let Evaluation { precision, is_fused: fused, is_inlined } = evaluation;
+        if !is_inlined {
+            let offset = match code {
+                Opcode::Call1(f) => Functions::lanes1(precision, Plain { fused }, f),
+                Opcode::Call2(f) => Functions::lanes2(precision, Plain { fused }, f),
+                _ => return None,
+            };
+            let element = match precision {
+                Precision::F32 => Element::Single,
+                Precision::F64 => Element::Double,
+            };
+            return Some(self.call(element, offset, operands));
+        }
+        let accuracy = evaluation.accuracy();
+        match (code, operands) {
+            (Opcode::Call1(f), &[x]) => Some(self.wide(evaluation, [x], |lanes, [x]| call1(lanes, f, accuracy, x))),
+            (Opcode::Call2(f), &[a, b]) => {
+                Some(self.wide(evaluation, [a, b], |lanes, [a, b]| call2(lanes, f, accuracy, a, b)))
+            }
+            _ => None,
+        }
+    }
+
+    /// The same outside of the pixel loop, where nothing is fused.
+    pub fn outer_function(&mut self, code: Opcode, operands: &[Id]) -> Option<Id> {
+        let plain = Plain { fused: false };
+        let offset = match code {
+            Opcode::Call1(f) => Functions::lanes1(Precision::F64, plain, f),
+            Opcode::Call2(f) => Functions::lanes2(Precision::F64, plain, f),
+            _ => return None,
+        };
+        Some(self.call(Element::Double, offset, operands))
+    }
+
+    fn call(&mut self, element: Element, offset: i32, operands: &[Id]) -> Id {
+        let result = self.new_value();
+        self.act(Act::Call { element, offset, operands: operands.iter().copied().collect(), result });
+        result
+    }
+
+    /// `f` of vectors of f64: of the lanes as they are, or of both halves of f32.
+    fn wide<const N: usize>(
+        &mut self,
+        evaluation: Evaluation,
+        operands: [Id; N],
+        f: impl Fn(&Doubles<'_, '_>, [Id; N]) -> Id,
+    ) -> Id {
+        let fused = evaluation.is_fused;
+        let run = |block: &mut Self, operands| f(&Doubles { block: RefCell::new(block), fused }, operands);
+        if evaluation.precision == Precision::F64 {
+            return run(self, operands);
+        }
+        let low = operands.map(|x| self.compute(Operation::Widen, Element::Double, [x]));
+        let low = run(self, low);
+        let low = self.compute(Operation::Narrow, Element::Double, [low]);
+        let high = operands.map(|x| {
+            let upper = self.compute(Operation::UpperHalf, Element::Single, [x]);
+            self.compute(Operation::Widen, Element::Double, [upper])
+        });
+        let high = run(self, high);
+        let high = self.compute(Operation::Narrow, Element::Double, [high]);
+        self.compute(Operation::Join, Element::Single, [low, high])
+    }
+}
+
+/// The machine that makes vector operations: numbers, truth values and bits are vectors of 64-bit lanes.
+struct Doubles<'m, 'a> {
+    block: RefCell<&'m mut Block<'a>>,
+    fused: bool,
+}
+
+impl Doubles<'_, '_> {
+    fn compute<const N: usize>(&self, operation: Operation, operands: [Id; N]) -> Id {
+        self.block.borrow_mut().compute(operation, Element::Double, operands)
+    }
+}
+
+/// Steps that are one operation.
+macro_rules! operations {
+    ($($name:ident($($operand:ident),*) = $operation:expr;)*) => {
+        $(fn $name(&self, $($operand: Id),*) -> Id {
+            self.compute($operation, [$($operand),*])
+        })*
+    };
+}
+
+impl Machine for Doubles<'_, '_> {
+    type Number = Id;
+    type Truth = Id;
+    type Bits = Id;
+
+    operations! {
+        add(a, b) = Operation::Add;
+        sub(a, b) = Operation::Sub;
+        mul(a, b) = Operation::Mul;
+        div(a, b) = Operation::Div;
+        sqrt(a) = Operation::Sqrt;
+        and(a, b) = Operation::And;
+        or(a, b) = Operation::Or;
+        less(a, b) = Operation::Compare(comparison::LESS);
+        equal(a, b) = Operation::Compare(comparison::EQUAL);
+        select(truth, a, b) = Operation::Select;
+        bits_add(a, b) = Operation::AddBits;
+        bits_and(a, b) = Operation::And;
+        bits_or(a, b) = Operation::Or;
+        bits_xor(a, b) = Operation::Xor;
+        bits_equal(a, b) = Operation::EqualBits;
+    }
+
+    fn is_fused(&self) -> bool {
+        self.fused
+    }
+    fn constant(&self, x: f64) -> Id {
+        self.block.borrow_mut().number(Element::Double, x)
+    }
+    fn pattern(&self, bits: u64) -> Id {
+        self.block.borrow_mut().pattern(bits)
+    }
+    fn abs(&self, a: Id) -> Id {
+        let magnitude = self.block.borrow_mut().magnitude(Element::Double);
+        self.compute(Operation::And, [a, magnitude])
+    }
+    fn neg(&self, a: Id) -> Id {
+        let sign = self.block.borrow_mut().sign(Element::Double);
+        self.compute(Operation::Xor, [a, sign])
+    }
+    fn not(&self, a: Id) -> Id {
+        self.block.borrow_mut().not(Element::Double, a)
+    }
+    fn mul_add(&self, a: Id, b: Id, c: Id) -> Id {
+        match self.fused {
+            true => self.compute(Operation::Fma, [a, b, c]),
+            false => self.add(self.mul(a, b), c),
+        }
+    }
+    fn bits(&self, a: Id) -> Id {
+        a
+    }
+    fn number(&self, a: Id) -> Id {
+        a
+    }
+    fn shift_left(&self, a: Id, by: u8) -> Id {
+        self.compute(Operation::ShiftLeft(by), [a])
+    }
+    fn shift_right(&self, a: Id, by: u8) -> Id {
+        self.compute(Operation::ShiftRight(by), [a])
+    }
+
+    /// A call out of line, which is left out while no lane asks for it.
+    fn elsewhere(&self, truth: Id, usual: Id, function: Function1, x: Id) -> Id {
+        let block = &mut *self.block.borrow_mut();
+        let result = block.new_value();
+        let offset = Functions::lanes1(Precision::F64, Plain { fused: false }, function);
+        block.act(Act::Rare { truth, usual, x, offset, result });
+        result
+    }
+}

@@ -1,0 +1,304 @@
+//! The pixel level: one group of lanes.
+
+use iced_x86::{Code, Instruction, Register};
+use isophote_symbolic::{Level, Opcode, PixelSet, Program, Sink, Value};
+use smallvec::SmallVec;
+
+use super::acts::allocate;
+use super::assembler::{Assembler, Label, MemoryPlace};
+use super::block::{Act, Block, Id};
+use super::functions::Evaluation;
+use super::operation::{Element, Operation, comparison};
+use super::pixels::{PIXEL, begin};
+use super::places::{Homes, element};
+use crate::options::KernelOptions;
+use crate::plan;
+
+/// What all groups of a kernel have in common.
+pub(super) struct PixelLoop<'p> {
+    pub program: &'p Program,
+    pub options: &'p KernelOptions,
+    /// The pixel instructions that something needs, the pixel set's first.
+    pub order: Vec<Value>,
+    pub evaluation: Evaluation,
+    /// For each accumulator: the factors that are multiplied and added at once.
+    pub contractions: Vec<Option<(Value, Value)>>,
+    /// Whether a value is such a product, which is not computed by itself; by value.
+    pub is_contracted: Vec<bool>,
+}
+
+/// Which lanes of a group take part.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fullness {
+    /// All; where the pixel set leaves one out, the code at `otherwise` takes over.
+    Full { otherwise: Label },
+    /// Those of the row that the pixel set does not leave out.
+    Partial,
+}
+
+impl<'p> PixelLoop<'p> {
+    pub fn new(program: &'p Program, options: &'p KernelOptions) -> PixelLoop<'p> {
+        let order = plan::order(program);
+        let evaluation = Evaluation::new(program, &order, options.precision);
+        let contractions = program.contractions();
+        let mut is_contracted = vec![false; program.instructions().len()];
+        if let Sink::Sums { accumulators, .. } = program.sink() {
+            let products = accumulators.iter().zip(&contractions).filter(|(_, factors)| factors.is_some());
+            products.for_each(|(v, _)| is_contracted[v.index()] = true);
+        }
+        PixelLoop { program, options, order, evaluation, contractions, is_contracted }
+    }
+
+    pub fn lanes(&self) -> usize {
+        self.options.lanes().count()
+    }
+
+    /// Writes a group, and what moves on to the next.
+    pub fn write(&self, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
+        let after = assembler.new_label();
+        let block = Block::new(assembler, self.options.width);
+        let mut writer = Writer {
+            pixels: self,
+            places,
+            block,
+            element: element(self.options.precision),
+            group,
+            live: None,
+            surplus: None,
+            known: vec![None; self.program.instructions().len()],
+            after,
+        };
+        writer.run();
+        let Writer { block, .. } = writer;
+        allocate(block, &mut places.frame, places.reserved);
+        assembler.write(|i| i.label(after));
+        self.advance(places, assembler);
+    }
+
+    /// Moves the running offsets to the next group.
+    fn advance(&self, places: &mut Homes, assembler: &mut Assembler) {
+        let mut block = Block::new(assembler, self.options.width);
+        let element = element(self.options.precision);
+        let step = block.number(element, self.lanes() as f64);
+        for column in &places.columns {
+            block.speak_for(Some(column.value));
+            let variable = block.variable(column.running);
+            block.act(Act::Sum { variable, element, terms: SmallVec::from_slice(&[step]), only: None });
+        }
+        allocate(block, &mut places.frame, places.reserved);
+    }
+}
+
+/// One group while it is written.
+struct Writer<'w, 'p, 'a> {
+    pixels: &'w PixelLoop<'p>,
+    places: &'w Homes,
+    block: Block<'a>,
+    element: Element,
+    group: Fullness,
+    /// Of a partial group: truth values of the lanes that belong to it, …
+    live: Option<Id>,
+    /// … and by how many pixels it begins left of its first one.
+    surplus: Option<Id>,
+    known: Vec<Option<Id>>,
+    /// Behind the group's values.
+    after: Label,
+}
+
+impl Writer<'_, '_, '_> {
+    /// Pixel set, then every value, which is summed as soon as it is there.
+    fn run(&mut self) {
+        let pixels = self.pixels;
+        if self.group == Fullness::Partial {
+            self.open();
+        }
+        let PixelSet { mask, saturated, .. } = *pixels.program.pixel_set();
+        let roots: Vec<Value> = mask.into_iter().chain(saturated).collect();
+        let decided = roots.iter().filter_map(|root| pixels.order.iter().position(|v| v == root)).max();
+        let mut used = None;
+        if decided.is_none() {
+            used = self.decide();
+            self.sink(None, used);
+        }
+        for (at, value) in pixels.order.iter().enumerate() {
+            // Nothing reads it, so it comes after what decides on the pixel set.
+            if pixels.is_contracted[value.index()] {
+                self.sink(Some(*value), used);
+                continue;
+            }
+            self.block.speak_for(Some(*value));
+            let result = self.value(*value);
+            self.known[value.index()] = Some(result);
+            match decided {
+                Some(last) if at < last => {}
+                Some(last) if at == last => {
+                    used = self.decide();
+                    if let Some(used) = used {
+                        self.block.act(Act::Truths { operand: used, element: self.element });
+                        let after = self.after;
+                        self.block.scalar(|i| {
+                            i.add(Instruction::with2(Code::Test_rm32_r32, Register::EAX, Register::EAX));
+                            i.jump(Code::Je_rel32_64, after);
+                        });
+                    }
+                    self.sink(None, used);
+                    pixels.order[..=at].iter().for_each(|v| self.sink(Some(*v), used));
+                }
+                _ => self.sink(Some(*value), used),
+            }
+        }
+        self.block.speak_for(None);
+    }
+
+    /// Which lanes belong to a partial group: it begins so far left that it ends inside of the window.
+    fn open(&mut self) {
+        use Register::{EAX, RAX, RCX};
+        let counters = self.places.counters;
+        self.block.scalar(|i| {
+            begin(i);
+            i.mov(RAX, PIXEL);
+            i.minus(RAX, RCX);
+            i.store_low(counters.before, EAX);
+            i.mov(RAX, counters.end);
+            i.minus(RAX, RCX);
+            i.plus(RAX, 1);
+            i.store_low(counters.until, EAX);
+        });
+        let element = self.element;
+        let [before, until] = [counters.before, counters.until].map(|place| {
+            let integer = self.block.fleeting(place.spread());
+            self.block.compute(Operation::FromIntegers, element, [integer])
+        });
+        let steps = self.block.constant_lanes(element, |lane| lane as f64);
+        let early = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, before]);
+        let reached = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, until]);
+        self.live = Some(self.block.compute(Operation::AndNot, element, [early, reached]));
+        self.surplus = Some(before);
+    }
+
+    /// What a pixel instruction reads.
+    fn operand(&mut self, value: Value) -> Id {
+        if let Some(known) = self.known[value.index()] {
+            return known;
+        }
+        let constant = self.pixels.program.instruction(value).op.constant();
+        let id = match (constant, self.places.shown[value.index()]) {
+            (Some(number), _) => self.block.number(self.element, number),
+            (None, Some(shown)) => self.block.held(shown.held),
+            (None, None) => unreachable!("the check refuses instructions before their operands"),
+        };
+        self.known[value.index()] = Some(id);
+        id
+    }
+
+    fn value(&mut self, value: Value) -> Id {
+        let (pixels, element) = (self.pixels, self.element);
+        let op = pixels.program.instruction(value).op;
+        match op.code {
+            Opcode::Channel(channel) => {
+                return self.block.channel(channel.index(), self.places, pixels.options, pixels.lanes());
+            }
+            Opcode::Offset => return self.offset(value),
+            _ => {}
+        }
+        let operands: SmallVec<[Id; 3]> = op.operands().map(|v| self.operand(v)).collect();
+        let result = self.block.arithmetic(element, op, &operands);
+        match result.or_else(|| self.block.function(pixels.evaluation, op.code, &operands)) {
+            Some(result) => result,
+            None => unreachable!("the check refuses scalar instructions at the pixel level"),
+        }
+    }
+
+    fn offset(&mut self, value: Value) -> Id {
+        let Some(column) = self.places.columns.iter().find(|column| column.value == value) else {
+            unreachable!("every offset has a place")
+        };
+        let mut here = self.block.variable(column.running);
+        if let Some(surplus) = self.surplus {
+            here = self.block.compute(Operation::Sub, self.element, [here, surplus]);
+        }
+        let fraction = self.block.held(column.fraction.held);
+        self.block.compute(Operation::Add, self.element, [here, fraction])
+    }
+
+    /// The lanes that take part; `None`: all.
+    fn decide(&mut self) -> Option<Id> {
+        let PixelSet { mask, saturated, .. } = *self.pixels.program.pixel_set();
+        self.block.speak_for(mask.or(saturated));
+        let mask = mask.map(|mask| self.operand(mask));
+        let over = saturated.map(|saturated| self.operand(saturated));
+        let element = self.element;
+        let (Some(live), Fullness::Partial) = (self.live, self.group) else {
+            self.leave(mask, over);
+            self.block.speak_for(None);
+            return None;
+        };
+        let in_set = mask.map_or(live, |mask| self.block.compute(Operation::And, element, [live, mask]));
+        let used = over.map_or(in_set, |over| self.block.compute(Operation::AndNot, element, [over, in_set]));
+        let counters = self.places.counters;
+        if mask.is_some() || over.is_some() {
+            let unused = self.block.compute(Operation::AndNot, element, [used, live]);
+            self.count(unused, counters.unused);
+        }
+        if let Some(over) = over {
+            let dropped = self.block.compute(Operation::And, element, [in_set, over]);
+            self.count(dropped, counters.saturated);
+        }
+        self.block.speak_for(None);
+        Some(used)
+    }
+
+    /// Adds the lanes that hold to a counter.
+    fn count(&mut self, truth: Id, counter: MemoryPlace) {
+        self.block.act(Act::Truths { operand: truth, element: self.element });
+        self.block.scalar(|i| {
+            i.add(Instruction::with2(Code::Popcnt_r32_rm32, Register::EAX, Register::EAX));
+            i.plus_at(counter, Register::RAX);
+        });
+    }
+
+    /// Goes on only if every lane is in the set and none is saturated.
+    fn leave(&mut self, mask: Option<Id>, over: Option<Id>) {
+        let Fullness::Full { otherwise } = self.group else { return };
+        let all = (1 << self.pixels.lanes()) - 1;
+        let (truth, expected) = match (mask, over) {
+            (Some(mask), Some(over)) => (self.block.compute(Operation::AndNot, self.element, [over, mask]), all),
+            (Some(mask), None) => (mask, all),
+            (None, Some(over)) => (over, 0),
+            (None, None) => return,
+        };
+        self.block.act(Act::Truths { operand: truth, element: self.element });
+        self.block.scalar(|i| {
+            i.compare(Register::RAX, expected);
+            i.jump(Code::Jne_rel32_64, otherwise);
+        });
+    }
+
+    /// Sums, or writes, what `value` is wanted for; `None` stands for every value of the pass or the row.
+    fn sink(&mut self, value: Option<Value>, used: Option<Id>) {
+        let program = self.pixels.program;
+        let meant = |v: &Value| match value {
+            Some(value) => *v == value,
+            None => program.instruction(*v).level != Level::Pixel,
+        };
+        match program.sink() {
+            Sink::Sums { accumulators, .. } => {
+                for (i, v) in accumulators.iter().enumerate().filter(|(_, v)| meant(v)) {
+                    self.block.speak_for(Some(*v));
+                    let terms = match self.pixels.contractions[i] {
+                        Some((a, b)) => [a, b].map(|v| self.operand(v)).into_iter().collect(),
+                        None => std::iter::once(self.operand(*v)).collect(),
+                    };
+                    let variable = self.block.variable(self.places.accumulators[i]);
+                    self.block.act(Act::Sum { variable, element: self.element, terms, only: used });
+                }
+            }
+            Sink::Plane(v) if meant(v) => {
+                self.block.speak_for(Some(*v));
+                let value = self.operand(*v);
+                self.block.write(value, used, self.places, self.element);
+            }
+            Sink::Plane(_) => {}
+        }
+    }
+}

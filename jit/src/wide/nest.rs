@@ -1,0 +1,372 @@
+//! The loops: rows by the vector, each with its groups; their beginning and their end.
+//!
+//! ```text
+//! entry ─► pass ─► block ─► rows' places ⟲ ─► row level ─► row ─► full ⟲ ─► partial ─► sums ─► next row …
+//!                    ▲                                       │       └──────◄──┘                  │
+//!                    │                                       └── no pixels ──────────►────────────┤
+//!                    └────────────────────────── row ends, totals ◄───────────────────────────────┘
+//! ```
+//! A block is as many rows as a vector has lanes of f64; what is behind the last row is prepared as well, and adds nothing.
+
+use std::mem::offset_of;
+
+use iced_x86::{Code, Instruction, Register};
+use isophote_symbolic::{Level, Program, Sink};
+
+use super::acts::allocate;
+use super::assembler::{Anchor, Assembled, Assembler, Label, MemoryPlace, Section};
+use super::block::Block;
+use super::calls::{ARGS, arg};
+use super::group::{Fullness, PixelLoop};
+use super::operation::{self, Element, Operation, Portion};
+use super::outer;
+use super::pixels::{FURTHEST, PIXEL, open_row, open_target_row};
+use super::places::{Broadcast, Homes, ROW, element};
+use crate::abi::Args;
+use crate::error::CompileError;
+use crate::options::{KernelOptions, VectorWidth};
+use crate::plan;
+
+/// The first pixel of a row's last group.
+const REST: Register = Register::R13;
+/// What the caller's code wants back.
+const SAVED: [Register; 6] = [Register::RBX, Register::RBP, Register::R12, Register::R13, Register::R14, Register::R15];
+/// A page of stack, each of which is touched before the next.
+const PAGE_BYTES: usize = 4096;
+/// Of the frame, so that vectors in it do not cross a line.
+const FRAME_ALIGNMENT: usize = 64;
+/// A register that no variable has.
+const FREE: u8 = 0;
+
+/// Fields of the argument block, by the outer coordinate: where the window begins, …
+const FIRST: [usize; 3] = [offset_of!(Args, y), offset_of!(Args, z), offset_of!(Args, w)];
+/// … and how far it goes.
+const COUNT: [usize; 3] = [offset_of!(Args, height), offset_of!(Args, depth), offset_of!(Args, length)];
+
+/// The code of a program, and how much stack it takes.
+///
+/// # Errors
+/// When an instruction cannot be encoded.
+pub(super) fn nest(program: &Program, options: &KernelOptions) -> Result<(Assembled, usize), CompileError> {
+    let pixels = PixelLoop::new(program, options);
+    let places = Homes::new(program, options, &pixels.order, pixels.evaluation);
+    let outer = program.coordinates().clamp(2, 4) - 1;
+    let mut nest = Nest { program, options, pixels, places, assembler: Assembler::new(), outer };
+    nest.body();
+    let frame_bytes = nest.entry();
+    let saved = (SAVED.len() + 1) * size_of::<usize>() + FRAME_ALIGNMENT;
+    Ok((nest.assembler.assemble()?, frame_bytes + saved))
+}
+
+struct Nest<'p> {
+    program: &'p Program,
+    options: &'p KernelOptions,
+    pixels: PixelLoop<'p>,
+    places: Homes,
+    assembler: Assembler,
+    /// Coordinates outside of the row.
+    outer: usize,
+}
+
+impl Nest<'_> {
+    /// Makes the frame, now that its size is known.
+    fn entry(&mut self) -> usize {
+        let bytes = self.places.frame.bytes().next_multiple_of(FRAME_ALIGNMENT);
+        self.assembler.switch_to(Section::Entry);
+        self.assembler.write(|i| {
+            SAVED.iter().for_each(|register| i.add(Instruction::with1(Code::Push_r64, *register)));
+            i.mov(Register::RBP, Register::RSP);
+            i.and(Register::RSP, -(FRAME_ALIGNMENT as i32));
+            i.minus(Register::RSP, bytes as i32);
+            for page in 1..=bytes / PAGE_BYTES {
+                i.store(MemoryPlace::new(Anchor::Frame, (bytes - page * PAGE_BYTES) as i32), Register::RAX);
+            }
+            i.mov(ARGS, Register::RDI);
+            i.mov(FURTHEST, arg(offset_of!(Args, furthest)));
+        });
+        bytes
+    }
+
+    fn leave(&mut self) {
+        self.assembler.write(|i| {
+            i.add(Ok(Instruction::with(Code::VEX_Vzeroupper)));
+            i.mov(Register::RSP, Register::RBP);
+            SAVED.iter().rev().for_each(|register| i.add(Instruction::with1(Code::Pop_r64, *register)));
+            i.add(Ok(Instruction::with(Code::Retnq)));
+        });
+    }
+
+    fn level(&mut self, level: Level) {
+        outer::write(level, self.program, self.options, &mut self.places, &mut self.assembler);
+    }
+
+    fn rows_at_once(&self) -> i32 {
+        (self.options.width.bytes() / Element::Double.bytes()) as i32
+    }
+
+    fn body(&mut self) {
+        use Register::{RAX, RCX, RDX};
+        let counters = self.places.counters;
+        let [block, pass_end, row, rows_end, next] = std::array::from_fn(|_| self.assembler.new_label());
+        let (outer, rows) = (self.outer, self.rows_at_once());
+        let totals = self.places.totals.clone();
+        self.assembler.write(|i| {
+            i.mov(RAX, arg(COUNT[0]));
+            COUNT[1..outer].iter().for_each(|count| i.times(RAX, arg(*count)));
+            i.store(counters.rows, RAX);
+            i.mov(RAX, 0);
+            let zeros = [counters.row, counters.pixels, counters.saturated];
+            zeros.iter().chain(&counters.next).chain(&totals).for_each(|place| i.store(*place, RAX));
+        });
+        self.level(Level::Pass);
+
+        self.assembler.write(|i| {
+            i.label(block);
+            i.mov(RAX, counters.rows);
+            i.minus(RAX, counters.row);
+            i.compare(RAX, 0);
+            i.jump(Code::Jle_rel32_64, pass_end);
+            i.mov(RDX, rows);
+            i.at_most(RAX, RDX);
+            i.store(counters.at_hand, RAX);
+        });
+        self.rows_places();
+        self.level(Level::Row);
+        self.zero(FREE);
+        self.write_register(FREE, Portion::Half, self.places.counts);
+        self.assembler.write(|i| {
+            i.mov(ROW, 0);
+            i.label(row);
+            i.compare(ROW, rows);
+            i.jump(Code::Jae_rel32_64, rows_end);
+            i.compare(ROW, counters.at_hand);
+            i.jump(Code::Jge_rel32_64, rows_end);
+        });
+        self.row(next);
+        self.assembler.write(|i| {
+            i.label(next);
+            i.plus(ROW, 1);
+            i.jump(Code::Jmp_rel32_64, row);
+            i.label(rows_end);
+        });
+        self.level(Level::RowEnd);
+        self.assembler.write(|i| {
+            i.jump(Code::Jmp_rel32_64, block);
+            i.label(pass_end);
+            i.mov(RCX, counters.pixels);
+            i.store(arg(offset_of!(Args, pixels)), RCX);
+            i.mov(RAX, counters.saturated);
+            i.store(arg(offset_of!(Args, saturated)), RAX);
+            // The count is an f64 from here on.
+            let count = Register::XMM0;
+            i.add(Instruction::with3(Code::VEX_Vcvtsi2sd_xmm_xmm_rm64, count, count, RCX));
+            i.add_at(counters.pixels, |to| Instruction::with2(Code::VEX_Vmovsd_m64_xmm, to, count));
+        });
+        self.level(Level::PassEnd);
+        self.leave();
+    }
+
+    /// Leaves where the rows of a block are in the frame, and moves on behind them.
+    fn rows_places(&mut self) {
+        use Register::{EAX, RAX, RCX};
+        let [fill, filled, moved] = std::array::from_fn(|_| self.assembler.new_label());
+        let Homes { counters, inside, coordinates, numbers, .. } = self.places;
+        let (outer, rows) = (self.outer, self.rows_at_once());
+        self.assembler.write(|i| {
+            i.mov(ROW, 0);
+            i.label(fill);
+            i.compare(ROW, rows);
+            i.jump(Code::Jae_rel32_64, filled);
+            for (axis, first) in FIRST.into_iter().enumerate().take(outer) {
+                i.mov(RAX, counters.next[axis]);
+                i.store(inside[axis].indexed(ROW, 8), RAX);
+                i.plus(RAX, arg(first));
+                i.store_low(coordinates[axis].indexed(ROW, 4), EAX);
+            }
+            i.mov(RAX, counters.row);
+            i.store(numbers.indexed(ROW, 8), RAX);
+            i.plus(RAX, 1);
+            i.store(counters.row, RAX);
+            // y counts up, and each coordinate that has come to its end begins again and moves the next one on.
+            i.mov(RCX, 0);
+            for (axis, count) in COUNT.into_iter().enumerate().take(outer) {
+                i.mov(RAX, counters.next[axis]);
+                i.plus(RAX, 1);
+                i.store(counters.next[axis], RAX);
+                if axis + 1 < outer {
+                    i.compare(RAX, arg(count));
+                    i.jump(Code::Jl_rel32_64, moved);
+                    i.store(counters.next[axis], RCX);
+                }
+            }
+            i.label(moved);
+            i.plus(ROW, 1);
+            i.jump(Code::Jmp_rel32_64, fill);
+            i.label(filled);
+        });
+    }
+
+    /// One row, which was prepared before; jumps to `next` where it has no pixels.
+    fn row(&mut self, next: Label) {
+        use Register::{EAX, RAX, RCX};
+        let lanes = self.pixels.lanes() as i32;
+        let [full, partial, row_end] = std::array::from_fn(|_| self.assembler.new_label());
+        let (places, outer) = (&self.places, self.outer);
+        let counters = places.counters;
+        let renders = matches!(self.program.sink(), Sink::Plane(_));
+        self.assembler.write(|i| {
+            i.mov(PIXEL, places.starts.indexed(ROW, 8));
+            i.mov(RAX, places.ends.indexed(ROW, 8));
+            i.compare(PIXEL, RAX);
+            i.jump(Code::Jg_rel32_64, next);
+            i.store(counters.end, RAX);
+            i.minus(RAX, PIXEL);
+            i.mov(REST, RAX);
+            i.and(REST, -lanes);
+            i.plus(REST, PIXEL);
+            i.plus(RAX, 1);
+            i.store(counters.wanted, RAX);
+            i.mov(RAX, 0);
+            i.store(counters.unused, RAX);
+            open_row(i, places, outer);
+            if renders {
+                open_target_row(i, places);
+            }
+        });
+        self.prepare();
+        self.assembler.write(|i| {
+            i.compare(PIXEL, REST);
+            i.jump(Code::Jge_rel32_64, partial);
+            i.label(full);
+        });
+        self.pixels.write(Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
+        self.assembler.write(|i| {
+            i.plus(PIXEL, lanes);
+            i.compare(PIXEL, REST);
+            i.jump(Code::Jl_rel32_64, full);
+            i.label(partial);
+        });
+        self.pixels.write(Fullness::Partial, &mut self.places, &mut self.assembler);
+        let goes_on = plan::is_masked(self.program);
+        let counts = self.places.counts.indexed(ROW, 4);
+        self.assembler.write(|i| {
+            if goes_on {
+                i.compare(PIXEL, REST);
+                i.jump(Code::Jge_rel32_64, row_end);
+                i.plus(PIXEL, lanes);
+                i.compare(PIXEL, REST);
+                i.jump(Code::Jl_rel32_64, full);
+                i.jump(Code::Jmp_rel32_64, partial);
+                i.label(row_end);
+            }
+            i.mov(RCX, counters.wanted);
+            i.minus(RCX, counters.unused);
+            i.plus_at(counters.pixels, RCX);
+            i.mov(RAX, RCX);
+            i.store_low(counts, EAX);
+        });
+        self.sums();
+    }
+
+    /// Fetches what a row's loop has in registers, spreads what it reads of the row, and begins its sums.
+    fn prepare(&mut self) {
+        let element = element(self.options.precision);
+        let shown: Vec<Broadcast> = self.places.shown.iter().copied().flatten().collect();
+        let columns = self.places.columns.clone();
+        let fractions = columns.iter().map(|column| column.fraction);
+        for shown in shown.into_iter().chain(fractions) {
+            self.fetch(shown, element);
+        }
+        let steps = self.steps(element);
+        for column in columns {
+            let register = column.running.register.unwrap_or(FREE);
+            self.read_register(register, column.first.indexed(ROW, element.bytes() as u32).spread(), element);
+            let add = Operation::Add.code(element, self.options.width);
+            let name = operation::register(register, Portion::Whole, self.options.width);
+            self.assembler.write(|i| i.add_at(steps, |steps| Instruction::with3(add, name, name, steps)));
+            if column.running.register.is_none() {
+                self.write_register(FREE, Portion::Whole, column.running.memory);
+            }
+        }
+        let accumulators = self.places.accumulators.clone();
+        if accumulators.iter().any(|held| held.register.is_none()) {
+            self.zero(FREE);
+        }
+        for held in accumulators {
+            match held.register {
+                Some(register) => self.zero(register),
+                None => self.write_register(FREE, Portion::Whole, held.memory),
+            }
+        }
+    }
+
+    /// Puts a value where a row's loop reads it, if it is not there.
+    fn fetch(&mut self, Broadcast { held, array }: Broadcast, element: Element) {
+        let from = array.map_or(held.memory, |(array, stride)| array.indexed(ROW, stride).spread());
+        match held.register {
+            Some(register) => self.read_register(register, from, element),
+            None if from != held.memory => {
+                self.read_register(FREE, from, element);
+                self.write_register(FREE, Portion::Whole, held.memory);
+            }
+            None => {}
+        }
+    }
+
+    /// 0, 1, 2 …
+    fn steps(&mut self, element: Element) -> MemoryPlace {
+        let lanes = 0..self.pixels.lanes();
+        let bytes: Vec<u8> = match element {
+            Element::Single => lanes.flat_map(|lane| (lane as f32).to_le_bytes()).collect(),
+            Element::Double => lanes.flat_map(|lane| (lane as f64).to_le_bytes()).collect(),
+        };
+        self.assembler.constant(&bytes)
+    }
+
+    /// The lanes of each sum, together, in f64: the upper half is added to the lower one until one is left.
+    fn sums(&mut self) {
+        use Operation::{Add, Second, UpperHalf, UpperQuarter, Widen};
+        let double = Element::Double;
+        let mut block = Block::new(&mut self.assembler, self.options.width);
+        let folds: &[Operation] = match self.options.width {
+            VectorWidth::Bits512 => &[UpperHalf, UpperQuarter, Second],
+            _ => &[UpperHalf, Second],
+        };
+        for (held, place) in self.places.accumulators.iter().zip(&self.places.sums) {
+            let mut sum = block.variable(*held);
+            if element(self.options.precision) == Element::Single {
+                let low = block.compute(Widen, double, [sum]);
+                let high = block.compute(UpperHalf, double, [sum]);
+                let high = block.compute(Widen, double, [high]);
+                sum = block.compute(Add, double, [low, high]);
+            }
+            for fold in folds {
+                let upper = block.compute(*fold, double, [sum]);
+                sum = block.compute(Add, double, [sum, upper]);
+            }
+            block.store(double, Portion::Least, sum, place.indexed(ROW, 8));
+        }
+        allocate(block, &mut self.places.frame, self.places.reserved);
+    }
+
+    fn zero(&mut self, register: u8) {
+        let code = Operation::Xor.code(Element::Single, self.options.width);
+        let name = operation::register(register, Portion::Whole, self.options.width);
+        self.assembler.write(|i| i.add(Instruction::with3(code, name, name, name)));
+    }
+
+    fn read_register(&mut self, register: u8, from: MemoryPlace, element: Element) {
+        let operation = if from.is_spread { Operation::Spread } else { Operation::Load };
+        let code = operation.code(element, self.options.width);
+        let name = operation::register(register, Portion::Whole, self.options.width);
+        // The instruction itself spreads.
+        let from = MemoryPlace { is_spread: false, ..from };
+        self.assembler.write(|i| i.add_at(from, |from| Instruction::with2(code, name, from)));
+    }
+
+    fn write_register(&mut self, register: u8, extent: Portion, to: MemoryPlace) {
+        let code = operation::store(extent, Element::Single, self.options.width);
+        let name = operation::register(register, extent, self.options.width);
+        self.assembler.write(|i| i.add_at(to, |to| Instruction::with2(code, to, name)));
+    }
+}

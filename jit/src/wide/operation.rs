@@ -1,0 +1,463 @@
+//! The vector instructions that there are: one table for 256 bits (AVX2, FMA) and 512 bits (AVX-512).
+//!
+//! What comes in: an operation, and of what. What goes out: the instruction's code, the size of its operands, whether one of
+//! them may be in memory. It must never know: programs, or who is in which register.
+
+use iced_x86::{Code, Register};
+
+use crate::options::VectorWidth;
+
+/// What a lane holds.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Element {
+    /// f32.
+    Single,
+    /// f64.
+    Double,
+}
+
+impl Element {
+    pub fn bytes(self) -> usize {
+        match self {
+            Element::Single => 4,
+            Element::Double => 8,
+        }
+    }
+}
+
+/// Bits of a comparison instruction.
+pub(super) mod comparison {
+    /// =, false for NaN.
+    pub const EQUAL: u8 = 0x00;
+    /// ≠, true for NaN.
+    pub const DIFFERENT: u8 = 0x04;
+    /// <, false for NaN.
+    pub const LESS: u8 = 0x11;
+    /// ≤, false for NaN.
+    pub const AT_MOST: u8 = 0x12;
+}
+
+/// A vector operation. Truth values are lanes of which all bits are set or none.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Operation {
+    Add,
+    /// Of the first f64 of a vector, and one in memory.
+    AddFirst,
+    Sub,
+    Mul,
+    Div,
+    And,
+    /// Not the first, and the second.
+    AndNot,
+    Or,
+    Xor,
+    /// Of 64-bit integers.
+    AddBits,
+    /// Of 64-bit integers.
+    SubBits,
+    /// Of 64-bit integers; a truth value.
+    EqualBits,
+    /// A truth value, see [`comparison`].
+    Compare(u8),
+    Sqrt,
+    /// a · b + c, rounded once.
+    Fma,
+    /// `truth ? a : b`.
+    Select,
+    /// Of 64-bit lanes.
+    ShiftLeft(u8),
+    /// Of 64-bit lanes.
+    ShiftRight(u8),
+    /// The lower half of f32, as f64.
+    Widen,
+    /// f64 as f32, in the lower half.
+    Narrow,
+    /// The upper half in the place of the lower one.
+    UpperHalf,
+    /// Of the lower half its upper half, in the place of the lowest quarter; at 512 bits.
+    UpperQuarter,
+    /// The second f64 in the place of the first.
+    Second,
+    /// A lower half, and another as the upper one.
+    Join,
+    /// 32-bit integers as numbers; of f64 those in the lower half.
+    FromIntegers,
+    /// Bytes in memory as 32-bit integers, as many as there are lanes.
+    FromBytes,
+    /// 16-bit words in memory as 32-bit integers, as many as there are lanes.
+    FromWords,
+    /// What is in memory.
+    Load,
+    /// As many bytes of memory as half a vector has.
+    LoadHalf,
+    /// One element of memory in all lanes.
+    Spread,
+    /// The first element in all lanes.
+    SpreadFirst,
+}
+
+/// How much of a register an instruction names.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Portion {
+    Whole,
+    Half,
+    /// 128 bits.
+    Least,
+}
+
+/// Which form of multiply-and-add: the number says which operand goes where.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum FmaForm {
+    /// to = to · third + second
+    F132,
+    /// to = second · to + third
+    F213,
+    /// to = second · third + to
+    F231,
+}
+
+/// Whether the last operand may be in memory.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum InMemory {
+    Never,
+    /// As much as the instruction reads, and at 512 bits an element for all lanes.
+    Any,
+    /// It must be.
+    Always,
+}
+
+impl Operation {
+    pub fn in_memory(self) -> InMemory {
+        use Operation::*;
+        match self {
+            UpperHalf | UpperQuarter | Second | ShiftLeft(_) | ShiftRight(_) | SpreadFirst | Join => InMemory::Never,
+            FromBytes | FromWords | Load | LoadHalf | Spread | AddFirst => InMemory::Always,
+            _ => InMemory::Any,
+        }
+    }
+
+    pub fn is_commutative(self) -> bool {
+        use Operation::*;
+        matches!(self, Add | Mul | And | Or | Xor | AddBits | EqualBits)
+    }
+
+    /// Which byte follows the operands, if one does.
+    pub fn immediate(self, width: VectorWidth) -> Option<u32> {
+        match self {
+            Operation::Compare(by) | Operation::ShiftLeft(by) | Operation::ShiftRight(by) => Some(by.into()),
+            Operation::UpperHalf | Operation::UpperQuarter | Operation::Second | Operation::Join => Some(1),
+            Operation::Select if width == VectorWidth::Bits512 => Some(SELECT),
+            _ => None,
+        }
+    }
+
+    /// Of the result and of the last operand.
+    pub fn extents(self, element: Element) -> [Portion; 2] {
+        use Portion::*;
+        match (self, element) {
+            (Operation::Widen, _) | (Operation::FromIntegers, Element::Double) => [Whole, Half],
+            (Operation::Narrow | Operation::UpperHalf, _) => [Half, Whole],
+            (Operation::FromBytes | Operation::FromWords, Element::Double) | (Operation::LoadHalf, _) => [Half, Half],
+            (Operation::UpperQuarter, _) => [Least, Half],
+            (Operation::Second | Operation::AddFirst, _) => [Least, Least],
+            (Operation::Join, _) => [Whole, Half],
+            (Operation::SpreadFirst, _) => [Whole, Least],
+            _ => [Whole, Whole],
+        }
+    }
+
+    /// Of the first of two operands.
+    pub fn first_extent(self) -> Portion {
+        if self == Operation::AddFirst { Portion::Least } else { Portion::Whole }
+    }
+
+    /// The instruction: of f32 and f64 at 256 bits, of f32 and f64 at 512. A comparison at 512 bits leaves its result in a
+    /// mask register. `Select` picks by the bits of its first operand there.
+    pub fn code(self, element: Element, width: VectorWidth) -> Code {
+        use Code::*;
+        use Operation::*;
+        let codes = match self {
+            Add => [
+                VEX_Vaddps_ymm_ymm_ymmm256,
+                VEX_Vaddpd_ymm_ymm_ymmm256,
+                EVEX_Vaddps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vaddpd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+            AddFirst => {
+                let [narrow, wide] = [VEX_Vaddsd_xmm_xmm_xmmm64, EVEX_Vaddsd_xmm_k1z_xmm_xmmm64_er];
+                [narrow, narrow, wide, wide]
+            }
+            Sub => [
+                VEX_Vsubps_ymm_ymm_ymmm256,
+                VEX_Vsubpd_ymm_ymm_ymmm256,
+                EVEX_Vsubps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vsubpd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+            Mul => [
+                VEX_Vmulps_ymm_ymm_ymmm256,
+                VEX_Vmulpd_ymm_ymm_ymmm256,
+                EVEX_Vmulps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vmulpd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+            Div => [
+                VEX_Vdivps_ymm_ymm_ymmm256,
+                VEX_Vdivpd_ymm_ymm_ymmm256,
+                EVEX_Vdivps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vdivpd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+            And => [
+                VEX_Vandps_ymm_ymm_ymmm256,
+                VEX_Vandpd_ymm_ymm_ymmm256,
+                EVEX_Vandps_zmm_k1z_zmm_zmmm512b32,
+                EVEX_Vandpd_zmm_k1z_zmm_zmmm512b64,
+            ],
+            AndNot => [
+                VEX_Vandnps_ymm_ymm_ymmm256,
+                VEX_Vandnpd_ymm_ymm_ymmm256,
+                EVEX_Vandnps_zmm_k1z_zmm_zmmm512b32,
+                EVEX_Vandnpd_zmm_k1z_zmm_zmmm512b64,
+            ],
+            Or => [
+                VEX_Vorps_ymm_ymm_ymmm256,
+                VEX_Vorpd_ymm_ymm_ymmm256,
+                EVEX_Vorps_zmm_k1z_zmm_zmmm512b32,
+                EVEX_Vorpd_zmm_k1z_zmm_zmmm512b64,
+            ],
+            Xor => [
+                VEX_Vxorps_ymm_ymm_ymmm256,
+                VEX_Vxorpd_ymm_ymm_ymmm256,
+                EVEX_Vxorps_zmm_k1z_zmm_zmmm512b32,
+                EVEX_Vxorpd_zmm_k1z_zmm_zmmm512b64,
+            ],
+            AddBits => {
+                let [narrow, wide] = [VEX_Vpaddq_ymm_ymm_ymmm256, EVEX_Vpaddq_zmm_k1z_zmm_zmmm512b64];
+                [narrow, narrow, wide, wide]
+            }
+            SubBits => {
+                let [narrow, wide] = [VEX_Vpsubq_ymm_ymm_ymmm256, EVEX_Vpsubq_zmm_k1z_zmm_zmmm512b64];
+                [narrow, narrow, wide, wide]
+            }
+            EqualBits => {
+                let [narrow, wide] = [VEX_Vpcmpeqq_ymm_ymm_ymmm256, EVEX_Vpcmpeqq_kr_k1_zmm_zmmm512b64];
+                [narrow, narrow, wide, wide]
+            }
+            Compare(_) => [
+                VEX_Vcmpps_ymm_ymm_ymmm256_imm8,
+                VEX_Vcmppd_ymm_ymm_ymmm256_imm8,
+                EVEX_Vcmpps_kr_k1_zmm_zmmm512b32_imm8_sae,
+                EVEX_Vcmppd_kr_k1_zmm_zmmm512b64_imm8_sae,
+            ],
+            Sqrt => [
+                VEX_Vsqrtps_ymm_ymmm256,
+                VEX_Vsqrtpd_ymm_ymmm256,
+                EVEX_Vsqrtps_zmm_k1z_zmmm512b32_er,
+                EVEX_Vsqrtpd_zmm_k1z_zmmm512b64_er,
+            ],
+            Fma => return FmaForm::F231.code(element, width),
+            Select => [
+                VEX_Vblendvps_ymm_ymm_ymmm256_ymm,
+                VEX_Vblendvpd_ymm_ymm_ymmm256_ymm,
+                EVEX_Vpternlogd_zmm_k1z_zmm_zmmm512b32_imm8,
+                EVEX_Vpternlogq_zmm_k1z_zmm_zmmm512b64_imm8,
+            ],
+            ShiftLeft(_) => {
+                let [narrow, wide] = [VEX_Vpsllq_ymm_ymm_imm8, EVEX_Vpsllq_zmm_k1z_zmmm512b64_imm8];
+                [narrow, narrow, wide, wide]
+            }
+            ShiftRight(_) => {
+                let [narrow, wide] = [VEX_Vpsrlq_ymm_ymm_imm8, EVEX_Vpsrlq_zmm_k1z_zmmm512b64_imm8];
+                [narrow, narrow, wide, wide]
+            }
+            Widen => {
+                let [narrow, wide] = [VEX_Vcvtps2pd_ymm_xmmm128, EVEX_Vcvtps2pd_zmm_k1z_ymmm256b32_sae];
+                [narrow, narrow, wide, wide]
+            }
+            Narrow => {
+                let [narrow, wide] = [VEX_Vcvtpd2ps_xmm_ymmm256, EVEX_Vcvtpd2ps_ymm_k1z_zmmm512b64_er];
+                [narrow, narrow, wide, wide]
+            }
+            UpperHalf => {
+                let [narrow, wide] = [VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8];
+                [narrow, narrow, wide, wide]
+            }
+            UpperQuarter => [EVEX_Vextractf32x4_xmmm128_k1z_ymm_imm8; 4],
+            Second => {
+                let [narrow, wide] = [VEX_Vpermilpd_xmm_xmmm128_imm8, EVEX_Vpermilpd_xmm_k1z_xmmm128b64_imm8];
+                [narrow, narrow, wide, wide]
+            }
+            Join => {
+                let [narrow, wide] = [VEX_Vinsertf128_ymm_ymm_xmmm128_imm8, EVEX_Vinsertf64x4_zmm_k1z_zmm_ymmm256_imm8];
+                [narrow, narrow, wide, wide]
+            }
+            FromIntegers => [
+                VEX_Vcvtdq2ps_ymm_ymmm256,
+                VEX_Vcvtdq2pd_ymm_xmmm128,
+                EVEX_Vcvtdq2ps_zmm_k1z_zmmm512b32_er,
+                EVEX_Vcvtdq2pd_zmm_k1z_ymmm256b32_er,
+            ],
+            FromBytes => [
+                VEX_Vpmovzxbd_ymm_xmmm64,
+                VEX_Vpmovzxbd_xmm_xmmm32,
+                EVEX_Vpmovzxbd_zmm_k1z_xmmm128,
+                EVEX_Vpmovzxbd_ymm_k1z_xmmm64,
+            ],
+            FromWords => [
+                VEX_Vpmovzxwd_ymm_xmmm128,
+                VEX_Vpmovzxwd_xmm_xmmm64,
+                EVEX_Vpmovzxwd_zmm_k1z_ymmm256,
+                EVEX_Vpmovzxwd_ymm_k1z_xmmm128,
+            ],
+            Load => {
+                let [narrow, wide] = [VEX_Vmovups_ymm_ymmm256, EVEX_Vmovups_zmm_k1z_zmmm512];
+                [narrow, narrow, wide, wide]
+            }
+            LoadHalf => {
+                let [narrow, wide] = [VEX_Vmovups_xmm_xmmm128, EVEX_Vmovups_ymm_k1z_ymmm256];
+                [narrow, narrow, wide, wide]
+            }
+            Spread => [
+                VEX_Vbroadcastss_ymm_m32,
+                VEX_Vbroadcastsd_ymm_m64,
+                EVEX_Vbroadcastss_zmm_k1z_xmmm32,
+                EVEX_Vbroadcastsd_zmm_k1z_xmmm64,
+            ],
+            SpreadFirst => [
+                VEX_Vbroadcastss_ymm_xmm,
+                VEX_Vbroadcastsd_ymm_xmm,
+                EVEX_Vbroadcastss_zmm_k1z_xmmm32,
+                EVEX_Vbroadcastsd_zmm_k1z_xmmm64,
+            ],
+        };
+        pick(codes, element, width)
+    }
+}
+
+/// The table of truth of `a ? b : c`, for the instruction that computes any of three operands.
+const SELECT: u32 = 0xca;
+
+fn pick(codes: [Code; 4], element: Element, width: VectorWidth) -> Code {
+    codes[2 * usize::from(width == VectorWidth::Bits512) + element as usize]
+}
+
+impl FmaForm {
+    pub fn code(self, element: Element, width: VectorWidth) -> Code {
+        use Code::*;
+        let codes = match self {
+            FmaForm::F132 => [
+                VEX_Vfmadd132ps_ymm_ymm_ymmm256,
+                VEX_Vfmadd132pd_ymm_ymm_ymmm256,
+                EVEX_Vfmadd132ps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vfmadd132pd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+            FmaForm::F213 => [
+                VEX_Vfmadd213ps_ymm_ymm_ymmm256,
+                VEX_Vfmadd213pd_ymm_ymm_ymmm256,
+                EVEX_Vfmadd213ps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vfmadd213pd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+            FmaForm::F231 => [
+                VEX_Vfmadd231ps_ymm_ymm_ymmm256,
+                VEX_Vfmadd231pd_ymm_ymm_ymmm256,
+                EVEX_Vfmadd231ps_zmm_k1z_zmm_zmmm512b32_er,
+                EVEX_Vfmadd231pd_zmm_k1z_zmm_zmmm512b64_er,
+            ],
+        };
+        pick(codes, element, width)
+    }
+}
+
+/// The instruction that writes so much of a register to memory.
+pub(super) fn store(extent: Portion, element: Element, width: VectorWidth) -> Code {
+    use Code::*;
+    let codes = match extent {
+        Portion::Whole => [
+            VEX_Vmovups_ymmm256_ymm,
+            VEX_Vmovups_ymmm256_ymm,
+            EVEX_Vmovups_zmmm512_k1z_zmm,
+            EVEX_Vmovups_zmmm512_k1z_zmm,
+        ],
+        Portion::Half => [
+            VEX_Vmovups_xmmm128_xmm,
+            VEX_Vmovups_xmmm128_xmm,
+            EVEX_Vmovups_ymmm256_k1z_ymm,
+            EVEX_Vmovups_ymmm256_k1z_ymm,
+        ],
+        // One element.
+        Portion::Least => [VEX_Vmovss_m32_xmm, VEX_Vmovsd_m64_xmm, EVEX_Vmovss_m32_k1_xmm, EVEX_Vmovsd_m64_k1_xmm],
+    };
+    pick(codes, element, width)
+}
+
+/// The instruction that gathers the truth of each lane: in a general register, or at 512 bits in a mask register.
+pub(super) fn truths(element: Element, width: VectorWidth) -> Code {
+    use Code::*;
+    let codes = [VEX_Vmovmskps_r32_ymm, VEX_Vmovmskpd_r32_ymm, EVEX_Vpmovd2m_kr_zmm, EVEX_Vpmovq2m_kr_zmm];
+    pick(codes, element, width)
+}
+
+/// The instruction that makes truth values of a mask register.
+pub(super) fn truth_of_mask(element: Element) -> Code {
+    match element {
+        Element::Single => Code::EVEX_Vpmovm2d_zmm_kr,
+        Element::Double => Code::EVEX_Vpmovm2q_zmm_kr,
+    }
+}
+
+/// Every instruction of the table.
+pub(super) fn every_code() -> Vec<Code> {
+    use Operation::*;
+    let operations = [
+        Add,
+        AddFirst,
+        Sub,
+        Mul,
+        Div,
+        And,
+        AndNot,
+        Or,
+        Xor,
+        AddBits,
+        SubBits,
+        EqualBits,
+        Compare(0),
+        Sqrt,
+        Fma,
+        Select,
+        ShiftLeft(0),
+        ShiftRight(0),
+        Widen,
+        Narrow,
+        UpperHalf,
+        UpperQuarter,
+        Second,
+        Join,
+        FromIntegers,
+        FromBytes,
+        FromWords,
+        Load,
+        LoadHalf,
+        Spread,
+        SpreadFirst,
+    ];
+    let mut all = Vec::new();
+    for element in [Element::Single, Element::Double] {
+        all.push(truth_of_mask(element));
+        for width in [VectorWidth::Bits256, VectorWidth::Bits512] {
+            all.extend(operations.map(|operation| operation.code(element, width)));
+            all.extend([FmaForm::F132, FmaForm::F213, FmaForm::F231].map(|form| form.code(element, width)));
+            all.extend([Portion::Whole, Portion::Half, Portion::Least].map(|extent| store(extent, element, width)));
+            all.push(truths(element, width));
+        }
+    }
+    all
+}
+
+/// A vector register, as much of it as `extent` says.
+pub(super) fn register(number: u8, extent: Portion, width: VectorWidth) -> Register {
+    let first = match (extent, width) {
+        (Portion::Whole, VectorWidth::Bits512) => Register::ZMM0,
+        (Portion::Whole, _) | (Portion::Half, VectorWidth::Bits512) => Register::YMM0,
+        _ => Register::XMM0,
+    };
+    first + u32::from(number)
+}

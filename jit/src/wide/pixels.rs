@@ -1,0 +1,168 @@
+//! Reading raw planes, and adding to the output plane.
+//!
+//! A group begins at its pixel, or so far left of it that it ends inside of the window; that is computed anew before each
+//! access, in the way that [`super::verify`] knows.
+
+use std::mem::offset_of;
+
+use iced_x86::{Code, Instruction, Register};
+
+use super::assembler::{Anchor, Instructions, MemoryPlace};
+use super::block::{Block, Id};
+use super::calls::arg;
+use super::operation::{Element, Operation, Portion, comparison};
+use super::places::Homes;
+use crate::abi::{Args, PlaneArgs};
+use crate::options::KernelOptions;
+use crate::plane::PixelFormat;
+
+/// The pixel at which a group begins or would begin, from the window's first column.
+pub(super) const PIXEL: Register = Register::R12;
+/// Where a group begins at the latest.
+pub(super) const FURTHEST: Register = Register::R15;
+
+/// A field of a plane whose list is at `planes`.
+pub(super) fn plane(planes: Register, channel: usize, offset: usize) -> MemoryPlace {
+    MemoryPlace::new(Anchor::At(planes), (channel * size_of::<PlaneArgs>() + offset) as i32)
+}
+
+/// Leaves where the group begins in rcx.
+pub(super) fn begin(i: &mut Instructions) {
+    i.mov(Register::RCX, PIXEL);
+    i.at_most(Register::RCX, FURTHEST);
+}
+
+impl Block<'_> {
+    /// The lanes of a raw plane.
+    pub fn channel(&mut self, channel: usize, places: &Homes, options: &KernelOptions, lanes: usize) -> Id {
+        use Register::{RAX, RCX, RDX};
+        let Some(row) = places.rows[channel] else { unreachable!("every channel that is read has a place") };
+        let format = options.formats[channel];
+        let bytes = format.bytes_per_pixel();
+        if options.packed {
+            self.scalar(|i| {
+                begin(i);
+                i.mov(RAX, row);
+            });
+            let memory = MemoryPlace::new(Anchor::At(RAX), 0).indexed(RCX, bytes as u32);
+            return self.converted(format, memory, options);
+        }
+        let gathered = places.gathered;
+        self.scalar(|i| {
+            begin(i);
+            i.mov(RDX, arg(offset_of!(Args, planes)));
+            i.times(RCX, plane(RDX, channel, offset_of!(PlaneArgs, pixel_stride)));
+            i.mov(RAX, row);
+            i.plus(RAX, RCX);
+            i.mov(RDX, plane(RDX, channel, offset_of!(PlaneArgs, pixel_stride)));
+            for lane in 0..lanes {
+                copy_pixel(i, gathered.plus(lane * bytes), bytes);
+                i.plus(RAX, RDX);
+            }
+        });
+        self.converted(format, gathered, options)
+    }
+    /// Pixels that follow each other, as lanes.
+    fn converted(&mut self, format: PixelFormat, memory: MemoryPlace, options: &KernelOptions) -> Id {
+        use Element::{Double, Single};
+        let (element, half) = (super::places::element(options.precision), memory.plus(self.width.bytes()));
+        let pixels = self.fleeting(memory);
+        match (format, element) {
+            (PixelFormat::U8, _) => {
+                let integers = self.compute(Operation::FromBytes, element, [pixels]);
+                self.compute(Operation::FromIntegers, element, [integers])
+            }
+            (PixelFormat::U16, _) => {
+                let integers = self.compute(Operation::FromWords, element, [pixels]);
+                self.compute(Operation::FromIntegers, element, [integers])
+            }
+            (PixelFormat::F32, Single) | (PixelFormat::F64, Double) => self.compute(Operation::Load, element, [pixels]),
+            (PixelFormat::F32, Double) => self.compute(Operation::Widen, Double, [pixels]),
+            (PixelFormat::F64, Single) => {
+                let high = self.fleeting(half);
+                let [low, high] = [pixels, high].map(|part| self.compute(Operation::Narrow, Double, [part]));
+                self.compute(Operation::Join, Single, [low, high])
+            }
+        }
+    }
+
+    /// Adds the lanes of a group, as f32, to the output plane where `used` holds.
+    pub fn write(&mut self, value: Id, used: Option<Id>, places: &Homes, element: Element) {
+        let (load, extent) = match element {
+            Element::Single => (Operation::Load, Portion::Whole),
+            Element::Double => (Operation::LoadHalf, Portion::Half),
+        };
+        let [value, used] = match element {
+            Element::Single => [Some(value), used],
+            Element::Double => {
+                let one = self.number(Element::Double, 1.0);
+                let used = used.map(|used| {
+                    let ones = self.compute(Operation::And, Element::Double, [used, one]);
+                    let ones = self.compute(Operation::Narrow, Element::Double, [ones]);
+                    let zero = self.number(Element::Single, 0.0);
+                    self.compute(Operation::Compare(comparison::DIFFERENT), Element::Single, [ones, zero])
+                });
+                [Some(self.compute(Operation::Narrow, Element::Double, [value])), used]
+            }
+        };
+        let Some(value) = value else { return };
+        self.scalar(|i| {
+            begin(i);
+            i.mov(Register::RAX, places.target);
+        });
+        let memory = MemoryPlace::new(Anchor::At(Register::RAX), 0).indexed(Register::RCX, 4);
+        let old = self.fleeting(memory);
+        let old = self.compute(load, Element::Single, [old]);
+        let mut new = self.compute(Operation::Add, Element::Single, [old, value]);
+        if let Some(used) = used {
+            new = self.compute(Operation::Select, Element::Single, [used, new, old]);
+        }
+        self.store(Element::Single, extent, new, memory);
+    }
+}
+
+/// Copies the pixel at rax.
+fn copy_pixel(i: &mut Instructions, to: MemoryPlace, bytes: usize) {
+    let (load, store, wide, low) = match bytes {
+        1 => (Code::Movzx_r32_rm8, Code::Mov_rm8_r8, Register::ECX, Register::CL),
+        2 => (Code::Movzx_r32_rm16, Code::Mov_rm16_r16, Register::ECX, Register::CX),
+        4 => (Code::Mov_r32_rm32, Code::Mov_rm32_r32, Register::ECX, Register::ECX),
+        _ => (Code::Mov_r64_rm64, Code::Mov_rm64_r64, Register::RCX, Register::RCX),
+    };
+    i.add_at(MemoryPlace::new(Anchor::At(Register::RAX), 0), |from| Instruction::with2(load, wide, from));
+    i.add_at(to, |to| Instruction::with2(store, to, low));
+}
+
+/// Leaves the addresses of the row at hand in the frame: of each plane that is read, and of the output plane.
+pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
+    use Register::{RAX, RCX, RDX, RSI};
+    let strides =
+        [offset_of!(PlaneArgs, row_stride), offset_of!(PlaneArgs, slice_stride), offset_of!(PlaneArgs, volume_stride)];
+    if places.rows.iter().any(Option::is_some) {
+        i.mov(RDX, arg(offset_of!(Args, planes)));
+    }
+    for (channel, row) in places.rows.iter().enumerate() {
+        let Some(row) = row else { continue };
+        i.mov(RSI, plane(RDX, channel, offset_of!(PlaneArgs, first)));
+        for (axis, stride) in strides.into_iter().enumerate().take(outer) {
+            i.mov(RAX, places.inside[axis].indexed(super::places::ROW, 8));
+            i.mov(RCX, arg(offset_of!(Args, last) + axis * size_of::<i64>()));
+            i.at_most(RAX, RCX);
+            i.times(RAX, plane(RDX, channel, stride));
+            i.plus(RSI, RAX);
+        }
+        i.store(*row, RSI);
+    }
+}
+
+/// The same of the output plane.
+pub(super) fn open_target_row(i: &mut Instructions, places: &Homes) {
+    use Register::{RAX, RCX, RSI};
+    i.mov(RSI, arg(offset_of!(Args, target)));
+    i.mov(RAX, places.numbers.indexed(super::places::ROW, 8));
+    i.mov(RCX, arg(offset_of!(Args, last_row)));
+    i.at_most(RAX, RCX);
+    i.times(RAX, arg(offset_of!(Args, target_stride)));
+    i.plus(RSI, RAX);
+    i.store(places.target, RSI);
+}

@@ -1,0 +1,257 @@
+//! Where every value of a program lives while the loop runs: in the frame, and some of those of the pixel loop in registers.
+//!
+//! What comes in: a program and the width of vectors. What goes out: [`Homes`]. Rows are prepared a vector of f64 at a time,
+//! a lane a row; what the pixel loop needs of a row it finds in an array, an element a row.
+
+use iced_x86::Register;
+use isophote_symbolic::{Level, Opcode, Precision, Program, Sink, Value};
+
+use super::assembler::MemoryPlace;
+use super::block::Resident;
+use super::frame::StackFrame;
+use super::functions::Evaluation;
+use super::operation::Element;
+use crate::options::{KernelOptions, VectorWidth};
+use crate::plan;
+
+/// The register that says which of the rows at hand is worked on.
+pub(super) const ROW: Register = Register::R14;
+
+/// A value of a pass or a row as the pixel loop reads it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Broadcast {
+    /// What the pixel loop reads.
+    pub held: Resident,
+    /// Of a row value: an element of each row at hand, and bytes from one to the next.
+    pub array: Option<(MemoryPlace, u32)>,
+}
+
+/// The inner coordinate plus a row value.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Column {
+    /// The `Opcode::Offset`.
+    pub value: Value,
+    /// The row value that is added.
+    pub term: Value,
+    /// An element a row: the offset of the first pixel, rounded down.
+    pub first: MemoryPlace,
+    /// What is added to each.
+    pub fraction: Broadcast,
+    /// The variable that runs along the row.
+    pub running: Resident,
+}
+
+/// Numbers of 64 bits that the loops count in.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Counters {
+    /// Rows so far, all rows, rows at hand.
+    pub row: MemoryPlace,
+    pub rows: MemoryPlace,
+    pub at_hand: MemoryPlace,
+    /// Where the next row is: y, z, w from the window's first.
+    pub next: [MemoryPlace; 3],
+    /// The last pixel of the row, its pixels, those of them that take no part.
+    pub end: MemoryPlace,
+    pub wanted: MemoryPlace,
+    pub unused: MemoryPlace,
+    /// Of the pass.
+    pub pixels: MemoryPlace,
+    pub saturated: MemoryPlace,
+    /// Two integers of 32 bits: by how many pixels a group begins early, and where the row ends.
+    pub before: MemoryPlace,
+    pub until: MemoryPlace,
+}
+
+/// The places of one program.
+pub(super) struct Homes {
+    pub frame: StackFrame,
+    /// Values that another level outside of the pixel loop reads: vectors of f64.
+    pub doubles: Vec<Option<MemoryPlace>>,
+    /// Values that the pixel loop reads.
+    pub shown: Vec<Option<Broadcast>>,
+    pub columns: Vec<Column>,
+    pub accumulators: Vec<Resident>,
+    /// The totals of each accumulator: an f64 a row.
+    pub sums: Vec<MemoryPlace>,
+    /// The totals of the pass, an f64 each, and a vector of what rows add to one of them.
+    pub totals: Vec<MemoryPlace>,
+    pub added: MemoryPlace,
+    /// The rows at hand: first and last pixel (64 bits), pixels that take part (32 bits), where they are from the window's first
+    /// (64 bits), and in the plane (32 bits), how many came before (64 bits).
+    pub starts: MemoryPlace,
+    pub ends: MemoryPlace,
+    pub counts: MemoryPlace,
+    pub inside: [MemoryPlace; 3],
+    pub coordinates: [MemoryPlace; 3],
+    pub numbers: MemoryPlace,
+    /// The window's first and last column, in all lanes.
+    pub edges: [MemoryPlace; 2],
+    pub counters: Counters,
+    /// The address of the row of each plane that is read, and of the output plane.
+    pub rows: Vec<Option<MemoryPlace>>,
+    pub target: MemoryPlace,
+    /// Pixels that are gathered.
+    pub gathered: MemoryPlace,
+    /// Registers that hold something as long as a row's loop runs, as bits.
+    pub reserved: u32,
+}
+
+/// Registers that acts need at least.
+const FREE_MIN: usize = 7;
+/// Offsets up to which they run in registers.
+const RUNNING_MAX: usize = 4;
+
+/// Hands out registers for the loop, from the last one on.
+struct Pins {
+    left: usize,
+    next: u8,
+    reserved: u32,
+}
+
+impl Pins {
+    fn take(&mut self) -> Option<u8> {
+        self.left = self.left.checked_sub(1)?;
+        self.next -= 1;
+        self.reserved |= 1 << self.next;
+        Some(self.next)
+    }
+}
+
+impl Homes {
+    pub fn new(program: &Program, options: &KernelOptions, pixels: &[Value], functions: Evaluation) -> Homes {
+        let (count, width) = (program.instructions().len(), options.width);
+        let (vector, element) = (width.bytes(), element(options.precision));
+        let rows = vector / Element::Double.bytes();
+        let mut frame = StackFrame::default();
+        let mut doubles = vec![None; count];
+        for (reader, value) in plan::scalar_reads(program) {
+            let instruction = program.instruction(value);
+            if instruction.level != reader && instruction.op.constant().is_none() {
+                doubles[value.index()].get_or_insert_with(|| frame.take(vector, vector));
+            }
+        }
+
+        let is_call = |v: &Value| program.instruction(*v).op.is_call();
+        let calls = functions.is_inlined && pixels.iter().any(is_call);
+        let working = if calls { plan::FUNCTION_REGISTERS } else { 0 };
+        let busy = (plan::busy_registers(program, pixels) + working).max(FREE_MIN);
+        let registers = width.registers();
+        let mut pins = Pins { left: registers.saturating_sub(busy), next: registers as u8, reserved: 0 };
+
+        let is_offset = |v: &&Value| program.instruction(**v).op.code == Opcode::Offset;
+        let offsets = pixels.iter().filter(is_offset).count();
+        // They are among the busy ones.
+        pins.left += if offsets <= RUNNING_MAX { offsets } else { 0 };
+        let mut columns = Vec::new();
+        for value in pixels.iter().filter(is_offset) {
+            let &[term] = program.instruction(*value).op.parts().1 else { continue };
+            let first = frame.take(rows * element.bytes(), vector);
+            let array = frame.take(rows * element.bytes(), vector);
+            let register = if offsets <= RUNNING_MAX { pins.take() } else { None };
+            let running = Resident { register, memory: frame.take(vector, vector) };
+            let held = Resident { register: None, memory: Homes::of_row(&mut frame, array, element.bytes(), width) };
+            let fraction = Broadcast { held, array: Some((array, element.bytes() as u32)) };
+            columns.push(Column { value: *value, term, first, fraction, running });
+        }
+
+        let (sums, totals) = match program.sink() {
+            Sink::Sums { accumulators, totals, .. } => (accumulators.len(), totals.len()),
+            Sink::Plane(_) => (0, 0),
+        };
+        let accumulators =
+            (0..sums).map(|_| Resident { register: pins.take(), memory: frame.take(vector, vector) }).collect();
+        for column in &mut columns {
+            column.fraction.held.register = pins.take();
+        }
+        let mut reads = vec![0_usize; count];
+        let instructions = pixels.iter().map(|v| program.instruction(*v));
+        let operands = instructions.filter(|i| i.op.code != Opcode::Offset).flat_map(|i| i.op.operands());
+        operands.chain(plan::sinks(program)).for_each(|v| reads[v.index()] += 1);
+        let outer = |i: &usize| {
+            let instruction = program.instructions()[*i];
+            reads[*i] > 0 && instruction.level != Level::Pixel && instruction.op.constant().is_none()
+        };
+        let mut by_reads: Vec<usize> = (0..count).filter(outer).collect();
+        by_reads.sort_by_key(|i| std::cmp::Reverse(reads[*i]));
+        let mut shown = vec![None; count];
+        for i in by_reads {
+            let is_truth = program.is_truth(Value(i as u32));
+            let register = pins.take();
+            shown[i] = Some(match program.instructions()[i].level {
+                Level::Row => {
+                    // Truth values stay as wide as those that they were made of.
+                    let stride = if is_truth { Element::Double.bytes() } else { element.bytes() };
+                    let array = frame.take(rows * stride, vector);
+                    let memory = Homes::of_row(&mut frame, array, stride, width);
+                    Broadcast { held: Resident { register, memory }, array: Some((array, stride as u32)) }
+                }
+                _ if width == VectorWidth::Bits512 => {
+                    let memory = frame.take(element.bytes(), element.bytes()).spread();
+                    Broadcast { held: Resident { register, memory }, array: None }
+                }
+                _ => Broadcast { held: Resident { register, memory: frame.take(vector, vector) }, array: None },
+            });
+        }
+
+        let mut channels = vec![None; program.channels()];
+        for value in pixels {
+            if let Opcode::Channel(channel) = program.instruction(*value).op.code {
+                channels[channel.index()].get_or_insert_with(|| frame.scalar());
+            }
+        }
+        let half = vector / 2;
+        let [of_64, of_32] = [vector, half].map(|bytes| move |frame: &mut StackFrame| frame.take(bytes, vector));
+        let mut scalar = || frame.scalar();
+        let counters = Counters {
+            row: scalar(),
+            rows: scalar(),
+            at_hand: scalar(),
+            next: std::array::from_fn(|_| scalar()),
+            end: scalar(),
+            wanted: scalar(),
+            unused: scalar(),
+            pixels: scalar(),
+            saturated: scalar(),
+            before: scalar(),
+            until: scalar(),
+        };
+        Homes {
+            doubles,
+            shown,
+            columns,
+            accumulators,
+            sums: (0..sums).map(|_| of_64(&mut frame)).collect(),
+            totals: (0..totals).map(|_| frame.scalar()).collect(),
+            added: of_64(&mut frame),
+            starts: of_64(&mut frame),
+            ends: of_64(&mut frame),
+            counts: of_32(&mut frame),
+            inside: std::array::from_fn(|_| of_64(&mut frame)),
+            coordinates: std::array::from_fn(|_| of_32(&mut frame)),
+            numbers: of_64(&mut frame),
+            edges: std::array::from_fn(|_| of_64(&mut frame)),
+            counters,
+            rows: channels,
+            target: frame.scalar(),
+            gathered: frame.take(2 * vector, vector),
+            reserved: pins.reserved,
+            frame,
+        }
+    }
+
+    /// What the pixel loop reads of an array of rows: at 512 bits an element of the array itself, else a copy in all lanes.
+    fn of_row(frame: &mut StackFrame, array: MemoryPlace, stride: usize, width: VectorWidth) -> MemoryPlace {
+        match width {
+            VectorWidth::Bits512 => array.indexed(ROW, stride as u32).spread(),
+            _ => frame.take(width.bytes(), width.bytes()),
+        }
+    }
+}
+
+/// What a lane of the pixel loop holds.
+pub(super) fn element(precision: Precision) -> Element {
+    match precision {
+        Precision::F32 => Element::Single,
+        Precision::F64 => Element::Double,
+    }
+}

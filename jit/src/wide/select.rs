@@ -1,0 +1,57 @@
+//! Which vector operations an operation of a program is.
+//!
+//! What comes in: an operation, its operands as vectors. What goes out: a vector. The same for pixels, one a lane, and for
+//! rows, one a lane; truth values are masks everywhere. It must never know: loops, memory, registers.
+
+use isophote_symbolic::{Comparison, Op, Opcode};
+
+use super::block::{Block, Id};
+use super::operation::{Element, Operation, comparison};
+
+/// The bits of a comparison instruction.
+fn bits(of: Comparison) -> u8 {
+    match of {
+        Comparison::Lt => comparison::LESS,
+        Comparison::Le => comparison::AT_MOST,
+        Comparison::Eq => comparison::EQUAL,
+        Comparison::Ne => comparison::DIFFERENT,
+    }
+}
+
+impl Block<'_> {
+    /// What an operation makes of vectors; `None` for one that reads something else, and for calls.
+    pub fn arithmetic(&mut self, element: Element, op: Op, operands: &[Id]) -> Option<Id> {
+        use Operation::*;
+        Some(match (op.code, operands) {
+            (Opcode::Const(x), _) => self.number(element, x.get()),
+            (Opcode::Neg, &[a]) => {
+                let sign = self.sign(element);
+                self.compute(Xor, element, [a, sign])
+            }
+            (Opcode::Abs, &[a]) => {
+                let magnitude = self.magnitude(element);
+                self.compute(And, element, [a, magnitude])
+            }
+            (Opcode::Sqrt, &[a]) => self.compute(Sqrt, element, [a]),
+            (Opcode::Add, &[a, b]) => self.compute(Add, element, [a, b]),
+            (Opcode::Sub, &[a, b]) => self.compute(Sub, element, [a, b]),
+            (Opcode::Mul, &[a, b]) => self.compute(Mul, element, [a, b]),
+            (Opcode::Div, &[a, b]) => self.compute(Div, element, [a, b]),
+            (Opcode::Fma, &[a, b, c]) => self.compute(Fma, element, [a, b, c]),
+            (Opcode::Compare(of), &[a, b]) => self.compute(Compare(bits(of)), element, [a, b]),
+            (Opcode::And, &[a, b]) => self.compute(And, element, [a, b]),
+            (Opcode::Or, &[a, b]) => self.compute(Or, element, [a, b]),
+            (Opcode::Not, &[a]) => self.not(element, a),
+            (Opcode::Select, &[truth, a, b]) => self.compute(Select, element, [truth, a, b]),
+            _ => return None,
+        })
+    }
+
+    /// The integers nearest to f64 below 2⁵¹, ties to even: as f64 and as integers.
+    pub fn nearest(&mut self, x: Id) -> [Id; 2] {
+        let magic = self.number(Element::Double, isophote_elementary::MAGIC);
+        let shifted = self.compute(Operation::Add, Element::Double, [x, magic]);
+        let integer = self.compute(Operation::SubBits, Element::Double, [shifted, magic]);
+        [self.compute(Operation::Sub, Element::Double, [shifted, magic]), integer]
+    }
+}

@@ -1,0 +1,257 @@
+#![allow(clippy::unwrap_used)]
+use super::*;
+use crate::options::{KernelOptions, VectorWidth};
+use iced_x86::Register;
+use isophote_symbolic::{Lowering, Method, Model, Precision, Program};
+
+const TEXT: &str = r#"
+name = "masked"
+coordinates = ["x", "y", "z"]
+channels = ["r", "g"]
+[parameters]
+bx = { start = 10.0 }
+by = { start = 7.0 }
+v1 = { start = 1.0 }
+[definitions]
+d = "(x - bx) / by"
+[model]
+observed = "r - 0.5 * g"
+intensity = "v1 * sin(d) + exp(-d^2) * z"
+domain = "abs(x - bx) + sin(y) <= 9 and not (x * y > 150) or y < 2"
+"#;
+
+/// Programs that sum and one that renders, each with options.
+fn subjects() -> Vec<(Program, KernelOptions)> {
+    let model = Model::from_toml(TEXT).unwrap();
+    let all: Vec<_> = (0..3).map(isophote_symbolic::ParameterId).collect();
+    let lowering = Lowering { fma: true, drop_saturated: true };
+    let sums = model.objective(&all, Method::Newton).unwrap().program(lowering).unwrap();
+    let plane = model.rendering(lowering).unwrap();
+    let mut subjects = Vec::new();
+    for width in [VectorWidth::Bits256, VectorWidth::Bits512] {
+        for precision in [Precision::F32, Precision::F64] {
+            for packed in [true, false] {
+                let options = |formats| KernelOptions { precision, width, formats, packed };
+                subjects.push((sums.clone(), options(vec![PixelFormat::U8, PixelFormat::F64])));
+                subjects.push((plane.clone(), options(vec![PixelFormat::U8; plane.channels()])));
+            }
+        }
+    }
+    subjects
+}
+
+/// The instructions of each subject, and a check of others in their place.
+fn each(mut see: impl FnMut(&[Instruction], &dyn Fn(&[Instruction]) -> Result<(), String>)) {
+    for (program, options) in subjects() {
+        let (assembled, _) = crate::wide::nest::nest(&program, &options).unwrap();
+        let pool = assembled.pool_start as u64..assembled.bytes.len() as u64;
+        let reach = crate::wide::reach(&program, &options);
+        see(&decoded(&assembled).unwrap(), &|instructions| check(instructions, &pool, reach));
+    }
+}
+
+/// How many instructions of all subjects `plant` changes; all such changes are refused.
+fn refused(plant: impl Fn(&mut Instruction) -> bool) -> usize {
+    let mut planted = 0;
+    each(|instructions, check| {
+        for at in 0..instructions.len() {
+            let mut wrong = instructions.to_vec();
+            if !plant(&mut wrong[at]) {
+                continue;
+            }
+            planted += 1;
+            assert!(check(&wrong).is_err(), "{:?} instead of {:?} passes", wrong[at], instructions[at]);
+        }
+    });
+    planted
+}
+
+fn has_memory(instruction: &Instruction) -> bool {
+    (0..instruction.op_count()).any(|i| instruction.op_kind(i) == OpKind::Memory)
+}
+
+#[test]
+fn what_kernels_do_passes() {
+    let mut seen = 0;
+    each(|instructions, check| {
+        assert_eq!(check(instructions), Ok(()));
+        seen += instructions.len();
+    });
+    assert!(seen > 5000, "{seen}");
+}
+
+#[test]
+fn loads_out_of_the_window_are_refused() {
+    let in_pixels =
+        |i: &Instruction| has_memory(i) && i.memory_base() == Register::RAX && i.memory_index() == Register::RCX;
+    let moved = refused(|i| {
+        let is_meant = in_pixels(i);
+        if is_meant {
+            i.set_memory_displacement64(i.memory_displacement64() + 64 * 8);
+        }
+        is_meant
+    });
+    let before = refused(|i| {
+        let is_meant = in_pixels(i);
+        if is_meant {
+            i.set_memory_displacement64(u64::MAX);
+        }
+        is_meant
+    });
+    let scaled = refused(|i| {
+        let is_meant = in_pixels(i);
+        if is_meant {
+            i.set_memory_index_scale(if i.memory_index_scale() == 8 { 4 } else { 8 });
+        }
+        is_meant
+    });
+    let unbounded = refused(|i| {
+        let is_meant = in_pixels(i);
+        if is_meant {
+            i.set_memory_index(Register::R12);
+        }
+        is_meant
+    });
+    assert!(moved > 20 && moved == before && moved == scaled && moved == unbounded, "{moved}");
+}
+
+#[test]
+fn a_missing_bound_is_refused() {
+    let mut planted = 0;
+    each(|instructions, check| {
+        for at in 0..instructions.len() {
+            let bounded = instructions[at].op0_register();
+            let is_bound =
+                instructions[at].code() == Code::Cmova_r64_rm64 && instructions[at].op1_register() != Register::RDX;
+            // What only says how many lanes a group has needs no bound.
+            let is_copy = |i: &Instruction| i.code() == Code::Mov_r64_rm64 && i.op1_kind() == OpKind::Register;
+            let is_counted = instructions.get(at + 1).is_some_and(is_copy);
+            if is_bound && !is_counted {
+                let mut wrong = instructions.to_vec();
+                wrong[at].set_code(Code::Mov_r64_rm64);
+                wrong[at].set_op1_register(Register::R12);
+                assert!(check(&wrong).is_err(), "{bounded:?} without a bound passes");
+                planted += 1;
+            }
+        }
+    });
+    assert!(planted > 40, "{planted}");
+}
+
+#[test]
+fn wrong_registers_are_refused() {
+    let based = refused(|i| {
+        let is_meant = has_memory(i) && matches!(i.memory_base(), Register::RSP | Register::RBX | Register::RAX);
+        if is_meant {
+            i.set_memory_base(Register::R12);
+        }
+        is_meant && i.code() != Code::Lea_r64_m
+    });
+    assert!(based > 2000, "{based}");
+}
+
+#[test]
+fn the_frame_is_not_left_and_addresses_are_not_written_over() {
+    let below = refused(|i| {
+        let is_meant = has_memory(i) && i.memory_base() == Register::RSP && i.code() != Code::Lea_r64_m;
+        if is_meant {
+            i.set_memory_displacement64((-64_i64) as u64);
+        }
+        is_meant
+    });
+    let above = refused(|i| {
+        let is_meant = has_memory(i) && i.memory_base() == Register::RSP && i.code() != Code::Lea_r64_m;
+        if is_meant {
+            i.set_memory_displacement64(1 << 20);
+        }
+        is_meant
+    });
+    assert!(below > 2000 && above == below, "{below}");
+    // A number where the address of a row is kept.
+    let mut planted = 0;
+    each(|instructions, check| {
+        for (at, instruction) in instructions.iter().enumerate() {
+            if instruction.code() == Code::Mov_rm64_r64 && instruction.op1_register() == Register::RSI {
+                let mut again = *instruction;
+                again.set_op1_register(Register::RAX);
+                again.set_code(Code::Mov_rm32_r32);
+                again.set_op1_register(Register::EAX);
+                let mut wrong = instructions.to_vec();
+                // The next store into the frame goes there.
+                let next = wrong[at + 1..].iter_mut().find(|i| i.code() == Code::Mov_rm32_r32).unwrap();
+                again.set_ip(next.ip());
+                again.set_next_ip(next.next_ip());
+                *next = again;
+                planted += 1;
+                assert!(check(&wrong).unwrap_err().contains("address"));
+            }
+        }
+    });
+    assert!(planted > 8, "{planted}");
+}
+
+#[test]
+fn arguments_lists_constants_and_calls_are_kept() {
+    let arguments = refused(|i| {
+        let is_meant = i.op_count() == 2 && i.op0_kind() == OpKind::Memory && i.memory_base() == Register::RBX;
+        if is_meant {
+            i.set_memory_displacement64(0);
+        }
+        is_meant
+    });
+    let constants = refused(|i| {
+        let is_meant = i.is_ip_rel_memory_operand();
+        if is_meant {
+            i.set_memory_displacement64(i.memory_displacement64() + (1 << 20));
+        }
+        is_meant
+    });
+    let lists = refused(|i| {
+        let is_meant = has_memory(i) && i.memory_base() == Register::RSI;
+        if is_meant {
+            i.set_memory_displacement64(8 * 1000);
+        }
+        is_meant
+    });
+    let calls = refused(|i| {
+        let is_meant = i.code() == Code::Call_rm64;
+        if is_meant {
+            i.set_memory_displacement64(4);
+        }
+        is_meant
+    });
+    let handed = refused(|i| {
+        let is_meant = i.code() == Code::Lea_r64_m;
+        if is_meant {
+            i.set_memory_displacement64(1 << 20);
+        }
+        is_meant
+    });
+    assert!(arguments > 20 && constants > 200 && lists > 50 && calls > 20 && handed > 20);
+}
+
+#[test]
+fn strangers_and_lost_registers_are_refused() {
+    let strangers = refused(|i| {
+        let is_meant = i.code() == Code::VEX_Vzeroupper;
+        if is_meant {
+            i.set_code(Code::Syscall);
+        }
+        is_meant
+    });
+    let lost = refused(|i| {
+        let is_meant = i.code() == Code::Pop_r64;
+        if is_meant {
+            i.set_op0_register(Register::R11);
+        }
+        is_meant
+    });
+    let astray = refused(|i| {
+        let is_meant = i.op_count() == 1 && i.op0_kind() == OpKind::NearBranch64;
+        if is_meant {
+            i.set_near_branch64(i.near_branch64() + 1);
+        }
+        is_meant
+    });
+    assert!(strangers > 20 && lost == 6 * subjects().len() && astray > 100);
+}
