@@ -7,7 +7,8 @@
 use isophote_benches::accuracy::condition::{ROWS, Row};
 use isophote_benches::accuracy::report::Report;
 use isophote_benches::accuracy::run::{Documents, Measured, measure};
-use isophote_benches::accuracy::{basin, curves, table};
+use isophote_benches::accuracy::{basin, curves, sampling, table};
+use isophote_benches::page;
 
 /// Frames of a row.
 const FRAMES: usize = 3000;
@@ -23,6 +24,14 @@ fn main() {
         arguments.iter().position(|argument| argument == "--frames").map(|at| arguments[at + 1].parse().unwrap());
     let frames = |count: usize| limit.map_or(count, |limit: usize| limit.min(count));
     let named = |row: &&Row| arguments.iter().any(|argument| argument == row.condition);
+    if arguments.iter().any(|argument| argument == "sampling") {
+        let table = sampling::table(frames(40));
+        println!("{table}");
+        if std::env::var_os("UPDATE_EXPECT").is_some() {
+            page::write_to("accuracy.md", "sampling", &table);
+        }
+        return;
+    }
     let some = ROWS.iter().any(|row| named(&row));
     let mut documents = Documents::default();
     println!("{}", table::HEAD);

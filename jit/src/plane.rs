@@ -71,6 +71,8 @@ pub struct PlaneView<'a> {
     bytes: &'a [u8],
     size: [usize; 4],
     strides: [usize; 4],
+    /// Where the first pixel is in the picture that windows are parts of.
+    origin: [usize; 4],
 }
 
 impl<'a> PlaneView<'a> {
@@ -108,9 +110,15 @@ impl<'a> PlaneView<'a> {
             .zip(strides)
             .try_fold(0usize, |last, (n, stride)| (n - 1).checked_mul(stride)?.checked_add(last));
         match last.and_then(|last| last.checked_add(format.bytes_per_pixel())) {
-            Some(end) if end <= bytes.len() => Ok(PlaneView { format, bytes, size, strides }),
+            Some(end) if end <= bytes.len() => Ok(PlaneView { format, bytes, size, strides, origin: [0; 4] }),
             _ => Err(PlaneError::TooShort { width, height, given: bytes.len() }),
         }
+    }
+
+    /// A plane that holds a part of a picture: its first pixel is the one at `origin`. Passes go by places in the picture; what
+    /// else is asked of the plane counts from its first pixel.
+    pub fn placed(self, origin: [usize; 4]) -> PlaneView<'a> {
+        PlaneView { origin, ..self }
     }
 
     /// How a pixel is stored.
@@ -183,10 +191,14 @@ impl<'a> PlaneView<'a> {
 
     /// The part of the plane under `window`; `None` where the window leaves the plane or is empty.
     pub(crate) fn region(&self, window: Window) -> Option<Region<'_>> {
-        if window.clipped_to(self.size)? != window {
-            return None;
+        let mut first = 0;
+        for (axis, (at, count)) in window.first().into_iter().zip(window.size()).enumerate() {
+            let at = at.checked_sub(self.origin[axis])?;
+            if count == 0 || at.checked_add(count)? > self.size[axis] {
+                return None;
+            }
+            first += at * self.strides[axis];
         }
-        let first: usize = window.first().iter().zip(self.strides).map(|(at, stride)| at * stride).sum();
         Some(Region { plane: self, first: &self.bytes[first..], window })
     }
 }

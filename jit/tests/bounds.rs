@@ -244,3 +244,29 @@ fn no_byte_beyond_the_plane_is_touched() {
         }
     }
 }
+
+#[test]
+fn a_plane_that_holds_a_part_of_a_picture_is_read_by_places_in_the_picture() {
+    let lowering = Lowering { fma: false, drop_saturated: false };
+    let program = programs(&shipped("thesis-spot"), lowering).swap_remove(0).1;
+    let options = KernelOptions {
+        width: VectorWidth::Bits128,
+        precision: Precision::F32,
+        formats: vec![PixelFormat::U8],
+        packed: true,
+    };
+    let kernel = Kernel::compile(&program, &options).unwrap();
+    let pixels: Vec<u8> = (0..60 * 40).map(|i| (i * 7919 % 251) as u8).collect();
+    let whole = PlaneView::new(PixelFormat::U8, &pixels, 60, 40, 60, 1).unwrap();
+    let part = PlaneView::new(PixelFormat::U8, &pixels[8 * 60 + 5..], 40, 20, 60, 1).unwrap().placed([5, 8, 0, 0]);
+    let parameters = [25.0, 17.0, 0.01, 0.0, 0.01, -0.5, -0.3, 20.0, 150.0];
+    let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
+    let window = Window { x: 9, y: 8, width: 30, height: 18, slices: Slices::ONE };
+    let sums = kernel.sums(&bindings, &[part], window).unwrap();
+    assert!(sums.pixels > 0 && sums == kernel.sums(&bindings, &[whole], window).unwrap());
+    for (x, y, width, height) in [(4, 8, 10, 10), (9, 7, 10, 10), (9, 9, 37, 10), (9, 9, 10, 20)] {
+        let window = Window { x, y, width, height, ..window };
+        assert!(kernel.sums(&bindings, &[whole], window).is_ok());
+        assert!(matches!(kernel.sums(&bindings, &[part], window), Err(RunError::Window { .. })));
+    }
+}

@@ -24,6 +24,7 @@ mod proof;
 
 pub use isophote_elementary::{Function1, Function2};
 
+pub use derive::corrected::Slopes;
 pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
 pub use derive::objective::Objective;
@@ -36,7 +37,7 @@ pub use language::formulas::Formula;
 pub use language::graph::{Bits, Node, NodeId};
 pub use language::limits::{LIMITS, Limits};
 pub use language::model::{
-    Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Roles, Saturated, Stage, Start, Summand,
+    Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Quadrature, Roles, Saturated, Stage, Start, Summand,
 };
 pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::*;

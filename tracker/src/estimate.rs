@@ -159,6 +159,15 @@ pub struct Substitute {
     pub hidden: f64,
 }
 
+/// How a pixel was averaged over, where a model leaves that open (`quadrature = "auto"`): Gauss points a side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sampled {
+    /// Of the prediction.
+    pub points: u32,
+    /// Of its derivatives.
+    pub slopes: u32,
+}
+
 /// Where a target will be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ahead {
@@ -221,6 +230,8 @@ pub struct Estimate {
     pub stages: Vec<StageReport>,
     /// What was fitted in the model's place, when that left too much unexplained.
     pub substitute: Option<Substitute>,
+    /// How pixels were sampled, where the model leaves that open.
+    pub sampled: Option<Sampled>,
     /// Where the target is, when lens and target are known and the model shows its spots.
     pub pose: Option<Pose>,
 }

@@ -27,7 +27,7 @@ pub mod tune;
 
 pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
-pub use estimate::{Ahead, Ending, Estimate, Rejection, StageReport, Substitute, TrackState};
+pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use isophote_frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};

@@ -11,8 +11,13 @@ use super::sensor::variance;
 /// A pixel whose light is at least this reads 255.
 const CLIPPED: f64 = 254.5;
 
-/// Variances of the unknowns.
+/// Variances of the unknowns, of the camera of all other benches.
 pub fn variances(scene: &Scene, beside: Beside) -> Vec<f64> {
+    variances_of(scene, beside, &variance)
+}
+
+/// The same by a camera's variance of a pixel, DN².
+pub fn variances_of(scene: &Scene, beside: Beside, variance: &dyn Fn(f64) -> f64) -> Vec<f64> {
     let truth = scene.unknowns(beside);
     let [a1, _, a3] = scene.shape;
     let steps: Vec<f64> = match beside {

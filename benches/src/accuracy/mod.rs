@@ -26,6 +26,7 @@ pub mod pose;
 pub mod real;
 pub mod report;
 pub mod run;
+pub mod sampling;
 pub mod scene;
 pub mod search;
 pub mod sensor;

@@ -283,12 +283,17 @@ fn is_same(a: &Outcome, b: &Outcome) -> bool {
         && a.outputs.iter().zip(&b.outputs).all(|(a, b)| same(*a, *b))
 }
 
+/// Gauss points a side of the corrections that are looked at.
+const CORRECTED: usize = 2;
+
 /// Predictions and the rendered picture.
 fn try_planes(model: &Model, scene: &Scene, random: &mut Random, tally: &mut Tally) {
     for fma in lowerings().iter().filter(|lowering| !lowering.drop_saturated).map(|lowering| lowering.fma) {
         let lowering = Lowering { fma, drop_saturated: false };
         let mut programs = vec![(None, Some(model.rendering(lowering)))];
-        for prediction in [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance] {
+        for prediction in
+            [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance, Prediction::Correction(CORRECTED)]
+        {
             programs.push((Some(prediction), model.prediction(prediction, lowering)));
         }
         for (prediction, program) in programs {
@@ -351,15 +356,32 @@ fn judge_plane(
             Some(Prediction::Intensity) if !sample.inside => f64::NAN,
             Some(Prediction::Intensity | Prediction::Unbounded) => sample.intensity,
             Some(Prediction::Variance) => sample.variance.unwrap_or(1.0),
+            Some(Prediction::Correction(_)) => {
+                let node = 0.5 / 3.0_f64.sqrt();
+                let corner = |number: usize| -> f64 {
+                    let side = |axis: usize| if number >> axis & 1 == 0 { -node } else { node };
+                    let place: Vec<f64> = place.iter().enumerate().map(|(axis, at)| at + side(axis)).collect();
+                    model.predicted(&place, &values, &scene.constants)
+                };
+                let mean = (0..1 << axes).map(corner).sum::<f64>() / f64::from(1 << axes);
+                mean - model.predicted(place, &values, &scene.constants)
+            }
         };
         places.iter().zip(samples).map(shown).collect()
     };
     let (here, moved) = (said(0.0), NUDGES.map(said));
+    // A difference of intensities is as right as these are.
+    let rounded = match prediction {
+        Some(Prediction::Correction(_)) => {
+            1e-9 * scene.values.iter().fold(1.0_f64, |most, value| most.max(value.abs()))
+        }
+        _ => 1e-30,
+    };
     for (i, (found, value)) in plane.iter().zip(&here).enumerate() {
         let is_near = |others: &f64, by: f64| (f64::from(*found) - others).abs() <= by;
         let spread = moved.iter().map(|moved| (moved[i] - value).abs()).fold(0.0, f64::max);
         let is_sure = spread <= DECIDED * value.abs().max(DECIDED);
-        if found.is_nan() != value.is_nan() || !is_near(value, 1e-6 * value.abs() + 1e-30) && !value.is_nan() {
+        if found.is_nan() != value.is_nan() || !is_near(value, 1e-6 * value.abs() + rounded) && !value.is_nan() {
             if is_sure && moved.iter().all(|moved| moved[i].is_nan() == value.is_nan()) && value.abs() < 1e30 {
                 tally.faults.push(format!("{what}: {found} instead of {value} at pixel {i}, by nudges {spread:e}"));
                 return;

@@ -2,7 +2,7 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Substitute, TrackState};
+pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Sampled, Substitute, TrackState};
 use serde::{Deserialize, Serialize};
 
 use crate::Named;
@@ -86,6 +86,9 @@ pub struct EstimateView {
     /// What was fitted in the model's place, when that left too much unexplained.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub substitute: Option<Substitute>,
+    /// How pixels were sampled, when the model leaves that open.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub sampled: Option<Sampled>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -158,6 +161,7 @@ impl EstimateView {
             exposure_advice: result.exposure_advice.clone(),
             predict: result.ahead.clone(),
             substitute: result.substitute,
+            sampled: result.sampled,
             truth: None,
             timing_us: None,
         }

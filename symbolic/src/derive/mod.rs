@@ -4,6 +4,7 @@
 //! [`Objective`](objective::Objective), which is lowered to a program by [`crate::derive::schedule`].
 
 pub(crate) mod absorb;
+pub(crate) mod corrected;
 pub(crate) mod cuts;
 pub(crate) mod derivation;
 pub(crate) mod derivatives;

@@ -8,6 +8,7 @@ use crate::language::budget::Budget;
 use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Lowering, Model};
+use crate::language::reader::formulas_of_model::averaged;
 use crate::program::{Input, Program};
 use crate::proof::plane::{self, Shown};
 
@@ -20,6 +21,8 @@ pub enum Prediction {
     Unbounded,
     /// A pixel's variance.
     Variance,
+    /// What the intensity's mean by so many Gauss points a side has beyond its value at the pixel's centre.
+    Correction(usize),
 }
 
 /// The program that adds the intensity, at shifted coordinates, to a plane.
@@ -57,37 +60,30 @@ fn filling(
     Err(if shown.is_blind() { origin.undefined() } else { origin.bug() })
 }
 
-/// The program that adds what is predicted of a pixel to a plane: the intensity, as it is fitted, inside of the domain, and
-/// NaN outside; or its variance, where that reads no channel.
+/// The program that adds what is predicted of a pixel to a plane. `None` where that reads a channel.
 pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) -> Option<Result<Program, Diagnostics>> {
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let value = match what {
-        Prediction::Intensity => {
-            let intensity = model.formulas.intensity;
-            match model.formulas.domain {
-                Some(domain) => {
-                    let outside = graph.number(f64::NAN);
-                    graph.select(domain, intensity, outside)
-                }
-                None => intensity,
-            }
+    let formulas = &model.formulas;
+    let formula = |graph: &mut Graph| match what {
+        Prediction::Intensity | Prediction::Unbounded => formulas.intensity,
+        Prediction::Variance => formulas.noise.unwrap_or_else(|| graph.number(1.0)),
+        Prediction::Correction(points) => {
+            let mean = averaged(graph, formulas.shown, points, model.coordinates.len());
+            graph.sub(mean, formulas.shown)
         }
-        Prediction::Unbounded => model.formulas.intensity,
-        Prediction::Variance => match model.formulas.noise {
-            Some(noise) => noise,
-            None => graph.number(1.0),
-        },
     };
+    let domain = formulas.domain.filter(|_| what == Prediction::Intensity);
+    let mut graph = formulas.graph.drawing_on(Budget::default());
+    let mut value = formula(&mut graph);
     if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
         return None;
     }
+    if let Some(domain) = domain {
+        let outside = graph.number(f64::NAN);
+        value = graph.select(domain, value, outside);
+    }
     // As it was read: what is predicted, and where.
-    let mut read = Graph::clone(&model.formulas.graph);
-    let (formula, domain) = match what {
-        Prediction::Intensity => (model.formulas.intensity, model.formulas.domain),
-        Prediction::Unbounded => (model.formulas.intensity, None),
-        Prediction::Variance => (model.formulas.noise.unwrap_or_else(|| read.number(1.0)), None),
-    };
+    let mut read = Graph::clone(&formulas.graph);
+    let formula = formula(&mut read);
     let shown = Shown { model, graph: &read, value: formula, domain, is_shifted: false };
     Some(filling(&mut graph, &shown, value, lowering, "prediction"))
 }

@@ -188,6 +188,34 @@ pub enum Loss {
     Tukey(f64),
 }
 
+/// How a pixel's prediction is averaged over its area.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Quadrature {
+    /// So many Gauss points a side; 1 is the pixel's centre.
+    Points(usize),
+    /// Chosen for each fit; without a choice [`Quadrature::AUTO`] points.
+    Auto,
+}
+
+impl Quadrature {
+    /// Points a side of what is derived of a model that leaves the choice open.
+    pub const AUTO: usize = 2;
+
+    /// Points a side.
+    pub fn points(self) -> usize {
+        match self {
+            Quadrature::Points(points) => points,
+            Quadrature::Auto => Quadrature::AUTO,
+        }
+    }
+}
+
+impl Default for Quadrature {
+    fn default() -> Quadrature {
+        Quadrature::Points(1)
+    }
+}
+
 /// What becomes of a pixel at its channel's limit.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Saturated {
@@ -236,6 +264,7 @@ pub(crate) struct Formulas {
     pub constraints: Vec<NodeId>,
     pub loss: Loss,
     pub saturated: Saturated,
+    pub quadrature: Quadrature,
     /// Only pixels at this channel's limit.
     pub clipped: Option<ChannelId>,
     /// All entries of `observed`; never empty.
@@ -352,6 +381,10 @@ impl Model {
     /// How residuals count.
     pub fn loss(&self) -> Loss {
         self.formulas.loss
+    }
+    /// How a pixel's prediction is averaged over its area.
+    pub fn quadrature(&self) -> Quadrature {
+        self.formulas.quadrature
     }
     /// Entries of `observed`: values that a pixel is fitted by.
     pub fn entries(&self) -> usize {

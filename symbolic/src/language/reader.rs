@@ -1,7 +1,7 @@
 //! A document's tree in, a checked [`Model`] out, or every fault that was found.
 
 mod faults;
-mod formulas_of_model;
+pub(crate) mod formulas_of_model;
 mod likelihood_of_model;
 mod roles;
 mod stages;

@@ -30,6 +30,13 @@ impl PlaneLayout {
     pub fn of_format(format: PixelFormat, planes: usize) -> PlaneLayout {
         PlaneLayout { formats: vec![format; planes], packed: planes == 1 }
     }
+
+    /// That of the same planes and so many corrections.
+    pub fn corrected(&self, corrections: usize) -> PlaneLayout {
+        let mut formats = self.formats.clone();
+        formats.extend(vec![PixelFormat::F32; corrections]);
+        PlaneLayout { formats, packed: self.packed }
+    }
 }
 
 /// The largest pixel value of a format: the camera's limit where nothing else is known.
@@ -85,6 +92,35 @@ impl<'a> View<'a> {
         view.rounding = self.rounding;
         view.budget = self.budget;
         view
+    }
+
+    /// The same with a plane of corrections for each entry that is fitted, which hold the window's pixels.
+    pub fn corrected<'b>(&self, corrections: &'b [Vec<f32>]) -> Option<View<'b>>
+    where
+        'a: 'b,
+    {
+        const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
+        let [width, height, depth, length] = self.window.size();
+        let strides = [BYTES, width * BYTES, width * height * BYTES, width * height * depth * BYTES];
+        let plane = |pixels: &'b Vec<f32>| {
+            let bytes = bytemuck::cast_slice(pixels);
+            let plane = PlaneView::stack(PixelFormat::F32, bytes, [width, height, depth, length], strides);
+            plane.ok().map(|plane| plane.placed(self.window.first()))
+        };
+        let with = |limits: &[f64]| {
+            let free = corrections.iter().map(|_| f64::INFINITY);
+            limits.iter().copied().chain(free).collect()
+        };
+        let corrections: Vec<PlaneView> = corrections.iter().map(plane).collect::<Option<_>>()?;
+        Some(View {
+            planes: self.planes.iter().copied().chain(corrections.iter().copied()).collect(),
+            window: self.window,
+            saturation: with(&self.saturation),
+            limits: with(&self.limits),
+            layout: self.layout.corrected(corrections.len()),
+            rounding: self.rounding,
+            budget: self.budget,
+        })
     }
 
     /// Takes the work of a pass over so many pixels.

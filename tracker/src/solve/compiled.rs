@@ -9,7 +9,9 @@ use std::sync::Arc;
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, Precision};
 
-use crate::solve::alternatives::Shelf;
+use crate::solve::alternatives::Alternatives;
+use crate::solve::sampling::Sampling;
+use crate::solve::shelf::Shelf;
 use crate::solve::stage_kernels::{CompileFailure, StageKernels};
 use crate::solve::workers::{InTurn, Workers};
 
@@ -17,7 +19,8 @@ use crate::solve::workers::{InTurn, Workers};
 /// stay for as long as it lives; the cache behind it may keep them for longer.
 pub struct Compiled {
     kernels: StageKernels,
-    shelf: Arc<Shelf>,
+    alternatives: Arc<Shelf<Alternatives>>,
+    sampling: Arc<Shelf<Sampling>>,
 }
 
 impl Compiled {
@@ -40,23 +43,42 @@ impl Compiled {
         cache: Arc<KernelCache>,
         workers: &dyn Workers,
     ) -> Result<Compiled, CompileFailure> {
-        Ok(Compiled { kernels: StageKernels::new(model, precision, cache, workers)?, shelf: Arc::default() })
+        Ok(Compiled::of_kernels(StageKernels::new(model, precision, cache, workers)?))
     }
 
     /// The same programs, cache and alternatives, holding no kernel yet: for one who gives his kernels back when he is done.
     pub fn share(&self) -> Compiled {
-        Compiled { kernels: self.kernels.share(), shelf: self.shelf.clone() }
+        Compiled {
+            kernels: self.kernels.share(),
+            alternatives: self.alternatives.clone(),
+            sampling: self.sampling.clone(),
+        }
     }
 
-    /// With kernels that a test has changed.
-    #[cfg(test)]
+    /// With nothing derived beside these.
     pub(crate) fn of_kernels(kernels: StageKernels) -> Compiled {
-        Compiled { kernels, shelf: Arc::default() }
+        Compiled { kernels, alternatives: Arc::default(), sampling: Arc::default() }
     }
 
-    /// Where alternatives to the model are kept once they are derived.
-    pub(crate) fn shelf(&self) -> &Shelf {
-        &self.shelf
+    /// Alternatives to the model, derived as long as `keeps_going` says so; those that are there need not be.
+    pub(crate) fn alternatives(&self, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Alternatives>> {
+        let derive = || Alternatives::new(&self.kernels, self.kernels.cache(), keeps_going);
+        self.alternatives.get_or_derive(derive)
+    }
+
+    /// Where they are kept.
+    pub(crate) fn alternatives_shelf(&self) -> &Shelf<Alternatives> {
+        &self.alternatives
+    }
+
+    /// The kernels of a model that leaves its quadrature open.
+    pub(crate) fn sampling(&self) -> Arc<Sampling> {
+        self.sampling.get_or_derive(|| Some(Sampling::new(&self.kernels))).unwrap_or_default()
+    }
+
+    /// Where they are kept.
+    pub(crate) fn sampling_shelf(&self) -> &Shelf<Sampling> {
+        &self.sampling
     }
 }
 

@@ -12,6 +12,7 @@ use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
 use crate::solve::follow::{ShortWay, follow};
 use crate::solve::loops::{Loops, Totals};
+use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
 use crate::solve::trust::{Curvature, Quadratic, Spectrum};
@@ -27,6 +28,8 @@ pub(crate) struct Fit {
     pub worth: Option<Worth>,
     /// What differs from the model, when an alternative was fitted.
     pub choice: Option<Substitute>,
+    /// How pixels were sampled, where the model leaves that open.
+    pub chosen: Option<Chosen>,
 }
 
 /// What the end point is worth, by a last pass that leaves saturated pixels out.
@@ -46,12 +49,12 @@ pub(crate) struct Worth {
 }
 
 /// What is known of a start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Begin {
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Begin<'a> {
     /// Nothing.
     Anywhere,
-    /// It is nearly right: where a target is predicted to be.
-    Nearby,
+    /// It is nearly right: where a target is predicted to be. How pixels were sampled when it was seen last.
+    Nearby(Option<&'a Chosen>),
 }
 
 /// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them; one
@@ -64,11 +67,11 @@ pub(crate) fn fit(
     begin: Begin,
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    if begin == Begin::Nearby
+    if matches!(begin, Begin::Nearby(_))
         && control != Control::Blind
-        && let Some(fit) = followed(compiled, view, constants, start)?
+        && let Followed::There(fit) = followed(compiled, view, constants, start, None, &|_| true)?
     {
-        return Ok(fit);
+        return Ok(*fit);
     }
     let fit = fit_controlled(compiled, view, constants, start, control)?;
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
@@ -90,8 +93,14 @@ fn fit_controlled(
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
-    let mut fit =
-        Fit { parameters: start.to_vec(), ending: Ending::SmallStep, stages: Vec::new(), worth: None, choice: None };
+    let mut fit = Fit {
+        parameters: start.to_vec(),
+        ending: Ending::SmallStep,
+        stages: Vec::new(),
+        worth: None,
+        choice: None,
+        chosen: None,
+    };
     for index in 0..model.stages().len() {
         let passes = Passes::of(compiled, view, &parts, constants);
         let mut problem = Summed::of(passes, index, control)?;
@@ -119,16 +128,29 @@ fn fit_controlled(
     Ok(fit)
 }
 
+/// What became of a short way.
+pub(super) enum Followed {
+    /// It led to a fit.
+    There(Box<Fit>),
+    /// It led so many standard deviations away, farther than it should: it is to be gone on from there.
+    Far { parameters: Vec<f64>, way: f64, report: StageReport },
+    /// The start was not nearly right.
+    Lost,
+}
+
 /// The short way, for models of one stage whose Hessian is the covariance's. Saturated pixels are left out or censored, as a
-/// plain fit would do when it has met them.
-fn followed(
+/// plain fit would do when it has met them. `before` is that of [`follow`], and `is_near` says how far the end may be from the
+/// start, in standard deviations.
+pub(super) fn followed(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
-) -> Result<Option<Fit>, CompileFailure> {
+    before: Option<f64>,
+    is_near: &dyn Fn(f64) -> bool,
+) -> Result<Followed, CompileFailure> {
     if compiled.model().stages().len() != 1 || !compiled.is_covariance(0) || compiled.precision() == Precision::F64 {
-        return Ok(None);
+        return Ok(Followed::Lost);
     }
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
@@ -138,15 +160,20 @@ fn followed(
         false => None,
     };
     let mut parameters = start.to_vec();
-    let Some(ShortWay { report: stage, pass }) =
-        follow(&mut problem, &rules(compiled, view, 0, control), &mut parameters)
-    else {
-        return Ok(None);
+    let rules = rules(compiled, view, 0, control);
+    let Some(ShortWay { report: stage, pass, variance }) = follow(&mut problem, &rules, &mut parameters, before) else {
+        return Ok(Followed::Lost);
     };
+    let moved = DVector::from_iterator(rules.free.len(), rules.free.iter().map(|&i| parameters[i] - start[i]));
+    let way = (0.5 * moved.dot(&(&pass.quadratic.hessian * &moved)).max(0.0) / variance).sqrt();
+    if !is_near(way) {
+        return Ok(Followed::Far { parameters, way, report: stage });
+    }
     let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
-    let worth = worth.ok().filter(|worth| worth.covariance.is_some());
+    let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Followed::Lost) };
     let ending = stage.ending;
-    Ok(worth.map(|worth| Fit { parameters, ending, stages: vec![stage], worth: Some(worth), choice: None }))
+    let fit = Fit { parameters, ending, stages: vec![stage], worth: Some(worth), choice: None, chosen: None };
+    Ok(Followed::There(Box::new(fit)))
 }
 
 /// What a stage may do on a view.

@@ -25,15 +25,23 @@ pub(crate) struct ShortWay {
     pub report: StageReport,
     /// At the point where the last step began; F is what it will be at its end.
     pub pass: Pass,
+    /// Of a residual, where the model does not say it: χ²/ν.
+    pub variance: f64,
 }
 
 /// Moves `point` to the minimum; `None`, with `point` as it was, where a step does not do what it promises, where bounds or
 /// rounding have a say, or where too many steps would be needed. What ends every pass is for the caller to find out anew.
-pub(crate) fn follow<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> Option<ShortWay> {
+/// `before`: the way that led to the point, where F was another but nearly the same.
+pub(crate) fn follow<P: CostFunction>(
+    problem: &mut P,
+    rules: &Rules,
+    point: &mut [f64],
+    before: Option<f64>,
+) -> Option<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
-    let mut before: Option<(f64, f64)> = None;
+    let mut before: Option<(f64, f64)> = before.map(|way| (f64::INFINITY, way));
     while report.passes < PASSES.min(rules.iterations) {
         problem.gradient(&at, point, &mut pass).ok()?;
         if report.passes == 0 {
@@ -67,7 +75,7 @@ pub(crate) fn follow<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mu
         if before.is_some_and(|(_, last)| is_near(last, length)) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= step.reduction;
-            return Some(ShortWay { report, pass });
+            return Some(ShortWay { report, pass, variance });
         }
         before = Some((objective, length));
     }
@@ -143,7 +151,7 @@ mod tests {
         };
         let mut curve = Curve { contrast: 100.0, passes: 0, is_false, most, entries: Vec::new() };
         let mut point = [start];
-        let followed = follow(&mut curve, &rules, &mut point);
+        let followed = follow(&mut curve, &rules, &mut point, None);
         (followed.map(|followed| followed.report), point[0], curve)
     }
 

@@ -10,6 +10,8 @@ pub(crate) mod fit;
 pub(crate) mod follow;
 pub(crate) mod loops;
 pub(crate) mod prepare;
+pub(crate) mod sampling;
+pub(crate) mod shelf;
 pub(crate) mod stage;
 pub(crate) mod stage_kernels;
 pub(crate) mod trust;

@@ -1,7 +1,7 @@
-//! `Preparation`: alternatives are derived and compiled beside a fit, which goes on without them.
+//! `Preparation`: what fits would use is derived and compiled beside them; they go on without it.
 //!
-//! What comes in: a model's kernels, and how the pixels of its frames lie. What goes out: the alternatives on the model's
-//! shelf, where every tracker of the model finds them. It never knows who runs it, nor when.
+//! What comes in: a model's kernels, and how the pixels of its frames lie. What goes out: alternatives, or finer sampling, on
+//! the model's shelves, where every tracker of the model finds them. It never knows who runs it, nor when.
 
 use std::sync::Arc;
 
@@ -12,39 +12,54 @@ use crate::solve::compiled::Compiled;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::solve::workers::InTurn;
 
-/// When the alternatives to a model are prepared.
+/// When that is prepared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Preparing {
-    /// By the fit that asks for them first, which waits: the same frames have the same estimates.
+    /// By the fit that asks for it first, which waits: the same frames have the same estimates.
     #[default]
     AtOnce,
-    /// By whoever takes the tracker's [`Preparation`]; until it has run, frames are fitted without them.
+    /// By whoever takes the tracker's [`Preparation`]; until it has run, frames are fitted without.
     Beside,
 }
 
-/// Alternatives that a fit would have tried: to be run on another thread.
+/// What a fit went on without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lacking {
+    Alternatives,
+    Sampling,
+}
+
+/// What fits would have used: to be run on another thread.
 #[derive(Clone)]
 pub struct Preparation {
     compiled: Arc<Compiled>,
     layout: PlaneLayout,
+    lacking: Lacking,
 }
 
 impl Preparation {
-    pub(crate) fn new(compiled: &Arc<Compiled>, view: &View) -> Preparation {
-        Preparation { compiled: compiled.clone(), layout: view.layout.clone() }
+    pub(crate) fn new(compiled: &Arc<Compiled>, view: &View, lacking: Lacking) -> Preparation {
+        Preparation { compiled: compiled.clone(), layout: view.layout.clone(), lacking }
     }
 
     /// Derives and compiles all that fits of such frames may ask for, unless somebody has. `keeps_going` is asked between two
     /// models and between the kernels of two; what was compiled until it says no is kept for the next time.
     ///
     /// # Errors
-    /// When a kernel cannot be made. From then on trackers of the model go on without alternatives.
+    /// When a kernel cannot be made. From then on trackers of the model go on without.
     pub fn run(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
-        let shelf = self.compiled.shelf();
+        match self.lacking {
+            Lacking::Alternatives => self.alternatives(keeps_going),
+            Lacking::Sampling => self.sampling(keeps_going),
+        }
+    }
+
+    fn alternatives(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
+        let shelf = self.compiled.alternatives_shelf();
         if shelf.ready(&self.layout).is_some() {
             return Ok(());
         }
-        let Some(alternatives) = shelf.get_while(&self.compiled, keeps_going) else { return Ok(()) };
+        let Some(alternatives) = self.compiled.alternatives(keeps_going) else { return Ok(()) };
         let painted = PlaneLayout::of_format(PixelFormat::F32, self.layout.formats.len());
         let painted = PlaneLayout { packed: true, ..painted };
         for compiled in alternatives.compiled() {
@@ -56,6 +71,26 @@ impl Preparation {
             }
         }
         shelf.warmed(&self.layout);
+        Ok(())
+    }
+
+    fn sampling(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
+        let shelf = self.compiled.sampling_shelf();
+        if shelf.ready(&self.layout).is_some() {
+            return Ok(());
+        }
+        let sampling = self.compiled.sampling();
+        sampling.warm(keeps_going).inspect_err(|_| shelf.give_up())?;
+        for compiled in sampling.compiled() {
+            if !keeps_going() {
+                return Ok(());
+            }
+            let layout = self.layout.corrected(compiled.model().entries());
+            compiled.warm_for(&layout, &[Control::Dropping], &InTurn).inspect_err(|_| shelf.give_up())?;
+        }
+        if keeps_going() {
+            shelf.warmed(&self.layout);
+        }
         Ok(())
     }
 }

@@ -14,6 +14,7 @@ use super::solver::{Attempt, Solver};
 use super::window::half_widths;
 use crate::estimate::Ahead;
 use crate::options::PredictOptions;
+use crate::solve::sampling::Chosen;
 use crate::track::motion::{Measured, Mover, Predicted};
 
 /// From this many measurements on the velocity is known.
@@ -40,6 +41,8 @@ pub(crate) struct Memory {
     pub ground: Option<Ground>,
     /// The other pose that may be the true one.
     pub rival: Option<Rival>,
+    /// How pixels were sampled when it was seen last.
+    pub chosen: Option<Chosen>,
     motion: Option<Mover>,
     /// What was seen last was seen by another model: looks and misfit cannot be compared.
     is_swapped: bool,
@@ -217,6 +220,7 @@ impl Memory {
         self.reduced = candidate.attempt.reduced();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
         self.ground = candidate.ground.or(self.ground);
+        self.chosen.clone_from(&fit.chosen);
         (self.found, self.is_swapped) = (true, false);
     }
 

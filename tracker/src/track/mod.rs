@@ -117,7 +117,7 @@ impl Track {
         margin: Margin,
         control: Control,
     ) -> Result<(Vec<f64>, Attempt), CompileFailure> {
-        let attempt = solver.attempt(look, &start, Begin::Nearby, control, margin)?;
+        let attempt = solver.attempt(look, &start, Begin::Nearby(self.memory.chosen.as_ref()), control, margin)?;
         let Some(last) = self.memory.last_start().filter(|last| *last != start) else { return Ok((start, attempt)) };
         if solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, look, &attempt) {
             return Ok((start, attempt));
@@ -245,6 +245,8 @@ mod tests;
 
 #[cfg(test)]
 mod jitter_tests;
+#[cfg(test)]
+mod sampling_tests;
 #[cfg(test)]
 mod swap_tests;
 #[cfg(test)]

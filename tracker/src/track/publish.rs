@@ -49,6 +49,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
     };
     let good = state == TrackState::Tracking;
     let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
+    let sampled = attempt.fit.as_ref().and_then(|fit| solver.sampled(fit)).filter(|_| good);
     let (stages, worth, substitute) =
         attempt.fit.map_or((Vec::new(), None, None), |fit| (fit.stages, fit.worth, fit.choice));
     let told = worth.as_ref().filter(|_| good);
@@ -74,6 +75,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
         rejection: attempt.rejection.filter(|_| !good),
         stages,
         substitute: substitute.filter(|_| good),
+        sampled,
         pose,
     }
 }

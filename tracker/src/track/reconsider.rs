@@ -8,7 +8,7 @@ use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
-use crate::solve::prepare::{Preparation, Preparing};
+use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::stage_kernels::CompileFailure;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
@@ -43,11 +43,11 @@ impl Solver {
         }
         let view = self.view(look, self.window(look, start, margin));
         let alternatives = match self.options.alternatives {
-            Preparing::AtOnce => Some(self.compiled.shelf().get(&self.compiled)),
-            Preparing::Beside => self.compiled.shelf().ready(&view.layout),
+            Preparing::AtOnce => self.compiled.alternatives(&|| true),
+            Preparing::Beside => self.compiled.alternatives_shelf().ready(&view.layout),
         };
         let Some(alternatives) = alternatives else {
-            look.want(Preparation::new(&self.compiled, &view));
+            look.want(Preparation::new(&self.compiled, &view, Lacking::Alternatives));
             return Ok(attempt);
         };
         let astray = !attempt.is_good() || attempt.reduced().is_none_or(|reduced| reduced > ASTRAY);
@@ -69,7 +69,7 @@ impl Solver {
         };
         // Where an alternative's kernel cannot be made, the fit of the model itself is what there is.
         let chosen = alternatives.best(&view, &self.constants, &starts, plain, &admit);
-        let Some(chosen) = chosen.inspect_err(|_| self.compiled.shelf().give_up()).ok().flatten() else {
+        let Some(chosen) = chosen.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten() else {
             return Ok(attempt);
         };
         let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);

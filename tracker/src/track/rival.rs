@@ -70,7 +70,7 @@ impl Solver {
     ) -> Result<Attempt, CompileFailure> {
         let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
         let Some(geometry) = &self.geometry else { return Ok(warm) };
-        let mut other = self.attempt(look, &rival.parameters, Begin::Nearby, control, Margin::NONE)?;
+        let mut other = self.attempt(look, &rival.parameters, Begin::Nearby(None), control, Margin::NONE)?;
         let view = self.view(look, look.window);
         let delta = if other.is_good() { self.delta(&view, geometry, &warm, &other)? } else { None };
         if look.unfinished().is_some() {

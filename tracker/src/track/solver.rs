@@ -6,19 +6,22 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{PlaneView, Window};
-use isophote_symbolic::Model;
+use isophote_symbolic::{Model, Quadrature};
 
 use super::rival::Rival;
+use super::search::Candidate;
 use super::window::{Margin, Reach, half_widths, holds, shape};
+use super::{MARGIN_PX, MARGIN_SHARE};
 use crate::budget::{FrameBudget, Stop};
-use crate::estimate::{Ending, Rejection};
+use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Begin, Fit, fit};
-use crate::solve::prepare::Preparation;
+use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::sampling::{Chosen, Sampling, Way};
 use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use isophote_frame::Frame;
@@ -167,20 +170,98 @@ impl Solver {
         margin: Margin,
     ) -> Result<Attempt, CompileFailure> {
         let mut window = self.window(look, start, margin);
-        let mut fitted = fit(&self.compiled, &self.view(look, window), &self.constants, start, begin, control)?;
+        let mut fitted = self.fit(look, &self.view(look, window), start, begin, control)?;
         for _ in 1..WINDOWS {
             if !fitted.ending.is_fit() || holds(window, self.window(look, &fitted.parameters, Margin::NONE)) {
                 break;
             }
             window = self.window(look, &fitted.parameters, margin);
             let view = self.view(look, window);
-            let again = fit(&self.compiled, &view, &self.constants, &fitted.parameters, Begin::Anywhere, control)?;
+            let again = self.fit(look, &view, &fitted.parameters, Begin::Anywhere, control)?;
             let reports = again.stages.iter().zip(&fitted.stages);
             let stages = reports.map(|(report, earlier)| report.clone().after(earlier)).collect();
             fitted = Fit { stages, ..again };
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
         Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None })
+    }
+
+    /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to.
+    fn fit(
+        &self,
+        look: &Look,
+        view: &View,
+        start: &[f64],
+        begin: Begin,
+        control: Control,
+    ) -> Result<Fit, CompileFailure> {
+        let Begin::Nearby(before) = begin else {
+            return fit(&self.compiled, view, &self.constants, start, begin, control);
+        };
+        let Some(sampling) = self.sampling(look, view) else {
+            return fit(&self.compiled, view, &self.constants, start, begin, control);
+        };
+        if let Some(fit) = sampling.fit(view, &self.constants, start, before, Way::Short)? {
+            return Ok(fit);
+        }
+        let plain = fit(&self.compiled, view, &self.constants, start, Begin::Anywhere, control)?;
+        Ok(self.finer(&sampling, view, &plain, before)?.unwrap_or(plain))
+    }
+
+    /// What a fit comes to when it samples as it has to.
+    fn finer(
+        &self,
+        sampling: &Sampling,
+        view: &View,
+        plain: &Fit,
+        before: Option<&Chosen>,
+    ) -> Result<Option<Fit>, CompileFailure> {
+        if !plain.ending.is_fit() {
+            return Ok(None);
+        }
+        let mut finer = sampling.fit(view, &self.constants, &plain.parameters, before, Way::Any)?;
+        if let Some((last, earlier)) = finer.as_mut().and_then(|finer| finer.stages.last_mut()).zip(plain.stages.last())
+        {
+            *last = last.clone().after(earlier);
+        }
+        Ok(finer)
+    }
+
+    /// What a fit samples with, where the model leaves that open; `None` while it is being prepared.
+    fn sampling(&self, look: &Look, view: &View) -> Option<Arc<Sampling>> {
+        if !Sampling::applies(&self.compiled) {
+            return None;
+        }
+        let ready = match self.options.alternatives {
+            Preparing::AtOnce => Some(self.compiled.sampling()),
+            Preparing::Beside => self.compiled.sampling_shelf().ready(&view.layout),
+        };
+        if ready.is_none() {
+            look.want(Preparation::new(&self.compiled, view, Lacking::Sampling));
+        }
+        ready
+    }
+
+    /// A candidate whose fit began anywhere, with a fit that samples as it has to where the model leaves that open.
+    pub fn resampled(&self, look: &Look, mut candidate: Candidate) -> Result<Candidate, CompileFailure> {
+        let plain = |fit: &&Fit| fit.chosen.is_none() && fit.choice.is_none();
+        let Some(fit) = candidate.attempt.fit.as_ref().filter(plain) else { return Ok(candidate) };
+        let window = self.window(look, &fit.parameters, Margin::even(MARGIN_SHARE, MARGIN_PX));
+        let view = self.view(look, window);
+        let Some(sampling) = self.sampling(look, &view) else { return Ok(candidate) };
+        let finer = self.finer(&sampling, &view, fit, None)?;
+        if let Some(finer) = finer.filter(|finer| self.rejection(finer, &view, look.window).is_none()) {
+            candidate.attempt.ending = finer.ending;
+            candidate.attempt.fit = Some(finer);
+        }
+        Ok(candidate)
+    }
+
+    /// How a fit sampled pixels, where the model leaves that open.
+    pub fn sampled(&self, fit: &Fit) -> Option<Sampled> {
+        let points = Quadrature::AUTO as u32;
+        let unchosen = (self.model().quadrature() == Quadrature::Auto).then_some(Sampled { points, slopes: points });
+        fit.chosen.as_ref().map(|chosen| chosen.sampled).or(unchosen)
     }
 
     /// The same in a frame of that size; `None` where nothing of the domain is inside.

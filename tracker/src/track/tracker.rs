@@ -196,7 +196,10 @@ impl Tracker {
                 }
                 None => continue,
             };
-            outcomes[number] = Some(outcome);
+            outcomes[number] = Some(match outcome {
+                Finding::Seen(candidate) => Finding::Seen(Box::new(solver.resampled(look, *candidate)?)),
+                outcome => outcome,
+            });
         }
         Ok(outcomes.into_iter().flatten().collect())
     }

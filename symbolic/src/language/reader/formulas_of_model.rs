@@ -7,9 +7,9 @@ use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::limits::LIMITS;
-use crate::language::model::{Formulas, Loss, Observation, Saturated};
+use crate::language::model::{Formulas, Observation, Saturated};
 use crate::language::reader::faults::get;
-use crate::language::reader::likelihood_of_model::read_likelihood;
+use crate::language::reader::likelihood_of_model::{Likelihood, read_likelihood};
 use crate::program::{ChannelId, CoordinateId};
 
 /// The table `[model]`.
@@ -118,12 +118,12 @@ pub(crate) fn read_model(
     graph.set_span(graph.span(intensity[0]));
     let mut list = Vec::new();
     for ((shown, observed), noise) in intensity.into_iter().zip(observed).zip(noise) {
-        let mean = averaged(&mut graph, shown, likelihood.quadrature, coordinates);
+        let mean = averaged(&mut graph, shown, likelihood.quadrature.points(), coordinates);
         let noise = noise.map(|noise| if mean == shown { noise } else { graph.replaced(noise, shown, mean) });
         list.push(Observation { observed, intensity: mean, shown, noise });
     }
     let Observation { observed, intensity, shown, noise } = list[0];
-    let (loss, saturated): (Loss, Saturated) = (likelihood.loss, likelihood.saturated);
+    let Likelihood { loss, saturated, quadrature } = likelihood;
     let domain = domain.flatten();
     let clipped = None;
     Some(Formulas {
@@ -136,6 +136,7 @@ pub(crate) fn read_model(
         constraints,
         loss,
         saturated,
+        quadrature,
         clipped,
         entries: list,
         siblings: 1,
@@ -147,7 +148,7 @@ fn entries(count: usize) -> String {
 }
 
 /// Nodes and weights of Gauss and Legendre's rule on −½ … ½; the weights add up to 1.
-fn gauss(points: usize) -> Vec<(f64, f64)> {
+fn gauss_rule(points: usize) -> Vec<(f64, f64)> {
     let legendre = |x: f64| {
         let (mut before, mut now) = (1.0, x);
         for k in 2..=points {
@@ -171,11 +172,11 @@ fn gauss(points: usize) -> Vec<(f64, f64)> {
 }
 
 /// The mean of a value over a pixel, by a product of Gauss's rules.
-fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize) -> NodeId {
+pub(crate) fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize) -> NodeId {
     if points < 2 {
         return value;
     }
-    let rule = gauss(points);
+    let rule = gauss_rule(points);
     let mut terms = Vec::new();
     for index in 0..points.pow(coordinates as u32) {
         let place = |axis: usize| rule[index / points.pow(axis as u32) % points];

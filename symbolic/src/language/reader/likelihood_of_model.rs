@@ -3,7 +3,7 @@
 use crate::language::diagnostic::quoted;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::limits::LIMITS;
-use crate::language::model::{Loss, Saturated};
+use crate::language::model::{Loss, Quadrature, Saturated};
 use crate::language::reader::faults::{Faults, get};
 
 /// `saturated`, `loss` and `quadrature`.
@@ -11,15 +11,16 @@ use crate::language::reader::faults::{Faults, get};
 pub(crate) struct Likelihood {
     pub saturated: Saturated,
     pub loss: Loss,
-    /// Gauss points per side.
-    pub quadrature: usize,
+    pub quadrature: Quadrature,
 }
 
 /// Nothing when one of the keys is at fault.
 pub(crate) fn read_likelihood(faults: &mut Faults, model: &[(Key, Entry)], coordinates: usize) -> Option<Likelihood> {
     let saturated = get(model, "saturated").map_or(Some(Saturated::Dropped), |entry| read_saturated(faults, entry));
     let loss = get(model, "loss").map_or(Some(Loss::Squares), |entry| read_loss(faults, entry));
-    let quadrature = get(model, "quadrature").map_or(Some(1), |entry| read_quadrature(faults, entry, coordinates));
+    let quadrature = get(model, "quadrature");
+    let quadrature =
+        quadrature.map_or(Some(Quadrature::default()), |entry| read_quadrature(faults, entry, coordinates));
     Some(Likelihood { saturated: saturated?, loss: loss?, quadrature: quadrature? })
 }
 
@@ -70,11 +71,21 @@ fn read_loss(faults: &mut Faults, entry: &Entry) -> Option<Loss> {
     }
 }
 
-fn read_quadrature(faults: &mut Faults, entry: &Entry, coordinates: usize) -> Option<usize> {
+fn read_quadrature(faults: &mut Faults, entry: &Entry, coordinates: usize) -> Option<Quadrature> {
     let key = "model.quadrature";
-    let Item::Integer(points) = entry.item else {
-        faults.wrong_type(key, entry, "a whole number");
-        return None;
+    let points = match &entry.item {
+        Item::Integer(points) => *points,
+        Item::Text(text) if &*text.value == "auto" => return Some(Quadrature::Auto),
+        Item::Text(text) => {
+            let message = format!("{} is not a number of Gauss points", quoted(&text.value));
+            let help = "write \"auto\" (chosen for each fit), or how many Gauss points a pixel is sampled at a side";
+            faults.tell("unknown-name", key, entry.span, message, help);
+            return None;
+        }
+        _ => {
+            faults.wrong_type(key, entry, "a whole number or \"auto\"");
+            return None;
+        }
     };
     let most = LIMITS.gauss_points;
     let fits = |points: i64| {
@@ -88,5 +99,5 @@ fn read_quadrature(faults: &mut Faults, entry: &Entry, coordinates: usize) -> Op
         let help = format!("a pixel is sampled at 1 to {most} points a side, and at {} in all at most", most * most);
         faults.tell("bad-range", key, entry.span, message, help);
     }
-    found
+    found.map(Quadrature::Points)
 }

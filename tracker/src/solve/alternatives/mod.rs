@@ -9,7 +9,6 @@
 
 mod blind;
 mod residuals;
-mod shelf;
 #[cfg(test)]
 mod tests;
 
@@ -20,7 +19,6 @@ use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{BlindMask, Known, Painted};
 use self::residuals::{Over, Predictions};
-pub(crate) use self::shelf::Shelf;
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};

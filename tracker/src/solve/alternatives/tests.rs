@@ -112,7 +112,7 @@ fn a_frame_is_answered_without_alternatives_until_they_are_prepared() {
     let preparation = first.wanted().expect("they were asked for");
     assert!(first.wanted().is_none(), "once a frame");
     let kernels = compiled.cache().counts();
-    assert!(compiled.shelf().ready(&PlaneLayout::of_format(PixelFormat::U8, 1)).is_none());
+    assert!(compiled.alternatives_shelf().ready(&PlaneLayout::of_format(PixelFormat::U8, 1)).is_none());
     preparation.run(&|| true).expect("kernels");
     let prepared = compiled.cache().counts();
     assert!(prepared.misses > kernels.misses, "{prepared:?}");

@@ -1,53 +1,46 @@
-//! `Shelf`: where a model's alternatives are kept once they are derived.
+//! `Shelf`: where what is derived of a model beside its own kernels is kept, once somebody has derived it.
 //!
-//! What comes in: the model's kernels. What goes out: its alternatives, or that there are none yet. It never knows who prepares
-//! them.
+//! What comes in: how to derive it. What goes out: the same for everybody, or that there is none yet. It never knows who derives
+//! it, nor when.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use super::Alternatives;
 use crate::sight::view::PlaneLayout;
-use crate::solve::stage_kernels::StageKernels;
 
-/// A model's alternatives, as soon as there are any.
+/// Something to fit with, as soon as it is there; its default is nothing.
 #[derive(Default)]
-pub(crate) struct Shelf {
-    alternatives: OnceLock<Arc<Alternatives>>,
+pub(crate) struct Shelf<T> {
+    content: OnceLock<Arc<T>>,
     /// Those that all kernels are there for.
     layouts: Mutex<Vec<PlaneLayout>>,
-    /// A kernel could not be made: fits go on without alternatives.
+    /// A kernel could not be made: fits go on without.
     is_given_up: AtomicBool,
 }
 
-impl Shelf {
-    /// The alternatives, derived now if need be.
-    pub fn get(&self, kernels: &StageKernels) -> Arc<Alternatives> {
-        self.get_while(kernels, &|| true).unwrap_or_default()
-    }
-
-    /// The same; `None` when `keeps_going` says no before they are derived.
-    pub fn get_while(&self, kernels: &StageKernels, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Alternatives>> {
+impl<T: Default> Shelf<T> {
+    /// What is there, else what `derive` gives; `None` where it does not come to an end.
+    pub fn get_or_derive(&self, derive: impl FnOnce() -> Option<T>) -> Option<Arc<T>> {
         if self.is_given_up.load(Ordering::Relaxed) {
             return Some(Arc::default());
         }
-        if let Some(known) = self.alternatives.get() {
+        if let Some(known) = self.content.get() {
             return Some(known.clone());
         }
-        let derived = Arc::new(Alternatives::new(kernels, kernels.cache(), keeps_going)?);
+        let derived = Arc::new(derive()?);
         // Two who derive the same at a time derive it twice: nobody waits for another. The first one's are kept.
-        Some(self.alternatives.get_or_init(|| derived).clone())
+        Some(self.content.get_or_init(|| derived).clone())
     }
 
-    /// Those that a fit of such pixels need not wait for; empty ones where they were given up.
-    pub fn ready(&self, layout: &PlaneLayout) -> Option<Arc<Alternatives>> {
+    /// What a fit of such pixels need not wait for; nothing to fit with where it was given up.
+    pub fn ready(&self, layout: &PlaneLayout) -> Option<Arc<T>> {
         if self.is_given_up.load(Ordering::Relaxed) {
             return Some(Arc::default());
         }
-        self.alternatives.get().filter(|_| self.is_warm(layout)).cloned()
+        self.content.get().filter(|_| self.is_warm(layout)).cloned()
     }
 
-    /// There are none from now on.
+    /// There is nothing from now on.
     pub fn give_up(&self) {
         self.is_given_up.store(true, Ordering::Relaxed);
     }

@@ -1,0 +1,361 @@
+//! `Sampling`: how finely predictions are averaged over a pixel's area, chosen for a fit and no finer than it needs, for
+//! models whose document says `quadrature = "auto"`.
+//!
+//! What comes in: a view, and a start that is nearly right. What goes out: a fit, and the choice, which the next one goes on
+//! with. It never knows earlier frames.
+//!
+//! The mean over a pixel by n × n Gauss points costs n² predictions. So it is worked out once, at the start, and what it has
+//! beyond a coarse one is a plane of numbers that is added to that in every pass, `I(u) + [Iₙ − I](start)`. The gradient of
+//! this F is exact, and at the minimum, where the start was, the prediction is the fine one. What the plane's own slope would
+//! have added shrinks with the way from the start; where that is long, the plane is made anew.
+
+use std::sync::{Arc, OnceLock};
+
+use isophote_jit::{Kernel, KernelCache, KernelOptions};
+use isophote_symbolic::{Bindings, Diagnostics, Model, Precision, Prediction, Quadrature, Slopes, Summand};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+use crate::estimate::{Sampled, StageReport};
+use crate::sight::view::View;
+use crate::solve::fit::{Begin, Fit, Followed, fit, followed, quadratic_at};
+use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
+use crate::solve::trust::Quadratic;
+use crate::solve::workers::InTurn;
+
+/// Points a side, at most.
+const POINTS_MAX: u32 = 6;
+/// A choice may shift the minimum by so many standard deviations, `√(bᵀC⁻¹b)` with b the shift.
+const BIAS: f64 = 0.1;
+/// Fewer points than before are chosen where it would be no more than this.
+const BIAS_COARSER: f64 = 0.05;
+/// Derivatives at the pixel's centre do where their Fisher information differs by no more than this share from that of
+/// means. The variance that they lose is of the order of its square.
+const INFORMATION: f64 = 0.08;
+/// They are gone back to at this.
+const INFORMATION_COARSER: f64 = 0.05;
+/// What is left of a plane that is not made anew, in standard deviations.
+const LEFT: f64 = 0.05;
+/// A choice holds until a parameter's information has changed by this share.
+const CHANGED: f64 = 0.2;
+/// Predictions that cost what a pixel of a pass does.
+const POINTS_A_PASS: usize = 4;
+/// Fits until a choice and its plane suit.
+const ROUNDS: usize = 3;
+
+/// How a fit samples, and what that was chosen for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Chosen {
+    pub sampled: Sampled,
+    /// Of each free parameter, if all others were known: 1/variance. Empty before the first fit.
+    information: Vec<f64>,
+    /// By this share of a step the plane would have followed.
+    lag: f64,
+}
+
+/// How a fit goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// The short way or not at all: from where a target is predicted to be.
+    Short,
+    /// As it has to: from where another fit has ended.
+    Any,
+}
+
+/// A model's kernels with corrections, and its pictures; its default cannot fit.
+#[derive(Default)]
+pub(crate) struct Sampling {
+    kernels: Option<Kernels>,
+}
+
+struct Kernels {
+    /// By where their slopes are taken.
+    centre: StageKernels,
+    mean: StageKernels,
+    entries: Vec<Entry>,
+}
+
+/// A value that is fitted, and the kernels of what means have beyond centres, from two points a side on.
+struct Entry {
+    model: Model,
+    cache: Arc<KernelCache>,
+    kernels: [OnceLock<Arc<Kernel>>; POINTS_MAX as usize - 1],
+}
+
+/// Something of a window's pixels, one plane for each entry.
+type Planes = Vec<Vec<f32>>;
+
+impl Sampling {
+    /// Derives what is needed; kernels follow. Nothing for models that say how they sample, for those whose fits take the long
+    /// way in any case, and where it is too much.
+    pub fn new(base: &StageKernels) -> Sampling {
+        Sampling { kernels: Sampling::applies(base).then(|| Kernels::new(base).ok()).flatten() }
+    }
+
+    /// True for models that leave their quadrature open, and whose fits may take the short way.
+    pub fn applies(base: &StageKernels) -> bool {
+        base.model().quadrature() == Quadrature::Auto
+            && base.precision() == Precision::F32
+            && base.model().stages().len() == 1
+            && base.is_covariance(0)
+    }
+
+    /// All that has kernels to be compiled for pixels.
+    pub fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
+        self.kernels.iter().flat_map(|kernels| [&kernels.centre, &kernels.mean])
+    }
+
+    /// Compiles what corrections of all finenesses need, as long as `keeps_going` says so.
+    ///
+    /// # Errors
+    /// When a kernel cannot be made.
+    pub fn warm(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
+        let entries = self.kernels.iter().flat_map(|kernels| &kernels.entries);
+        let all = entries.flat_map(|entry| (2..=POINTS_MAX).map(move |points| (entry, points)));
+        all.take_while(|_| keeps_going()).try_for_each(|(entry, points)| entry.kernel(points).map(drop))
+    }
+
+    /// The fit from a start that is nearly right, by the choice of a fit before it; `None` where the start was not, or where
+    /// there is no choice.
+    pub fn fit(
+        &self,
+        view: &View,
+        constants: &[f64],
+        start: &[f64],
+        before: Option<&Chosen>,
+        mut way: Way,
+    ) -> Result<Option<Fit>, CompileFailure> {
+        let Some(kernels) = &self.kernels else { return Ok(None) };
+        let mut chosen = match before {
+            Some(before) => before.clone(),
+            None => match kernels.choose(view, constants, start, None)? {
+                Some(chosen) => chosen,
+                None => return Ok(None),
+            },
+        };
+        let mut from = start.to_vec();
+        let mut earlier: Option<StageReport> = None;
+        let mut before = None;
+        for _ in 0..ROUNDS {
+            let found = match kernels.fit(view, constants, &from, &chosen, before, way)? {
+                Followed::There(fit) => fit,
+                Followed::Far { parameters, way: far, report } => {
+                    earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
+                    (from, before, way) = (parameters, Some(far), Way::Any);
+                    continue;
+                }
+                Followed::Lost => return Ok(None),
+            };
+            let mut fit = *found;
+            if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
+                *last = last.clone().after(&earlier);
+            }
+            let Some(information) = information(&fit) else { return Ok(None) };
+            let is_changed = |(now, then): (&f64, &f64)| (now / then - 1.0).abs() > CHANGED;
+            let fitted = chosen.sampled;
+            if information.iter().zip(&chosen.information).any(is_changed) {
+                match kernels.choose(view, constants, &fit.parameters, Some(fitted))? {
+                    Some(anew) => chosen = anew,
+                    None => return Ok(None),
+                }
+            }
+            chosen.information = information;
+            if chosen.sampled == fitted {
+                fit.chosen = Some(chosen);
+                return Ok(Some(fit));
+            }
+            from.clone_from(&fit.parameters);
+            earlier = fit.stages.pop();
+            (before, way) = (None, Way::Any);
+        }
+        Ok(None)
+    }
+}
+
+impl Kernels {
+    fn new(base: &StageKernels) -> Result<Kernels, CompileFailure> {
+        let (model, precision, cache) = (base.model(), base.precision(), base.cache());
+        let derived = |slopes| {
+            let model = Arc::new(model.corrected(slopes));
+            StageKernels::new(model, precision, cache.clone(), &InTurn)
+        };
+        let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
+        let entry = |Summand { model, .. }| Entry { model, cache: cache.clone(), kernels: Default::default() };
+        let entries = entries.map(entry).collect();
+        Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries })
+    }
+
+    fn of(&self, slopes: u32) -> &StageKernels {
+        if slopes > 1 { &self.mean } else { &self.centre }
+    }
+
+    /// One fit by one plane of corrections.
+    fn fit(
+        &self,
+        view: &View,
+        constants: &[f64],
+        start: &[f64],
+        chosen: &Chosen,
+        before: Option<f64>,
+        way: Way,
+    ) -> Result<Followed, CompileFailure> {
+        let Sampled { points, slopes } = chosen.sampled;
+        let Some(mut planes) = self.means(view, constants, start, points)? else { return Ok(Followed::Lost) };
+        if slopes > 1 {
+            let Some(coarse) = self.means(view, constants, start, slopes)? else { return Ok(Followed::Lost) };
+            planes = less(planes, &coarse);
+        }
+        let Some(view) = view.corrected(&planes) else { return Ok(Followed::Lost) };
+        let kernels = self.of(slopes);
+        let followed = followed(kernels, &view, constants, start, before, &|far| chosen.lag * far <= LEFT)?;
+        if way == Way::Short || !matches!(followed, Followed::Lost) {
+            return Ok(followed);
+        }
+        // Steps that go to and fro near the minimum.
+        let walked = fit(kernels, &view, constants, start, Begin::Anywhere, Control::Dropping)?;
+        let is_good = walked.ending.is_fit() && walked.worth.as_ref().is_some_and(|worth| worth.covariance.is_some());
+        Ok(if is_good { Followed::There(Box::new(walked)) } else { Followed::Lost })
+    }
+
+    /// The coarsest choice that does.
+    fn choose(
+        &self,
+        view: &View,
+        constants: &[f64],
+        at: &[f64],
+        before: Option<Sampled>,
+    ) -> Result<Option<Chosen>, CompileFailure> {
+        let mut means: Vec<Planes> = Vec::new();
+        let mut pass = |slopes: u32, points: u32| -> Result<Option<Quadratic>, CompileFailure> {
+            while means.len() < points as usize {
+                let Some(finer) = self.means(view, constants, at, means.len() as u32 + 1)? else { return Ok(None) };
+                means.push(finer);
+            }
+            let fine = means[points as usize - 1].clone();
+            let planes = if slopes > 1 { less(fine, &means[slopes as usize - 1]) } else { fine };
+            let Some(view) = view.corrected(&planes) else { return Ok(None) };
+            if view.spend(view.window.pixels()).is_err() {
+                return Ok(None);
+            }
+            quadratic_at(self.of(slopes), &view, constants, 0, Control::Dropping, at)
+        };
+        let (Some(first), Some(second)) = (pass(1, 1)?, pass(1, 2)?) else { return Ok(None) };
+        let Some(whitened) = Whitened::of(&second.hessian) else { return Ok(None) };
+        // With ln σ² in it a pixel's F is that of unit variance; without noise it says the variance itself.
+        let deviation = match self.centre.model().has_noise() {
+            true => 1.0,
+            false => (second.objective / view.window.pixels() as f64).sqrt(),
+        };
+        let bias = |coarse: &Quadratic, fine: &Quadratic| {
+            whitened.length(&(&coarse.gradient - &fine.gradient)) / (deviation * std::f64::consts::SQRT_2)
+        };
+        let of_centre = bias(&first, &second);
+        let (mut points, mut now, mut shift, mut of_mean) = (1, second, of_centre, of_centre);
+        loop {
+            let coarser = before.is_some_and(|before| before.points > points);
+            if shift <= if coarser { BIAS_COARSER } else { BIAS } || points == POINTS_MAX {
+                break;
+            }
+            points += 1;
+            if points == POINTS_MAX {
+                break;
+            }
+            let Some(finer) = pass(1, points + 1)? else { return Ok(None) };
+            shift = bias(&now, &finer);
+            if points == 2 {
+                of_mean = shift;
+            }
+            now = finer;
+        }
+        let Some(mean) = pass(2, points.max(2))? else { return Ok(None) };
+        let differs = whitened.differs(&mean.hessian);
+        let coarser = before.is_some_and(|before| before.slopes > 1);
+        let is_centre = points == 1 || differs <= if coarser { INFORMATION_COARSER } else { INFORMATION };
+        // H is twice JᵀWJ, whose derivatives both lag.
+        let lag = 0.5 * differs * if is_centre { 1.0 } else { (of_mean / of_centre).min(1.0) };
+        let lag = if points == 1 { 0.0 } else { lag };
+        let sampled = Sampled { points, slopes: if is_centre { 1 } else { 2 } };
+        Ok(Some(Chosen { sampled, information: Vec::new(), lag }))
+    }
+
+    /// What means by so many points a side have beyond the pixels' centres.
+    fn means(&self, view: &View, constants: &[f64], at: &[f64], points: u32) -> Result<Option<Planes>, CompileFailure> {
+        let bindings = Bindings { parameters: at, entry: at, constants, saturation: &[], shift: &[] };
+        let mut planes = Vec::new();
+        for entry in &self.entries {
+            let mut plane = vec![0.0_f32; view.window.pixels()];
+            if points > 1 {
+                let kernel = entry.kernel(points)?;
+                let work = (points * points) as usize * plane.len() / POINTS_A_PASS;
+                if view.spend(work).is_err() || kernel.render(&bindings, view.window, &mut plane).is_err() {
+                    return Ok(None);
+                }
+            }
+            planes.push(plane);
+        }
+        Ok(Some(planes))
+    }
+}
+
+impl Entry {
+    /// The kernel for so many points, compiled now if need be.
+    fn kernel(&self, points: u32) -> Result<Arc<Kernel>, CompileFailure> {
+        let known = &self.kernels[points as usize - 2];
+        if let Some(kernel) = known.get() {
+            return Ok(kernel.clone());
+        }
+        let program = self.model.prediction(Prediction::Correction(points as usize), lowering(Control::Plain));
+        // A model whose intensity reads a channel has none.
+        let program = program.ok_or(CompileFailure::Model(Diagnostics::default()))?.map_err(CompileFailure::Model)?;
+        let options =
+            KernelOptions { width: self.cache.width(), precision: Precision::F32, formats: Vec::new(), packed: true };
+        let kernel = self.cache.get_or_compile_wide(&program, &options);
+        let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
+        Ok(known.get_or_init(|| kernel).clone())
+    }
+}
+
+/// Fine means less coarse ones.
+fn less(mut fine: Planes, coarse: &Planes) -> Planes {
+    for (fine, coarse) in fine.iter_mut().zip(coarse) {
+        fine.iter_mut().zip(coarse).for_each(|(fine, coarse)| *fine -= coarse);
+    }
+    fine
+}
+
+/// 1/variance of each free parameter, if all others were known.
+fn information(fit: &Fit) -> Option<Vec<f64>> {
+    Some(fit.worth.as_ref()?.variance_alone.iter().map(|variance| variance.recip()).collect())
+}
+
+/// H by its factors: `H = D L Lᵀ D`.
+struct Whitened {
+    scale: DVector<f64>,
+    factor: Cholesky<f64, Dyn>,
+}
+
+impl Whitened {
+    fn of(hessian: &DMatrix<f64>) -> Option<Whitened> {
+        let scale = hessian.diagonal().map(f64::sqrt);
+        let factor = scaled(hessian, &scale).cholesky()?;
+        Some(Whitened { scale, factor })
+    }
+
+    /// `√(gᵀH⁻¹g)`.
+    fn length(&self, gradient: &DVector<f64>) -> f64 {
+        let gradient = gradient.component_div(&self.scale);
+        gradient.dot(&self.factor.solve(&gradient)).max(0.0).sqrt()
+    }
+
+    /// The largest relative difference of another H, in whatever direction.
+    fn differs(&self, other: &DMatrix<f64>) -> f64 {
+        let lower = self.factor.l();
+        let half = lower.solve_lower_triangular(&scaled(other, &self.scale));
+        let whole = half.and_then(|half| lower.solve_lower_triangular(&half.transpose()));
+        let eigenvalues = whole.map(|whole| (0.5 * (&whole + whole.transpose())).symmetric_eigenvalues());
+        eigenvalues.map_or(f64::INFINITY, |values| values.iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max))
+    }
+}
+
+fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(scale.len(), scale.len(), |i, j| matrix[(i, j)] / (scale[i] * scale[j]))
+}

@@ -1,0 +1,102 @@
+//! Models that leave it open how finely a pixel is sampled.
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+
+use isophote_frame::{Frame, Plane};
+use isophote_jit::PixelFormat;
+use isophote_symbolic::{Model, Precision};
+
+use crate::picture::{Falloff, Spot, TestPicture};
+use crate::{Compiled, Estimate, Preparing, Sampled, TrackState, Tracker, TrackerOptions};
+
+const SPOT: &str = include_str!("../../../models/spot.toml");
+/// px a frame
+const VELOCITY: [f64; 2] = [0.31, 0.17];
+
+fn tracker(text: &str, precision: Precision, alternatives: Preparing) -> Tracker {
+    let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), precision).unwrap());
+    Tracker::new(compiled, TrackerOptions { precision, alternatives, ..TrackerOptions::default() }).unwrap()
+}
+
+/// The light itself, and where its centre is.
+fn frame(half: f64, number: u64, noise: f64) -> (Frame, [f64; 2]) {
+    let side = (4.0 * half + 24.0) as usize;
+    let centre = VELOCITY.map(|velocity| 0.5 * side as f64 - 1.3 + velocity * number as f64);
+    let half = [half, 0.72 * half];
+    let spot = Spot { centre, half, angle: 0.5, amplitude: 130.0, profile: Falloff::Cubic(-0.5, -0.3) };
+    let picture = TestPicture { samples: 12, noise, seed: number + 1, ..TestPicture::new(side, side, vec![spot]) };
+    let bytes = picture.pixels().iter().flat_map(|value| (*value as f32).to_ne_bytes()).collect();
+    let frame = Frame::new(&[side, side], vec![Plane::owned(PixelFormat::F32, bytes, side)]).unwrap();
+    (frame.with_sequence(number), centre)
+}
+
+/// √(eᵀC⁻¹e) of the centre.
+fn distance(estimate: &Estimate, centre: [f64; 2]) -> f64 {
+    assert_eq!(estimate.state, TrackState::Tracking, "{estimate:?}");
+    let covariance = estimate.covariance.as_ref().unwrap();
+    let (xx, xy, yy) = (covariance[0][0], covariance[0][1], covariance[1][1]);
+    let [x, y] = [0, 1].map(|axis| estimate.parameters[axis] - centre[axis]);
+    ((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)).sqrt()
+}
+
+/// The largest distance of some frames without noise, and how the last one was sampled.
+fn followed(text: &str, half: f64) -> (f64, Option<Sampled>) {
+    let mut tracker = tracker(text, Precision::F32, Preparing::AtOnce);
+    let mut worst: f64 = 0.0;
+    let mut sampled = None;
+    for number in 0..6 {
+        let (frame, centre) = frame(half, number, 0.0);
+        let estimate = tracker.track(&frame);
+        worst = worst.max(distance(&estimate, centre));
+        sampled = estimate.sampled;
+    }
+    (worst, sampled)
+}
+
+#[test]
+fn small_targets_are_sampled_finely_and_large_ones_coarsely() {
+    let mut before = u32::MAX;
+    for (half, expected) in [(2.5, Some(2)), (20.0, None), (60.0, Some(1))] {
+        let (worst, sampled) = followed(SPOT, half);
+        let Sampled { points, slopes } = sampled.unwrap();
+        assert!(worst <= 0.2, "{half} px: {worst} σ with {points} points");
+        assert!(points < before && expected.is_none_or(|expected| slopes == expected), "{half} px: {points}, {slopes}");
+        before = points;
+    }
+}
+
+#[test]
+fn numbers_that_a_document_says_are_honoured() {
+    let centre = SPOT.replace("quadrature = \"auto\"", "quadrature = 1");
+    let (worst, sampled) = followed(&centre, 2.5);
+    assert!(sampled.is_none() && worst > 1.0, "{worst} σ, {sampled:?}");
+}
+
+#[test]
+fn a_choice_is_kept_while_the_target_stays_as_it_is() {
+    let mut tracker = tracker(SPOT, Precision::F32, Preparing::AtOnce);
+    let told: Vec<Option<Sampled>> = (0..40).map(|number| tracker.track(&frame(9.0, number, 2.0).0).sampled).collect();
+    let changes = told.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!(told[0].is_some() && changes <= 1, "{told:?}");
+}
+
+#[test]
+fn what_sampling_needs_is_prepared_beside_the_fits() {
+    let mut tracker = tracker(SPOT, Precision::F32, Preparing::Beside);
+    let coarse = Some(Sampled { points: 2, slopes: 2 });
+    assert_eq!(tracker.track(&frame(4.0, 0, 0.0).0).sampled, coarse);
+    let preparation = tracker.wanted().unwrap();
+    // Whoever is stopped leaves nothing half done behind.
+    preparation.run(&|| false).unwrap();
+    assert_eq!(tracker.track(&frame(4.0, 1, 0.0).0).sampled, coarse);
+    tracker.wanted().unwrap().run(&|| true).unwrap();
+    let estimate = tracker.track(&frame(4.0, 2, 0.0).0);
+    assert!(estimate.sampled.unwrap().points > 2 && tracker.wanted().is_none(), "{estimate:?}");
+}
+
+#[test]
+fn fits_in_double_precision_say_that_they_take_two_points() {
+    let estimate = tracker(SPOT, Precision::F64, Preparing::AtOnce).track(&frame(8.0, 0, 0.0).0);
+    assert_eq!(estimate.sampled, Some(Sampled { points: 2, slopes: 2 }));
+}
