@@ -7,11 +7,17 @@ use std::mem::discriminant;
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
-use crate::program::Level;
+use crate::program::{Input, Level};
+use crate::proof::hyper::Order;
 
 /// The candidates, those together that are made alike but for numbers and for which parameters, coordinates and channels are
 /// read (one target in several channels, or at several points of a pixel): what pays for one of them pays for all.
-pub(crate) fn cut_classes(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> Vec<BTreeSet<NodeId>> {
+pub(crate) fn cut_classes(
+    graph: &Graph,
+    residual: NodeId,
+    parameters: &[NodeId],
+    order: Order,
+) -> Vec<BTreeSet<NodeId>> {
     let counts = graph.use_counts(&[residual]);
     let mut likeness: FxHashMap<NodeId, u64> = FxHashMap::default();
     for id in graph.reachable(&[residual]) {
@@ -33,7 +39,7 @@ pub(crate) fn cut_classes(graph: &Graph, residual: NodeId, parameters: &[NodeId]
         likeness.insert(id, FxBuildHasher.hash_one(own));
     }
     let mut classes: BTreeMap<(u64, u32), BTreeSet<NodeId>> = BTreeMap::new();
-    for cut in cut_candidates(graph, residual, parameters) {
+    for cut in cut_candidates(graph, residual, parameters, order) {
         classes.entry((likeness[&cut], counts[cut.index()])).or_default().insert(cut);
     }
     let mut classes: Vec<_> = classes.into_values().collect();
@@ -42,27 +48,23 @@ pub(crate) fn cut_classes(graph: &Graph, residual: NodeId, parameters: &[NodeId]
 }
 
 /// Shared pixel nodes that the chain rule may treat as variables: used more than once or nonlinearly, not mere offsets,
-/// and finite wherever their operands are when a condition might choose another branch.
-fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
+/// and finite wherever their operands are when a condition might choose another branch; to first order also such as are read
+/// in branches only, outside of which nothing depends on them.
+fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId], order: Order) -> BTreeSet<NodeId> {
     let reachable = graph.reachable(&[residual]);
-    let conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..)));
     let counts = graph.use_counts(&[residual]);
-    let (mut depends, mut total) = (BTreeSet::new(), BTreeSet::new());
+    let Finite { depends, finite, .. } = Finite::below(graph, residual, parameters);
+    let exposed = match order {
+        Order::First => exposed(graph, &reachable, &depends),
+        Order::Second => reachable.iter().copied().collect(),
+    };
+    let differentiated = match order {
+        Order::First => differentiated(graph, &reachable, &depends),
+        Order::Second => reachable.iter().copied().collect(),
+    };
     let mut powered = BTreeSet::new();
     for id in &reachable {
-        let node = graph.node(*id);
-        if parameters.contains(id) || operands(node).any(|n| depends.contains(&n)) {
-            depends.insert(*id);
-        }
-        let finite = match node {
-            Node::Product(factors) => factors.iter().all(|(_, e)| *e > 0),
-            Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..) => false,
-            _ => true,
-        };
-        if finite && operands(node).all(|n| total.contains(&n)) {
-            total.insert(*id);
-        }
-        match node {
+        match graph.node(*id) {
             Node::Product(factors) => powered.extend(factors.iter().filter(|(_, e)| *e != 1).map(|(n, _)| *n)),
             Node::Sqrt(a) | Node::Call1(_, a) => powered.extend([*a]),
             Node::Call2(_, a, b) => powered.extend([*a, *b]),
@@ -79,12 +81,146 @@ fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId]) -> BTr
             && *id != residual
             && !graph.is_truth(*id)
             && depends.contains(id)
+            && differentiated.contains(id)
             && graph.level(*id) == Level::Pixel
             && (counts[id.index()] > 1 || powered.contains(id))
-            && (!conditional || total.contains(id))
+            && (finite.contains(id) || !exposed.contains(id))
     };
     let mut found: Vec<NodeId> = reachable.into_iter().filter(wanted).collect();
     found.sort_by_key(|n| std::cmp::Reverse(counts[n.index()]));
-    found.truncate(16);
+    found.truncate(if order == Order::First { 24 } else { 16 });
     found.into_iter().collect()
+}
+
+/// Which values derivatives may be taken through.
+pub(crate) struct Finite {
+    /// Those that change with the parameters.
+    pub depends: BTreeSet<NodeId>,
+    /// Those that are finite wherever their operands are, and their derivatives; all, where nothing is chosen by a condition.
+    pub finite: BTreeSet<NodeId>,
+    /// Those whose reciprocal is, too.
+    divisors: BTreeSet<NodeId>,
+}
+
+impl Finite {
+    pub fn below(graph: &Graph, root: NodeId, parameters: &[NodeId]) -> Finite {
+        let reachable = graph.reachable(&[root]);
+        let is_conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..)));
+        let (at_least_zero, positive) = signs(graph, &reachable);
+        let looked_at = looked_at(graph, &reachable);
+        let is_divisor = |n: &NodeId| {
+            positive.contains(n) || matches!(graph.node(*n), Node::Input(Input::Constant(_))) && !looked_at.contains(n)
+        };
+        let divisors: BTreeSet<NodeId> = reachable.iter().copied().filter(is_divisor).collect();
+        let (mut depends, mut finite) = (BTreeSet::new(), BTreeSet::new());
+        for id in reachable {
+            let node = graph.node(id);
+            if parameters.contains(&id) || operands(node).any(|n| depends.contains(&n)) {
+                depends.insert(id);
+            }
+            let is_finite = match node {
+                Node::Product(factors) => factors.iter().all(|(n, e)| *e > 0 || divisors.contains(n)),
+                Node::Sqrt(a) => positive.contains(a) || at_least_zero.contains(a) && !depends.contains(a),
+                Node::Call1(..) | Node::Call2(..) => false,
+                _ => true,
+            };
+            if !is_conditional || is_finite && operands(node).all(|n| finite.contains(&n)) {
+                finite.insert(id);
+            }
+        }
+        Finite { depends, finite, divisors }
+    }
+
+    /// A power of what is finite; a number always is.
+    pub fn has_power(&self, graph: &Graph, node: NodeId, exponent: i32) -> bool {
+        graph.value_of(node).is_some()
+            || self.finite.contains(&node) && (exponent > 0 || self.divisors.contains(&node))
+    }
+}
+
+/// What the root depends on other than in a branch beside one that depends on nothing.
+fn exposed(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
+    let mut exposed: BTreeSet<NodeId> = reachable.last().copied().into_iter().collect();
+    for id in reachable.iter().rev() {
+        if !exposed.contains(id) {
+            continue;
+        }
+        match graph.node(*id) {
+            Node::Select(_, a, b) if depends.contains(a) && depends.contains(b) => exposed.extend([*a, *b]),
+            Node::Select(..) => {}
+            node => exposed.extend(operands(node)),
+        }
+    }
+    exposed
+}
+
+/// What derivatives are taken of: not what conditions alone read.
+fn differentiated(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
+    let mut found: BTreeSet<NodeId> = reachable.last().copied().into_iter().collect();
+    for id in reachable.iter().rev().filter(|id| depends.contains(id)) {
+        if found.contains(id) {
+            let condition = match graph.node(*id) {
+                Node::Select(condition, ..) => Some(*condition),
+                _ => None,
+            };
+            found.extend(operands(graph.node(*id)).filter(|n| Some(*n) != condition));
+        }
+    }
+    found
+}
+
+/// Values known per pass that pixel values are made of: sums and functions of parameters.
+pub(crate) fn frontier(graph: &Graph, root: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
+    let Finite { depends, finite, .. } = Finite::below(graph, root, parameters);
+    let is_inner = |n: &NodeId| {
+        graph.level(*n) < Level::Pixel
+            && depends.contains(n)
+            && finite.contains(n)
+            && !parameters.contains(n)
+            && !matches!(graph.node(*n), Node::Product(_))
+            && !graph.is_truth(*n)
+    };
+    let pixels = graph.reachable(&[root]).into_iter().filter(|n| graph.level(*n) == Level::Pixel);
+    pixels.flat_map(|n| operands(graph.node(n)).filter(is_inner).collect::<Vec<_>>()).collect()
+}
+
+/// The values that are never negative, and those of them that are never zero, as far as their form tells.
+fn signs(graph: &Graph, reachable: &[NodeId]) -> (BTreeSet<NodeId>, BTreeSet<NodeId>) {
+    let (mut at_least_zero, mut positive) = (BTreeSet::new(), BTreeSet::new());
+    for id in reachable {
+        let (is_at_least_zero, is_positive) = match graph.node(*id) {
+            Node::Number(bits) => (bits.get() >= 0.0, bits.get() > 0.0),
+            Node::Input(_) => (graph.is_declared_positive(*id), graph.is_declared_positive(*id)),
+            Node::Product(factors) => (
+                factors.iter().all(|(n, e)| e % 2 == 0 || at_least_zero.contains(n)),
+                factors.iter().all(|(n, _)| positive.contains(n)),
+            ),
+            Node::Sum(constant, terms) => {
+                let is_sum =
+                    constant.get() >= 0.0 && terms.iter().all(|(n, c)| c.get() > 0.0 && at_least_zero.contains(n));
+                (is_sum, is_sum && (constant.get() > 0.0 || terms.iter().any(|(n, _)| positive.contains(n))))
+            }
+            Node::Sqrt(a) => (true, positive.contains(a)),
+            _ => (false, false),
+        };
+        at_least_zero.extend(is_at_least_zero.then_some(*id));
+        positive.extend(is_positive.then_some(*id));
+    }
+    (at_least_zero, positive)
+}
+
+/// What conditions read otherwise than as a divisor: where that is zero they may mean to leave out what it divides.
+fn looked_at(graph: &Graph, reachable: &[NodeId]) -> BTreeSet<NodeId> {
+    let mut seen = BTreeSet::new();
+    let mut stack: Vec<NodeId> = reachable.iter().copied().filter(|n| graph.is_truth(*n)).collect();
+    while let Some(id) = stack.pop() {
+        match graph.node(id) {
+            Node::Product(factors) => {
+                let read = factors.iter().filter(|(n, e)| *e > 0 || !matches!(graph.node(*n), Node::Input(_)));
+                stack.extend(read.map(|(n, _)| *n).filter(|n| seen.insert(*n)));
+            }
+            node => stack.extend(operands(node).filter(|n| seen.insert(*n))),
+        }
+    }
+    seen
 }

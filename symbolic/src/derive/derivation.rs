@@ -10,6 +10,8 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use smallvec::{SmallVec, smallvec};
 
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers};
+use crate::derive::cuts::{Finite, frontier};
+use crate::derive::features::{Chain, Features, features};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
 use crate::derive::monomial::{Polynomial, Powers, Splitter, terms, whole_output};
 use crate::derive::rank::{Combination, dependent};
@@ -91,13 +93,33 @@ pub(crate) struct Derivation {
 impl Derivation {
     /// Nothing when the graph overflows.
     pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts) -> Option<Derivation> {
-        let variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
+        let mut variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
+        if differentiand.order == Order::First {
+            variables.extend(frontier(&graph, differentiand.residual, differentiand.parameters));
+        }
         // The top variables: r, and σ² where it is differentiated.
         let mut tops = vec![differentiand.residual];
         tops.extend(differentiand.variance.filter(|_| differentiand.order == Order::Second));
-        let jets: Vec<Jet> = tops.iter().map(|top| jet(&mut graph, *top, &variables, differentiand.order)).collect();
-        let Absorbed { tops, jets, variance, is_unifiable } =
+        let mut jets: Vec<Jet> =
+            tops.iter().map(|top| jet(&mut graph, *top, &variables, differentiand.order)).collect();
+        let mut slopes: BTreeMap<NodeId, Jet> = BTreeMap::new();
+        if differentiand.order == Order::First {
+            slopes.extend(cuts.nodes.iter().map(|cut| (*cut, jet(&mut graph, *cut, &variables, Order::First))));
+            // What is not multiplied out is written as the residual is, so that both are made of the same values.
+            let finite = Finite::below(&graph, differentiand.residual, differentiand.parameters);
+            jets.extend(slopes.iter().map(|(cut, slopes)| {
+                let is_kept = |l: &NodeId| cuts.nodes.contains(l) || !finite.finite.contains(cut);
+                let kept = slopes.first.iter().filter(|(l, _)| is_kept(l)).map(|(l, slope)| (*l, *slope));
+                Jet { first: kept.collect(), ..Jet::default() }
+            }));
+        }
+        let Absorbed { tops, mut jets, variance, is_unifiable } =
             absorb(&mut graph, &tops, &jets, differentiand.variance, cuts.scaling);
+        if differentiand.order == Order::First {
+            slopes.values_mut().zip(jets.split_off(1)).for_each(|(all, kept)| all.first.extend(kept.first));
+            let chain = Chain { residual: tops[0], gradient: &jets[0], slopes, variables };
+            return Derivation::over_features(graph, differentiand, chain, variance, is_unifiable);
+        }
         let (value, mut form) = top_form(&mut graph, differentiand, &tops, &jets, variance)?;
         if !differentiand.part.has_hessian() {
             form.second.clear();
@@ -149,6 +171,55 @@ impl Derivation {
                 }
                 for (l, form) in first.iter().filter(|_| differentiand.order == Order::Second) {
                     uses.extend(totals[l].second.get(&pair(*u, *v)).map(|l_uv| (*form, *l_uv)));
+                }
+                entries.push(Entry { by: smallvec![i, j], uses });
+                if graph.overflowed() {
+                    return None;
+                }
+            }
+        }
+        Some(Derivation {
+            graph,
+            forms,
+            is_unifiable,
+            value,
+            names: differentiand.names.to_vec(),
+            entries,
+            factors: FxHashMap::default(),
+        })
+    }
+
+    /// The same from first derivatives alone: F_u = Σ L r_u and F_uv = Σ Q r_u r_v.
+    fn over_features(
+        mut graph: Graph,
+        differentiand: &Differentiand<'_>,
+        chain: Chain<'_>,
+        variance: Option<NodeId>,
+        is_unifiable: bool,
+    ) -> Option<Derivation> {
+        let residual = chain.residual;
+        let (value, top) = differentiand.shape.jet(&mut graph, Order::First, &[residual], variance);
+        let (l, q) = (*top.first.get(&residual)?, *top.second.get(&(residual, residual))?);
+        let finite = Finite::below(&graph, differentiand.residual, differentiand.parameters);
+        let Features { values, slopes } = features(&mut graph, &chain, &finite, differentiand.parameters)?;
+        let mut forms: Vec<(String, NodeId)> = Vec::new();
+        let mut entries = Vec::new();
+        if differentiand.part.has_gradient() {
+            forms.extend(values.iter().map(|value| ("L".into(), graph.mul(l, *value))));
+            entries.extend(slopes.iter().enumerate().map(|(i, uses)| Entry { by: smallvec![i], uses: uses.clone() }));
+        }
+        let mut products: FxHashMap<(usize, usize), usize> = FxHashMap::default();
+        for (i, own) in slopes.iter().enumerate().filter(|_| differentiand.part.has_hessian()) {
+            for (j, other) in slopes.iter().enumerate().skip(i) {
+                let mut uses = Vec::new();
+                for (s, c) in own {
+                    for (t, d) in other {
+                        let form = *products.entry(((*s).min(*t), (*s).max(*t))).or_insert_with(|| {
+                            forms.push(("Q".into(), graph.product(1.0, [(q, 1), (values[*s], 1), (values[*t], 1)])));
+                            forms.len() - 1
+                        });
+                        uses.push((form, graph.mul(*c, *d)));
+                    }
                 }
                 entries.push(Entry { by: smallvec![i, j], uses });
                 if graph.overflowed() {

@@ -11,6 +11,7 @@ pub(crate) mod derivatives;
 pub(crate) mod domain;
 pub(crate) mod entry;
 pub(crate) mod expressions;
+pub(crate) mod features;
 pub(crate) mod jet;
 pub(crate) mod likelihood;
 pub(crate) mod monomial;

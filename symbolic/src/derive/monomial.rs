@@ -46,7 +46,7 @@ pub(crate) struct Polynomial {
 const TERMS: usize = 256;
 
 impl Polynomial {
-    fn of(monomial: Monomial, coefficient: NodeId) -> Polynomial {
+    pub fn of(monomial: Monomial, coefficient: NodeId) -> Polynomial {
         Polynomial { terms: vec![(monomial, coefficient)] }
     }
 
@@ -70,8 +70,8 @@ impl Polynomial {
     }
 
     /// Its terms.
-    pub fn len(&self) -> usize {
-        self.terms.len()
+    pub fn terms(&self) -> &[(Monomial, NodeId)] {
+        &self.terms
     }
 
     /// The product, or nothing when it has too many terms.
@@ -182,7 +182,7 @@ impl<'a> Splitter<'a> {
             return Some(self.whole(graph, node));
         }
         if let Some(known) = self.expanded.get(&node) {
-            graph.charge(known.len());
+            graph.charge(known.terms.len());
             return Some(known.clone());
         }
         let found = self.multiplied_out(graph, node, depth)?;

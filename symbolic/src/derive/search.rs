@@ -46,7 +46,7 @@ pub(crate) fn fewest_flops(
     differentiand: &Differentiand<'_>,
     most: Scaling,
 ) -> Option<(Derivation, FactoredSums)> {
-    let classes = cut_classes(graph, differentiand.residual, differentiand.parameters);
+    let classes = cut_classes(graph, differentiand.residual, differentiand.parameters, differentiand.order);
     let mut search = Search {
         graph,
         differentiand,

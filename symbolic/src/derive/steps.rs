@@ -64,6 +64,9 @@ impl Builder<'_> {
         let all = terms.iter().map(|(n, c)| (*n, c.get()));
         let (high, low): (Terms, Terms) = all.partition(|(n, _)| self.graph.level(*n) == level);
         let rest = (constant != 0.0 || !low.is_empty()).then(|| self.graph.sum(constant, low.iter().copied()));
+        if let Some(step) = self.equally_scaled(&high, rest, level) {
+            return step;
+        }
         // The inner coordinate plus what is known earlier.
         if let [(node, coefficient)] = high[..]
             && matches!(self.graph.node(node), Node::Coordinate(CoordinateId(0)))
@@ -114,6 +117,36 @@ impl Builder<'_> {
         }
     }
 
+    /// c · a + c · b + … as c · (a + b) + …, where c is known earlier: the terms with the factor that most of them have.
+    fn equally_scaled(&mut self, terms: &[(NodeId, f64)], rest: Option<NodeId>, level: Level) -> Option<Step> {
+        let mut scales: SmallVec<[(NodeId, NodeId); 8]> = SmallVec::new();
+        for (node, coefficient) in terms {
+            let (low, high) = match self.graph.node(*node).clone() {
+                Node::Product(factors) if self.is_plain_product(*node) => {
+                    factors.iter().copied().partition(|(n, _)| self.graph.level(*n) < level)
+                }
+                _ => (Powers::new(), Powers::from_slice(&[(*node, 1)])),
+            };
+            let (low, high) = (self.graph.product(*coefficient, low), self.graph.product(1.0, high));
+            scales.push((low, high));
+        }
+        let alike = |scale: NodeId| scales.iter().filter(|(low, _)| *low == scale).count();
+        let (scale, _) = *scales.iter().max_by_key(|(low, _)| (alike(*low), *low))?;
+        let is_one = self.graph.value_of(scale).is_some_and(|number| number.abs() == 1.0);
+        if is_one || alike(scale) < 2 {
+            return None;
+        }
+        let inside = scales.iter().filter(|(low, _)| *low == scale).map(|(_, high)| (*high, 1.0));
+        let inside = self.graph.sum(0.0, inside);
+        let outside = terms.iter().zip(&scales).filter(|(_, (low, _))| *low != scale).map(|(term, _)| *term);
+        let outside: Terms = outside.chain(rest.map(|rest| (rest, 1.0))).collect();
+        if outside.is_empty() {
+            return Some(Step::of(Opcode::Mul, [scale, inside]));
+        }
+        let outside = self.graph.sum(0.0, outside);
+        Some(Step::MulAdd(scale, inside, outside))
+    }
+
     /// coefficient · node + rest, as a · b + rest where the node is a product.
     fn term_plus(&mut self, node: NodeId, coefficient: f64, rest: NodeId) -> Step {
         if coefficient == 1.0 && !self.is_plain_product(node) {
@@ -144,7 +177,7 @@ impl Builder<'_> {
         }
         let Node::Product(factors) = self.graph.node(node).clone() else { return None };
         let level = self.graph.level(node);
-        let (high, low): (Powers, Powers) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        let (high, low) = self.divided(&factors, level);
         if !low.is_empty() {
             let low = self.graph.product(coefficient, low);
             let high = self.graph.product(1.0, high);
@@ -161,6 +194,18 @@ impl Builder<'_> {
                 }
             }
             _ => None,
+        }
+    }
+
+    /// Factors of `level`, and those known earlier; powers of reciprocals are taken with these, as others share them.
+    fn divided(&self, factors: &[(NodeId, i32)], level: Level) -> (Powers, Powers) {
+        let is_high = |(n, _): &(NodeId, i32)| self.graph.level(*n) == level;
+        let (high, low): (Powers, Powers) = factors.iter().copied().partition(is_high);
+        let (over, under): (Powers, Powers) = high.iter().copied().partition(|(_, e)| *e > 0);
+        let is_shared = level == Level::Pixel && (!low.is_empty() || under.iter().any(|(_, e)| *e < -1));
+        match is_shared && !over.is_empty() && !under.is_empty() {
+            true => (over, low.into_iter().chain(under).collect()),
+            false => (high, low),
         }
     }
 
@@ -239,7 +284,7 @@ impl Builder<'_> {
 
     fn product(&mut self, node: NodeId, factors: &[(NodeId, i32)]) -> Step {
         let level = self.graph.level(node);
-        let (high, low): (Powers, Powers) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        let (high, low) = self.divided(factors, level);
         if !low.is_empty() {
             let (low, high) = (self.graph.product(1.0, low), self.graph.product(1.0, high));
             return Step::of(Opcode::Mul, [low, high]);

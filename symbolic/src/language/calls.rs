@@ -10,7 +10,7 @@ use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{
     Binding, Elaborator, Function, Local, Matrix, MatrixShape, Poison, REMEMBERED, Worked, fault, shape_of,
 };
-use crate::language::graph::NodeId;
+use crate::language::graph::{Node, NodeId};
 use crate::language::limits::LIMITS;
 use crate::language::parser::Expr;
 use crate::program::Comparison;
@@ -186,6 +186,10 @@ impl Elaborator<'_> {
         for (argument, name) in arguments.iter().zip(&function.arguments) {
             let outer = self.cache.begin();
             let value = self.number_matrix(argument);
+            // A power of a product is to stay one: 1 + k·t² is computed from t.
+            let whole = |n: &&NodeId| matches!(self.graph.node(**n), Node::Product(_));
+            let products: Vec<NodeId> = value.iter().flat_map(|v| v.entries.iter().filter(whole).copied()).collect();
+            products.into_iter().for_each(|n| self.graph.set_opaque(n));
             locals.push(Local { name: name.clone(), value, levels: self.cache.resume(outer) });
         }
         // The body itself is checked where it stands.
