@@ -45,7 +45,7 @@ fn count(text: &str, what: &str) -> usize {
 }
 
 /// Name, and the check of its example and counterexample.
-const REWRITES: [(&str, fn()); 15] = [
+const REWRITES: [(&str, fn()); 18] = [
     ("collect", || assert_eq!(cost("a b", "3*a*x + b + 2*a*x"), cost("a b", "5*a*x + b"))),
     ("powers", || assert_eq!(cost("a b", "a*x^2*x^3 + b"), cost("a b", "a*x^5 + b"))),
     ("roots", || {
@@ -94,6 +94,16 @@ const REWRITES: [(&str, fn()); 15] = [
         };
         assert!(of("a*tanh(x) + b*tanh(x)^2 + c*(1 - tanh(x)^2)") < of("a*tanh(x) + b*tanh(x)^2 + c*cos(x)^2"));
     }),
+    ("features", || {
+        let of = |parameters: &str, intensity: &str| {
+            let model = model(parameters, intensity, "");
+            program(&model, parameters, Method::GaussNewton).cost().accumulators
+        };
+        let (near, far) = ("tanh((x - b)^2)", "tanh((x - b - 1)^2)");
+        assert_eq!(of("a b", &format!("a*{near}")), of("a b", &format!("a*({near} + {far})")));
+        // Where a and c take different parts, both are features.
+        assert!(of("a b", &format!("a*({near} + {far})")) < of("a b c", &format!("a*{near} + c*{far}")));
+    }),
     ("vertex", || {
         let of = |parameters: &str| {
             let s = "(a*(x - c)^2 + 2*b*(x - c)*y + d*y^2)";
@@ -116,6 +126,15 @@ const REWRITES: [(&str, fn()); 15] = [
     ("reciprocal", || {
         let text = pixel_level("a b+", "a/(b + x^2) + 1/(b + x^2)^2 + x/(b + x^2)^3");
         assert_eq!(count(&text, " / "), 1, "{text}");
+    }),
+    ("choice", || {
+        assert_eq!(count(&pixel_level("a c+", "a/if(x > 3, c, 2)"), " / "), 0);
+        assert_eq!(count(&pixel_level("a c+", "a/if(x > 3, x, 2)"), " / "), 1);
+    }),
+    ("share", || {
+        let shared = cost("a", "a + y^2*(tanh(x) + tanh(2*x))");
+        assert_eq!(cost("a", "a + y^2*tanh(x) + y^2*tanh(2*x)"), shared);
+        assert!(cost("a", "a + y^2*tanh(x) + y^3*tanh(2*x)") > shared);
     }),
     ("contract", || {
         let model = model("a b", "a*x + b", "");

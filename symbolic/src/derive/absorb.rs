@@ -104,6 +104,45 @@ pub(crate) fn absorb(
     Absorbed { tops: new_tops, jets, variance: variance.map(|v| at(&v)), is_unifiable }
 }
 
+/// 1/(a or b) as 1/a or 1/b, where all that is chosen among is known earlier: the divisions leave the loop.
+pub(crate) fn reciprocals(graph: &mut Graph, root: NodeId) -> NodeId {
+    let (mut map, mut inverse) = (FxHashMap::default(), FxHashMap::default());
+    for id in graph.reachable(&[root]) {
+        let span = graph.span(id);
+        graph.set_span(span);
+        let new = match graph.node(id).clone() {
+            Node::Product(factors) if factors.iter().any(|(n, e)| *e < 0 && inverse.contains_key(n)) => {
+                let factor = |(n, e): &(NodeId, i32)| match inverse.get(n) {
+                    Some(inverse) if *e < 0 => (*inverse, -e),
+                    _ => (map.get(n).copied().unwrap_or(*n), *e),
+                };
+                let factors: Powers = factors.iter().map(factor).collect();
+                let product = graph.product(1.0, factors);
+                if graph.is_opaque(id) {
+                    graph.set_opaque(product);
+                }
+                product
+            }
+            _ => graph.rebuild(id, &map),
+        };
+        if let Node::Select(condition, a, b) = *graph.node(new)
+            && graph.level(new) == Level::Pixel
+        {
+            let mut of = |n: NodeId| match graph.level(n) {
+                Level::Pixel => inverse.get(&n).copied(),
+                _ => Some(graph.product(1.0, [(n, -1)])),
+            };
+            if let (Some(a), Some(b)) = (of(a), of(b)) {
+                let select = graph.select(condition, a, b);
+                inverse.insert(new, select);
+                inverse.insert(id, select);
+            }
+        }
+        map.insert(id, new);
+    }
+    map[&root]
+}
+
 /// Takes invariant factors that several terms of a sum share out of them (v1 + v1 k1 s is v1 (1 + k1 s)), so that the
 /// derivative with respect to the factor is a part of the sum itself.
 pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {

@@ -133,8 +133,7 @@ impl Finite {
 
     /// A power of what is finite; a number always is.
     pub fn has_power(&self, graph: &Graph, node: NodeId, exponent: i32) -> bool {
-        graph.value_of(node).is_some()
-            || self.finite.contains(&node) && (exponent > 0 || self.divisors.contains(&node))
+        graph.value_of(node).is_some() || self.finite.contains(&node) && (exponent > 0 || self.divisors.contains(&node))
     }
 }
 
@@ -172,16 +171,23 @@ fn differentiated(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId
 /// Values known per pass that pixel values are made of: sums and functions of parameters.
 pub(crate) fn frontier(graph: &Graph, root: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
     let Finite { depends, finite, .. } = Finite::below(graph, root, parameters);
-    let is_inner = |n: &NodeId| {
-        graph.level(*n) < Level::Pixel
-            && depends.contains(n)
-            && finite.contains(n)
-            && !parameters.contains(n)
-            && !matches!(graph.node(*n), Node::Product(_))
-            && !graph.is_truth(*n)
-    };
+    let is_earlier = |n: &NodeId| graph.level(*n) < Level::Pixel && depends.contains(n);
     let pixels = graph.reachable(&[root]).into_iter().filter(|n| graph.level(*n) == Level::Pixel);
-    pixels.flat_map(|n| operands(graph.node(n)).filter(is_inner).collect::<Vec<_>>()).collect()
+    let mut stack: Vec<NodeId> =
+        pixels.flat_map(|n| operands(graph.node(n)).filter(is_earlier).collect::<Vec<_>>()).collect();
+    let (mut seen, mut found) = (BTreeSet::new(), BTreeSet::new());
+    while let Some(id) = stack.pop() {
+        if parameters.contains(&id) || !seen.insert(id) {
+            continue;
+        }
+        let is_whole = graph.level(id) == Level::Pass && !matches!(graph.node(id), Node::Product(_));
+        if is_whole && finite.contains(&id) && !graph.is_truth(id) {
+            found.insert(id);
+        } else {
+            stack.extend(operands(graph.node(id)).filter(is_earlier));
+        }
+    }
+    found
 }
 
 /// The values that are never negative, and those of them that are never zero, as far as their form tells.

@@ -33,6 +33,8 @@ pub(crate) struct Differentiand<'a> {
     pub names: &'a [String],
     pub residual: NodeId,
     pub variance: Option<NodeId>,
+    /// Pixels are chosen by a condition at the parameters of entry, as the variance is.
+    pub is_masked: bool,
     /// What F is of them.
     pub shape: Shape,
     /// Of the derivatives of r and σ²: the second for the full Hessian, the first for JᵀWJ.
@@ -114,7 +116,9 @@ impl Derivation {
             }));
         }
         let Absorbed { tops, mut jets, variance, is_unifiable } =
-            absorb(&mut graph, &tops, &jets, differentiand.variance, cuts.scaling);
+            absorb(&mut graph, &tops, &jets, differentiand.variance.filter(|_| !differentiand.is_masked), cuts.scaling);
+        // A variance stays as it is where a mask is made of the same values.
+        let variance = variance.or(differentiand.variance);
         if differentiand.order == Order::First {
             slopes.values_mut().zip(jets.split_off(1)).for_each(|(all, kept)| all.first.extend(kept.first));
             let chain = Chain { residual: tops[0], gradient: &jets[0], slopes, variables };

@@ -11,6 +11,7 @@ use crate::derive::cuts::Finite;
 use crate::derive::jet::{Jet, jet};
 use crate::derive::monomial::{Monomial, Polynomial, Powers, Splitter};
 use crate::language::graph::{Graph, Node, NodeId};
+use crate::program::Level;
 use crate::proof::hyper::Order;
 
 /// See the module's text.
@@ -131,11 +132,7 @@ fn reduced(graph: &mut Graph, columns: &Columns, parameters: usize) -> Vec<(Node
 
 /// The residual's derivatives by what is known per pass: the chain rule from the residual down, so that what lies above a
 /// variable is collected once.
-fn gradient(
-    graph: &mut Graph,
-    chain: &Chain<'_>,
-    finite: &Finite,
-) -> Option<BTreeMap<NodeId, Polynomial>> {
+fn gradient(graph: &mut Graph, chain: &Chain<'_>, finite: &Finite) -> Option<BTreeMap<NodeId, Polynomial>> {
     let nothing = BTreeSet::new();
     let mut splitter = Splitter::new(&nothing);
     let is_cut = |l: &NodeId| chain.slopes.contains_key(l);
@@ -149,13 +146,24 @@ fn gradient(
         }
     }
     while let Some((cut, terms)) = adjoints.pop_last() {
-        let adjoint = graph.sum(0.0, terms);
+        let mut adjoint = graph.sum(0.0, terms);
         graph.set_opaque(adjoint);
         let guard = match finite.finite.contains(&cut) {
             true => None,
             false => Some(guard(graph, adjoint, GUARD)?),
         };
-        let above = splitter.whole(graph, adjoint);
+        let mut above = splitter.whole(graph, adjoint);
+        let (monomial, coefficient) = above.terms()[0].clone();
+        if monomial.pixel.len() > 1 && chain.slopes[&cut].first.len() > 1 {
+            // Multiplied once for all slopes.
+            let pixel = graph.product(1.0, monomial.pixel);
+            graph.set_opaque(pixel);
+            above = Polynomial::of(
+                Monomial { pixel: Powers::from_slice(&[(pixel, 1)]), row: monomial.row.clone() },
+                coefficient,
+            );
+            adjoint = graph.product(1.0, monomial.row.into_iter().chain([(coefficient, 1), (pixel, 1)]));
+        }
         for (l, slope) in &chain.slopes[&cut].first {
             let product = match guard {
                 Some(guard) => guarded(graph, finite, guard, &above, *slope),
@@ -219,19 +227,18 @@ fn guarded(graph: &mut Graph, finite: &Finite, guard: NodeId, adjoint: &Polynomi
         None => (outside.collect(), monomial.pixel.clone()),
     };
     let product = graph.product(1.0, inside.into_iter().chain([(slope, 1)]));
-    // What is known per pass and finite leaves the branch.
-    let product = Splitter::new(&BTreeSet::new()).whole(graph, product);
-    let (monomial, coefficient) = &product.terms()[0];
-    let (number, body) = match graph.node(*coefficient) {
+    // What is known earlier, and finite, leaves the branch.
+    let (number, body) = match graph.node(product) {
         Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => (terms[0].1.get(), terms[0].0),
-        _ => (1.0, *coefficient),
+        _ => (1.0, product),
     };
     let factors = match graph.node(body) {
-        Node::Product(factors) => factors.to_vec(),
+        Node::Product(factors) if !graph.is_opaque(body) => factors.to_vec(),
         _ => vec![(body, 1)],
     };
-    let (kept, left): (Powers, Powers) = factors.into_iter().partition(|(n, e)| finite.has_power(graph, *n, *e));
-    let product = graph.product(1.0, left.into_iter().chain(monomial.row.iter().chain(&monomial.pixel).copied()));
+    let is_kept = |(n, e): &(NodeId, i32)| graph.level(*n) < Level::Pixel && finite.has_power(graph, *n, *e);
+    let (kept, left): (Powers, Powers) = factors.into_iter().partition(is_kept);
+    let product = graph.product(1.0, left);
     let product = graph.select(guard, product, zero);
     graph.product(number, outside.into_iter().chain(kept).chain([(product, 1)]))
 }

@@ -8,8 +8,9 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::derive::absorb::{Scaling, gather};
+use crate::derive::absorb::{Scaling, gather, reciprocals};
 use crate::derive::derivation::{Cuts, Derivation, Differentiand};
+use crate::derive::domain::region;
 use crate::derive::expressions::Expressions;
 use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
@@ -347,6 +348,7 @@ struct Setting<'a> {
     residual: NodeId,
     variance: Option<NodeId>,
     domain: Option<NodeId>,
+    is_masked: bool,
     subset: Vec<ParameterId>,
     parameters: Vec<NodeId>,
     newton: bool,
@@ -357,18 +359,23 @@ impl<'a> Setting<'a> {
         let model = referee.model();
         let mut graph = model.formulas.graph.drawing_on(budget);
         let residual = residual(&mut graph, model);
+        let residual = reciprocals(&mut graph, residual);
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
         let newton = matches!(referee.claim(), Claim::Derivatives { newton: true, .. });
-        let variance = variance(&mut graph, model, referee.claim());
+        let variance = variance(&mut graph, model, referee.claim()).map(|variance| reciprocals(&mut graph, variance));
+        variance.into_iter().for_each(|variance| graph.set_opaque(variance));
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model);
-        Setting { referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
+        let region = domain.map(|domain| region(&mut graph.copied(), domain));
+        let is_masked = !newton && region.is_some_and(|region| region.mask.is_some());
+        Setting { is_masked, referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
     }
 
     /// The sums in one form, not yet checked.
     fn objective(&self, form: Form, part: Part) -> Result<Objective, Diagnostics> {
-        let Setting { referee, graph, residual, variance, domain, subset, parameters, newton } = self;
+        let Setting { referee, graph, residual, variance, domain, is_masked, subset, parameters, newton } = self;
+        let is_masked = *is_masked;
         let model = referee.model();
         let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
@@ -376,7 +383,8 @@ impl<'a> Setting<'a> {
         let order = if is_second { Order::Second } else { Order::First };
         let (residual, variance) = (*residual, *variance);
         let shape = model.formulas.shape();
-        let differentiand = Differentiand { parameters, names: &names, residual, variance, shape, order, part };
+        let differentiand =
+            Differentiand { parameters, names: &names, residual, variance, is_masked, shape, order, part };
         let derived = match form {
             Form::Factored => search::fewest_flops(graph, &differentiand, Scaling::Unified),
             Form::Plain => search::fewest_flops(graph, &differentiand, Scaling::AsWritten),

@@ -119,16 +119,18 @@ impl Builder<'_> {
 
     /// c · a + c · b + … as c · (a + b) + …, where c is known earlier: the terms with the factor that most of them have.
     fn equally_scaled(&mut self, terms: &[(NodeId, f64)], rest: Option<NodeId>, level: Level) -> Option<Step> {
+        // Products of several are left to their common factors.
         let mut scales: SmallVec<[(NodeId, NodeId); 8]> = SmallVec::new();
         for (node, coefficient) in terms {
-            let (low, high) = match self.graph.node(*node).clone() {
-                Node::Product(factors) if self.is_plain_product(*node) => {
-                    factors.iter().copied().partition(|(n, _)| self.graph.level(*n) < level)
-                }
-                _ => (Powers::new(), Powers::from_slice(&[(*node, 1)])),
+            let factors = match self.graph.node(*node) {
+                Node::Product(factors) if self.is_plain_product(*node) => Powers::from_slice(factors),
+                _ => Powers::from_slice(&[(*node, 1)]),
             };
-            let (low, high) = (self.graph.product(*coefficient, low), self.graph.product(1.0, high));
-            scales.push((low, high));
+            let (high, low): (Powers, Powers) = factors.into_iter().partition(|(n, _)| self.graph.level(*n) == level);
+            match high[..] {
+                [(high, 1)] => scales.push((self.graph.product(*coefficient, low), high)),
+                _ => scales.push((self.graph.number(1.0), *node)),
+            }
         }
         let alike = |scale: NodeId| scales.iter().filter(|(low, _)| *low == scale).count();
         let (scale, _) = *scales.iter().max_by_key(|(low, _)| (alike(*low), *low))?;
@@ -198,15 +200,24 @@ impl Builder<'_> {
     }
 
     /// Factors of `level`, and those known earlier; powers of reciprocals are taken with these, as others share them.
-    fn divided(&self, factors: &[(NodeId, i32)], level: Level) -> (Powers, Powers) {
-        let is_high = |(n, _): &(NodeId, i32)| self.graph.level(*n) == level;
-        let (high, low): (Powers, Powers) = factors.iter().copied().partition(is_high);
+    fn divided(&mut self, factors: &[(NodeId, i32)], level: Level) -> (Powers, Powers) {
+        let (high, low): (Powers, Powers) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
         let (over, under): (Powers, Powers) = high.iter().copied().partition(|(_, e)| *e > 0);
-        let is_shared = level == Level::Pixel && (!low.is_empty() || under.iter().any(|(_, e)| *e < -1));
-        match is_shared && !over.is_empty() && !under.is_empty() {
-            true => (over, low.into_iter().chain(under).collect()),
-            false => (high, low),
+        let is_shared = under.len() > 1 || under.iter().any(|(_, e)| *e < -1);
+        if level < Level::Pixel || over.is_empty() || under.is_empty() || !is_shared || self.is_begun(&high) {
+            return (high, low);
         }
+        (over, low.into_iter().chain(under).collect())
+    }
+
+    /// A product of all of these factors but one, or of all, is there already.
+    fn is_begun(&mut self, factors: &[(NodeId, i32)]) -> bool {
+        let less = (0..factors.len()).map(Some).chain([None]);
+        less.into_iter().any(|i| {
+            let one = i.map(|i| (factors[i].0, -factors[i].1.signum()));
+            let product = self.graph.product(1.0, factors.iter().copied().chain(one));
+            self.values.contains_key(&product) || self.wanted.contains(&product)
+        })
     }
 
     fn scaled(&mut self, node: NodeId, coefficient: f64) -> Step {
