@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::hash::BuildHasher;
 use std::mem::discriminant;
 
+use isophote_elementary::Function1;
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
@@ -169,8 +170,8 @@ fn differentiated(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId
 }
 
 /// Values known per pass that pixel values are made of: sums and functions of parameters.
-pub(crate) fn frontier(graph: &Graph, root: NodeId, parameters: &[NodeId]) -> BTreeSet<NodeId> {
-    let Finite { depends, finite, .. } = Finite::below(graph, root, parameters);
+pub(crate) fn frontier(graph: &Graph, root: NodeId, parameters: &[NodeId], below: &Finite) -> BTreeSet<NodeId> {
+    let Finite { depends, finite, .. } = below;
     let is_earlier = |n: &NodeId| graph.level(*n) < Level::Pixel && depends.contains(n);
     let pixels = graph.reachable(&[root]).into_iter().filter(|n| graph.level(*n) == Level::Pixel);
     let mut stack: Vec<NodeId> =
@@ -191,7 +192,7 @@ pub(crate) fn frontier(graph: &Graph, root: NodeId, parameters: &[NodeId]) -> BT
 }
 
 /// The values that are never negative, and those of them that are never zero, as far as their form tells.
-fn signs(graph: &Graph, reachable: &[NodeId]) -> (BTreeSet<NodeId>, BTreeSet<NodeId>) {
+pub(crate) fn signs(graph: &Graph, reachable: &[NodeId]) -> (BTreeSet<NodeId>, BTreeSet<NodeId>) {
     let (mut at_least_zero, mut positive) = (BTreeSet::new(), BTreeSet::new());
     for id in reachable {
         let (is_at_least_zero, is_positive) = match graph.node(*id) {
@@ -207,6 +208,7 @@ fn signs(graph: &Graph, reachable: &[NodeId]) -> (BTreeSet<NodeId>, BTreeSet<Nod
                 (is_sum, is_sum && (constant.get() > 0.0 || terms.iter().any(|(n, _)| positive.contains(n))))
             }
             Node::Sqrt(a) => (true, positive.contains(a)),
+            Node::Call1(Function1::Exp, _) => (true, true),
             _ => (false, false),
         };
         at_least_zero.extend(is_at_least_zero.then_some(*id));

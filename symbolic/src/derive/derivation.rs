@@ -96,8 +96,10 @@ impl Derivation {
     /// Nothing when the graph overflows.
     pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts) -> Option<Derivation> {
         let mut variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
-        if differentiand.order == Order::First {
-            variables.extend(frontier(&graph, differentiand.residual, differentiand.parameters));
+        let (residual, parameters) = (differentiand.residual, differentiand.parameters);
+        let finite = (differentiand.order == Order::First).then(|| Finite::below(&graph, residual, parameters));
+        if let Some(finite) = &finite {
+            variables.extend(frontier(&graph, residual, parameters, finite));
         }
         // The top variables: r, and σ² where it is differentiated.
         let mut tops = vec![differentiand.residual];
@@ -105,10 +107,9 @@ impl Derivation {
         let mut jets: Vec<Jet> =
             tops.iter().map(|top| jet(&mut graph, *top, &variables, differentiand.order)).collect();
         let mut slopes: BTreeMap<NodeId, Jet> = BTreeMap::new();
-        if differentiand.order == Order::First {
+        if let Some(finite) = &finite {
             slopes.extend(cuts.nodes.iter().map(|cut| (*cut, jet(&mut graph, *cut, &variables, Order::First))));
             // What is not multiplied out is written as the residual is, so that both are made of the same values.
-            let finite = Finite::below(&graph, differentiand.residual, differentiand.parameters);
             jets.extend(slopes.iter().map(|(cut, slopes)| {
                 let is_kept = |l: &NodeId| cuts.nodes.contains(l) || !finite.finite.contains(cut);
                 let kept = slopes.first.iter().filter(|(l, _)| is_kept(l)).map(|(l, slope)| (*l, *slope));
@@ -119,9 +120,9 @@ impl Derivation {
             absorb(&mut graph, &tops, &jets, differentiand.variance.filter(|_| !differentiand.is_masked), cuts.scaling);
         // A variance stays as it is where a mask is made of the same values.
         let variance = variance.or(differentiand.variance);
-        if differentiand.order == Order::First {
+        if let Some(finite) = finite {
             slopes.values_mut().zip(jets.split_off(1)).for_each(|(all, kept)| all.first.extend(kept.first));
-            let chain = Chain { residual: tops[0], gradient: &jets[0], slopes, variables };
+            let chain = Chain { residual: tops[0], gradient: &jets[0], slopes, variables, finite };
             return Derivation::over_features(graph, differentiand, chain, variance, is_unifiable);
         }
         let (value, mut form) = top_form(&mut graph, differentiand, &tops, &jets, variance)?;
@@ -204,8 +205,7 @@ impl Derivation {
         let residual = chain.residual;
         let (value, top) = differentiand.shape.jet(&mut graph, Order::First, &[residual], variance);
         let (l, q) = (*top.first.get(&residual)?, *top.second.get(&(residual, residual))?);
-        let finite = Finite::below(&graph, differentiand.residual, differentiand.parameters);
-        let Features { values, slopes } = features(&mut graph, &chain, &finite, differentiand.parameters)?;
+        let Features { values, slopes } = features(&mut graph, &chain, differentiand.parameters)?;
         let mut forms: Vec<(String, NodeId)> = Vec::new();
         let mut entries = Vec::new();
         if differentiand.part.has_gradient() {

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::derive::cuts::signs;
 use crate::derive::jet::jet;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{Comparison, CoordinateId, Level};
@@ -105,27 +106,5 @@ pub(crate) fn parabola(graph: &mut Graph, value: NodeId) -> Option<Parabola> {
 
 /// True when the value is positive whatever the inputs, as far as declared bounds tell.
 fn is_positive(graph: &Graph, node: NodeId) -> bool {
-    match graph.node(node) {
-        Node::Number(bits) => bits.get() > 0.0,
-        Node::Input(_) => graph.is_declared_positive(node),
-        Node::Product(factors) => factors.iter().all(|(n, _)| is_positive_shallow(graph, *n)),
-        Node::Sum(constant, terms) => {
-            constant.get() >= 0.0 && terms.iter().all(|(n, c)| c.get() > 0.0 && is_positive_shallow(graph, *n))
-        }
-        Node::Call1(isophote_elementary::Function1::Exp, _) => true,
-        _ => false,
-    }
-}
-
-/// The same without looking into sums and products again (the graph may be deep).
-fn is_positive_shallow(graph: &Graph, node: NodeId) -> bool {
-    match graph.node(node) {
-        Node::Number(bits) => bits.get() > 0.0,
-        Node::Input(_) => graph.is_declared_positive(node),
-        Node::Product(factors) => {
-            factors.iter().all(|(n, _)| matches!(graph.node(*n), Node::Input(_)) && graph.is_declared_positive(*n))
-        }
-        Node::Call1(isophote_elementary::Function1::Exp, _) => true,
-        _ => false,
-    }
+    signs(graph, &graph.reachable(&[node])).1.contains(&node)
 }

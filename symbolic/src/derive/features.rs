@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::derive::cuts::Finite;
 use crate::derive::jet::{Jet, jet};
-use crate::derive::monomial::{Monomial, Polynomial, Powers, Splitter};
+use crate::derive::monomial::{Monomial, Polynomial, Powers, Splitter, multiply};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
 use crate::proof::hyper::Order;
@@ -32,6 +32,8 @@ pub(crate) struct Chain<'a> {
     pub slopes: BTreeMap<NodeId, Jet>,
     /// Cuts, values known per pass, parameters.
     pub variables: BTreeSet<NodeId>,
+    /// Derivatives of others are taken where the residual depends on them only.
+    pub finite: Finite,
 }
 
 /// What a parameter takes of a pixel value: which parameter, row factors, a coefficient known per pass.
@@ -47,15 +49,9 @@ struct Group {
     shares: Vec<Share>,
 }
 
-/// The features of a residual; nothing when a variable cannot be gone through. Derivatives of those that are not `finite`
-/// wherever they are read are taken where the residual depends on them only.
-pub(crate) fn features(
-    graph: &mut Graph,
-    chain: &Chain<'_>,
-    finite: &Finite,
-    parameters: &[NodeId],
-) -> Option<Features> {
-    let mut gradient = gradient(graph, chain, finite)?;
+/// The features of a residual; nothing when a variable cannot be gone through.
+pub(crate) fn features(graph: &mut Graph, chain: &Chain<'_>, parameters: &[NodeId]) -> Option<Features> {
+    let mut gradient = gradient(graph, chain)?;
     let leaves: Vec<NodeId> = gradient.keys().copied().collect();
     // By the values known per pass first, as far as there are any: parameters share what these take.
     if leaves.iter().any(|l| !parameters.contains(l)) {
@@ -132,7 +128,7 @@ fn reduced(graph: &mut Graph, columns: &Columns, parameters: usize) -> Vec<(Node
 
 /// The residual's derivatives by what is known per pass: the chain rule from the residual down, so that what lies above a
 /// variable is collected once.
-fn gradient(graph: &mut Graph, chain: &Chain<'_>, finite: &Finite) -> Option<BTreeMap<NodeId, Polynomial>> {
+fn gradient(graph: &mut Graph, chain: &Chain<'_>) -> Option<BTreeMap<NodeId, Polynomial>> {
     let nothing = BTreeSet::new();
     let mut splitter = Splitter::new(&nothing);
     let is_cut = |l: &NodeId| chain.slopes.contains_key(l);
@@ -148,7 +144,7 @@ fn gradient(graph: &mut Graph, chain: &Chain<'_>, finite: &Finite) -> Option<BTr
     while let Some((cut, terms)) = adjoints.pop_last() {
         let mut adjoint = graph.sum(0.0, terms);
         graph.set_opaque(adjoint);
-        let guard = match finite.finite.contains(&cut) {
+        let guard = match chain.finite.finite.contains(&cut) {
             true => None,
             false => Some(guard(graph, adjoint, GUARD)?),
         };
@@ -166,7 +162,7 @@ fn gradient(graph: &mut Graph, chain: &Chain<'_>, finite: &Finite) -> Option<BTr
         }
         for (l, slope) in &chain.slopes[&cut].first {
             let product = match guard {
-                Some(guard) => guarded(graph, finite, guard, &above, *slope),
+                Some(guard) => guarded(graph, &chain.finite, guard, &above, *slope),
                 None => graph.mul(adjoint, *slope),
             };
             if is_cut(l) {
@@ -253,7 +249,7 @@ fn values_of_their_own(graph: &mut Graph, columns: &Columns, parameters: usize) 
     let mut whole = BTreeSet::new();
     let mut left = groups(graph, columns);
     // One that alone keeps parts of others from being the same.
-    loop {
+    while left.len() + whole.len() > parameters {
         let mut best = None;
         for u in (0..parameters).filter(|u| !whole.contains(u)) {
             let mut more = whole.clone();
@@ -311,20 +307,23 @@ fn groups(graph: &mut Graph, columns: &Columns) -> Vec<Group> {
         };
         let key: Vec<Share> = shares.iter().map(|share| rest(share, graph)).collect();
         let group = groups.entry(key).or_default();
-        if group.parts.is_empty() {
-            group.shares = shares.clone();
-        }
         group.parts.push((pixel.clone(), common, number));
     }
     let mut list = Vec::with_capacity(groups.len());
     for (key, mut group) in groups {
         let (_, common, number) = group.parts[0].clone();
         // What all parts are multiplied by leaves the loop.
-        if group.parts.iter().all(|(_, row, n)| *row == common && *n == number) {
-            group.parts.iter_mut().for_each(|part| (part.1, part.2) = (Powers::new(), 1.0));
-        } else {
-            group.shares = key;
+        let is_common = group.parts.iter().all(|(_, row, _)| *row == common);
+        let is_scaled = group.parts.iter().all(|(.., n)| (n / number).mul_add(number, -n) == 0.0);
+        let (row, number) = (if is_common { common } else { Powers::new() }, if is_scaled { number } else { 1.0 });
+        for part in &mut group.parts {
+            part.2 /= number;
+            if is_common {
+                part.1 = Powers::new();
+            }
         }
+        let share = |(u, own, c): Share| (u, multiply(&own, &row), graph.scale(number, c));
+        group.shares = key.into_iter().map(share).collect();
         list.push(group);
     }
     list

@@ -32,13 +32,17 @@ const ENTRY: usize = 2;
 type Terms = SmallVec<[(NodeId, f64); 3]>;
 
 /// Sums of weighted entries, collected before they become nodes.
-#[derive(Default)]
 struct Form {
+    order: Order,
     first: BTreeMap<NodeId, Terms>,
     second: BTreeMap<(NodeId, NodeId), Terms>,
 }
 
 impl Form {
+    fn to(order: Order) -> Form {
+        Form { order, first: BTreeMap::new(), second: BTreeMap::new() }
+    }
+
     /// Adds derivative · jet.
     fn add(&mut self, graph: &mut Graph, derivative: NodeId, jet: &Jet) {
         graph.charge(ENTRY * (jet.first.len() + jet.second.len()));
@@ -54,6 +58,9 @@ impl Form {
 
     /// Adds ∂²n/∂a∂b · da db for the two jets' first derivatives; a and b the same operand when `square`.
     fn add_product(&mut self, graph: &mut Graph, derivative: NodeId, a: &Jet, b: &Jet, square: bool) {
+        if self.order == Order::First {
+            return;
+        }
         for (l, la) in &a.first {
             if graph.overflowed() {
                 return;
@@ -101,11 +108,7 @@ pub(crate) fn jet(graph: &mut Graph, root: NodeId, variables: &BTreeSet<NodeId>,
         } else {
             let span = graph.span(id);
             graph.set_span(span);
-            let mut jet = step(graph, id, &jets);
-            if order == Order::First {
-                jet.second.clear();
-            }
-            jet
+            step(graph, id, &jets, order)
         };
         if graph.overflowed() {
             return Jet::default();
@@ -128,12 +131,12 @@ fn segment(graph: &Graph, root: NodeId, variables: &BTreeSet<NodeId>) -> BTreeSe
     seen
 }
 
-fn step(graph: &mut Graph, id: NodeId, jets: &FxHashMap<NodeId, Jet>) -> Jet {
+fn step(graph: &mut Graph, id: NodeId, jets: &FxHashMap<NodeId, Jet>, order: Order) -> Jet {
     if operands(graph.node(id)).all(|n| jets[&n].first.is_empty()) {
         return Jet::default();
     }
     let node = graph.node(id).clone();
-    let mut form = Form::default();
+    let mut form = Form::to(order);
     match &node {
         Node::Sum(_, terms) => {
             for (n, coefficient) in terms.iter() {
@@ -188,7 +191,8 @@ fn product(graph: &mut Graph, factors: &[(NodeId, i32)], jets: &FxHashMap<NodeId
         }
         let d1 = lowered(graph, i, usize::MAX);
         form.add(graph, d1, &jets[a]);
-        for (j, (b, _)) in factors.iter().enumerate().skip(i) {
+        let others = if form.order == Order::First { &[][..] } else { &factors[i..] };
+        for (j, (b, _)) in others.iter().enumerate().map(|(j, factor)| (i + j, factor)) {
             if !jets[b].first.is_empty() && !graph.overflowed() {
                 let d2 = lowered(graph, i, j);
                 form.add_product(graph, d2, &jets[a], &jets[b], i == j);
@@ -338,7 +342,7 @@ fn binary(
 
 /// The chain rule: `own` is a jet over variables, each of which has a jet of its own.
 pub(crate) fn compose<'a>(graph: &mut Graph, own: &Jet, inner: &dyn Fn(NodeId) -> &'a Jet) -> Jet {
-    let mut form = Form::default();
+    let mut form = Form::to(Order::Second);
     for (l, derivative) in &own.first {
         form.add(graph, *derivative, inner(*l));
     }

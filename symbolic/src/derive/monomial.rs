@@ -19,7 +19,7 @@ pub(crate) struct Monomial {
     pub row: Powers,
 }
 
-fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Powers {
+pub(crate) fn multiply(a: &[(NodeId, i32)], b: &[(NodeId, i32)]) -> Powers {
     let mut product = Powers::from_slice(a);
     if b.is_empty() && a.len() < 2 {
         return product;

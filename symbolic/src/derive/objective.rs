@@ -367,8 +367,9 @@ impl<'a> Setting<'a> {
         variance.into_iter().for_each(|variance| graph.set_opaque(variance));
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model);
-        let region = domain.map(|domain| region(&mut graph.copied(), domain));
-        let is_masked = !newton && region.is_some_and(|region| region.mask.is_some());
+        let reads_alike = !newton && variance.is_some();
+        let region = domain.filter(|_| reads_alike).map(|domain| region(&mut graph.copied(), domain));
+        let is_masked = region.is_some_and(|region| region.mask.is_some());
         Setting { is_masked, referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
     }
 

@@ -120,27 +120,31 @@ impl Builder<'_> {
     /// c · a + c · b + … as c · (a + b) + …, where c is known earlier: the terms with the factor that most of them have.
     fn equally_scaled(&mut self, terms: &[(NodeId, f64)], rest: Option<NodeId>, level: Level) -> Option<Step> {
         // Products of several are left to their common factors.
-        let mut scales: SmallVec<[(NodeId, NodeId); 8]> = SmallVec::new();
+        let mut scales: SmallVec<[(f64, Powers, Option<NodeId>); 8]> = SmallVec::new();
         for (node, coefficient) in terms {
-            let factors = match self.graph.node(*node) {
-                Node::Product(factors) if self.is_plain_product(*node) => Powers::from_slice(factors),
-                _ => Powers::from_slice(&[(*node, 1)]),
+            let (high, low): (Powers, Powers) = match self.graph.node(*node) {
+                Node::Product(factors) if self.is_plain_product(*node) => {
+                    factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level)
+                }
+                _ => (Powers::from_slice(&[(*node, 1)]), Powers::new()),
             };
-            let (high, low): (Powers, Powers) = factors.into_iter().partition(|(n, _)| self.graph.level(*n) == level);
             match high[..] {
-                [(high, 1)] => scales.push((self.graph.product(*coefficient, low), high)),
-                _ => scales.push((self.graph.number(1.0), *node)),
+                [(high, 1)] => scales.push((*coefficient, low, Some(high))),
+                _ => scales.push((1.0, Powers::new(), None)),
             }
         }
-        let alike = |scale: NodeId| scales.iter().filter(|(low, _)| *low == scale).count();
-        let (scale, _) = *scales.iter().max_by_key(|(low, _)| (alike(*low), *low))?;
-        let is_one = self.graph.value_of(scale).is_some_and(|number| number.abs() == 1.0);
-        if is_one || alike(scale) < 2 {
-            return None;
-        }
-        let inside = scales.iter().filter(|(low, _)| *low == scale).map(|(_, high)| (*high, 1.0));
+        let alike = |(c, low, _): &(f64, Powers, Option<NodeId>)| {
+            scales.iter().filter(|(d, other, _)| c == d && low == other).count()
+        };
+        let is_factor = |(c, low, _): &&(f64, Powers, Option<NodeId>)| c.abs() != 1.0 || !low.is_empty();
+        let best = scales.iter().filter(is_factor).max_by_key(|scale| alike(scale)).filter(|scale| alike(scale) > 1)?;
+        let (coefficient, low, _) = best.clone();
+        let has_scale = |(c, other, _): &(f64, Powers, Option<NodeId>)| *c == coefficient && *other == low;
+        let inside: Terms =
+            scales.iter().filter(|scale| has_scale(scale)).filter_map(|(.., high)| Some(((*high)?, 1.0))).collect();
+        let scale = self.graph.product(coefficient, low.iter().copied());
         let inside = self.graph.sum(0.0, inside);
-        let outside = terms.iter().zip(&scales).filter(|(_, (low, _))| *low != scale).map(|(term, _)| *term);
+        let outside = terms.iter().zip(&scales).filter(|(_, scale)| !has_scale(scale)).map(|(term, _)| *term);
         let outside: Terms = outside.chain(rest.map(|rest| (rest, 1.0))).collect();
         if outside.is_empty() {
             return Some(Step::of(Opcode::Mul, [scale, inside]));
