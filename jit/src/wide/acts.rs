@@ -156,7 +156,7 @@ impl Allocation<'_> {
                 };
                 self.release(operands);
                 let register = self.take();
-                let first = self.name(first, operation.first_extent());
+                let first = self.name(first, Portion::Whole);
                 let is_comparison = matches!(operation, Operation::Compare(_) | Operation::EqualBits);
                 if is_comparison && self.width == VectorWidth::Bits512 {
                     self.three(code, [COMPARED, first], (second, last_extent), immediate, Masked::No);

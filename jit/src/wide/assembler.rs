@@ -171,6 +171,10 @@ impl Instructions {
     pub fn times(&mut self, to: Register, from: MemoryPlace) {
         self.add_at(from, |from| Instruction::with2(Code::Imul_r64_rm64, to, from));
     }
+    /// to = from · number
+    pub fn scaled(&mut self, to: Register, from: Register, number: i32) {
+        self.add(Instruction::with3(Code::Imul_r64_rm64_imm32, to, from, number));
+    }
     /// to = `from`, if that is smaller, of numbers without a sign.
     pub fn at_most(&mut self, to: Register, from: Register) {
         self.compare(to, from);

@@ -223,6 +223,7 @@ impl Emulator {
                 Code::Jg_rel32_64 => x > y,
                 Code::Jge_rel32_64 => x >= y,
                 Code::Jae_rel32_64 => a >= b,
+                Code::Ja_rel32_64 => a > b,
                 _ => {
                     if !self.general_instruction(i) {
                         self.vector_instruction(i);
@@ -241,6 +242,7 @@ impl Emulator {
             Mnemonic::Add => self.operand(i, 0).wrapping_add(self.operand(i, 1)),
             Mnemonic::Sub => self.operand(i, 0).wrapping_sub(self.operand(i, 1)),
             Mnemonic::And => self.operand(i, 0) & self.operand(i, 1),
+            Mnemonic::Imul if i.op_count() == 3 => self.operand(i, 1).wrapping_mul(self.operand(i, 2)),
             Mnemonic::Imul => self.operand(i, 0).wrapping_mul(self.operand(i, 1)),
             Mnemonic::Popcnt => self.operand(i, 1).count_ones().into(),
             Mnemonic::Cmova if self.compared[0] > self.compared[1] => self.operand(i, 1),
@@ -392,24 +394,31 @@ impl Emulator {
                 let words = lanes::<2>(at(1)).into_iter().take(16);
                 (together(words.map(|x| u32::from(u16::from_le_bytes(x)).to_le_bytes())), 4)
             }
-            Vextractf128 | Vextractf32x4 => (together(lanes::<16>(at(1)).into_iter().skip(1).take(1)), 4),
+            Vextractf128 => (together(lanes::<16>(at(1)).into_iter().skip(1).take(1)), 4),
             Vextractf64x4 => (together(lanes::<32>(at(1)).into_iter().skip(1)), 8),
             Vinsertf128 => (together([lanes::<16>(at(1))[0], lanes::<16>(at(2))[0]]), 4),
             Vinsertf64x4 => (together([lanes::<32>(at(1))[0], lanes::<32>(at(2))[0]]), 8),
-            Vpermilpd => {
-                assert_eq!(byte, Some(1));
-                let pair = lanes::<8>(at(1));
-                (together([pair[1], pair[0]]), 8)
+            Vunpcklpd | Vunpckhpd => {
+                let second = usize::from(i.mnemonic() == Vunpckhpd);
+                let [a, b] = [at(1), at(2)].map(lanes::<8>);
+                (together((0..8).map(|n| if n % 2 == 0 { a[n + second] } else { b[n - 1 + second] })), 8)
+            }
+            Vperm2f128 | Vshuff64x2 => {
+                let [a, b] = [at(1), at(2)].map(lanes::<16>);
+                let bits = |first: u8, count: u8| usize::from(byte.unwrap() >> first & ((1 << count) - 1));
+                match i.mnemonic() {
+                    // Of each pair of bits, the upper says which vector, the lower which half.
+                    Vperm2f128 => {
+                        let both = [a[0], a[1], b[0], b[1]];
+                        (together([both[bits(0, 2)], both[bits(4, 2)]]), 8)
+                    }
+                    _ => (together([a[bits(0, 2)], a[bits(2, 2)], b[bits(4, 2)], b[bits(6, 2)]]), 8),
+                }
             }
             Vbroadcastss => (together([lanes::<4>(at(1))[0]; 16]), 4),
             Vbroadcastsd => (together([lanes::<8>(at(1))[0]; 8]), 8),
             Vmovups | Vmovss | Vmovsd if stores => (*at(0), 4),
             Vmovups => (*at(1), 4),
-            Vaddsd => {
-                let mut sum = lanes::<8>(at(1));
-                sum[0] = (f64::from_le_bytes(sum[0]) + f64::from_le_bytes(lanes::<8>(at(2))[0])).to_le_bytes();
-                (together(sum.into_iter().take(2)), 8)
-            }
             Vcvtsi2sd => {
                 let mut number = lanes::<8>(at(1));
                 number[0] = (self.register(i.op2_register()) as i64 as f64).to_le_bytes();

@@ -9,8 +9,8 @@ use super::assembler::{Assembler, Label, MemoryPlace};
 use super::block::{Act, Block, Id};
 use super::functions::Evaluation;
 use super::operation::{Element, Operation, comparison};
-use super::pixels::{PIXEL, begin};
-use super::places::{Homes, element};
+use super::pixels::{BEGIN, PIXEL, begin, begin_full};
+use super::places::{Homes, ROW, element};
 use crate::options::KernelOptions;
 use crate::plan;
 
@@ -72,7 +72,10 @@ impl<'p> PixelLoop<'p> {
         let Writer { block, .. } = writer;
         allocate(block, &mut places.frame, places.reserved);
         assembler.write(|i| i.label(after));
-        self.advance(places, assembler);
+        // The row ends with a partial group, unless only the pixel set made it one.
+        if group != Fullness::Partial || plan::is_masked(self.program) {
+            self.advance(places, assembler);
+        }
     }
 
     /// Moves the running offsets to the next group.
@@ -109,8 +112,9 @@ impl Writer<'_, '_, '_> {
     /// Pixel set, then every value, which is summed as soon as it is there.
     fn run(&mut self) {
         let pixels = self.pixels;
-        if self.group == Fullness::Partial {
-            self.open();
+        match self.group {
+            Fullness::Partial => self.open(),
+            Fullness::Full { otherwise } => self.block.scalar(|i| begin_full(i, otherwise)),
         }
         let PixelSet { mask, saturated, .. } = *pixels.program.pixel_set();
         let roots: Vec<Value> = mask.into_iter().chain(saturated).collect();
@@ -152,28 +156,41 @@ impl Writer<'_, '_, '_> {
 
     /// Which lanes belong to a partial group: it begins so far left that it ends inside of the window.
     fn open(&mut self) {
-        use Register::{EAX, RAX, RCX};
-        let counters = self.places.counters;
-        self.block.scalar(|i| {
-            begin(i);
-            i.mov(RAX, PIXEL);
-            i.minus(RAX, RCX);
-            i.store_low(counters.before, EAX);
-            i.mov(RAX, counters.end);
-            i.minus(RAX, RCX);
-            i.plus(RAX, 1);
-            i.store_low(counters.until, EAX);
-        });
+        use Register::{EAX, RAX};
+        let Homes { counters, ends, .. } = *self.places;
         let element = self.element;
-        let [before, until] = [counters.before, counters.until].map(|place| {
-            let integer = self.block.fleeting(place.spread());
-            self.block.compute(Operation::FromIntegers, element, [integer])
-        });
+        self.block.scalar(begin);
+        let [before, until] = if plan::is_masked(self.pixels.program) {
+            self.block.scalar(|i| {
+                i.mov(RAX, PIXEL);
+                i.minus(RAX, BEGIN);
+                i.store_low(counters.before, EAX);
+                i.mov(RAX, ends.indexed(ROW, 8));
+                i.minus(RAX, BEGIN);
+                i.plus(RAX, 1);
+                i.store_low(counters.until, EAX);
+            });
+            [counters.before, counters.until].map(|place| {
+                let integer = self.block.fleeting(place.spread());
+                self.block.compute(Operation::FromIntegers, element, [integer])
+            })
+        } else {
+            let lanes = [self.places.before, self.places.until];
+            lanes.map(|array| self.block.kept(array.indexed(ROW, element.bytes() as u32).spread()))
+        };
         let steps = self.block.constant_lanes(element, |lane| lane as f64);
         let early = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, before]);
         let reached = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, until]);
         self.live = Some(self.block.compute(Operation::AndNot, element, [early, reached]));
         self.surplus = Some(before);
+    }
+
+    /// Where the group begins.
+    fn begins_at(&self) -> Register {
+        match self.group {
+            Fullness::Full { .. } => PIXEL,
+            Fullness::Partial => BEGIN,
+        }
     }
 
     /// What a pixel instruction reads.
@@ -196,7 +213,8 @@ impl Writer<'_, '_, '_> {
         let op = pixels.program.instruction(value).op;
         match op.code {
             Opcode::Channel(channel) => {
-                return self.block.channel(channel.index(), self.places, pixels.options, pixels.lanes());
+                let begin = self.begins_at();
+                return self.block.channel(channel.index(), self.places, pixels.options, begin);
             }
             Opcode::Offset => return self.offset(value),
             _ => {}
@@ -296,7 +314,8 @@ impl Writer<'_, '_, '_> {
             Sink::Plane(v) if meant(v) => {
                 self.block.speak_for(Some(*v));
                 let value = self.operand(*v);
-                self.block.write(value, used, self.places, self.element);
+                let begin = self.begins_at();
+                self.block.write(value, used, self.places, self.element, begin);
             }
             Sink::Plane(_) => {}
         }

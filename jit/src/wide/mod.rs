@@ -9,6 +9,7 @@
 //! Every level is vector code: the pixels' a lane a pixel, the others a lane a row, so that one selection of instructions and one
 //! allocation of registers serve them all. It must never know: models, how code gets into memory, the compiler.
 
+mod across;
 mod acts;
 mod allocation;
 mod assembler;

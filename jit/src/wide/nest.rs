@@ -6,29 +6,25 @@
 //!                    │                                       └── no pixels ──────────►────────────┤
 //!                    └────────────────────────── row ends, totals ◄───────────────────────────────┘
 //! ```
-//! A block is as many rows as a vector has lanes of f64; what is behind the last row is prepared as well, and adds nothing.
+//! A block is eight rows; what is behind the last row is prepared as well, and has no pixels.
 
 use std::mem::offset_of;
 
 use iced_x86::{Code, Instruction, Register};
 use isophote_symbolic::{Level, Program, Sink};
 
-use super::acts::allocate;
 use super::assembler::{Anchor, Assembled, Assembler, Label, MemoryPlace, Section};
-use super::block::Block;
 use super::calls::{ARGS, arg};
 use super::group::{Fullness, PixelLoop};
 use super::operation::{self, Element, Operation, Portion};
 use super::outer;
 use super::pixels::{FURTHEST, PIXEL, open_row, open_target_row};
-use super::places::{Broadcast, Homes, ROW, element};
+use super::places::{Broadcast, Homes, ROW, ROWS, element, parts};
 use crate::abi::Args;
 use crate::error::CompileError;
-use crate::options::{KernelOptions, VectorWidth};
+use crate::options::KernelOptions;
 use crate::plan;
 
-/// The first pixel of a row's last group.
-const REST: Register = Register::R13;
 /// What the caller's code wants back.
 const SAVED: [Register; 6] = [Register::RBX, Register::RBP, Register::R12, Register::R13, Register::R14, Register::R15];
 /// A page of stack, each of which is touched before the next.
@@ -100,47 +96,48 @@ impl Nest<'_> {
         outer::write(level, self.program, self.options, &mut self.places, &mut self.assembler);
     }
 
-    fn rows_at_once(&self) -> i32 {
-        (self.options.width.bytes() / Element::Double.bytes()) as i32
-    }
-
     fn body(&mut self) {
-        use Register::{RAX, RCX, RDX};
+        use Register::{RAX, RCX};
         let counters = self.places.counters;
+        let is_masked = plan::is_masked(self.program);
         let [block, pass_end, row, rows_end, next] = std::array::from_fn(|_| self.assembler.new_label());
-        let (outer, rows) = (self.outer, self.rows_at_once());
-        let totals = self.places.totals.clone();
+        let outer = self.outer;
         self.assembler.write(|i| {
             i.mov(RAX, arg(COUNT[0]));
             COUNT[1..outer].iter().for_each(|count| i.times(RAX, arg(*count)));
             i.store(counters.rows, RAX);
             i.mov(RAX, 0);
             let zeros = [counters.row, counters.pixels, counters.saturated];
-            zeros.iter().chain(&counters.next).chain(&totals).for_each(|place| i.store(*place, RAX));
+            zeros.iter().chain(&counters.next).for_each(|place| i.store(*place, RAX));
         });
+        self.zero(FREE);
+        let vectors = self.places.totals.iter().step_by(self.options.width.bytes() / Element::Double.bytes());
+        for place in vectors.copied().chain([self.places.taken]).collect::<Vec<_>>() {
+            self.write_register(FREE, Portion::Whole, place);
+        }
         self.level(Level::Pass);
 
         self.assembler.write(|i| {
             i.label(block);
-            i.mov(RAX, counters.rows);
-            i.minus(RAX, counters.row);
-            i.compare(RAX, 0);
-            i.jump(Code::Jle_rel32_64, pass_end);
-            i.mov(RDX, rows);
-            i.at_most(RAX, RDX);
-            i.store(counters.at_hand, RAX);
+            i.mov(RAX, counters.row);
+            i.compare(RAX, counters.rows);
+            i.jump(Code::Jge_rel32_64, pass_end);
         });
-        self.rows_places();
+        if outer > 1 {
+            self.rows_places();
+        }
         self.level(Level::Row);
-        self.zero(FREE);
-        self.write_register(FREE, Portion::Half, self.places.counts);
+        if is_masked {
+            self.zero(FREE);
+            // 32 bits a row.
+            let extent = if parts(self.options.width) == 1 { Portion::Half } else { Portion::Whole };
+            self.write_register(FREE, extent, self.places.counts);
+        }
         self.assembler.write(|i| {
             i.mov(ROW, 0);
             i.label(row);
-            i.compare(ROW, rows);
+            i.compare(ROW, ROWS as i32);
             i.jump(Code::Jae_rel32_64, rows_end);
-            i.compare(ROW, counters.at_hand);
-            i.jump(Code::Jge_rel32_64, rows_end);
         });
         self.row(next);
         self.assembler.write(|i| {
@@ -150,10 +147,15 @@ impl Nest<'_> {
             i.label(rows_end);
         });
         self.level(Level::RowEnd);
+        let taken = self.places.taken;
+        let lanes = self.options.width.bytes() / Element::Double.bytes();
         self.assembler.write(|i| {
+            i.mov(RAX, ROWS as i32);
+            i.plus_at(counters.row, RAX);
             i.jump(Code::Jmp_rel32_64, block);
             i.label(pass_end);
             i.mov(RCX, counters.pixels);
+            (0..lanes).for_each(|lane| i.plus(RCX, taken.plus(lane * 8)));
             i.store(arg(offset_of!(Args, pixels)), RCX);
             i.mov(RAX, counters.saturated);
             i.store(arg(offset_of!(Args, saturated)), RAX);
@@ -166,16 +168,16 @@ impl Nest<'_> {
         self.leave();
     }
 
-    /// Leaves where the rows of a block are in the frame, and moves on behind them.
+    /// Leaves where the rows of a block are in the frame, and moves on behind them; of three coordinates or more.
     fn rows_places(&mut self) {
         use Register::{EAX, RAX, RCX};
         let [fill, filled, moved] = std::array::from_fn(|_| self.assembler.new_label());
-        let Homes { counters, inside, coordinates, numbers, .. } = self.places;
-        let (outer, rows) = (self.outer, self.rows_at_once());
+        let Homes { counters, inside, coordinates, .. } = self.places;
+        let outer = self.outer;
         self.assembler.write(|i| {
             i.mov(ROW, 0);
             i.label(fill);
-            i.compare(ROW, rows);
+            i.compare(ROW, ROWS as i32);
             i.jump(Code::Jae_rel32_64, filled);
             for (axis, first) in FIRST.into_iter().enumerate().take(outer) {
                 i.mov(RAX, counters.next[axis]);
@@ -183,10 +185,6 @@ impl Nest<'_> {
                 i.plus(RAX, arg(first));
                 i.store_low(coordinates[axis].indexed(ROW, 4), EAX);
             }
-            i.mov(RAX, counters.row);
-            i.store(numbers.indexed(ROW, 8), RAX);
-            i.plus(RAX, 1);
-            i.store(counters.row, RAX);
             // y counts up, and each coordinate that has come to its end begins again and moves the next one on.
             i.mov(RCX, 0);
             for (axis, count) in COUNT.into_iter().enumerate().take(outer) {
@@ -212,22 +210,22 @@ impl Nest<'_> {
         let lanes = self.pixels.lanes() as i32;
         let [full, partial, row_end] = std::array::from_fn(|_| self.assembler.new_label());
         let (places, outer) = (&self.places, self.outer);
-        let counters = places.counters;
+        let Homes { counters, counts, .. } = *places;
+        let [start, end, rest] = [places.starts, places.ends, places.rests].map(|array| array.indexed(ROW, 8));
+        let is_masked = plan::is_masked(self.program);
         let renders = matches!(self.program.sink(), Sink::Plane(_));
         self.assembler.write(|i| {
-            i.mov(PIXEL, places.starts.indexed(ROW, 8));
-            i.mov(RAX, places.ends.indexed(ROW, 8));
+            i.mov(PIXEL, start);
+            i.mov(RAX, end);
             i.compare(PIXEL, RAX);
             i.jump(Code::Jg_rel32_64, next);
-            i.store(counters.end, RAX);
-            i.minus(RAX, PIXEL);
-            i.mov(REST, RAX);
-            i.and(REST, -lanes);
-            i.plus(REST, PIXEL);
-            i.plus(RAX, 1);
-            i.store(counters.wanted, RAX);
-            i.mov(RAX, 0);
-            i.store(counters.unused, RAX);
+            if is_masked {
+                i.minus(RAX, PIXEL);
+                i.plus(RAX, 1);
+                i.store(counters.wanted, RAX);
+                i.mov(RAX, 0);
+                i.store(counters.unused, RAX);
+            }
             open_row(i, places, outer);
             if renders {
                 open_target_row(i, places);
@@ -235,35 +233,35 @@ impl Nest<'_> {
         });
         self.prepare();
         self.assembler.write(|i| {
-            i.compare(PIXEL, REST);
+            i.compare(PIXEL, rest);
             i.jump(Code::Jge_rel32_64, partial);
             i.label(full);
         });
         self.pixels.write(Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
         self.assembler.write(|i| {
             i.plus(PIXEL, lanes);
-            i.compare(PIXEL, REST);
+            i.compare(PIXEL, rest);
             i.jump(Code::Jl_rel32_64, full);
             i.label(partial);
+            i.compare(PIXEL, end);
+            i.jump(Code::Jg_rel32_64, row_end);
         });
         self.pixels.write(Fullness::Partial, &mut self.places, &mut self.assembler);
-        let goes_on = plan::is_masked(self.program);
-        let counts = self.places.counts.indexed(ROW, 4);
         self.assembler.write(|i| {
-            if goes_on {
-                i.compare(PIXEL, REST);
-                i.jump(Code::Jge_rel32_64, row_end);
+            if is_masked {
                 i.plus(PIXEL, lanes);
-                i.compare(PIXEL, REST);
+                i.compare(PIXEL, rest);
                 i.jump(Code::Jl_rel32_64, full);
                 i.jump(Code::Jmp_rel32_64, partial);
-                i.label(row_end);
             }
-            i.mov(RCX, counters.wanted);
-            i.minus(RCX, counters.unused);
-            i.plus_at(counters.pixels, RCX);
-            i.mov(RAX, RCX);
-            i.store_low(counts, EAX);
+            i.label(row_end);
+            if is_masked {
+                i.mov(RCX, counters.wanted);
+                i.minus(RCX, counters.unused);
+                i.plus_at(counters.pixels, RCX);
+                i.mov(RAX, RCX);
+                i.store_low(counts.indexed(ROW, 4), EAX);
+            }
         });
         self.sums();
     }
@@ -323,30 +321,19 @@ impl Nest<'_> {
         self.assembler.constant(&bytes)
     }
 
-    /// The lanes of each sum, together, in f64: the upper half is added to the lower one until one is left.
+    /// Leaves the lanes of each sum for the row's end.
     fn sums(&mut self) {
-        use Operation::{Add, Second, UpperHalf, UpperQuarter, Widen};
-        let double = Element::Double;
-        let mut block = Block::new(&mut self.assembler, self.options.width);
-        let folds: &[Operation] = match self.options.width {
-            VectorWidth::Bits512 => &[UpperHalf, UpperQuarter, Second],
-            _ => &[UpperHalf, Second],
-        };
-        for (held, place) in self.places.accumulators.iter().zip(&self.places.sums) {
-            let mut sum = block.variable(*held);
-            if element(self.options.precision) == Element::Single {
-                let low = block.compute(Widen, double, [sum]);
-                let high = block.compute(UpperHalf, double, [sum]);
-                let high = block.compute(Widen, double, [high]);
-                sum = block.compute(Add, double, [low, high]);
+        let bytes = self.options.width.bytes();
+        let sums: Vec<_> = self.places.accumulators.iter().copied().zip(self.places.sums.iter().copied()).collect();
+        self.assembler.write(|i| {
+            i.scaled(Register::RAX, ROW, (bytes / 8) as i32);
+        });
+        for (held, place) in sums {
+            if held.register.is_none() {
+                self.read_register(FREE, held.memory, Element::Single);
             }
-            for fold in folds {
-                let upper = block.compute(*fold, double, [sum]);
-                sum = block.compute(Add, double, [sum, upper]);
-            }
-            block.store(double, Portion::Least, sum, place.indexed(ROW, 8));
+            self.write_register(held.register.unwrap_or(FREE), Portion::Whole, place.indexed(Register::RAX, 8));
         }
-        allocate(block, &mut self.places.frame, self.places.reserved);
     }
 
     fn zero(&mut self, register: u8) {

@@ -37,12 +37,20 @@ pub(super) mod comparison {
     pub const AT_MOST: u8 = 0x12;
 }
 
+/// Which pieces of 128 bits of two vectors an instruction picks, and in which order: at 256 bits a piece of each, at 512 two.
+pub(super) mod pieces {
+    /// At 256 bits: the first of each, the second of each.
+    pub const OF_TWO: [u8; 2] = [0x20, 0x31];
+    /// At 512 bits: the lower half of each, the upper half of each.
+    pub const HALVES: [u8; 2] = [0x44, 0xEE];
+    /// At 512 bits: the first and the third of each, the second and the fourth of each.
+    pub const EVERY_OTHER: [u8; 2] = [0x88, 0xDD];
+}
+
 /// A vector operation. Truth values are lanes of which all bits are set or none.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Operation {
     Add,
-    /// Of the first f64 of a vector, and one in memory.
-    AddFirst,
     Sub,
     Mul,
     Div,
@@ -74,12 +82,14 @@ pub(super) enum Operation {
     Narrow,
     /// The upper half in the place of the lower one.
     UpperHalf,
-    /// Of the lower half its upper half, in the place of the lowest quarter; at 512 bits.
-    UpperQuarter,
-    /// The second f64 in the place of the first.
-    Second,
     /// A lower half, and another as the upper one.
     Join,
+    /// Of each 128 bits the first f64, from both.
+    Firsts,
+    /// Of each 128 bits the second f64, from both.
+    Seconds,
+    /// Pieces of 128 bits, see [`pieces`].
+    Pieces(u8),
     /// 32-bit integers as numbers; of f64 those in the lower half.
     FromIntegers,
     /// Bytes in memory as 32-bit integers, as many as there are lanes.
@@ -130,8 +140,8 @@ impl Operation {
     pub fn in_memory(self) -> InMemory {
         use Operation::*;
         match self {
-            UpperHalf | UpperQuarter | Second | ShiftLeft(_) | ShiftRight(_) | SpreadFirst | Join => InMemory::Never,
-            FromBytes | FromWords | Load | LoadHalf | Spread | AddFirst => InMemory::Always,
+            UpperHalf | ShiftLeft(_) | ShiftRight(_) | SpreadFirst | Join => InMemory::Never,
+            FromBytes | FromWords | Load | LoadHalf | Spread => InMemory::Always,
             _ => InMemory::Any,
         }
     }
@@ -144,8 +154,10 @@ impl Operation {
     /// Which byte follows the operands, if one does.
     pub fn immediate(self, width: VectorWidth) -> Option<u32> {
         match self {
-            Operation::Compare(by) | Operation::ShiftLeft(by) | Operation::ShiftRight(by) => Some(by.into()),
-            Operation::UpperHalf | Operation::UpperQuarter | Operation::Second | Operation::Join => Some(1),
+            Operation::Compare(by) | Operation::ShiftLeft(by) | Operation::ShiftRight(by) | Operation::Pieces(by) => {
+                Some(by.into())
+            }
+            Operation::UpperHalf | Operation::Join => Some(1),
             Operation::Select if width == VectorWidth::Bits512 => Some(SELECT),
             _ => None,
         }
@@ -158,17 +170,10 @@ impl Operation {
             (Operation::Widen, _) | (Operation::FromIntegers, Element::Double) => [Whole, Half],
             (Operation::Narrow | Operation::UpperHalf, _) => [Half, Whole],
             (Operation::FromBytes | Operation::FromWords, Element::Double) | (Operation::LoadHalf, _) => [Half, Half],
-            (Operation::UpperQuarter, _) => [Least, Half],
-            (Operation::Second | Operation::AddFirst, _) => [Least, Least],
             (Operation::Join, _) => [Whole, Half],
             (Operation::SpreadFirst, _) => [Whole, Least],
             _ => [Whole, Whole],
         }
-    }
-
-    /// Of the first of two operands.
-    pub fn first_extent(self) -> Portion {
-        if self == Operation::AddFirst { Portion::Least } else { Portion::Whole }
     }
 
     /// The instruction: of f32 and f64 at 256 bits, of f32 and f64 at 512. A comparison at 512 bits leaves its result in a
@@ -183,10 +188,6 @@ impl Operation {
                 EVEX_Vaddps_zmm_k1z_zmm_zmmm512b32_er,
                 EVEX_Vaddpd_zmm_k1z_zmm_zmmm512b64_er,
             ],
-            AddFirst => {
-                let [narrow, wide] = [VEX_Vaddsd_xmm_xmm_xmmm64, EVEX_Vaddsd_xmm_k1z_xmm_xmmm64_er];
-                [narrow, narrow, wide, wide]
-            }
             Sub => [
                 VEX_Vsubps_ymm_ymm_ymmm256,
                 VEX_Vsubpd_ymm_ymm_ymmm256,
@@ -280,13 +281,20 @@ impl Operation {
                 let [narrow, wide] = [VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8];
                 [narrow, narrow, wide, wide]
             }
-            UpperQuarter => [EVEX_Vextractf32x4_xmmm128_k1z_ymm_imm8; 4],
-            Second => {
-                let [narrow, wide] = [VEX_Vpermilpd_xmm_xmmm128_imm8, EVEX_Vpermilpd_xmm_k1z_xmmm128b64_imm8];
-                [narrow, narrow, wide, wide]
-            }
             Join => {
                 let [narrow, wide] = [VEX_Vinsertf128_ymm_ymm_xmmm128_imm8, EVEX_Vinsertf64x4_zmm_k1z_zmm_ymmm256_imm8];
+                [narrow, narrow, wide, wide]
+            }
+            Firsts => {
+                let [narrow, wide] = [VEX_Vunpcklpd_ymm_ymm_ymmm256, EVEX_Vunpcklpd_zmm_k1z_zmm_zmmm512b64];
+                [narrow, narrow, wide, wide]
+            }
+            Seconds => {
+                let [narrow, wide] = [VEX_Vunpckhpd_ymm_ymm_ymmm256, EVEX_Vunpckhpd_zmm_k1z_zmm_zmmm512b64];
+                [narrow, narrow, wide, wide]
+            }
+            Pieces(_) => {
+                let [narrow, wide] = [VEX_Vperm2f128_ymm_ymm_ymmm256_imm8, EVEX_Vshuff64x2_zmm_k1z_zmm_zmmm512b64_imm8];
                 [narrow, narrow, wide, wide]
             }
             FromIntegers => [
@@ -408,7 +416,6 @@ pub(super) fn every_code() -> Vec<Code> {
     use Operation::*;
     let operations = [
         Add,
-        AddFirst,
         Sub,
         Mul,
         Div,
@@ -428,9 +435,10 @@ pub(super) fn every_code() -> Vec<Code> {
         Widen,
         Narrow,
         UpperHalf,
-        UpperQuarter,
-        Second,
         Join,
+        Firsts,
+        Seconds,
+        Pieces(0),
         FromIntegers,
         FromBytes,
         FromWords,

@@ -7,13 +7,15 @@ use isophote_symbolic::{Level, Opcode, Precision, Program, Sink, Value};
 use smallvec::SmallVec;
 
 use super::acts::allocate;
-use super::assembler::{Anchor, Assembler, MemoryPlace};
+use super::assembler::{Anchor, Assembler, Instructions, MemoryPlace};
 use super::block::{Block, Id};
 use super::calls::arg;
 use super::operation::{Element, Operation, Portion, comparison};
-use super::places::{Homes, element};
+use super::pixels::FURTHEST;
+use super::places::{Homes, element, parts};
 use crate::abi::Args;
 use crate::options::{KernelOptions, VectorWidth};
+use crate::plan;
 
 const DOUBLE: Element = Element::Double;
 
@@ -25,11 +27,26 @@ pub(super) fn write(
     places: &mut Homes,
     assembler: &mut Assembler,
 ) {
+    let parts = if matches!(level, Level::Row | Level::RowEnd) { parts(options.width) } else { 1 };
+    for part in 0..parts {
+        write_part(level, part, program, options, places, assembler);
+    }
+}
+
+/// The same of a vector of rows.
+fn write_part(
+    level: Level,
+    part: usize,
+    program: &Program,
+    options: &KernelOptions,
+    places: &mut Homes,
+    assembler: &mut Assembler,
+) {
     let block = Block::new(assembler, options.width);
     let known = vec![None; program.instructions().len()];
-    let mut writer = Writer { program, options, places, block, known };
+    let mut writer = Writer { program, options, places, block, part, number: None, known };
     if level == Level::Pass {
-        writer.edges();
+        writer.window();
     }
     for (i, instruction) in program.instructions().iter().enumerate().filter(|(_, x)| x.level == level) {
         writer.block.speak_for(Some(Value(i as u32)));
@@ -54,6 +71,10 @@ struct Writer<'w, 'a> {
     options: &'w KernelOptions,
     places: &'w Homes,
     block: Block<'a>,
+    /// Which of the vectors that the rows at hand take.
+    part: usize,
+    /// The rows' numbers, once they are known.
+    number: Option<Id>,
     known: Vec<Option<Id>>,
 }
 
@@ -64,11 +85,31 @@ impl Writer<'_, '_> {
         }
         let id = match (self.program.instruction(value).op.constant(), self.places.doubles[value.index()]) {
             (Some(number), _) => self.block.number(DOUBLE, number),
-            (None, Some(memory)) => self.block.kept(memory),
+            (None, Some(memory)) => {
+                let memory = self.of_value(value, memory);
+                self.block.kept(memory)
+            }
             (None, None) => unreachable!("every value that crosses levels has a place"),
         };
         self.known[value.index()] = Some(id);
         id
+    }
+
+    fn lanes(&self) -> usize {
+        self.options.width.bytes() / DOUBLE.bytes()
+    }
+
+    /// The vector of the rows at hand that is worked on, of an array with so many bytes a row.
+    fn of_rows(&self, array: MemoryPlace, bytes: usize) -> MemoryPlace {
+        array.plus(self.part * self.lanes() * bytes)
+    }
+
+    /// The same of a vector of f64 that only values of rows have more than once.
+    fn of_value(&self, value: Value, memory: MemoryPlace) -> MemoryPlace {
+        match self.program.instruction(value).level {
+            Level::Row => self.of_rows(memory, DOUBLE.bytes()),
+            _ => memory,
+        }
     }
 
     /// Integers of 32 bits in memory, one a lane or one for all.
@@ -86,9 +127,17 @@ impl Writer<'_, '_> {
                 let number = self.block.fleeting(number.spread());
                 self.block.compute(Operation::Spread, DOUBLE, [number])
             }
-            Opcode::Outer(coordinate) => self.integers(self.places.coordinates[coordinate.index() - 1]),
-            Opcode::RowTotal(accumulator) => self.block.kept(self.places.sums[accumulator.index()]),
-            Opcode::RowCount => self.integers(self.places.counts),
+            Opcode::Outer(_) if self.program.coordinates() <= 2 => {
+                let y = self.block.kept(self.places.window.y);
+                let number = self.number();
+                self.block.compute(Operation::Add, DOUBLE, [y, number])
+            }
+            Opcode::Outer(coordinate) => {
+                let coordinates = self.places.coordinates[coordinate.index() - 1];
+                self.integers(self.of_rows(coordinates, size_of::<i32>()))
+            }
+            Opcode::RowTotal(accumulator) => self.row_total(accumulator.index()),
+            Opcode::RowCount => self.counts(),
             Opcode::PassTotal(total) => self.block.kept(self.places.totals[total.index()].spread()),
             Opcode::PassCount => self.block.kept(self.places.counters.pixels.spread()),
             _ => {
@@ -102,6 +151,7 @@ impl Writer<'_, '_> {
         };
         self.known[value.index()] = Some(result);
         if let Some(memory) = self.places.doubles[value.index()] {
+            let memory = self.of_value(value, memory);
             self.block.store(DOUBLE, Portion::Whole, result, memory);
         }
         self.show(value, result);
@@ -112,7 +162,10 @@ impl Writer<'_, '_> {
         let Some(shown) = self.places.shown[value.index()] else { return };
         let is_truth = self.program.is_truth(value);
         match shown.array {
-            Some((array, _)) if is_truth => self.block.store(DOUBLE, Portion::Whole, result, array),
+            Some((array, _)) if is_truth => {
+                let array = self.of_rows(array, DOUBLE.bytes());
+                self.block.store(DOUBLE, Portion::Whole, result, array);
+            }
             Some((array, _)) => self.rounded(result, array),
             None => self.spread(result, is_truth, shown.held.memory),
         }
@@ -120,6 +173,7 @@ impl Writer<'_, '_> {
 
     /// Leaves the lanes in an array of the pixel loop's elements.
     fn rounded(&mut self, lanes: Id, array: MemoryPlace) {
+        let array = self.of_rows(array, element(self.options.precision).bytes());
         match self.options.precision {
             Precision::F32 => {
                 let rounded = self.block.compute(Operation::Narrow, DOUBLE, [lanes]);
@@ -142,78 +196,147 @@ impl Writer<'_, '_> {
         self.block.store(element, Portion::Whole, all, memory);
     }
 
-    /// The window's first and last column.
-    fn edges(&mut self) {
-        use Register::{EAX, RAX};
+    /// What rows need to know of the window.
+    fn window(&mut self) {
+        let field = |offset: usize| move |i: &mut Instructions| i.mov(Register::RAX, arg(offset));
+        let window = self.places.window;
+        self.spread_integer(field(offset_of!(Args, x)), window.first);
+        let last = |i: &mut Instructions| {
+            i.mov(Register::RAX, arg(offset_of!(Args, x)));
+            i.plus(Register::RAX, arg(offset_of!(Args, width)));
+            i.minus(Register::RAX, 1);
+        };
+        self.spread_integer(last, window.last);
+        let rows = self.places.counters.rows;
+        self.spread_integer(|i| i.mov(Register::RAX, rows), window.rows);
+        if self.program.coordinates() <= 2 {
+            self.spread_integer(field(offset_of!(Args, y)), window.y);
+        }
+        if !plan::is_masked(self.program) {
+            self.spread_integer(|i| i.mov(Register::RAX, FURTHEST), window.furthest);
+        }
+    }
+
+    /// Leaves a number that `make` leaves in rax in all lanes.
+    fn spread_integer(&mut self, make: impl FnOnce(&mut Instructions), memory: MemoryPlace) {
         let place = self.places.counters.before;
-        let [first, last] = self.places.edges;
         self.block.scalar(|i| {
-            i.mov(RAX, arg(offset_of!(Args, x)));
-            i.store_low(place, EAX);
+            make(i);
+            i.store_low(place, Register::EAX);
         });
-        let x = self.integers(place.spread());
-        self.block.store(DOUBLE, Portion::Whole, x, first);
-        self.block.scalar(|i| {
-            i.plus(RAX, arg(offset_of!(Args, width)));
-            i.minus(RAX, 1);
-            i.store_low(place, EAX);
-        });
-        let x = self.integers(place.spread());
-        self.block.store(DOUBLE, Portion::Whole, x, last);
+        let number = self.integers(place.spread());
+        self.block.store(DOUBLE, Portion::Whole, number, memory);
+    }
+
+    /// The rows' numbers from the first of all.
+    fn number(&mut self) -> Id {
+        if let Some(number) = self.number {
+            return number;
+        }
+        let before = self.integers(self.places.counters.row.spread());
+        let first = self.part * self.lanes();
+        let lanes = self.block.constant_lanes(DOUBLE, |lane| (first + lane) as f64);
+        let number = self.block.compute(Operation::Add, DOUBLE, [before, lanes]);
+        *self.number.insert(number)
+    }
+
+    /// An integer below 2⁵¹ as f64.
+    fn as_double(&mut self, integer: Id) -> Id {
+        let magic = self.block.number(DOUBLE, isophote_elementary::MAGIC);
+        let shifted = self.block.compute(Operation::AddBits, DOUBLE, [integer, magic]);
+        self.block.compute(Operation::Sub, DOUBLE, [shifted, magic])
     }
 
     /// Leaves the first and the last pixel of each row in the frame, the last before the first where there is none, and hands
     /// back the first as f64. The order of comparisons is the interpreter's, so that NaN and infinities end the same way.
     fn range(&mut self) -> Id {
         use Operation::{Add, AddBits, And, Compare, Or, Select, Sub, SubBits};
-        let Homes { starts, ends, edges, .. } = *self.places;
-        let [first, last] = edges.map(|edge| self.block.kept(edge));
-        let b = &mut self.block;
-        let Some((lo, hi)) = self.program.pixel_set().bounds else {
-            let (zero, width) = (b.pattern(0), b.compute(Sub, DOUBLE, [last, first]));
-            let [_, end] = b.nearest(width);
-            b.store(DOUBLE, Portion::Whole, zero, starts);
-            b.store(DOUBLE, Portion::Whole, end, ends);
-            return zero;
-        };
-        let [lo, hi] = [lo, hi].map(|value| self.operand(value));
+        let [first, last, rows] =
+            [self.places.window.first, self.places.window.last, self.places.window.rows].map(|x| self.block.kept(x));
+        let number = self.number();
+        let bounds = self.program.pixel_set().bounds.map(|(lo, hi)| [lo, hi].map(|value| self.operand(value)));
         let b = &mut self.block;
         let at_most = Compare(comparison::AT_MOST);
         let less = Compare(comparison::LESS);
-        let ordered = b.compute(at_most, DOUBLE, [lo, hi]);
-        let inside = b.compute(less, DOUBLE, [first, lo]);
-        let lo = b.compute(Select, DOUBLE, [inside, lo, first]);
-        let inside = b.compute(less, DOUBLE, [hi, last]);
-        let hi = b.compute(Select, DOUBLE, [inside, hi, last]);
-        let still = b.compute(at_most, DOUBLE, [lo, hi]);
-        let any = b.compute(And, DOUBLE, [ordered, still]);
+        let exists = b.compute(less, DOUBLE, [number, rows]);
+        let (start, first_pixel, end, any) = match bounds {
+            None => {
+                let (zero, width) = (b.pattern(0), b.compute(Sub, DOUBLE, [last, first]));
+                let [_, end] = b.nearest(width);
+                (zero, zero, end, exists)
+            }
+            Some([lo, hi]) => {
+                let ordered = b.compute(at_most, DOUBLE, [lo, hi]);
+                let inside = b.compute(less, DOUBLE, [first, lo]);
+                let lo = b.compute(Select, DOUBLE, [inside, lo, first]);
+                let inside = b.compute(less, DOUBLE, [hi, last]);
+                let hi = b.compute(Select, DOUBLE, [inside, hi, last]);
+                let still = b.compute(at_most, DOUBLE, [lo, hi]);
+                let any = b.compute(And, DOUBLE, [ordered, still]);
+                let any = b.compute(And, DOUBLE, [any, exists]);
 
-        // Where there are pixels, both are inside of the window: distances below 2³¹. A truth value is −1 as an integer.
-        let distance = b.compute(Sub, DOUBLE, [lo, first]);
-        let [near, integer] = b.nearest(distance);
-        let short = b.compute(less, DOUBLE, [near, distance]);
-        let start = b.compute(SubBits, DOUBLE, [integer, short]);
-        let start = b.compute(And, DOUBLE, [start, any]);
-        b.store(DOUBLE, Portion::Whole, start, starts);
-        let one = b.number(DOUBLE, 1.0);
-        let step = b.compute(And, DOUBLE, [short, one]);
-        let first_pixel = b.compute(Add, DOUBLE, [near, step]);
-        let first_pixel = b.compute(And, DOUBLE, [first_pixel, any]);
+                // Where there are pixels, both are inside of the window: distances below 2³¹. A truth value is −1 as an integer.
+                let distance = b.compute(Sub, DOUBLE, [lo, first]);
+                let [near, integer] = b.nearest(distance);
+                let short = b.compute(less, DOUBLE, [near, distance]);
+                let start = b.compute(SubBits, DOUBLE, [integer, short]);
+                let start = b.compute(And, DOUBLE, [start, any]);
+                let one = b.number(DOUBLE, 1.0);
+                let step = b.compute(And, DOUBLE, [short, one]);
+                let first_pixel = b.compute(Add, DOUBLE, [near, step]);
+                let first_pixel = b.compute(And, DOUBLE, [first_pixel, any]);
 
-        let distance = b.compute(Sub, DOUBLE, [hi, first]);
-        let [near, integer] = b.nearest(distance);
-        let over = b.compute(less, DOUBLE, [distance, near]);
-        let end = b.compute(AddBits, DOUBLE, [integer, over]);
+                let distance = b.compute(Sub, DOUBLE, [hi, first]);
+                let [near, integer] = b.nearest(distance);
+                let over = b.compute(less, DOUBLE, [distance, near]);
+                let end = b.compute(AddBits, DOUBLE, [integer, over]);
+                (start, first_pixel, end, any)
+            }
+        };
         let none = b.not(DOUBLE, any);
         let end = b.compute(Or, DOUBLE, [end, none]);
-        b.store(DOUBLE, Portion::Whole, end, ends);
+        let all = b.pattern(u64::MAX);
+        let count = b.compute(SubBits, DOUBLE, [end, start]);
+        let count = b.compute(SubBits, DOUBLE, [count, all]);
+        let groups = b.pattern(!(self.options.lanes().count() as u64 - 1));
+        let full = b.compute(And, DOUBLE, [count, groups]);
+        let rest = b.compute(AddBits, DOUBLE, [start, full]);
+        let Homes { starts, ends, rests, .. } = *self.places;
+        for (numbers, place) in [(start, starts), (end, ends), (rest, rests)] {
+            let place = self.of_rows(place, DOUBLE.bytes());
+            self.block.store(DOUBLE, Portion::Whole, numbers, place);
+        }
+        if !plan::is_masked(self.program) {
+            self.last_groups(first_pixel, count, rest);
+        }
         first_pixel
+    }
+
+    /// Leaves how many pixels rows have, and which lanes of their last group take part.
+    fn last_groups(&mut self, first_pixel: Id, count: Id, rest: Id) {
+        use Operation::{Add, AddBits, Compare, Select, Sub};
+        let Homes { counts, before, until, taken, window, .. } = *self.places;
+        let so_far = self.block.fleeting(taken);
+        let so_far = self.block.compute(AddBits, DOUBLE, [count, so_far]);
+        self.block.store(DOUBLE, Portion::Whole, so_far, taken);
+        let count = self.as_double(count);
+        let place = self.of_rows(counts, DOUBLE.bytes());
+        self.block.store(DOUBLE, Portion::Whole, count, place);
+        let end = self.block.compute(Add, DOUBLE, [first_pixel, count]);
+        let rest = self.as_double(rest);
+        let furthest = self.block.kept(window.furthest);
+        let is_early = self.block.compute(Compare(comparison::LESS), DOUBLE, [furthest, rest]);
+        let begin = self.block.compute(Select, DOUBLE, [is_early, furthest, rest]);
+        for (from, place) in [(rest, before), (end, until)] {
+            let distance = self.block.compute(Sub, DOUBLE, [from, begin]);
+            self.rounded(distance, place);
+        }
     }
 
     /// Leaves where the offsets of the rows begin; `first` is their first pixel, from the window's first column.
     fn columns(&mut self, first: Id) {
         use Operation::{Add, Sub};
-        let edge = self.block.kept(self.places.edges[0]);
+        let edge = self.block.kept(self.places.window.first);
         let x = self.block.compute(Add, DOUBLE, [first, edge]);
         for column in &self.places.columns {
             self.block.speak_for(Some(column.value));
@@ -230,25 +353,58 @@ impl Writer<'_, '_> {
         }
     }
 
+    /// How many pixels of each row take part, as f64.
+    fn counts(&mut self) -> Id {
+        let counts = self.places.counts;
+        match plan::is_masked(self.program) {
+            true => self.integers(self.of_rows(counts, size_of::<i32>())),
+            false => {
+                let counts = self.of_rows(counts, DOUBLE.bytes());
+                self.block.kept(counts)
+            }
+        }
+    }
+
+    /// The lanes of each row's sum, together, in f64: the upper half is added to the lower one until one is left.
+    fn row_total(&mut self, accumulator: usize) -> Id {
+        let (bytes, lanes) = (self.options.width.bytes(), self.lanes());
+        let first = self.places.sums[accumulator].plus(self.part * lanes * bytes);
+        let rows: Vec<Id> = (0..lanes)
+            .map(|row| {
+                let sum = first.plus(row * bytes);
+                if self.options.precision == Precision::F64 {
+                    return self.block.kept(sum);
+                }
+                let [low, high] = [sum, sum.plus(bytes / 2)].map(|half| {
+                    let half = self.block.fleeting(half);
+                    self.block.compute(Operation::Widen, DOUBLE, [half])
+                });
+                self.block.compute(Operation::Add, DOUBLE, [low, high])
+            })
+            .collect();
+        self.block.totals_of(&rows)
+    }
+
     /// Adds rows to the pass' totals, one after the other. A row without pixels adds 0, whatever it knows.
     fn totals(&mut self) {
         let Sink::Sums { totals, .. } = self.program.sink() else { return };
-        let counts = self.integers(self.places.counts);
+        let counts = self.counts();
         let zero = self.block.number(DOUBLE, 0.0);
         let used = self.block.compute(Operation::Compare(comparison::DIFFERENT), DOUBLE, [counts, zero]);
-        let (added, rows) = (self.places.added, self.options.width.bytes() / DOUBLE.bytes());
-        for (value, place) in totals.iter().zip(&self.places.totals) {
-            self.block.speak_for(Some(*value));
-            let row = self.operand(*value);
-            let row = self.block.compute(Operation::And, DOUBLE, [used, row]);
-            self.block.store(DOUBLE, Portion::Whole, row, added);
-            let total = self.block.fleeting(place.spread());
-            let mut total = self.block.compute(Operation::Spread, DOUBLE, [total]);
-            for row in 0..rows {
-                let row = self.block.fleeting(added.plus(row * DOUBLE.bytes()));
-                total = self.block.compute(Operation::AddFirst, DOUBLE, [total, row]);
+        let lanes = self.lanes();
+        for (values, places) in totals.chunks(lanes).zip(self.places.totals.chunks(lanes)) {
+            self.block.speak_for(values.first().copied());
+            let mut added: Vec<Id> = Vec::new();
+            for value in values {
+                let rows = self.operand(*value);
+                added.push(self.block.compute(Operation::And, DOUBLE, [used, rows]));
             }
-            self.block.store(DOUBLE, Portion::Least, total, *place);
+            added.resize(lanes, zero);
+            let mut total = self.block.fleeting(places[0]);
+            for row in self.block.transposed(&added) {
+                total = self.block.compute(Operation::Add, DOUBLE, [row, total]);
+            }
+            self.block.store(DOUBLE, Portion::Whole, total, places[0]);
         }
     }
 

@@ -1,23 +1,25 @@
 //! Reading raw planes, and adding to the output plane.
 //!
-//! A group begins at its pixel, or so far left of it that it ends inside of the window; that is computed anew before each
+//! A group begins at its pixel, or so far left of it that it ends inside of the window; that is made sure of before its first
 //! access, in the way that [`super::verify`] knows.
 
 use std::mem::offset_of;
 
 use iced_x86::{Code, Instruction, Register};
 
-use super::assembler::{Anchor, Instructions, MemoryPlace};
+use super::assembler::{Anchor, Instructions, Label, MemoryPlace};
 use super::block::{Block, Id};
 use super::calls::arg;
 use super::operation::{Element, Operation, Portion, comparison};
-use super::places::Homes;
+use super::places::{Homes, ROW, RowAddress};
 use crate::abi::{Args, PlaneArgs};
 use crate::options::KernelOptions;
 use crate::plane::PixelFormat;
 
 /// The pixel at which a group begins or would begin, from the window's first column.
 pub(super) const PIXEL: Register = Register::R12;
+/// Where a partial group begins.
+pub(super) const BEGIN: Register = Register::R13;
 /// Where a group begins at the latest.
 pub(super) const FURTHEST: Register = Register::R15;
 
@@ -26,36 +28,55 @@ pub(super) fn plane(planes: Register, channel: usize, offset: usize) -> MemoryPl
     MemoryPlace::new(Anchor::At(planes), (channel * size_of::<PlaneArgs>() + offset) as i32)
 }
 
-/// Leaves where the group begins in rcx.
+/// Leaves where a partial group begins in its register.
 pub(super) fn begin(i: &mut Instructions) {
-    i.mov(Register::RCX, PIXEL);
-    i.at_most(Register::RCX, FURTHEST);
+    i.mov(BEGIN, PIXEL);
+    i.at_most(BEGIN, FURTHEST);
+}
+
+/// A full group begins at its pixel. That it is no later than the last place for a group is known to us; here it is made
+/// known to the verifier.
+pub(super) fn begin_full(i: &mut Instructions, otherwise: Label) {
+    i.compare(PIXEL, FURTHEST);
+    i.jump(Code::Ja_rel32_64, otherwise);
+}
+
+/// The row at hand, from the first of all.
+fn row_number(i: &mut Instructions, to: Register, places: &Homes) {
+    i.mov(to, places.counters.row);
+    i.plus(to, ROW);
 }
 
 impl Block<'_> {
-    /// The lanes of a raw plane.
-    pub fn channel(&mut self, channel: usize, places: &Homes, options: &KernelOptions, lanes: usize) -> Id {
+    /// The lanes of a raw plane, of a group that begins at the pixel in `begin`.
+    pub fn channel(&mut self, channel: usize, places: &Homes, options: &KernelOptions, begin: Register) -> Id {
         use Register::{RAX, RCX, RDX};
         let Some(row) = places.rows[channel] else { unreachable!("every channel that is read has a place") };
         let format = options.formats[channel];
         let bytes = format.bytes_per_pixel();
         if options.packed {
-            self.scalar(|i| {
-                begin(i);
-                i.mov(RAX, row);
-            });
-            let memory = MemoryPlace::new(Anchor::At(RAX), 0).indexed(RCX, bytes as u32);
+            let base = match row {
+                RowAddress::Register(register) => register,
+                RowAddress::Memory(place) => {
+                    self.scalar(|i| i.mov(RAX, place));
+                    RAX
+                }
+            };
+            let memory = MemoryPlace::new(Anchor::At(base), 0).indexed(begin, bytes as u32);
             return self.converted(format, memory, options);
         }
         let gathered = places.gathered;
         self.scalar(|i| {
-            begin(i);
+            i.mov(RCX, begin);
             i.mov(RDX, arg(offset_of!(Args, planes)));
             i.times(RCX, plane(RDX, channel, offset_of!(PlaneArgs, pixel_stride)));
-            i.mov(RAX, row);
+            match row {
+                RowAddress::Register(register) => i.mov(RAX, register),
+                RowAddress::Memory(place) => i.mov(RAX, place),
+            }
             i.plus(RAX, RCX);
             i.mov(RDX, plane(RDX, channel, offset_of!(PlaneArgs, pixel_stride)));
-            for lane in 0..lanes {
+            for lane in 0..options.lanes().count() {
                 copy_pixel(i, gathered.plus(lane * bytes), bytes);
                 i.plus(RAX, RDX);
             }
@@ -87,7 +108,7 @@ impl Block<'_> {
     }
 
     /// Adds the lanes of a group, as f32, to the output plane where `used` holds.
-    pub fn write(&mut self, value: Id, used: Option<Id>, places: &Homes, element: Element) {
+    pub fn write(&mut self, value: Id, used: Option<Id>, places: &Homes, element: Element, begin: Register) {
         let (load, extent) = match element {
             Element::Single => (Operation::Load, Portion::Whole),
             Element::Double => (Operation::LoadHalf, Portion::Half),
@@ -106,11 +127,8 @@ impl Block<'_> {
             }
         };
         let Some(value) = value else { return };
-        self.scalar(|i| {
-            begin(i);
-            i.mov(Register::RAX, places.target);
-        });
-        let memory = MemoryPlace::new(Anchor::At(Register::RAX), 0).indexed(Register::RCX, 4);
+        self.scalar(|i| i.mov(Register::RAX, places.target));
+        let memory = MemoryPlace::new(Anchor::At(Register::RAX), 0).indexed(begin, 4);
         let old = self.fleeting(memory);
         let old = self.compute(load, Element::Single, [old]);
         let mut new = self.compute(Operation::Add, Element::Single, [old, value]);
@@ -143,15 +161,24 @@ pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
     }
     for (channel, row) in places.rows.iter().enumerate() {
         let Some(row) = row else { continue };
-        i.mov(RSI, plane(RDX, channel, offset_of!(PlaneArgs, first)));
+        let address = match row {
+            RowAddress::Register(register) => *register,
+            RowAddress::Memory(_) => RSI,
+        };
+        i.mov(address, plane(RDX, channel, offset_of!(PlaneArgs, first)));
         for (axis, stride) in strides.into_iter().enumerate().take(outer) {
-            i.mov(RAX, places.inside[axis].indexed(super::places::ROW, 8));
+            match outer {
+                1 => row_number(i, RAX, places),
+                _ => i.mov(RAX, places.inside[axis].indexed(ROW, 8)),
+            }
             i.mov(RCX, arg(offset_of!(Args, last) + axis * size_of::<i64>()));
             i.at_most(RAX, RCX);
             i.times(RAX, plane(RDX, channel, stride));
-            i.plus(RSI, RAX);
+            i.plus(address, RAX);
         }
-        i.store(*row, RSI);
+        if let RowAddress::Memory(place) = row {
+            i.store(*place, address);
+        }
     }
 }
 
@@ -159,7 +186,7 @@ pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
 pub(super) fn open_target_row(i: &mut Instructions, places: &Homes) {
     use Register::{RAX, RCX, RSI};
     i.mov(RSI, arg(offset_of!(Args, target)));
-    i.mov(RAX, places.numbers.indexed(super::places::ROW, 8));
+    row_number(i, RAX, places);
     i.mov(RCX, arg(offset_of!(Args, last_row)));
     i.at_most(RAX, RCX);
     i.times(RAX, arg(offset_of!(Args, target_stride)));

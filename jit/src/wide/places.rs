@@ -1,7 +1,7 @@
 //! Where every value of a program lives while the loop runs: in the frame, and some of those of the pixel loop in registers.
 //!
-//! What comes in: a program and the width of vectors. What goes out: [`Homes`]. Rows are prepared a vector of f64 at a time,
-//! a lane a row; what the pixel loop needs of a row it finds in an array, an element a row.
+//! What comes in: a program and the width of vectors. What goes out: [`Homes`]. Rows are prepared eight at a time, a lane of f64
+//! a row; what the pixel loop needs of a row it finds in an array, an element a row.
 
 use iced_x86::Register;
 use isophote_symbolic::{Level, Opcode, Precision, Program, Sink, Value};
@@ -41,23 +41,53 @@ pub(super) struct Column {
     pub running: Resident,
 }
 
+/// How many rows are prepared together: a lane of f64 each, which is a vector of 512 bits or two of 256.
+pub(super) const ROWS: usize = 8;
+
+/// Vectors of f64 that a number of each row at hand takes.
+pub(super) fn parts(width: VectorWidth) -> usize {
+    ROWS * Element::Double.bytes() / width.bytes()
+}
+
+/// Where the address of a plane's row is while the row's loop runs.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum RowAddress {
+    Register(Register),
+    Memory(MemoryPlace),
+}
+
+/// Registers for such addresses, which calls do not leave as they were.
+const ADDRESSES: [Register; 4] = [Register::R8, Register::R9, Register::R10, Register::R11];
+
+/// What is known of the window: each an f64 in all lanes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WindowPlaces {
+    /// Its first and last column.
+    pub first: MemoryPlace,
+    pub last: MemoryPlace,
+    /// Its first row, and how many it has in all.
+    pub y: MemoryPlace,
+    pub rows: MemoryPlace,
+    /// Where a group begins at the latest, from the first column.
+    pub furthest: MemoryPlace,
+}
+
 /// Numbers of 64 bits that the loops count in.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counters {
-    /// Rows so far, all rows, rows at hand.
+    /// Rows before those at hand, all rows.
     pub row: MemoryPlace,
     pub rows: MemoryPlace,
-    pub at_hand: MemoryPlace,
-    /// Where the next row is: y, z, w from the window's first.
+    /// Where the next row is: y, z, w from the window's first. Of three coordinates or more.
     pub next: [MemoryPlace; 3],
-    /// The last pixel of the row, its pixels, those of them that take no part.
-    pub end: MemoryPlace,
+    /// The row's pixels, those of them that take no part, where the program looks at each.
     pub wanted: MemoryPlace,
     pub unused: MemoryPlace,
     /// Of the pass.
     pub pixels: MemoryPlace,
     pub saturated: MemoryPlace,
-    /// Two integers of 32 bits: by how many pixels a group begins early, and where the row ends.
+    /// Two integers of 32 bits of a group, where the program looks at each pixel: by how many pixels it begins early, and where
+    /// the row ends.
     pub before: MemoryPlace,
     pub until: MemoryPlace,
 }
@@ -71,24 +101,29 @@ pub(super) struct Homes {
     pub shown: Vec<Option<Broadcast>>,
     pub columns: Vec<Column>,
     pub accumulators: Vec<Resident>,
-    /// The totals of each accumulator: an f64 a row.
+    /// The sums of each accumulator: a vector a row.
     pub sums: Vec<MemoryPlace>,
-    /// The totals of the pass, an f64 each, and a vector of what rows add to one of them.
+    /// The totals of the pass, an f64 each, in whole vectors.
     pub totals: Vec<MemoryPlace>,
-    pub added: MemoryPlace,
-    /// The rows at hand: first and last pixel (64 bits), pixels that take part (32 bits), where they are from the window's first
-    /// (64 bits), and in the plane (32 bits), how many came before (64 bits).
+    /// The rows at hand: first and last pixel, and the first that no full group has (64 bits each).
     pub starts: MemoryPlace,
     pub ends: MemoryPlace,
+    pub rests: MemoryPlace,
+    /// Their pixels that take part: 32 bits where the program looks at each pixel, else f64.
     pub counts: MemoryPlace,
+    /// By how many pixels their last group begins early, and where it ends: elements of the pixel loop, unless the program looks
+    /// at each pixel.
+    pub before: MemoryPlace,
+    pub until: MemoryPlace,
+    /// Of three coordinates or more: where they are from the window's first (64 bits), and in the plane (32 bits).
     pub inside: [MemoryPlace; 3],
     pub coordinates: [MemoryPlace; 3],
-    pub numbers: MemoryPlace,
-    /// The window's first and last column, in all lanes.
-    pub edges: [MemoryPlace; 2],
+    pub window: WindowPlaces,
+    /// Pixels that took part so far, a 64-bit number a lane, unless the program looks at each pixel.
+    pub taken: MemoryPlace,
     pub counters: Counters,
     /// The address of the row of each plane that is read, and of the output plane.
-    pub rows: Vec<Option<MemoryPlace>>,
+    pub rows: Vec<Option<RowAddress>>,
     pub target: MemoryPlace,
     /// Pixels that are gathered.
     pub gathered: MemoryPlace,
@@ -121,13 +156,13 @@ impl Homes {
     pub fn new(program: &Program, options: &KernelOptions, pixels: &[Value], functions: Evaluation) -> Homes {
         let (count, width) = (program.instructions().len(), options.width);
         let (vector, element) = (width.bytes(), element(options.precision));
-        let rows = vector / Element::Double.bytes();
         let mut frame = StackFrame::default();
         let mut doubles = vec![None; count];
         for (reader, value) in plan::scalar_reads(program) {
             let instruction = program.instruction(value);
             if instruction.level != reader && instruction.op.constant().is_none() {
-                doubles[value.index()].get_or_insert_with(|| frame.take(vector, vector));
+                let parts = if instruction.level == Level::Row { parts(width) } else { 1 };
+                doubles[value.index()].get_or_insert_with(|| frame.take(parts * vector, vector));
             }
         }
 
@@ -145,8 +180,8 @@ impl Homes {
         let mut columns = Vec::new();
         for value in pixels.iter().filter(is_offset) {
             let &[term] = program.instruction(*value).op.parts().1 else { continue };
-            let first = frame.take(rows * element.bytes(), vector);
-            let array = frame.take(rows * element.bytes(), vector);
+            let first = frame.take(ROWS * element.bytes(), vector);
+            let array = frame.take(ROWS * element.bytes(), vector);
             let register = if offsets <= RUNNING_MAX { pins.take() } else { None };
             let running = Resident { register, memory: frame.take(vector, vector) };
             let held = Resident { register: None, memory: Homes::of_row(&mut frame, array, element.bytes(), width) };
@@ -181,7 +216,7 @@ impl Homes {
                 Level::Row => {
                     // Truth values stay as wide as those that they were made of.
                     let stride = if is_truth { Element::Double.bytes() } else { element.bytes() };
-                    let array = frame.take(rows * stride, vector);
+                    let array = frame.take(ROWS * stride, vector);
                     let memory = Homes::of_row(&mut frame, array, stride, width);
                     Broadcast { held: Resident { register, memory }, array: Some((array, stride as u32)) }
                 }
@@ -193,21 +228,30 @@ impl Homes {
             });
         }
 
+        let mut addresses = ADDRESSES.iter();
         let mut channels = vec![None; program.channels()];
         for value in pixels {
             if let Opcode::Channel(channel) = program.instruction(*value).op.code {
-                channels[channel.index()].get_or_insert_with(|| frame.scalar());
+                let register = if pixels.iter().any(is_call) { None } else { addresses.next() };
+                let address = |frame: &mut StackFrame| match register {
+                    Some(register) => RowAddress::Register(*register),
+                    None => RowAddress::Memory(frame.scalar()),
+                };
+                channels[channel.index()].get_or_insert_with(|| address(&mut frame));
             }
         }
-        let half = vector / 2;
-        let [of_64, of_32] = [vector, half].map(|bytes| move |frame: &mut StackFrame| frame.take(bytes, vector));
+        let [of_64, of_32, of_element] =
+            [8, 4, element.bytes()].map(|bytes| move |frame: &mut StackFrame| frame.take(ROWS * bytes, vector));
+        let lanes = vector / Element::Double.bytes();
+        let totals: Vec<MemoryPlace> = (0..totals.div_ceil(lanes))
+            .map(|_| frame.take(vector, vector))
+            .flat_map(|place| (0..lanes).map(move |lane| place.plus(lane * Element::Double.bytes())))
+            .collect();
         let mut scalar = || frame.scalar();
         let counters = Counters {
             row: scalar(),
             rows: scalar(),
-            at_hand: scalar(),
             next: std::array::from_fn(|_| scalar()),
-            end: scalar(),
             wanted: scalar(),
             unused: scalar(),
             pixels: scalar(),
@@ -220,16 +264,24 @@ impl Homes {
             shown,
             columns,
             accumulators,
-            sums: (0..sums).map(|_| of_64(&mut frame)).collect(),
-            totals: (0..totals).map(|_| frame.scalar()).collect(),
-            added: of_64(&mut frame),
+            sums: (0..sums).map(|_| frame.take(ROWS * vector, vector)).collect(),
+            totals,
             starts: of_64(&mut frame),
             ends: of_64(&mut frame),
-            counts: of_32(&mut frame),
+            rests: of_64(&mut frame),
+            counts: of_64(&mut frame),
+            before: of_element(&mut frame),
+            until: of_element(&mut frame),
             inside: std::array::from_fn(|_| of_64(&mut frame)),
             coordinates: std::array::from_fn(|_| of_32(&mut frame)),
-            numbers: of_64(&mut frame),
-            edges: std::array::from_fn(|_| of_64(&mut frame)),
+            window: WindowPlaces {
+                first: frame.take(vector, vector),
+                last: frame.take(vector, vector),
+                y: frame.take(vector, vector),
+                rows: frame.take(vector, vector),
+                furthest: frame.take(vector, vector),
+            },
+            taken: frame.take(vector, vector),
             counters,
             rows: channels,
             target: frame.scalar(),

@@ -96,6 +96,16 @@ impl Fact {
         }
     }
 
+    /// So many times a number that is small.
+    pub fn scaled(self, by: i64) -> Fact {
+        match self {
+            Fact::Below(count) if (0..=1 << 16).contains(&count) && (1..=1 << 8).contains(&by) => {
+                Fact::Below((count - 1) * by + 1)
+            }
+            _ => Fact::Number,
+        }
+    }
+
     /// The product.
     pub fn times(self, other: Fact) -> Fact {
         match (self, other) {

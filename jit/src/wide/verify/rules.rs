@@ -45,7 +45,7 @@ const ADDRESS_BYTES: i64 = 8;
 const CALLEE_SAVED: [usize; 7] = [3, 4, 5, 12, 13, 14, 15];
 
 /// Instructions on general registers; those of vectors are the table's.
-const GENERAL: [Code; 38] = [
+const GENERAL: [Code; 40] = [
     Code::Mov_r64_rm64,
     Code::Mov_rm64_r64,
     Code::Mov_rm64_imm32,
@@ -63,6 +63,7 @@ const GENERAL: [Code; 38] = [
     Code::And_r64_rm64,
     Code::And_rm64_imm32,
     Code::Imul_r64_rm64,
+    Code::Imul_r64_rm64_imm32,
     Code::Cmp_r64_rm64,
     Code::Cmp_rm64_imm32,
     Code::Test_rm32_r32,
@@ -81,6 +82,7 @@ const GENERAL: [Code; 38] = [
     Code::Jg_rel32_64,
     Code::Jge_rel32_64,
     Code::Jae_rel32_64,
+    Code::Ja_rel32_64,
     Code::VEX_Vzeroupper,
     Code::VEX_Kmovw_r32_kr,
     Code::VEX_Kmovw_kr_r32,
@@ -193,6 +195,7 @@ impl Check<'_> {
             Code::Mov_rm64_imm32 if i.immediate32to64() == 0 => Fact::Below(1),
             Code::Add_r64_rm64 => state.of(to).plus(from),
             Code::Imul_r64_rm64 => state.of(to).times(from),
+            Code::Imul_r64_rm64_imm32 => from.scaled(i.immediate32to64()),
             Code::Cmova_r64_rm64 => self.bounded(state, to),
             Code::Lea_r64_m if i.memory_base() == Register::RSP && i.memory_index() == Register::None => {
                 match state.of(Register::RSP) {
@@ -219,13 +222,20 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// What a conditional jump that was not taken says: `cmp r, n; jae` leaves r below n.
+    /// What a conditional jump that was not taken says: `cmp r, n; jae` leaves r below n, `cmp r, limit; ja` within the limit.
     pub fn refine(&self, state: &mut State) {
-        let Some(before) = self.before else { return };
-        let is_compared = before.code() == Code::Cmp_rm64_imm32 && before.op0_kind() == OpKind::Register;
-        if self.instruction.code() == Code::Jae_rel32_64 && is_compared && before.immediate32to64() > 0 {
-            state.set(before.op0_register(), Fact::Below(before.immediate32to64()));
-        }
+        let Some(before) = self.before.filter(|before| before.op0_kind() == OpKind::Register) else { return };
+        let known = match (self.instruction.code(), before.code()) {
+            (Code::Jae_rel32_64, Code::Cmp_rm64_imm32) if before.immediate32to64() > 0 => {
+                Fact::Below(before.immediate32to64())
+            }
+            (Code::Ja_rel32_64, Code::Cmp_r64_rm64) if before.op1_kind() == OpKind::Register => {
+                let Fact::Limit(limit) = state.of(before.op1_register()) else { return };
+                Fact::Within(limit)
+            }
+            _ => return,
+        };
+        state.set(before.op0_register(), known);
     }
 
     /// `cmp r, limit; cmova r, limit` leaves r within the limit, as a number without a sign.
