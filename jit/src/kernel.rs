@@ -1,7 +1,7 @@
 //! `Kernel`: a program as native code, ready to run over the pixels of a window.
 
 use isophote_symbolic::{Bindings, Program, Sink};
-use smallvec::SmallVec;
+use smallvec::{SmallVec, smallvec};
 
 use crate::compile;
 use crate::error::{CompileError, RunError};
@@ -76,8 +76,9 @@ impl Kernel {
     pub fn sums(&self, bindings: &Bindings<'_>, planes: &[PlaneView<'_>], window: Window) -> Result<Sums, RunError> {
         let Sink::Sums { outputs, .. } = self.program.sink() else { return Err(RunError::Sink { renders: true }) };
         let regions = self.regions(planes, window)?;
-        let mut outputs = vec![0.0; outputs.len()];
-        let inputs: SmallVec<[f64; 32]> = self.program.gather(bindings).collect();
+        // The code writes all of them.
+        let mut outputs: Vec<f64> = outputs.iter().map(|_| f64::NAN).collect();
+        let inputs = self.inputs(bindings);
         let counts = self.code.sums(&inputs, &mut outputs, &regions, window);
         Ok(Sums { outputs, pixels: counts.pixels, saturated: counts.saturated })
     }
@@ -90,9 +91,15 @@ impl Kernel {
         if window.pixels() != plane.len() {
             return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
         }
-        let inputs: SmallVec<[f64; 32]> = self.program.gather(bindings).collect();
+        let inputs = self.inputs(bindings);
         self.code.render(&inputs, window, plane);
         Ok(())
+    }
+
+    fn inputs(&self, bindings: &Bindings<'_>) -> SmallVec<[f64; 32]> {
+        let mut inputs = smallvec![0.0; self.program.inputs().len()];
+        inputs.iter_mut().zip(self.program.gather(bindings)).for_each(|(to, number)| *to = number);
+        inputs
     }
 
     /// A loop nest of two coordinates would leave all slices but the first out.

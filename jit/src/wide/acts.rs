@@ -251,6 +251,9 @@ impl Allocation<'_> {
     fn sum(&mut self, variable: Id, element: Element, terms: &[Id], only: Option<Id>) {
         let held = self.register_of(variable);
         let condition = only.map(|only| self.condition(only, element));
+        if held.is_none() && self.sum_in_memory(variable, element, terms, condition) {
+            return;
+        }
         let register = match held {
             Some(register) => register,
             None => {
@@ -297,6 +300,49 @@ impl Allocation<'_> {
         if held.is_none() {
             self.store(register, Portion::Whole, element, self.memory(variable));
         }
+    }
+
+    /// A sum that is added to as an operand in memory, which saves its load; `false`: nothing was written.
+    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], condition: Option<Condition>) -> bool {
+        let memory = self.memory(variable);
+        let add = Operation::Add.code(element, self.width);
+        let sum = match (terms, condition) {
+            (&[term], None) => {
+                let term = self.fetch(term, element);
+                let sum = self.take_temporary();
+                let [to, term] = [sum, term].map(|register| self.name(register, Portion::Whole));
+                self.three(add, [to, term], (Read::Memory(memory), Portion::Whole), None, Masked::No);
+                sum
+            }
+            (&[term], Some(Condition::Register(condition))) => {
+                let term = self.read(term, element);
+                let sum = self.take_temporary();
+                let [to, condition] = [sum, condition].map(|register| self.name(register, Portion::Whole));
+                let and = Operation::And.code(element, self.width);
+                self.three(and, [to, condition], (term, Portion::Whole), None, Masked::No);
+                self.three(add, [to, to], (Read::Memory(memory), Portion::Whole), None, Masked::No);
+                sum
+            }
+            (&[a, b], None) => {
+                // A factor that nobody needs any more makes room for the sum.
+                let dies =
+                    |id: Id| self.register_of(id).filter(|register| self.is_dying(id) && self.is_own(id, *register));
+                let (Some(sum), other) = (match dies(a) {
+                    Some(register) => (Some(register), b),
+                    None => (dies(b), a),
+                }) else {
+                    return false;
+                };
+                let other = self.fetch(other, element);
+                let [to, other] = [sum, other].map(|register| self.name(register, Portion::Whole));
+                let code = FmaForm::F213.code(element, self.width);
+                self.three(code, [to, other], (Read::Memory(memory), Portion::Whole), None, Masked::No);
+                sum
+            }
+            _ => return false,
+        };
+        self.store(sum, Portion::Whole, element, memory);
+        true
     }
 
     /// Makes the lanes that are summed known to the instructions that follow.

@@ -19,7 +19,7 @@ use super::group::{Fullness, PixelLoop};
 use super::operation::{self, Element, Operation, Portion};
 use super::outer;
 use super::pixels::{FURTHEST, PIXEL, open_row, open_target_row};
-use super::places::{Broadcast, Homes, ROW, ROWS, element, parts};
+use super::places::{Broadcast, Homes, ROW, ROWS, SUM, element, parts};
 use crate::abi::Args;
 use crate::error::CompileError;
 use crate::options::KernelOptions;
@@ -111,8 +111,10 @@ impl Nest<'_> {
             zeros.iter().chain(&counters.next).for_each(|place| i.store(*place, RAX));
         });
         self.zero(FREE);
-        let vectors = self.places.totals.iter().step_by(self.options.width.bytes() / Element::Double.bytes());
-        for place in vectors.copied().chain([self.places.taken]).collect::<Vec<_>>() {
+        let bytes = self.options.width.bytes();
+        let totals = self.places.totals.iter().step_by(bytes / Element::Double.bytes()).copied();
+        let taken = (0..parts(self.options.width)).map(|part| self.places.taken.plus(part * bytes));
+        for place in totals.chain(taken).collect::<Vec<_>>() {
             self.write_register(FREE, Portion::Whole, place);
         }
         self.level(Level::Pass);
@@ -148,14 +150,13 @@ impl Nest<'_> {
         });
         self.level(Level::RowEnd);
         let taken = self.places.taken;
-        let lanes = self.options.width.bytes() / Element::Double.bytes();
         self.assembler.write(|i| {
             i.mov(RAX, ROWS as i32);
             i.plus_at(counters.row, RAX);
             i.jump(Code::Jmp_rel32_64, block);
             i.label(pass_end);
             i.mov(RCX, counters.pixels);
-            (0..lanes).for_each(|lane| i.plus(RCX, taken.plus(lane * 8)));
+            (0..ROWS).for_each(|row| i.plus(RCX, taken.plus(row * 8)));
             i.store(arg(offset_of!(Args, pixels)), RCX);
             i.mov(RAX, counters.saturated);
             i.store(arg(offset_of!(Args, saturated)), RAX);
@@ -286,6 +287,9 @@ impl Nest<'_> {
                 self.write_register(FREE, Portion::Whole, column.running.memory);
             }
         }
+        if self.places.calls_nothing {
+            self.place_of_sums();
+        }
         let accumulators = self.places.accumulators.clone();
         if accumulators.iter().any(|held| held.register.is_none()) {
             self.zero(FREE);
@@ -323,17 +327,25 @@ impl Nest<'_> {
 
     /// Leaves the lanes of each sum for the row's end.
     fn sums(&mut self) {
-        let bytes = self.options.width.bytes();
-        let sums: Vec<_> = self.places.accumulators.iter().copied().zip(self.places.sums.iter().copied()).collect();
-        self.assembler.write(|i| {
-            i.scaled(Register::RAX, ROW, (bytes / 8) as i32);
-        });
-        for (held, place) in sums {
+        if !self.places.calls_nothing {
+            self.place_of_sums();
+        }
+        for i in 0..self.places.sums.len() {
+            let (held, place) = (self.places.accumulators[i], self.places.sums[i].indexed(SUM, 8));
+            if held.register.is_none() && held.memory == place {
+                continue;
+            }
             if held.register.is_none() {
                 self.read_register(FREE, held.memory, Element::Single);
             }
-            self.write_register(held.register.unwrap_or(FREE), Portion::Whole, place.indexed(Register::RAX, 8));
+            self.write_register(held.register.unwrap_or(FREE), Portion::Whole, place);
         }
+    }
+
+    /// Leaves where the row's sums are in a register.
+    fn place_of_sums(&mut self) {
+        let eighth = self.options.width.bytes() / 8;
+        self.assembler.write(|i| i.scaled(SUM, ROW, eighth as i32));
     }
 
     fn zero(&mut self, register: u8) {

@@ -8,7 +8,7 @@ use smallvec::SmallVec;
 
 use super::acts::allocate;
 use super::assembler::{Anchor, Assembler, Instructions, MemoryPlace};
-use super::block::{Block, Id};
+use super::block::{Act, Block, Id};
 use super::calls::arg;
 use super::operation::{Element, Operation, Portion, comparison};
 use super::pixels::FURTHEST;
@@ -28,42 +28,27 @@ pub(super) fn write(
     assembler: &mut Assembler,
 ) {
     let parts = if matches!(level, Level::Row | Level::RowEnd) { parts(options.width) } else { 1 };
-    for part in 0..parts {
-        write_part(level, part, program, options, places, assembler);
-    }
-}
-
-/// The same of a vector of rows.
-fn write_part(
-    level: Level,
-    part: usize,
-    program: &Program,
-    options: &KernelOptions,
-    places: &mut Homes,
-    assembler: &mut Assembler,
-) {
     let block = Block::new(assembler, options.width);
     let known = vec![None; program.instructions().len()];
-    let mut writer = Writer { program, options, places, block, part, number: None, known };
-    if level == Level::Pass {
-        writer.window();
-    }
-    for (i, instruction) in program.instructions().iter().enumerate().filter(|(_, x)| x.level == level) {
-        writer.block.speak_for(Some(Value(i as u32)));
-        writer.instruction(Value(i as u32), instruction.op.code);
-    }
-    writer.block.speak_for(None);
-    match level {
-        Level::Row => {
-            let first = writer.range();
-            writer.columns(first);
-        }
-        Level::RowEnd => writer.totals(),
-        Level::PassEnd => writer.outputs(),
-        Level::Pass | Level::Pixel => {}
-    }
-    let Writer { block, .. } = writer;
+    let mut writer = Writer { program, options, places, block, part: 0, number: None, known };
+    let acts: Vec<_> = (0..parts).map(|part| writer.part(level, part)).collect();
+    let Writer { mut block, .. } = writer;
+    block.acts = match level {
+        // Operations of one vector wait for each other, and neither writes what the other one reads.
+        Level::Row => side_by_side(acts),
+        _ => acts.into_iter().flatten().collect(),
+    };
     allocate(block, &mut places.frame, 0);
+}
+
+/// Elements of lists of one length in turn.
+fn side_by_side<T>(lists: Vec<Vec<T>>) -> Vec<T> {
+    let mut lists: Vec<_> = lists.into_iter().map(Vec::into_iter).collect();
+    let mut all = Vec::new();
+    while lists.iter().any(|list| list.len() > 0) {
+        all.extend(lists.iter_mut().filter_map(Iterator::next));
+    }
+    all
 }
 
 struct Writer<'w, 'a> {
@@ -79,6 +64,32 @@ struct Writer<'w, 'a> {
 }
 
 impl Writer<'_, '_> {
+    /// The acts of a level; of rows, those of a vector of them.
+    fn part(&mut self, level: Level, part: usize) -> Vec<(Act, Option<Value>)> {
+        let program = self.program;
+        (self.part, self.number) = (part, None);
+        let of_rows = |value: usize| program.instructions()[value].level != Level::Pass;
+        self.known.iter_mut().enumerate().filter(|(value, _)| of_rows(*value)).for_each(|(_, known)| *known = None);
+        if level == Level::Pass {
+            self.window();
+        }
+        for (i, instruction) in program.instructions().iter().enumerate().filter(|(_, x)| x.level == level) {
+            self.block.speak_for(Some(Value(i as u32)));
+            self.instruction(Value(i as u32), instruction.op.code);
+        }
+        self.block.speak_for(None);
+        match level {
+            Level::Row => {
+                let first = self.range();
+                self.columns(first);
+            }
+            Level::RowEnd => self.totals(),
+            Level::PassEnd => self.outputs(),
+            Level::Pass | Level::Pixel => {}
+        }
+        std::mem::take(&mut self.block.acts)
+    }
+
     fn operand(&mut self, value: Value) -> Id {
         if let Some(known) = self.known[value.index()] {
             return known;
@@ -316,6 +327,7 @@ impl Writer<'_, '_> {
     fn last_groups(&mut self, first_pixel: Id, count: Id, rest: Id) {
         use Operation::{Add, AddBits, Compare, Select, Sub};
         let Homes { counts, before, until, taken, window, .. } = *self.places;
+        let taken = self.of_rows(taken, DOUBLE.bytes());
         let so_far = self.block.fleeting(taken);
         let so_far = self.block.compute(AddBits, DOUBLE, [count, so_far]);
         self.block.store(DOUBLE, Portion::Whole, so_far, taken);

@@ -56,6 +56,10 @@ pub(super) enum RowAddress {
     Memory(MemoryPlace),
 }
 
+/// The register that has the row at hand times what makes eight-fold of it a row's place among the sums: where the pixel loop
+/// calls nothing, else for a moment.
+pub(super) const SUM: Register = Register::RDI;
+
 /// Registers for such addresses, which calls do not leave as they were.
 const ADDRESSES: [Register; 4] = [Register::R8, Register::R9, Register::R10, Register::R11];
 
@@ -103,6 +107,8 @@ pub(super) struct Homes {
     pub accumulators: Vec<Resident>,
     /// The sums of each accumulator: a vector a row.
     pub sums: Vec<MemoryPlace>,
+    /// Whether general registers last as long as a row's loop runs.
+    pub calls_nothing: bool,
     /// The totals of the pass, an f64 each, in whole vectors.
     pub totals: Vec<MemoryPlace>,
     /// The rows at hand: first and last pixel, and the first that no full group has (64 bits each).
@@ -119,7 +125,7 @@ pub(super) struct Homes {
     pub inside: [MemoryPlace; 3],
     pub coordinates: [MemoryPlace; 3],
     pub window: WindowPlaces,
-    /// Pixels that took part so far, a 64-bit number a lane, unless the program looks at each pixel.
+    /// Pixels that took part so far, a 64-bit number for each row of a block, unless the program looks at each pixel.
     pub taken: MemoryPlace,
     pub counters: Counters,
     /// The address of the row of each plane that is read, and of the output plane.
@@ -193,8 +199,16 @@ impl Homes {
             Sink::Sums { accumulators, totals, .. } => (accumulators.len(), totals.len()),
             Sink::Plane(_) => (0, 0),
         };
-        let accumulators =
-            (0..sums).map(|_| Resident { register: pins.take(), memory: frame.take(vector, vector) }).collect();
+        let calls_nothing = !pixels.iter().any(is_call);
+        let sums: Vec<MemoryPlace> = (0..sums).map(|_| frame.take(ROWS * vector, vector)).collect();
+        let accumulators = sums
+            .iter()
+            .map(|sums| {
+                // Where it stays when the row is done, if the register lasts that tells the place.
+                let memory = if calls_nothing { sums.indexed(SUM, 8) } else { frame.take(vector, vector) };
+                Resident { register: pins.take(), memory }
+            })
+            .collect();
         for column in &mut columns {
             column.fraction.held.register = pins.take();
         }
@@ -232,7 +246,7 @@ impl Homes {
         let mut channels = vec![None; program.channels()];
         for value in pixels {
             if let Opcode::Channel(channel) = program.instruction(*value).op.code {
-                let register = if pixels.iter().any(is_call) { None } else { addresses.next() };
+                let register = if calls_nothing { addresses.next() } else { None };
                 let address = |frame: &mut StackFrame| match register {
                     Some(register) => RowAddress::Register(*register),
                     None => RowAddress::Memory(frame.scalar()),
@@ -264,7 +278,8 @@ impl Homes {
             shown,
             columns,
             accumulators,
-            sums: (0..sums).map(|_| frame.take(ROWS * vector, vector)).collect(),
+            sums,
+            calls_nothing,
             totals,
             starts: of_64(&mut frame),
             ends: of_64(&mut frame),
@@ -281,7 +296,7 @@ impl Homes {
                 rows: frame.take(vector, vector),
                 furthest: frame.take(vector, vector),
             },
-            taken: frame.take(vector, vector),
+            taken: of_64(&mut frame),
             counters,
             rows: channels,
             target: frame.scalar(),

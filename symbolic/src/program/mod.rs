@@ -318,15 +318,18 @@ impl Program {
     /// The numbers for [`Program::inputs`], in order. A missing shift is 0; any other missing slot is a bug of the caller
     /// and reads NaN.
     pub fn gather(&self, bindings: &Bindings) -> impl Iterator<Item = f64> {
-        let at = |slice: &[f64], i: usize| slice.get(i).copied().unwrap_or(f64::NAN);
-        let number = move |input: &Input| match *input {
-            Input::Parameter(p) => at(bindings.parameters, p.index()),
-            Input::Entry(p) => at(bindings.entry, p.index()),
-            Input::Constant(c) => at(bindings.constants, c.index()),
-            Input::Saturation(c) => at(bindings.saturation, c.index()),
-            Input::Shift(c) => bindings.shift.get(c.index()).copied().unwrap_or(0.0),
-        };
-        self.inputs.iter().map(number)
+        let Bindings { parameters, entry, constants, saturation, shift } = *bindings;
+        let lists = [parameters, entry, constants, saturation, shift];
+        self.inputs.iter().map(move |input| {
+            let (list, i) = match *input {
+                Input::Parameter(p) => (0, p.index()),
+                Input::Entry(p) => (1, p.index()),
+                Input::Constant(c) => (2, c.index()),
+                Input::Saturation(c) => (3, c.index()),
+                Input::Shift(c) => (4, c.index()),
+            };
+            lists[list].get(i).copied().unwrap_or(if list == 4 { 0.0 } else { f64::NAN })
+        })
     }
 
     /// What the pixel loop is taken to cost, accumulation included, where that is below another's.
