@@ -248,114 +248,88 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
+    /// `only` is known at 512 bits, where an instruction leaves out the other lanes by itself.
     fn sum(&mut self, variable: Id, element: Element, terms: &[Id], only: Option<Id>) {
-        let held = self.register_of(variable);
-        let condition = only.map(|only| self.condition(only, element));
-        if held.is_none() && self.sum_in_memory(variable, element, terms, condition) {
-            return;
-        }
-        let register = match held {
-            Some(register) => register,
-            None => {
-                let register = self.take_temporary();
-                self.load(register, self.memory(variable), element);
-                register
+        let masked = match only {
+            Some(only) => {
+                self.sum_only(only, element);
+                Masked::Summed
             }
+            None => Masked::No,
+        };
+        let Some(register) = self.register_of(variable) else {
+            return self.sum_in_memory(variable, element, terms, masked);
         };
         let to = self.name(register, Portion::Whole);
-        let add = Operation::Add.code(element, self.width);
-        let multiply = FmaForm::F231.code(element, self.width);
-        match (terms, condition) {
-            ([term], None | Some(Condition::Mask)) => {
-                let term = self.read(*term, element);
-                self.three(add, [to, to], (term, Portion::Whole), None, Masked::of(condition));
+        match *terms {
+            [term] => {
+                let term = self.read(term, element);
+                self.three(Operation::Add.code(element, self.width), [to, to], (term, Portion::Whole), None, masked);
             }
-            ([term], Some(Condition::Register(condition))) => {
-                let term = self.read(*term, element);
-                let part = self.take_temporary();
-                let [kept, condition] = [part, condition].map(|register| self.name(register, Portion::Whole));
-                let and = Operation::And.code(element, self.width);
-                self.three(and, [kept, condition], (term, Portion::Whole), None, Masked::No);
-                self.three(add, [to, to], (Read::Register(part), Portion::Whole), None, Masked::No);
-            }
-            (factors, condition) => {
-                let [mut a, mut b] = [factors[0], factors[1]];
-                if !self.is_in_register(a) {
-                    std::mem::swap(&mut a, &mut b);
-                }
-                let a = self.fetch(a, element);
-                let (a, b) = (self.name(a, Portion::Whole), self.read(b, element));
-                match condition {
-                    Some(Condition::Register(condition)) => {
-                        let new = self.take_temporary();
-                        self.copy(new, register);
-                        let name = self.name(new, Portion::Whole);
-                        self.three(multiply, [name, a], (b, Portion::Whole), None, Masked::No);
-                        self.blend(element, [register, register], Read::Register(new), condition);
-                    }
-                    condition => self.three(multiply, [to, a], (b, Portion::Whole), None, Masked::of(condition)),
-                }
-            }
-        }
-        if held.is_none() {
-            self.store(register, Portion::Whole, element, self.memory(variable));
+            [a, b] => self.multiply_and_add(to, [a, b], element, masked),
+            _ => unreachable!("a sum has a term or a product"),
         }
     }
 
-    /// A sum that is added to as an operand in memory, which saves its load; `false`: nothing was written.
-    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], condition: Option<Condition>) -> bool {
+    /// to += a · b
+    fn multiply_and_add(&mut self, to: Register, [mut a, mut b]: [Id; 2], element: Element, masked: Masked) {
+        if !self.is_in_register(a) {
+            std::mem::swap(&mut a, &mut b);
+        }
+        let a = self.fetch(a, element);
+        let (a, b) = (self.name(a, Portion::Whole), self.read(b, element));
+        self.three(FmaForm::F231.code(element, self.width), [to, a], (b, Portion::Whole), None, masked);
+    }
+
+    /// A sum that has no register; an operand of the addition where that saves its load.
+    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], masked: Masked) {
         let memory = self.memory(variable);
-        let add = Operation::Add.code(element, self.width);
-        let sum = match (terms, condition) {
-            (&[term], None) => {
+        let in_memory = (Read::Memory(memory), Portion::Whole);
+        let dies = |id: &Id| self.register_of(*id).filter(|register| self.is_dying(*id) && self.is_own(*id, *register));
+        // A factor that nobody needs any more makes room for the sum.
+        let room = match *terms {
+            [a, b] if masked == Masked::No => dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a))),
+            _ => None,
+        };
+        let sum = match (terms, room) {
+            (&[term], _) if masked == Masked::No => {
                 let term = self.fetch(term, element);
                 let sum = self.take_temporary();
                 let [to, term] = [sum, term].map(|register| self.name(register, Portion::Whole));
-                self.three(add, [to, term], (Read::Memory(memory), Portion::Whole), None, Masked::No);
+                self.three(Operation::Add.code(element, self.width), [to, term], in_memory, None, masked);
                 sum
             }
-            (&[term], Some(Condition::Register(condition))) => {
-                let term = self.read(term, element);
-                let sum = self.take_temporary();
-                let [to, condition] = [sum, condition].map(|register| self.name(register, Portion::Whole));
-                let and = Operation::And.code(element, self.width);
-                self.three(and, [to, condition], (term, Portion::Whole), None, Masked::No);
-                self.three(add, [to, to], (Read::Memory(memory), Portion::Whole), None, Masked::No);
-                sum
-            }
-            (&[a, b], None) => {
-                // A factor that nobody needs any more makes room for the sum.
-                let dies =
-                    |id: Id| self.register_of(id).filter(|register| self.is_dying(id) && self.is_own(id, *register));
-                let (Some(sum), other) = (match dies(a) {
-                    Some(register) => (Some(register), b),
-                    None => (dies(b), a),
-                }) else {
-                    return false;
-                };
+            (_, Some((sum, other))) => {
                 let other = self.fetch(other, element);
                 let [to, other] = [sum, other].map(|register| self.name(register, Portion::Whole));
-                let code = FmaForm::F213.code(element, self.width);
-                self.three(code, [to, other], (Read::Memory(memory), Portion::Whole), None, Masked::No);
+                self.three(FmaForm::F213.code(element, self.width), [to, other], in_memory, None, masked);
                 sum
             }
-            _ => return false,
+            _ => {
+                let sum = self.take_temporary();
+                self.load(sum, memory, element);
+                let to = self.name(sum, Portion::Whole);
+                match *terms {
+                    [term] => {
+                        let term = (self.read(term, element), Portion::Whole);
+                        self.three(Operation::Add.code(element, self.width), [to, to], term, None, masked);
+                    }
+                    [a, b] => self.multiply_and_add(to, [a, b], element, masked),
+                    _ => unreachable!("a sum has a term or a product"),
+                }
+                sum
+            }
         };
         self.store(sum, Portion::Whole, element, memory);
-        true
     }
 
-    /// Makes the lanes that are summed known to the instructions that follow.
-    fn condition(&mut self, only: Id, element: Element) -> Condition {
-        if self.width != VectorWidth::Bits512 {
-            return Condition::Register(self.fetch(only, element));
-        }
+    /// Leaves the lanes that are summed in a mask register.
+    fn sum_only(&mut self, only: Id, element: Element) {
         if self.mask != Some(only) {
             let register = self.fetch(only, element);
             self.truths_to(SUMMED, register, element);
             self.mask = Some(only);
         }
-        Condition::Mask
     }
 
     fn truths_to(&mut self, to: Register, register: u8, element: Element) {
@@ -429,22 +403,9 @@ impl Allocation<'_> {
     }
 }
 
-/// How the lanes that are summed are known.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Condition {
-    Register(u8),
-    Mask,
-}
-
 /// Which lanes an instruction changes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Masked {
     No,
     Summed,
-}
-
-impl Masked {
-    fn of(condition: Option<Condition>) -> Masked {
-        if condition == Some(Condition::Mask) { Masked::Summed } else { Masked::No }
-    }
 }

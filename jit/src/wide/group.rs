@@ -11,7 +11,7 @@ use super::functions::Evaluation;
 use super::operation::{Element, Operation, comparison};
 use super::pixels::{BEGIN, PIXEL, begin, begin_full};
 use super::places::{Homes, ROW, element};
-use crate::options::KernelOptions;
+use crate::options::{KernelOptions, VectorWidth};
 use crate::plan;
 
 /// What all groups of a kernel have in common.
@@ -66,6 +66,7 @@ impl<'p> PixelLoop<'p> {
             live: None,
             surplus: None,
             known: vec![None; self.program.instructions().len()],
+            masked: [vec![None; self.program.instructions().len()], vec![None; self.program.instructions().len()]],
             after,
         };
         writer.run();
@@ -104,6 +105,8 @@ struct Writer<'w, 'p, 'a> {
     /// … and by how many pixels it begins left of its first one.
     surplus: Option<Id>,
     known: Vec<Option<Id>>,
+    /// The same with 0, and with −0, in the lanes that take no part.
+    masked: [Vec<Option<Id>>; 2],
     /// Behind the group's values.
     after: Label,
 }
@@ -303,12 +306,16 @@ impl Writer<'_, '_, '_> {
             Sink::Sums { accumulators, .. } => {
                 for (i, v) in accumulators.iter().enumerate().filter(|(_, v)| meant(v)) {
                     self.block.speak_for(Some(*v));
-                    let terms = match self.pixels.contractions[i] {
-                        Some((a, b)) => [a, b].map(|v| self.operand(v)).into_iter().collect(),
-                        None => std::iter::once(self.operand(*v)).collect(),
+                    let terms: SmallVec<[Value; 2]> = match self.pixels.contractions[i] {
+                        Some((a, b)) => SmallVec::from_slice(&[a, b]),
+                        None => SmallVec::from_slice(&[*v]),
+                    };
+                    let (terms, only) = match used {
+                        Some(used) if self.block.width != VectorWidth::Bits512 => (self.masked(&terms, used), None),
+                        _ => (terms.iter().map(|v| self.operand(*v)).collect(), used),
                     };
                     let variable = self.block.variable(self.places.accumulators[i]);
-                    self.block.act(Act::Sum { variable, element: self.element, terms, only: used });
+                    self.block.act(Act::Sum { variable, element: self.element, terms, only });
                 }
             }
             Sink::Plane(v) if meant(v) => {
@@ -319,5 +326,31 @@ impl Writer<'_, '_, '_> {
             }
             Sink::Plane(_) => {}
         }
+    }
+
+    /// A term with 0 in the lanes that take no part. Of a product one factor has 0 there and the other −0, so that −0 is added, which
+    /// changes no number, not even −0; a sum of terms begins with 0 and is never −0.
+    fn masked(&mut self, terms: &[Value], used: Id) -> SmallVec<[Id; 2]> {
+        let has = |sign: usize, value: Value| self.masked[sign][value.index()].is_some();
+        let signed = match *terms {
+            [a, b] if has(0, b) || has(1, a) => SmallVec::from_slice(&[(b, 0), (a, 1)]),
+            _ => terms.iter().copied().zip(0..).collect::<SmallVec<[(Value, usize); 2]>>(),
+        };
+        signed.into_iter().map(|(value, sign)| self.masked_value(value, sign, used)).collect()
+    }
+
+    fn masked_value(&mut self, value: Value, sign: usize, used: Id) -> Id {
+        if let Some(known) = self.masked[sign][value.index()] {
+            return known;
+        }
+        let operand = self.operand(value);
+        let id = match sign {
+            0 => self.block.compute(Operation::And, self.element, [used, operand]),
+            _ => {
+                let zero = self.block.sign(self.element);
+                self.block.compute(Operation::Select, self.element, [used, operand, zero])
+            }
+        };
+        *self.masked[sign][value.index()].insert(id)
     }
 }
