@@ -1,14 +1,15 @@
 //! The kernels of the thesis' spot against the same loops made ahead of time, and against those that one has without isophote.
 
 use isophote_export::PixelType;
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window, has_fma};
+use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Processor, VectorWidth, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
 
 use super::appendix;
 use super::contenders::{self, Function, Way};
 use super::foreign::{Compiled, Picture};
 use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
-use super::race::{Contender, Standing, race, refuse_wrong, scales};
+use super::race::{Contender, Standing, race, refuse_wrong, repeated, scales};
+use super::windows::{Domain, small};
 use crate::bodies::{over_pixels_of, plain_program};
 use crate::text;
 
@@ -25,29 +26,50 @@ pub const SUBSETS: [(&str, &str, &str, f64); 4] = [
 pub struct Race {
     /// Of the subset, for tables.
     pub name: &'static str,
-    /// The kernel first.
+    /// The kernel of 128 bits first, then those of the other widths that the machine has.
     pub standings: Vec<Standing>,
+}
+
+/// The small window, px, and how many passes over it are one turn.
+const SMALL: [usize; 2] = [24, 24];
+const SMALL_PASSES: usize = 64;
+
+/// A picture that all contenders see, all of it.
+struct Scene {
+    bytes: Vec<u8>,
+    size: [usize; 2],
+    parameters: Vec<f64>,
+    /// Passes of a turn.
+    passes: usize,
 }
 
 struct Case {
     name: &'static str,
     title: &'static str,
-    jit: Kernel,
+    /// One for each width that the machine has.
+    jit: Vec<Kernel>,
     optimised: Program,
     for_c: Program,
     plain: Program,
 }
 
 /// Gradient and Hessian of a subset by Newton, compiled for packed pixels.
-pub fn kernel(model: &Model, subset: &str, format: PixelFormat, drop_saturated: bool) -> Kernel {
+pub fn kernel(model: &Model, subset: &str, format: PixelFormat, drop_saturated: bool, width: VectorWidth) -> Kernel {
     let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
     let lowering = Lowering { fma: has_fma(), drop_saturated };
     let program = model.objective(&ids, Method::Newton).unwrap().program(lowering).unwrap();
-    Kernel::compile(
-        &program,
-        &KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: vec![format], packed: true },
-    )
-    .unwrap()
+    let options = KernelOptions { width, precision: Precision::F32, formats: vec![format], packed: true };
+    Kernel::compile(&program, &options).unwrap()
+}
+
+/// The widths that this machine has, the narrowest first.
+pub fn widths() -> impl Iterator<Item = VectorWidth> {
+    VectorWidth::ALL.into_iter().filter(|width| Processor::Host.has(*width))
+}
+
+/// What tables call a kernel of a width.
+pub fn title(width: VectorWidth) -> String {
+    format!("isophote's kernel, {} bits", 8 * width.bytes())
 }
 
 impl Case {
@@ -65,8 +87,8 @@ impl Case {
 fn cases(model: &Model) -> Vec<Case> {
     let case = |(name, title, subset, _): (&'static str, &'static str, &str, f64)| {
         let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
-        let jit = kernel(model, subset, PixelFormat::F32, false);
-        let optimised = jit.program().clone();
+        let jit: Vec<Kernel> = widths().map(|width| kernel(model, subset, PixelFormat::F32, false, width)).collect();
+        let optimised = jit[0].program().clone();
         let plain = over_pixels_of(&plain_program(model, &ids, Method::Newton, Part::Both).unwrap(), &optimised);
         let unfused = Lowering { fma: false, drop_saturated: false };
         let for_c = model.objective(&ids, Method::Newton).unwrap().program(unfused).unwrap();
@@ -92,47 +114,70 @@ fn compile(model: &Model, cases: &[Case], way: &Way) -> Compiled {
     made
 }
 
-/// All subsets.
-pub fn races() -> Vec<Race> {
+/// All subsets: over the large picture, of which the domain covers half, and over small ones, which it covers or which its
+/// ellipse is inscribed in.
+pub fn races() -> [Vec<Race>; 3] {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
-    let bytes = bytes(&picture(&model, &truth(&model), [WIDTH, HEIGHT]));
-    let parameters = beside_truth(&model);
     let cases = cases(&model);
     let compiled: Vec<(Way, Compiled)> =
         contenders::ways().into_iter().map(|way| (way.clone(), compile(&model, &cases, &way))).collect();
-    let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };
-    let plane = PlaneView::new(PixelFormat::F32, &bytes, WIDTH, HEIGHT, WIDTH * 4, 4).unwrap();
+    let large = Scene {
+        bytes: bytes(&picture(&model, &truth(&model), [WIDTH, HEIGHT])),
+        size: [WIDTH, HEIGHT],
+        parameters: beside_truth(&model),
+        passes: 1,
+    };
+    let small = [Domain::Covering, Domain::Inscribed].map(|domain| {
+        let (bytes, parameters) = small(&model, SMALL, domain);
+        Scene { bytes, size: SMALL, parameters, passes: SMALL_PASSES }
+    });
+    let [covered, ellipse] = &small;
+    [&large, covered, ellipse].map(|scene| cases.iter().map(|case| run(case, &compiled, scene)).collect())
+}
+
+/// One subset over one picture.
+fn run(case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) -> Race {
+    let Scene { bytes, size: [width, height], parameters, passes } = scene;
+    let (width, height, passes) = (*width, *height, *passes);
+    let bindings = Bindings { parameters, entry: parameters, ..Bindings::default() };
+    let plane = PlaneView::new(PixelFormat::F32, bytes, width, height, width * 4, 4).unwrap();
     let sums = |kernel: &Kernel| {
-        let sums = kernel.sums(&bindings, &[plane], Window::whole(WIDTH, HEIGHT)).unwrap();
-        (sums.outputs, sums.pixels)
+        repeated(passes, || {
+            let sums = kernel.sums(&bindings, &[plane], Window::whole(width, height)).unwrap();
+            (sums.outputs, sums.pixels)
+        })
     };
-    let one = |case: &Case| {
-        let (expected, pixels) = sums(&case.jit);
-        let scales = scales(&expected);
-        let mut contenders = vec![Contender {
-            name: "isophote's kernel, 128 bits".into(),
-            turn: Box::new(|| sums(&case.jit)),
-            code_bytes: Some(case.jit.code_bytes()),
-        }];
-        for (way, made) in &compiled {
-            let program = case.program(way);
-            let Sink::Sums { outputs, .. } = program.sink() else { unreachable!() };
-            let inputs = program.gather(&bindings).collect::<Vec<f64>>();
-            let call = format!("call_{}", case.name);
-            let function = made.function(&call, inputs.len(), outputs.len(), 4).unwrap();
-            let picture = Picture { bytes: &bytes, width: WIDTH, height: HEIGHT };
-            let turn = move || function.sums(picture, [0, 0, WIDTH, HEIGHT], &inputs).unwrap();
-            // The plain derivatives do not sum F itself.
-            let from = usize::from(way.plain);
-            let (theirs, used) = turn();
-            refuse_wrong(way.name, &expected[from..], &theirs, &scales[from..], 1e-4);
-            assert_eq!(used, pixels, "{}: other pixels", way.name);
-            let code_bytes = made.code_bytes(case.name).or_else(|| made.code_bytes(&call));
-            contenders.push(Contender { name: way.name.into(), turn: Box::new(turn), code_bytes });
-        }
-        Race { name: case.title, standings: race(&contenders) }
-    };
-    cases.iter().map(one).collect()
+    let (expected, pixels) = sums(&case.jit[0]);
+    let scales = scales(&expected);
+    let mut contenders = Vec::new();
+    for kernel in &case.jit {
+        let (ours, used) = sums(kernel);
+        refuse_wrong(&title(kernel.options().width), &expected, &ours, &scales, 1e-4);
+        assert_eq!(used, pixels, "other pixels");
+        contenders.push(Contender {
+            name: title(kernel.options().width),
+            turn: Box::new(|| sums(kernel)),
+            code_bytes: Some(kernel.code_bytes()),
+        });
+    }
+    for (way, made) in compiled {
+        let program = case.program(way);
+        let Sink::Sums { outputs, .. } = program.sink() else { unreachable!() };
+        let inputs = program.gather(&bindings).collect::<Vec<f64>>();
+        let call = format!("call_{}", case.name);
+        let function = made.function(&call, inputs.len(), outputs.len(), 4).unwrap();
+        let picture = Picture { bytes, width, height };
+        let pass = move || function.sums(picture, [0, 0, width, height], &inputs).unwrap();
+        let turn = move || repeated(passes, &pass);
+        // The plain derivatives do not sum F itself.
+        let from = usize::from(way.plain);
+        let (theirs, used) = turn();
+        refuse_wrong(way.name, &expected[from..], &theirs, &scales[from..], 1e-4);
+        assert_eq!(used, pixels, "{}: other pixels", way.name);
+        let code_bytes = made.code_bytes(case.name).or_else(|| made.code_bytes(&call));
+        contenders.push(Contender { name: way.name.into(), turn: Box::new(turn), code_bytes });
+    }
+    Race { name: case.title, standings: race(&contenders) }
 }
 
 /// The thesis' function for the three extents, and the kernels of the same subset, which leave out saturated pixels too.
@@ -153,7 +198,7 @@ pub fn thesis() -> Vec<Standing> {
         .into();
     let plane = PlaneView::new(PixelFormat::F32, &in_rows, WIDTH, HEIGHT, WIDTH * 4, 4).unwrap();
     for (name, model) in kernels {
-        let kernel = kernel(&model, "a1,a2,a3", PixelFormat::F32, true);
+        let kernel = kernel(&model, "a1,a2,a3", PixelFormat::F32, true, VectorWidth::Bits128);
         let parameters = beside_truth(&model);
         let code_bytes = Some(kernel.code_bytes());
         let turn = move || {

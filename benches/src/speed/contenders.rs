@@ -61,6 +61,14 @@ pub fn ways() -> Vec<Way> {
             128,
             with(&C, &["-march=x86-64-v3", "-mprefer-vector-width=128"]),
         ),
+        way(
+            "same program, C, 256 bits",
+            Language::C,
+            1,
+            false,
+            256,
+            with(&C, &["-march=x86-64-v3", "-mprefer-vector-width=256"]),
+        ),
         way("same program, Rust, 128-bit vectors", Language::Rust, 4, false, 128, with(&RUST, &[v3])),
         way("same program, Rust, 256-bit vectors", Language::Rust, 8, false, 256, with(&RUST, &[v3])),
         way(
@@ -81,6 +89,14 @@ pub fn ways() -> Vec<Way> {
         ),
     ];
     if wide {
+        ways.push(way(
+            "same program, C, 512 bits",
+            Language::C,
+            1,
+            false,
+            512,
+            with(&C, &["-march=native", "-mprefer-vector-width=512"]),
+        ));
         ways.push(way(
             "same program, Rust, 512-bit vectors",
             Language::Rust,

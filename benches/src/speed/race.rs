@@ -37,6 +37,16 @@ pub struct Standing {
     pub code_bytes: Option<usize>,
 }
 
+/// Several passes as one turn: the sums of the last, the pixels of all.
+pub fn repeated(passes: usize, pass: impl Fn() -> (Vec<f64>, u64)) -> (Vec<f64>, u64) {
+    let (mut sums, mut pixels) = (Vec::new(), 0);
+    for _ in 0..passes {
+        let (of_pass, more) = pass();
+        (sums, pixels) = (of_pass, pixels + more);
+    }
+    (sums, pixels)
+}
+
 /// The middle one.
 fn median(mut all: Vec<f64>) -> f64 {
     all.sort_by(f64::total_cmp);

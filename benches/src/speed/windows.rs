@@ -1,14 +1,14 @@
 //! What a pixel costs by the width of the window, and by how it is stored: kernels of the thesis' spot.
 
-use isophote_jit::{Kernel, PixelFormat, PlaneView, Window};
+use isophote_jit::{Kernel, PixelFormat, PlaneView, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Model};
 
-use super::against::{SUBSETS, kernel};
+use super::against::{self, SUBSETS, kernel};
 use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth, values};
-use super::race::{Contender, Standing, race};
+use super::race::{Contender, Standing, race, repeated};
 use crate::text;
 
-/// Windows: width and height, px; all but the square ones have about as many pixels as the first.
+/// Windows: width and height, px. A turn takes as many passes as it needs for the pixels of the first.
 pub const SIZES: [[usize; 2]; 11] = [
     [640, 102],
     [8, 8192],
@@ -23,14 +23,22 @@ pub const SIZES: [[usize; 2]; 11] = [
     [2048, 32],
 ];
 
-/// One pass over a whole picture.
-fn pass<'a>(kernel: &'a Kernel, bytes: &'a [u8], format: PixelFormat, size: [usize; 2], p: &'a [f64]) -> Contender<'a> {
+/// Passes over a whole picture.
+fn passes<'a>(
+    kernel: &'a Kernel,
+    bytes: &'a [u8],
+    format: PixelFormat,
+    size: [usize; 2],
+    p: &'a [f64],
+) -> Contender<'a> {
     let wide = format.bytes_per_pixel();
     let plane = PlaneView::new(format, bytes, size[0], size[1], size[0] * wide, wide).unwrap();
     let turn = move || {
         let bindings = Bindings { parameters: p, entry: p, ..Bindings::default() };
-        let sums = kernel.sums(&bindings, &[plane], Window::whole(size[0], size[1])).unwrap();
-        (sums.outputs, sums.pixels)
+        repeated((SIZES[0][0] * SIZES[0][1]).div_ceil(size[0] * size[1]), || {
+            let sums = kernel.sums(&bindings, &[plane], Window::whole(size[0], size[1])).unwrap();
+            (sums.outputs, sums.pixels)
+        })
     };
     Contender { name: format!("{} x {}", size[0], size[1]), turn: Box::new(turn), code_bytes: None }
 }
@@ -44,37 +52,40 @@ pub enum Domain {
     Inscribed,
 }
 
-/// Over windows of each of [`SIZES`].
-pub fn widths(domain: Domain) -> Vec<Standing> {
+/// A picture of that size, and the parameters that it is of.
+pub fn small(model: &Model, size: [usize; 2], domain: Domain) -> (Vec<u8>, Vec<f64>) {
+    let half = size.map(|n| n as f64 / 2.0);
+    let reach = match domain {
+        Domain::Covering => 2.0,
+        Domain::Inscribed => 1.0,
+    };
+    let parameters = values(model, |name| match name {
+        "bx" => half[0] - 0.5,
+        "by" => half[1] - 0.5,
+        "a1" => (reach * half[0]).powi(-2),
+        "a2" => 0.0,
+        "a3" => (reach * half[1]).powi(-2),
+        "v0" => 20.0,
+        "v1" => 150.0,
+        _ => -0.4,
+    });
+    (bytes(&picture(model, &parameters, size)), parameters)
+}
+
+/// Over windows of each of [`SIZES`], for each width of vectors that the machine has.
+pub fn widths(domain: Domain) -> Vec<(VectorWidth, Vec<Standing>)> {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
-    let kernel = kernel(&model, SUBSETS[0].2, PixelFormat::F32, false);
-    let frames: Vec<(Vec<u8>, Vec<f64>)> = SIZES
-        .iter()
-        .map(|size| {
-            let half = size.map(|n| n as f64 / 2.0);
-            let reach = match domain {
-                Domain::Covering => 2.0,
-                Domain::Inscribed => 1.0,
-            };
-            let parameters = values(&model, |name| match name {
-                "bx" => half[0] - 0.5,
-                "by" => half[1] - 0.5,
-                "a1" => (reach * half[0]).powi(-2),
-                "a2" => 0.0,
-                "a3" => (reach * half[1]).powi(-2),
-                "v0" => 20.0,
-                "v1" => 150.0,
-                _ => -0.4,
-            });
-            (bytes(&picture(&model, &parameters, *size)), parameters)
-        })
-        .collect();
-    let contenders: Vec<Contender<'_>> = SIZES
-        .iter()
-        .zip(&frames)
-        .map(|(size, (bytes, parameters))| pass(&kernel, bytes, PixelFormat::F32, *size, parameters))
-        .collect();
-    race(&contenders)
+    let frames: Vec<(Vec<u8>, Vec<f64>)> = SIZES.iter().map(|size| small(&model, *size, domain)).collect();
+    let of = |width: VectorWidth| {
+        let kernel = kernel(&model, SUBSETS[0].2, PixelFormat::F32, false, width);
+        let contenders: Vec<Contender<'_>> = SIZES
+            .iter()
+            .zip(&frames)
+            .map(|(size, (bytes, parameters))| passes(&kernel, bytes, PixelFormat::F32, *size, parameters))
+            .collect();
+        (width, race(&contenders))
+    };
+    against::widths().map(of).collect()
 }
 
 /// For each subset: f32 pixels, then u8 pixels.
@@ -85,11 +96,12 @@ pub fn formats() -> Vec<(&'static str, Vec<Standing>)> {
     let single = bytes(&pixels);
     let small: Vec<u8> = pixels.iter().map(|p| p.round() as u8).collect();
     let race_of = |(_, title, subset, _): (&'static str, &'static str, &str, f64)| {
-        let kernels = [PixelFormat::F32, PixelFormat::U8].map(|format| kernel(&model, subset, format, false));
+        let kernels = [PixelFormat::F32, PixelFormat::U8]
+            .map(|format| kernel(&model, subset, format, false, VectorWidth::Bits128));
         let size = [WIDTH, HEIGHT];
         let contenders = [
-            pass(&kernels[0], &single, PixelFormat::F32, size, &parameters),
-            pass(&kernels[1], &small, PixelFormat::U8, size, &parameters),
+            passes(&kernels[0], &single, PixelFormat::F32, size, &parameters),
+            passes(&kernels[1], &small, PixelFormat::U8, size, &parameters),
         ];
         (title, race(&contenders))
     };
