@@ -249,9 +249,12 @@ fn values_of_their_own(graph: &mut Graph, columns: &Columns, parameters: usize) 
     let mut whole = BTreeSet::new();
     let mut left = groups(graph, columns);
     // One that alone keeps parts of others from being the same.
-    while left.len() + whole.len() > parameters {
+    while left.len() + whole.len() > parameters && !graph.overflowed() {
         let mut best = None;
         for u in (0..parameters).filter(|u| !whole.contains(u)) {
+            if graph.overflowed() {
+                break;
+            }
             let mut more = whole.clone();
             more.insert(u);
             let fewer = groups(graph, &without(&more));

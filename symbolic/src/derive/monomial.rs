@@ -6,7 +6,7 @@ use rustc_hash::FxHashMap;
 use smallvec::SmallVec;
 
 use crate::derive::sums::{Output, Term};
-use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Bits, Graph, Node, NodeId};
 use crate::program::Level;
 
 /// Factors with their exponents.
@@ -231,10 +231,16 @@ impl<'a> Splitter<'a> {
     /// A coordinate or a channel with its offset stays whole (expanding x − bx would cancel), and so does what others share.
     fn is_atom(&self, graph: &Graph, node: NodeId) -> bool {
         let Node::Sum(_, terms) = graph.node(node) else { return true };
-        let scaled = terms.len() == 1;
-        !scaled
-            && (graph.is_opaque(node)
-                || terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_) | Node::Channel(_))))
+        let reads = |terms: &[(NodeId, Bits)]| {
+            terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_) | Node::Channel(_)))
+        };
+        // An offset with another offset, which a definition holds.
+        let is_shifted = || {
+            let mut pixels = terms.iter().filter(|(n, _)| graph.level(*n) == Level::Pixel);
+            let first = pixels.next().map(|(n, c)| (graph.node(*n), c.get().abs()));
+            pixels.next().is_none() && matches!(first, Some((Node::Sum(_, inner), 1.0)) if reads(inner))
+        };
+        terms.len() != 1 && (graph.is_opaque(node) || reads(terms) || is_shifted())
     }
 
     /// A coefficient of the form, the sum of `pieces`: of each its invariant factors, and what is left as an atom of its own.

@@ -242,7 +242,11 @@ impl<'g> Builder<'g> {
             }
             match step {
                 None => {
-                    let step = self.step(node);
+                    // Of a full graph nothing is used; what is missing there would be looked for without end.
+                    let step = match self.graph.overflowed() {
+                        true => Step::Leaf(Opcode::number(0.0).of([])),
+                        false => self.step(node),
+                    };
                     let operands = step.operands();
                     stack.push((node, Some(step)));
                     stack.extend(operands.into_iter().rev().map(|n| (n, None)));
