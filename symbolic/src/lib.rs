@@ -32,10 +32,10 @@ pub use derive::planes::Prediction;
 pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
-pub use language::diagnostic::{Diagnostic, Diagnostics, Severity, Span};
+pub use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Severity, Span};
+pub use isophote_syntax::limits::{LIMITS, Limits};
 pub use language::formulas::Formula;
 pub use language::graph::{Bits, Node, NodeId};
-pub use language::limits::{LIMITS, Limits};
 pub use language::model::{
     Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Quadrature, Roles, Saturated, Stage, Start, Summand,
 };

@@ -18,12 +18,12 @@ use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
 use crate::derive::sums::{FactoredSums, Output, Term};
 use crate::language::graph::{Graph, Mark, Node, NodeId};
-use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Weight;
 use crate::proof::claim::Part;
 use crate::proof::hyper::Order;
 use crate::proof::likelihood::Shape;
+use isophote_syntax::limits::LIMITS;
 
 /// What is differentiated: the same for every choice.
 #[derive(Clone, Copy)]

@@ -9,12 +9,12 @@ use crate::derive::expressions::Expressions;
 use crate::derive::jet::{jet, pair};
 use crate::derive::objective::{residual, variance};
 use crate::derive::whole_model::WholeModel;
-use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
 use crate::proof::claim::{Claim, Part};
 use crate::proof::hyper::Order;
+use isophote_syntax::diagnostic::Diagnostics;
 
 /// Derivatives of one pixel's F, F itself left out.
 #[derive(Clone, Debug)]

@@ -3,9 +3,9 @@
 //! What comes in: a derivation. What goes out: for each id the operation, its operands'
 //! ids and the span of its formula. Nothing can be added to them from outside.
 
-use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
+use isophote_syntax::diagnostic::Span;
 
 /// Expressions that share what they have in common; an operand's id is smaller than its user's.
 #[derive(Clone, Copy, Debug)]

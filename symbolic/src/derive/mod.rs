@@ -28,10 +28,10 @@ pub(crate) mod sums;
 pub(crate) mod variant;
 pub(crate) mod whole_model;
 
-use crate::language::diagnostic::Diagnostics;
 use crate::language::model::{Lowering, Method, Model};
 use crate::program::{ParameterId, Program};
 use crate::proof::claim::{Part, ValueKind};
+use isophote_syntax::diagnostic::Diagnostics;
 use objective::Objective;
 use planes::Prediction;
 

@@ -18,7 +18,6 @@ use crate::derive::search;
 use crate::derive::sums::{FactoredSums, Output};
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
-use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Lowering, Method, Model, Saturated};
 use crate::program::interpreter::{Pixels, Window};
@@ -30,6 +29,7 @@ use crate::proof::hyper::Order;
 use crate::proof::referee::Referee;
 use crate::proof::subject::Subject;
 use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
+use isophote_syntax::diagnostic::Diagnostics;
 
 /// Units of work that it takes to lower an operation of a formula.
 const LOWERED: usize = 8;

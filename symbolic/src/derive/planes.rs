@@ -5,12 +5,12 @@
 use crate::derive::schedule;
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
-use crate::language::diagnostic::Diagnostics;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Lowering, Model};
 use crate::language::reader::formulas_of_model::averaged;
 use crate::program::{Input, Program};
 use crate::proof::plane::{self, Shown};
+use isophote_syntax::diagnostic::Diagnostics;
 
 /// What a plane of predictions holds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -8,7 +8,6 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use crate::derive::domain;
 use crate::derive::steps::Step;
 use crate::derive::sums::{FactoredSums, Shift};
-use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::{
@@ -16,6 +15,7 @@ use crate::program::{
     Value, Weight,
 };
 use crate::proof::draft::Draft;
+use isophote_syntax::diagnostic::Span;
 
 /// Units of work that an instruction takes until it is in its place.
 const EMISSION: usize = 3;

@@ -13,10 +13,10 @@ use crate::derive::schedule::pixel_weight;
 use crate::derive::square::completed;
 use crate::derive::sums::FactoredSums;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::limits::LIMITS;
 use crate::language::model::Lowering;
 use crate::program::Weight;
 use crate::proof::hyper::Order;
+use isophote_syntax::limits::LIMITS;
 
 /// Derivations tried at most.
 const DERIVATIONS: usize = 32;

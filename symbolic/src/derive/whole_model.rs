@@ -5,13 +5,13 @@
 use std::sync::Arc;
 
 use crate::language::budget::Budget;
-use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
 use crate::language::graph::Graph;
-use crate::language::limits::LIMITS;
 use crate::language::model::Model;
 use crate::program::Level;
 use crate::proof::draft::Draft;
 use crate::proof::referee::Referee;
+use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Span};
+use isophote_syntax::limits::LIMITS;
 
 /// Where the model's intensity stands, for faults that concern the model as a whole.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use crate::language::limits::LIMITS;
+use isophote_syntax::limits::LIMITS;
 
 /// Units that one holder may have spent before all others know.
 const UNTOLD: usize = 1024;

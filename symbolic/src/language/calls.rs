@@ -6,14 +6,14 @@ use std::rc::Rc;
 
 use isophote_elementary::{Function1, Function2};
 
-use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{
     Binding, Elaborator, Function, Local, Matrix, MatrixShape, Poison, REMEMBERED, Worked, fault, shape_of,
 };
 use crate::language::graph::{Node, NodeId};
-use crate::language::limits::LIMITS;
-use crate::language::parser::Expr;
 use crate::program::Comparison;
+use isophote_syntax::diagnostic::quoted;
+use isophote_syntax::limits::LIMITS;
+use isophote_syntax::parser::Expr;
 
 /// Calls within calls.
 const CALLS_MAX: usize = LIMITS.depth / 4;
@@ -222,7 +222,7 @@ impl Elaborator<'_> {
             if first.code != "limit" {
                 first.message = format!("in {}: {}", quoted(name), first.message);
             }
-            return Err(self.tell(crate::language::parser::Fault { start: at.start, end: at.end, ..first }));
+            return Err(self.tell(isophote_syntax::parser::Fault { start: at.start, end: at.end, ..first }));
         }
         if let Ok(value) = &result {
             let entries = entries + value.entries.len() + CALL;

@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 use std::rc::Rc;
 
-use crate::language::diagnostic::{Diagnostic, Diagnostics, Span};
-use crate::language::limits::LIMITS;
 use crate::language::spelling::Spelling;
+use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Span};
+use isophote_syntax::limits::LIMITS;
 
 /// A string of the document and where each of its bytes stands there.
 #[derive(Clone, Debug)]
@@ -287,7 +287,7 @@ fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str, told: &mut Diagn
                 let range = property.name.range();
                 let key = Key { name: property.name.as_str().to_string(), span: span(range.start..range.end) };
                 if !seen.insert(key.name.clone()) {
-                    let message = format!("duplicate key {}", crate::language::diagnostic::quoted(&key.name));
+                    let message = format!("duplicate key {}", isophote_syntax::diagnostic::quoted(&key.name));
                     let path: String = key.name.chars().take(LIMITS.name_bytes).collect();
                     if told.len() < LIMITS.diagnostics {
                         told.push(

@@ -11,14 +11,14 @@ mod unknown;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::rc::Rc;
 
-use crate::language::diagnostic::{Span, Spellings, quoted};
 use crate::language::document::Text;
 use crate::language::graph::{Graph, NodeId};
-use crate::language::limits::LIMITS;
-use crate::language::parser::{Expr, ExprKind, Fault};
-use crate::language::words::is_reserved;
 use cache::Cache;
 pub(crate) use cache::Task;
+use isophote_syntax::diagnostic::{Span, Spellings, quoted};
+use isophote_syntax::limits::LIMITS;
+use isophote_syntax::parser::{Expr, ExprKind, Fault};
+use isophote_syntax::words::is_reserved;
 
 /// A matrix of nodes, row-major.
 #[derive(Clone, PartialEq, Eq, Hash, Debug)]

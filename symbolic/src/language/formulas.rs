@@ -3,14 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
-use crate::language::diagnostic::{Diagnostics, quoted};
 use crate::language::document::{Entry, Item, Key, Text, to_json};
 use crate::language::elaborate::{Binding, Elaborator, Function, Matrix, Workings, fault};
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::limits::LIMITS;
-use crate::language::parser::{Expr, ExprKind, parse};
 use crate::language::reader::Faults;
 use crate::program::{ConstantId, Input, Level};
+use isophote_syntax::diagnostic::{Diagnostics, quoted};
+use isophote_syntax::limits::LIMITS;
+use isophote_syntax::parser::{Expr, ExprKind, parse};
 
 /// A line of `[definitions]`; `g(t)` has arguments.
 pub(crate) struct Definition {

@@ -13,9 +13,9 @@ use rustc_hash::{FxBuildHasher, FxHashMap};
 use smallvec::SmallVec;
 
 use crate::language::budget::Budget;
-use crate::language::diagnostic::Span;
-use crate::language::limits::LIMITS;
 use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, holds, id};
+use isophote_syntax::diagnostic::Span;
+use isophote_syntax::limits::LIMITS;
 
 id!(/// A node of the graph.
     NodeId);

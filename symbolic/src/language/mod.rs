@@ -5,17 +5,12 @@
 
 pub(crate) mod budget;
 pub(crate) mod calls;
-pub(crate) mod diagnostic;
 pub(crate) mod document;
 pub(crate) mod elaborate;
 pub(crate) mod formulas;
 pub(crate) mod graph;
-pub(crate) mod lexer;
-pub(crate) mod limits;
 pub(crate) mod model;
-pub(crate) mod parser;
 pub(crate) mod places;
 pub(crate) mod reader;
 pub(crate) mod remark;
 pub(crate) mod spelling;
-pub(crate) mod words;

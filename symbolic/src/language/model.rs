@@ -6,9 +6,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::language::budget::Budget;
-use crate::language::diagnostic::Span;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId};
+use isophote_syntax::diagnostic::Span;
 
 /// An unknown of the fit.
 #[derive(Clone, PartialEq, Debug)]
@@ -429,7 +429,7 @@ impl Model {
     pub fn nearest_name(&self, name: &str) -> Option<&str> {
         let names =
             self.parameters.iter().map(|p| p.name.as_str()).chain(self.constants.iter().map(|c| c.name.as_str()));
-        crate::language::diagnostic::Spellings::default().nearest(name, names)
+        isophote_syntax::diagnostic::Spellings::default().nearest(name, names)
     }
 
     /// True when every exclusive bound and every constraint holds; false for NaN.

@@ -4,9 +4,9 @@
 
 use std::sync::Arc;
 
-use crate::language::diagnostic::Span;
 use crate::language::document::{Entry, Item};
 use crate::language::model::Model;
+use isophote_syntax::diagnostic::Span;
 
 /// The strings of a document with their keys, in the order in which they stand there.
 pub(crate) type Places = Arc<[(Span, String)]>;

@@ -10,17 +10,17 @@ use std::collections::BTreeMap;
 
 use sha2::{Digest, Sha256};
 
-use crate::language::diagnostic::{Diagnostics, Span, quoted};
 use crate::language::document::{Entry, Item, Key, read_json, read_toml, to_json};
 use crate::language::elaborate::{Binding, Matrix};
 use crate::language::formulas::{Definition, FormulaReader};
 use crate::language::graph::Graph;
-use crate::language::limits::LIMITS;
 use crate::language::model::{Constant, Estimator, Model, Parameter, Start};
 use crate::program::{ChannelId, ConstantId, CoordinateId, Input, ParameterId};
 pub(crate) use faults::Faults;
 use faults::get;
 use formulas_of_model::read_model;
+use isophote_syntax::diagnostic::{Diagnostics, Span, quoted};
+use isophote_syntax::limits::LIMITS;
 use roles::read_roles;
 use stages::read_stages;
 

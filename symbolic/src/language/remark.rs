@@ -3,10 +3,10 @@
 //! What comes in: a model, a parameter and what is to be said about it. What goes out: a [`Diagnostic`] at the parameter's
 //! place in the document. It never knows what led to the remark.
 
-use crate::language::diagnostic::{Diagnostic, Severity};
 use crate::language::graph::{Node, NodeId};
 use crate::language::model::Model;
 use crate::program::{Input, ParameterId};
+use isophote_syntax::diagnostic::{Diagnostic, Severity};
 
 impl Model {
     /// What is to be said about a parameter: where the stage of that index frees it, or where it is declared.

@@ -6,7 +6,7 @@
 
 use std::rc::Rc;
 
-use crate::language::diagnostic::Span;
+use isophote_syntax::diagnostic::Span;
 
 /// Where a value's bytes stand in the document.
 #[derive(Clone, Debug)]

@@ -4,9 +4,9 @@
 #![allow(clippy::unwrap_used)]
 
 use super::Spelling;
-use crate::language::diagnostic::{Diagnostic, Span};
 use crate::language::document::{Entry, Item, Text, read_json, read_toml};
 use crate::proof::points::Random;
+use isophote_syntax::diagnostic::{Diagnostic, Span};
 
 #[derive(Clone, Copy, PartialEq, Debug)]
 enum Kind {

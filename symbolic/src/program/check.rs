@@ -7,8 +7,8 @@
 
 use thiserror::Error;
 
-use crate::language::limits::LIMITS;
 use crate::program::{Input, Instruction, Kind, Level, Names, Op, Opcode, PixelSet, Program, Sink, Value};
+use isophote_syntax::limits::LIMITS;
 
 /// What is wrong with a program, and where.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]

@@ -34,7 +34,7 @@ pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
 
 use std::sync::Arc;
 
-use crate::language::diagnostic::Span;
+use isophote_syntax::diagnostic::Span;
 
 /// What a program reads besides pixels. All are f64.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]

@@ -7,10 +7,10 @@
 use std::collections::BTreeSet;
 
 use crate::language::graph::{Graph, Node, NodeId, operands};
-use crate::language::limits::LIMITS;
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
 use crate::proof::{ANYWHERE, CONDITIONAL_POINTS};
+use isophote_syntax::limits::LIMITS;
 
 /// Pixels at which all is worked out once: in exact arithmetic, in f64, and over the window.
 const ONCE: usize = 18;

@@ -5,9 +5,10 @@ use toml::de::{DeTable, DeValue};
 use crate::{expect_none, files};
 
 /// A crate of the workspace and the crates of the workspace that it may use.
-const MAY_USE: [(&str, &[&str]); 14] = [
+const MAY_USE: [(&str, &[&str]); 15] = [
     ("isophote-elementary", &[]),
-    ("isophote-symbolic", &["isophote-elementary"]),
+    ("isophote-syntax", &["isophote-elementary"]),
+    ("isophote-symbolic", &["isophote-elementary", "isophote-syntax"]),
     ("isophote-export", &["isophote-symbolic"]),
     ("isophote-notation", &["isophote-symbolic"]),
     ("isophote-jit", &["isophote-elementary", "isophote-symbolic"]),

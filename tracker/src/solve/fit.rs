@@ -69,7 +69,7 @@ pub(crate) fn fit(
 ) -> Result<Fit, CompileFailure> {
     if matches!(begin, Begin::Nearby(_))
         && control != Control::Blind
-        && let Followed::There(fit) = followed(compiled, view, constants, start, None, &|_| true)?
+        && let Arrival::There(fit) = followed(compiled, view, constants, start, None, &|_| true)?
     {
         return Ok(*fit);
     }
@@ -129,7 +129,7 @@ fn fit_controlled(
 }
 
 /// What became of a short way.
-pub(super) enum Followed {
+pub(super) enum Arrival {
     /// It led to a fit.
     There(Box<Fit>),
     /// It led so many standard deviations away, farther than it should: it is to be gone on from there.
@@ -148,9 +148,9 @@ pub(super) fn followed(
     start: &[f64],
     before: Option<f64>,
     is_near: &dyn Fn(f64) -> bool,
-) -> Result<Followed, CompileFailure> {
+) -> Result<Arrival, CompileFailure> {
     if compiled.model().stages().len() != 1 || !compiled.is_covariance(0) || compiled.precision() == Precision::F64 {
-        return Ok(Followed::Lost);
+        return Ok(Arrival::Lost);
     }
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
@@ -162,18 +162,18 @@ pub(super) fn followed(
     let mut parameters = start.to_vec();
     let rules = rules(compiled, view, 0, control);
     let Some(ShortWay { report: stage, pass, variance }) = follow(&mut problem, &rules, &mut parameters, before) else {
-        return Ok(Followed::Lost);
+        return Ok(Arrival::Lost);
     };
     let moved = DVector::from_iterator(rules.free.len(), rules.free.iter().map(|&i| parameters[i] - start[i]));
     let way = (0.5 * moved.dot(&(&pass.quadratic.hessian * &moved)).max(0.0) / variance).sqrt();
     if !is_near(way) {
-        return Ok(Followed::Far { parameters, way, report: stage });
+        return Ok(Arrival::Far { parameters, way, report: stage });
     }
     let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
-    let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Followed::Lost) };
+    let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
     let fit = Fit { parameters, ending, stages: vec![stage], worth: Some(worth), choice: None, chosen: None };
-    Ok(Followed::There(Box::new(fit)))
+    Ok(Arrival::There(Box::new(fit)))
 }
 
 /// What a stage may do on a view.

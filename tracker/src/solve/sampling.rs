@@ -17,7 +17,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::estimate::{Sampled, StageReport};
 use crate::sight::view::View;
-use crate::solve::fit::{Begin, Fit, Followed, fit, followed, quadratic_at};
+use crate::solve::fit::{Arrival, Begin, Fit, fit, followed, quadratic_at};
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
 use crate::solve::trust::Quadratic;
 use crate::solve::workers::InTurn;
@@ -137,13 +137,13 @@ impl Sampling {
         let mut before = None;
         for _ in 0..ROUNDS {
             let found = match kernels.fit(view, constants, &from, &chosen, before, way)? {
-                Followed::There(fit) => fit,
-                Followed::Far { parameters, way: far, report } => {
+                Arrival::There(fit) => fit,
+                Arrival::Far { parameters, way: far, report } => {
                     earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
                     (from, before, way) = (parameters, Some(far), Way::Any);
                     continue;
                 }
-                Followed::Lost => return Ok(None),
+                Arrival::Lost => return Ok(None),
             };
             let mut fit = *found;
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
@@ -197,23 +197,23 @@ impl Kernels {
         chosen: &Chosen,
         before: Option<f64>,
         way: Way,
-    ) -> Result<Followed, CompileFailure> {
+    ) -> Result<Arrival, CompileFailure> {
         let Sampled { points, slopes } = chosen.sampled;
-        let Some(mut planes) = self.means(view, constants, start, points)? else { return Ok(Followed::Lost) };
+        let Some(mut planes) = self.means(view, constants, start, points)? else { return Ok(Arrival::Lost) };
         if slopes > 1 {
-            let Some(coarse) = self.means(view, constants, start, slopes)? else { return Ok(Followed::Lost) };
+            let Some(coarse) = self.means(view, constants, start, slopes)? else { return Ok(Arrival::Lost) };
             planes = less(planes, &coarse);
         }
-        let Some(view) = view.corrected(&planes) else { return Ok(Followed::Lost) };
+        let Some(view) = view.corrected(&planes) else { return Ok(Arrival::Lost) };
         let kernels = self.of(slopes);
         let followed = followed(kernels, &view, constants, start, before, &|far| chosen.lag * far <= LEFT)?;
-        if way == Way::Short || !matches!(followed, Followed::Lost) {
+        if way == Way::Short || !matches!(followed, Arrival::Lost) {
             return Ok(followed);
         }
         // Steps that go to and fro near the minimum.
         let walked = fit(kernels, &view, constants, start, Begin::Anywhere, Control::Dropping)?;
         let is_good = walked.ending.is_fit() && walked.worth.as_ref().is_some_and(|worth| worth.covariance.is_some());
-        Ok(if is_good { Followed::There(Box::new(walked)) } else { Followed::Lost })
+        Ok(if is_good { Arrival::There(Box::new(walked)) } else { Arrival::Lost })
     }
 
     /// The coarsest choice that does.

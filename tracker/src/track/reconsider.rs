@@ -1,4 +1,5 @@
-//! A second look at a fit that leaves too much unexplained: glare, something in front of the target, blindness.
+//! A second look at a fit: one that leaves too much unexplained (glare, something in front of the target, blindness), and one whose
+//! pixels were sampled too coarsely.
 //!
 //! What comes in: an [`Attempt`], and where it started. What goes out: the attempt, or that of the alternative model that
 //! explains more. It never knows which track it is for.
@@ -80,5 +81,25 @@ impl Solver {
             None => Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None },
             Some(_) => attempt,
         })
+    }
+
+    /// A candidate whose fit began anywhere, with a fit that samples as it has to where the model leaves that open.
+    pub fn resampled(
+        &self,
+        look: &Look,
+        mut candidate: Candidate,
+        margin: Margin,
+    ) -> Result<Candidate, CompileFailure> {
+        let plain = |fit: &&Fit| fit.chosen.is_none() && fit.choice.is_none();
+        let Some(fit) = candidate.attempt.fit.as_ref().filter(plain) else { return Ok(candidate) };
+        let window = self.window(look, &fit.parameters, margin);
+        let view = self.view(look, window);
+        let Some(sampling) = self.sampling(look, &view) else { return Ok(candidate) };
+        let finer = self.finer(&sampling, &view, fit, None)?;
+        if let Some(finer) = finer.filter(|finer| self.rejection(finer, &view, look.window).is_none()) {
+            candidate.attempt.ending = finer.ending;
+            candidate.attempt.fit = Some(finer);
+        }
+        Ok(candidate)
     }
 }

@@ -9,9 +9,7 @@ use isophote_jit::{PlaneView, Window};
 use isophote_symbolic::{Model, Quadrature};
 
 use super::rival::Rival;
-use super::search::Candidate;
 use super::window::{Margin, Reach, half_widths, holds, shape};
-use super::{MARGIN_PX, MARGIN_SHARE};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
@@ -209,7 +207,7 @@ impl Solver {
     }
 
     /// What a fit comes to when it samples as it has to.
-    fn finer(
+    pub(super) fn finer(
         &self,
         sampling: &Sampling,
         view: &View,
@@ -228,7 +226,7 @@ impl Solver {
     }
 
     /// What a fit samples with, where the model leaves that open; `None` while it is being prepared.
-    fn sampling(&self, look: &Look, view: &View) -> Option<Arc<Sampling>> {
+    pub(super) fn sampling(&self, look: &Look, view: &View) -> Option<Arc<Sampling>> {
         if !Sampling::applies(&self.compiled) {
             return None;
         }
@@ -240,21 +238,6 @@ impl Solver {
             look.want(Preparation::new(&self.compiled, view, Lacking::Sampling));
         }
         ready
-    }
-
-    /// A candidate whose fit began anywhere, with a fit that samples as it has to where the model leaves that open.
-    pub fn resampled(&self, look: &Look, mut candidate: Candidate) -> Result<Candidate, CompileFailure> {
-        let plain = |fit: &&Fit| fit.chosen.is_none() && fit.choice.is_none();
-        let Some(fit) = candidate.attempt.fit.as_ref().filter(plain) else { return Ok(candidate) };
-        let window = self.window(look, &fit.parameters, Margin::even(MARGIN_SHARE, MARGIN_PX));
-        let view = self.view(look, window);
-        let Some(sampling) = self.sampling(look, &view) else { return Ok(candidate) };
-        let finer = self.finer(&sampling, &view, fit, None)?;
-        if let Some(finer) = finer.filter(|finer| self.rejection(finer, &view, look.window).is_none()) {
-            candidate.attempt.ending = finer.ending;
-            candidate.attempt.fit = Some(finer);
-        }
-        Ok(candidate)
     }
 
     /// How a fit sampled pixels, where the model leaves that open.

@@ -22,7 +22,8 @@ use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Search, Sighting};
 use crate::track::shared::{Carried, SharedParameters};
 use crate::track::solver::{Attempt, Look, Solver};
-use crate::track::{Finding, Followed, Track};
+use crate::track::window::Margin;
+use crate::track::{Finding, Followed, MARGIN_PX, MARGIN_SHARE, Track};
 use isophote_frame::Frame;
 
 /// Follows one target or several of the same model.
@@ -196,8 +197,9 @@ impl Tracker {
                 }
                 None => continue,
             };
+            let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
             outcomes[number] = Some(match outcome {
-                Finding::Seen(candidate) => Finding::Seen(Box::new(solver.resampled(look, *candidate)?)),
+                Finding::Seen(candidate) => Finding::Seen(Box::new(solver.resampled(look, *candidate, margin)?)),
                 outcome => outcome,
             });
         }

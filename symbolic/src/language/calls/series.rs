@@ -1,11 +1,11 @@
 //! `sum(e, i, lo, hi)` and `product(e, i, lo, hi)`: worked out as sums, not as their terms. What does not depend on the
 //! index leaves the sum before it is expanded: Σ (a + c g(i)) = n a + c Σ g(i), Π c g(i) = cⁿ Π g(i).
 
-use crate::language::diagnostic::quoted;
 use crate::language::elaborate::{Elaborator, Local, Matrix, MatrixShape, Poison, Task, Worked, fault, shape_of};
-use crate::language::limits::LIMITS;
-use crate::language::parser::{Expr, ExprKind};
-use crate::language::words::is_reserved;
+use isophote_syntax::diagnostic::quoted;
+use isophote_syntax::limits::LIMITS;
+use isophote_syntax::parser::{Expr, ExprKind};
+use isophote_syntax::words::is_reserved;
 
 use super::SCALAR;
 

@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 
 use super::Worked;
-use crate::language::parser::Expr;
+use isophote_syntax::parser::Expr;
 
 /// What is done with a part of a formula.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]

@@ -4,8 +4,8 @@ use rustc_hash::FxHashMap;
 
 use super::{Elaborator, Matrix, Poison, Worked};
 use crate::language::graph::{Node, NodeId};
-use crate::language::parser::{Expr, Junction, Relation};
 use crate::program::{Comparison, holds};
+use isophote_syntax::parser::{Expr, Junction, Relation};
 
 impl Elaborator<'_> {
     pub(super) fn compare(&mut self, relation: Relation, left: &Expr, right: &Expr, at: &Expr) -> Worked {

@@ -2,8 +2,8 @@
 
 use super::{Elaborator, Matrix, MatrixShape, Poison, Worked, fault, poisoned, shape_of};
 use crate::language::graph::NodeId;
-use crate::language::limits::LIMITS;
-use crate::language::parser::Expr;
+use isophote_syntax::limits::LIMITS;
+use isophote_syntax::parser::Expr;
 
 impl Elaborator<'_> {
     pub(super) fn list(&mut self, list: &[Expr], at: &Expr) -> Worked {

@@ -3,9 +3,9 @@
 use isophote_elementary::Function1;
 
 use super::{Binding, Elaborator, Poison, fault};
-use crate::language::diagnostic::quoted;
-use crate::language::parser::Expr;
-use crate::language::words::RESERVED;
+use isophote_syntax::diagnostic::quoted;
+use isophote_syntax::parser::Expr;
+use isophote_syntax::words::RESERVED;
 
 /// What other languages call it.
 const FOREIGN: [(&str, &str); 33] = [

@@ -2,13 +2,13 @@
 
 use std::collections::HashMap;
 
-use crate::language::diagnostic::{Diagnostic, Diagnostics, Span, Spellings, quoted};
 use crate::language::document::{Entry, Item, Key, Text};
-use crate::language::limits::LIMITS;
 use crate::language::model::Parameter;
-use crate::language::parser::{Fault, STRAY_CHARACTER};
-use crate::language::words::is_reserved;
 use crate::program::ParameterId;
+use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Span, Spellings, quoted};
+use isophote_syntax::limits::LIMITS;
+use isophote_syntax::parser::{Fault, STRAY_CHARACTER};
+use isophote_syntax::words::is_reserved;
 
 /// A fault that is not shown yet.
 struct Found {

@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use crate::language::diagnostic::Span;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::limits::LIMITS;
 use crate::language::model::{Formulas, Observation, Saturated};
 use crate::language::reader::faults::get;
 use crate::language::reader::likelihood_of_model::{Likelihood, read_likelihood};
 use crate::program::{ChannelId, CoordinateId};
+use isophote_syntax::diagnostic::Span;
+use isophote_syntax::limits::LIMITS;
 
 /// The table `[model]`.
 pub(crate) fn read_model(

@@ -1,10 +1,10 @@
 //! `[model]`: what becomes of saturated pixels and of outliers, and how a pixel is sampled.
 
-use crate::language::diagnostic::quoted;
 use crate::language::document::{Entry, Item, Key};
-use crate::language::limits::LIMITS;
 use crate::language::model::{Loss, Quadrature, Saturated};
 use crate::language::reader::faults::{Faults, get};
+use isophote_syntax::diagnostic::quoted;
+use isophote_syntax::limits::LIMITS;
 
 /// `saturated`, `loss` and `quadrature`.
 #[derive(Default)]

@@ -1,11 +1,11 @@
 //! `[[stages]]`: the schedule.
 
-use crate::language::diagnostic::quoted;
 use crate::language::document::{Entry, Item, Key};
-use crate::language::limits::LIMITS;
 use crate::language::model::{Method, Parameter, Stage};
 use crate::language::reader::faults::{Faults, get, parameters_named};
 use crate::program::ParameterId;
+use isophote_syntax::diagnostic::quoted;
+use isophote_syntax::limits::LIMITS;
 
 /// One stage of all parameters where the list is missing.
 pub(crate) fn read_stages(faults: &mut Faults, top: &[(Key, Entry)], parameters: &[Parameter]) -> Vec<Stage> {

@@ -4,14 +4,14 @@
 
 mod recovery;
 
-pub(crate) use recovery::STRAY_CHARACTER;
+pub use recovery::STRAY_CHARACTER;
 
-use crate::language::lexer::{Lexeme, Token, lex};
-use crate::language::limits::LIMITS;
+use crate::lexer::{Lexeme, Token, lex};
+use crate::limits::LIMITS;
 
 /// A node of the syntax tree; `start..end` are bytes of the formula.
 #[derive(Clone, PartialEq, Debug)]
-pub(crate) struct Expr {
+pub struct Expr {
     pub kind: ExprKind,
     pub start: usize,
     pub end: usize,
@@ -19,13 +19,13 @@ pub(crate) struct Expr {
 
 /// What joins truth values.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) enum Junction {
+pub enum Junction {
     And,
     Or,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) enum Relation {
+pub enum Relation {
     Lt,
     Le,
     Gt,
@@ -35,7 +35,7 @@ pub(crate) enum Relation {
 }
 
 #[derive(Clone, PartialEq, Debug)]
-pub(crate) enum ExprKind {
+pub enum ExprKind {
     Number(f64),
     Name(String),
     /// `[a, b]`; a list of lists is a matrix.
@@ -58,7 +58,7 @@ pub(crate) enum ExprKind {
 
 /// A fault inside a formula, before the document knows where the formula stands.
 #[derive(Clone, PartialEq, Debug)]
-pub(crate) struct Fault {
+pub struct Fault {
     /// A stable word to branch on.
     pub code: &'static str,
     pub message: String,
@@ -78,13 +78,13 @@ impl Fault {
 }
 
 /// A formula's tree, and every fault of its spelling.
-pub(crate) struct Parsed {
+pub struct Parsed {
     pub expr: Expr,
     pub faults: Vec<Fault>,
 }
 
 /// Parses a whole formula. `tokens_left` is the document's remaining budget; `None` when it is told that there is none.
-pub(crate) fn parse(text: &str, tokens_left: &mut Option<usize>) -> Parsed {
+pub fn parse(text: &str, tokens_left: &mut Option<usize>) -> Parsed {
     let broken = Expr { kind: ExprKind::Broken(Vec::new()), start: 0, end: text.len() };
     let Some(left) = tokens_left else { return Parsed { expr: broken, faults: Vec::new() } };
     let lexemes = lex(text);

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use unicode_width::UnicodeWidthStr;
 
-use crate::language::limits::LIMITS;
+use crate::limits::LIMITS;
 
 /// Bytes `start..end` of the document as sent.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, Serialize, Deserialize)]
@@ -144,7 +144,7 @@ impl Diagnostic {
 }
 
 /// What is shown of a character: a tab takes one column, and nothing may move the cursor or turn the line round.
-pub(crate) fn visible(c: char) -> char {
+pub fn visible(c: char) -> char {
     match c {
         '\t' => ' ',
         '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' => '�',
@@ -154,14 +154,14 @@ pub(crate) fn visible(c: char) -> char {
 }
 
 /// At most 40 characters of user text for a message.
-pub(crate) fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     let clean: String = text.chars().take(40).map(visible).collect();
     if text.chars().count() > 40 { format!("`{clean}…`") } else { format!("`{clean}`") }
 }
 
 /// Finds the names that were meant: of one document so many letters are compared and no more, because what it says and
 /// what it declares may both be many.
-pub(crate) struct Spellings {
+pub struct Spellings {
     /// Pairs of letters still to be compared.
     pairs_left: usize,
 }

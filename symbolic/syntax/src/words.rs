@@ -3,15 +3,15 @@
 use isophote_elementary::Function1;
 
 /// Names that the language keeps for itself, besides the functions of one argument.
-pub(crate) const RESERVED: [&str; 13] =
+pub const RESERVED: [&str; 13] =
     ["and", "or", "not", "if", "piecewise", "sum", "product", "min", "max", "abs", "sqrt", "pi", "atan2"];
 
 /// True of those, and of the functions of one argument.
-pub(crate) fn is_reserved(name: &str) -> bool {
+pub fn is_reserved(name: &str) -> bool {
     RESERVED.contains(&name) || Function1::named(name).is_some()
 }
 
 /// True of the language's own functions.
-pub(crate) fn is_function(name: &str) -> bool {
+pub fn is_function(name: &str) -> bool {
     is_reserved(name) && !matches!(name, "and" | "or" | "not" | "pi")
 }

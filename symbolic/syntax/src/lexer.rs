@@ -2,7 +2,7 @@
 
 /// What stands in a formula.
 #[derive(Clone, PartialEq, Debug)]
-pub(crate) enum Token {
+pub enum Token {
     Number(f64),
     Name(String),
     /// An operator, bracket or comma, as written.
@@ -16,7 +16,7 @@ pub(crate) enum Token {
 
 /// A token and the bytes of the formula that it covers.
 #[derive(Clone, PartialEq, Debug)]
-pub(crate) struct Lexeme {
+pub struct Lexeme {
     pub token: Token,
     pub start: usize,
     pub end: usize,
@@ -29,7 +29,7 @@ const SYMBOLS: [&str; 28] = [
 ];
 
 /// Splits a formula; the last lexeme is `End`.
-pub(crate) fn lex(text: &str) -> Vec<Lexeme> {
+pub fn lex(text: &str) -> Vec<Lexeme> {
     let mut lexemes = Vec::new();
     let mut at = 0;
     while let Some(first) = text[at..].chars().next() {

@@ -1,12 +1,12 @@
 //! Going on behind what cannot be read: each slip is told once, where it stands, and what follows from it is silent.
 
 use super::{Expr, ExprKind, Fault, Parser, enclose, is_word};
-use crate::language::diagnostic::{quoted, visible};
-use crate::language::lexer::{Lexeme, Token};
-use crate::language::words::is_function;
+use crate::diagnostic::{quoted, visible};
+use crate::lexer::{Lexeme, Token};
+use crate::words::is_function;
 
 /// What the message of a character begins with that no formula holds.
-pub(crate) const STRAY_CHARACTER: &str = "no formula holds the character";
+pub const STRAY_CHARACTER: &str = "no formula holds the character";
 
 /// What other languages, and typesetters, write instead of ours.
 const FOREIGN: [(&str, &str); 19] = [
