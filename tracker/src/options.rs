@@ -37,8 +37,8 @@ pub struct TrackerOptions {
     pub exposure: Option<ExposureGoal>,
     /// What a search finds is taken for the target from this confidence on, 0 … 1.
     pub confidence_min: f64,
-    /// When alternatives to the model are prepared that frames ask for.
-    pub alternatives: Preparing,
+    /// When what frames ask for beside the model's own kernels is prepared: alternatives, finer sampling.
+    pub preparing: Preparing,
     /// A frame is left as it is after so much work; a unit is a pixel of one pass.
     pub work_max: u64,
 }
@@ -75,7 +75,7 @@ impl Default for TrackerOptions {
             predict: None,
             exposure: None,
             confidence_min: 0.0,
-            alternatives: Preparing::default(),
+            preparing: Preparing::default(),
             work_max: WORK_MAX,
         }
     }

@@ -30,13 +30,13 @@ impl PreparationThread {
         let (told, name) = (is_unwanted.clone(), session.to_string());
         let run = move || {
             if let Err(failure) = preparation.run(&|| !told.load(Ordering::Relaxed)) {
-                eprintln!("isophote: session {name} goes on without alternatives to its model: {failure}");
+                eprintln!("isophote: session {name} goes on without what was to be prepared for its fits: {failure}");
             }
         };
         match Builder::new().name(format!("prepare {session}")).spawn(run) {
             Ok(thread) => self.running = Some(Running { is_unwanted, thread }),
             // The next frame asks again.
-            Err(error) => eprintln!("isophote: no thread to prepare alternatives of session {session}: {error}"),
+            Err(error) => eprintln!("isophote: no thread to prepare what fits of session {session} lack: {error}"),
         }
     }
 

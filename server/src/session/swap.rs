@@ -76,7 +76,7 @@ pub fn options(document: &SessionDocument) -> TrackerOptions {
         },
         confidence_min: document.options.confidence_min,
         exposure: Some(document.options.exposure.goal),
-        alternatives: Preparing::Beside,
+        preparing: Preparing::Beside,
         work_max: WORK_MAX,
         predict: document
             .options

@@ -84,7 +84,7 @@ pub(crate) fn fit(
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
 }
 
-fn fit_controlled(
+pub(super) fn fit_controlled(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
@@ -221,20 +221,20 @@ pub(crate) fn difference(
 }
 
 /// F, gradient and Hessian of a stage at a point, on that point's pixel set; `None` when no kernel could run.
-pub(crate) fn quadratic_at(
+pub(crate) fn pass_at(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     stage: usize,
     control: Control,
     point: &[f64],
-) -> Result<Option<Quadratic>, CompileFailure> {
+) -> Result<Option<Pass>, CompileFailure> {
     let Stage { parameters, method, .. } = &compiled.model().stages()[stage];
     let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
     let bindings = Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
     let (mut totals, mut pass) = (Totals::default(), Pass::of(parameters.len()));
     let ran = gradient.sums(&bindings, &view.planes, &[view.window], &mut totals);
-    Ok(ran.and_then(|()| pass.read(&totals, curvature(*method)).ok()).map(|()| pass.quadratic))
+    Ok(ran.and_then(|()| pass.read(&totals, curvature(*method)).ok()).map(|()| pass))
 }
 
 /// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.

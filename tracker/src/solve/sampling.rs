@@ -12,18 +12,22 @@
 use std::sync::{Arc, OnceLock};
 
 use isophote_jit::{Kernel, KernelCache, KernelOptions};
-use isophote_symbolic::{Bindings, Diagnostics, Model, Precision, Prediction, Quadrature, Slopes, Summand};
+use isophote_symbolic::{
+    Bindings, Diagnostics, Model, ParameterId, Precision, Prediction, Quadrature, Slopes, Summand,
+};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::estimate::{Sampled, StageReport};
 use crate::sight::view::View;
-use crate::solve::fit::{Arrival, Begin, Fit, fit, followed, quadratic_at};
+use crate::solve::fit::{Arrival, Fit, fit_controlled, followed, pass_at};
+use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
-use crate::solve::trust::Quadratic;
 use crate::solve::workers::InTurn;
 
-/// Points a side, at most.
+/// Points a side, at most, …
 const POINTS_MAX: u32 = 6;
+/// … and in all.
+const PLACES_MAX: u32 = 36;
 /// A choice may shift the minimum by so many standard deviations, `√(bᵀC⁻¹b)` with b the shift.
 const BIAS: f64 = 0.1;
 /// Fewer points than before are chosen where it would be no more than this.
@@ -72,6 +76,8 @@ struct Kernels {
     centre: StageKernels,
     mean: StageKernels,
     entries: Vec<Entry>,
+    /// Points a side, at most.
+    points_max: u32,
 }
 
 /// A value that is fitted, and the kernels of what means have beyond centres, from two points a side on.
@@ -99,6 +105,11 @@ impl Sampling {
             && base.is_covariance(0)
     }
 
+    /// True where there is nothing to fit with.
+    pub fn is_empty(&self) -> bool {
+        self.kernels.is_none()
+    }
+
     /// All that has kernels to be compiled for pixels.
     pub fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
         self.kernels.iter().flat_map(|kernels| [&kernels.centre, &kernels.mean])
@@ -109,8 +120,8 @@ impl Sampling {
     /// # Errors
     /// When a kernel cannot be made.
     pub fn warm(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
-        let entries = self.kernels.iter().flat_map(|kernels| &kernels.entries);
-        let all = entries.flat_map(|entry| (2..=POINTS_MAX).map(move |points| (entry, points)));
+        let Some(kernels) = &self.kernels else { return Ok(()) };
+        let all = kernels.entries.iter().flat_map(|entry| (2..=kernels.points_max).map(move |points| (entry, points)));
         all.take_while(|_| keeps_going()).try_for_each(|(entry, points)| entry.kernel(points).map(drop))
     }
 
@@ -149,7 +160,7 @@ impl Sampling {
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
                 *last = last.clone().after(&earlier);
             }
-            let Some(information) = information(&fit) else { return Ok(None) };
+            let Some(information) = kernels.information(&fit) else { return Ok(None) };
             let is_changed = |(now, then): (&f64, &f64)| (now / then - 1.0).abs() > CHANGED;
             let fitted = chosen.sampled;
             if information.iter().zip(&chosen.information).any(is_changed) {
@@ -158,7 +169,9 @@ impl Sampling {
                     None => return Ok(None),
                 }
             }
-            chosen.information = information;
+            if chosen.information.is_empty() {
+                chosen.information = information;
+            }
             if chosen.sampled == fitted {
                 fit.chosen = Some(chosen);
                 return Ok(Some(fit));
@@ -181,7 +194,9 @@ impl Kernels {
         let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
         let entry = |Summand { model, .. }| Entry { model, cache: cache.clone(), kernels: Default::default() };
         let entries = entries.map(entry).collect();
-        Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries })
+        let axes = model.coordinates().len() as u32;
+        let points_max = (2..=POINTS_MAX).rev().find(|points| points.pow(axes) <= PLACES_MAX).unwrap_or(2);
+        Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries, points_max })
     }
 
     fn of(&self, slopes: u32) -> &StageKernels {
@@ -199,8 +214,9 @@ impl Kernels {
         way: Way,
     ) -> Result<Arrival, CompileFailure> {
         let Sampled { points, slopes } = chosen.sampled;
-        let Some(mut planes) = self.means(view, constants, start, points)? else { return Ok(Arrival::Lost) };
-        if slopes > 1 {
+        let finer = if points > slopes { points } else { 1 };
+        let Some(mut planes) = self.means(view, constants, start, finer)? else { return Ok(Arrival::Lost) };
+        if slopes > 1 && points > slopes {
             let Some(coarse) = self.means(view, constants, start, slopes)? else { return Ok(Arrival::Lost) };
             planes = less(planes, &coarse);
         }
@@ -211,9 +227,17 @@ impl Kernels {
             return Ok(followed);
         }
         // Steps that go to and fro near the minimum.
-        let walked = fit(kernels, &view, constants, start, Begin::Anywhere, Control::Dropping)?;
-        let is_good = walked.ending.is_fit() && walked.worth.as_ref().is_some_and(|worth| worth.covariance.is_some());
-        Ok(if is_good { Arrival::There(Box::new(walked)) } else { Arrival::Lost })
+        let mut walked = fit_controlled(kernels, &view, constants, start, Control::Dropping)?;
+        let Some(far) = way_of(&walked, start, kernels.last_parameters()).filter(|_| walked.ending.is_fit()) else {
+            return Ok(Arrival::Lost);
+        };
+        Ok(match walked.stages.pop() {
+            Some(report) if chosen.lag * far > LEFT => Arrival::Far { parameters: walked.parameters, way: far, report },
+            report => {
+                walked.stages.extend(report);
+                Arrival::There(Box::new(walked))
+            }
+        })
     }
 
     /// The coarsest choice that does.
@@ -225,7 +249,7 @@ impl Kernels {
         before: Option<Sampled>,
     ) -> Result<Option<Chosen>, CompileFailure> {
         let mut means: Vec<Planes> = Vec::new();
-        let mut pass = |slopes: u32, points: u32| -> Result<Option<Quadratic>, CompileFailure> {
+        let mut pass = |slopes: u32, points: u32| -> Result<Option<Pass>, CompileFailure> {
             while means.len() < points as usize {
                 let Some(finer) = self.means(view, constants, at, means.len() as u32 + 1)? else { return Ok(None) };
                 means.push(finer);
@@ -236,27 +260,28 @@ impl Kernels {
             if view.spend(view.window.pixels()).is_err() {
                 return Ok(None);
             }
-            quadratic_at(self.of(slopes), &view, constants, 0, Control::Dropping, at)
+            pass_at(self.of(slopes), &view, constants, 0, Control::Dropping, at)
         };
         let (Some(first), Some(second)) = (pass(1, 1)?, pass(1, 2)?) else { return Ok(None) };
-        let Some(whitened) = Whitened::of(&second.hessian) else { return Ok(None) };
+        let Some(whitened) = Whitened::of(&second.quadratic.hessian) else { return Ok(None) };
         // With ln σ² in it a pixel's F is that of unit variance; without noise it says the variance itself.
         let deviation = match self.centre.model().has_noise() {
             true => 1.0,
-            false => (second.objective / view.window.pixels() as f64).sqrt(),
+            false => (second.quadratic.objective / second.pixels.max(1) as f64).sqrt(),
         };
-        let bias = |coarse: &Quadratic, fine: &Quadratic| {
-            whitened.length(&(&coarse.gradient - &fine.gradient)) / (deviation * std::f64::consts::SQRT_2)
+        let bias = |coarse: &Pass, fine: &Pass| {
+            whitened.length(&(&coarse.quadratic.gradient - &fine.quadratic.gradient))
+                / (deviation * std::f64::consts::SQRT_2)
         };
         let of_centre = bias(&first, &second);
         let (mut points, mut now, mut shift, mut of_mean) = (1, second, of_centre, of_centre);
         loop {
             let coarser = before.is_some_and(|before| before.points > points);
-            if shift <= if coarser { BIAS_COARSER } else { BIAS } || points == POINTS_MAX {
+            if shift <= if coarser { BIAS_COARSER } else { BIAS } {
                 break;
             }
             points += 1;
-            if points == POINTS_MAX {
+            if points == self.points_max {
                 break;
             }
             let Some(finer) = pass(1, points + 1)? else { return Ok(None) };
@@ -267,14 +292,23 @@ impl Kernels {
             now = finer;
         }
         let Some(mean) = pass(2, points.max(2))? else { return Ok(None) };
-        let differs = whitened.differs(&mean.hessian);
+        let differs = whitened.differs(&mean.quadratic.hessian);
         let coarser = before.is_some_and(|before| before.slopes > 1);
         let is_centre = points == 1 || differs <= if coarser { INFORMATION_COARSER } else { INFORMATION };
         // H is twice JᵀWJ, whose derivatives both lag.
         let lag = 0.5 * differs * if is_centre { 1.0 } else { (of_mean / of_centre).min(1.0) };
-        let lag = if points == 1 { 0.0 } else { lag };
         let sampled = Sampled { points, slopes: if is_centre { 1 } else { 2 } };
+        // Without corrections nothing lags.
+        let lag = if sampled.points == sampled.slopes { 0.0 } else { lag };
         Ok(Some(Chosen { sampled, information: Vec::new(), lag }))
+    }
+
+    /// 1/variance of each free parameter, if all others were known; of a residual's variance of 1, where the model does not say
+    /// it.
+    fn information(&self, fit: &Fit) -> Option<Vec<f64>> {
+        let worth = fit.worth.as_ref()?;
+        let variance = if self.centre.model().has_noise() { 1.0 } else { worth.reduced? };
+        Some(worth.variance_alone.iter().map(|alone| variance / alone).collect())
     }
 
     /// What means by so many points a side have beyond the pixels' centres.
@@ -285,7 +319,8 @@ impl Kernels {
             let mut plane = vec![0.0_f32; view.window.pixels()];
             if points > 1 {
                 let kernel = entry.kernel(points)?;
-                let work = (points * points) as usize * plane.len() / POINTS_A_PASS;
+                let all = points.pow(self.centre.model().coordinates().len() as u32) as usize;
+                let work = all * plane.len() / POINTS_A_PASS;
                 if view.spend(work).is_err() || kernel.render(&bindings, view.window, &mut plane).is_err() {
                     return Ok(None);
                 }
@@ -322,9 +357,13 @@ fn less(mut fine: Planes, coarse: &Planes) -> Planes {
     fine
 }
 
-/// 1/variance of each free parameter, if all others were known.
-fn information(fit: &Fit) -> Option<Vec<f64>> {
-    Some(fit.worth.as_ref()?.variance_alone.iter().map(|variance| variance.recip()).collect())
+/// How far a fit is from where it began, in standard deviations; `None` without a covariance.
+fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
+    let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
+    let deviations = covariance.diagonal().map(f64::sqrt);
+    let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
+    let moved = DVector::from_iterator(free.len(), moved).component_div(&deviations);
+    Some(moved.dot(&scaled(covariance, &deviations).cholesky()?.solve(&moved)).max(0.0).sqrt())
 }
 
 /// H by its factors: `H = D L Lᵀ D`.

@@ -10,6 +10,7 @@ use super::window::Margin;
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::sampling::{Chosen, Way};
 use crate::solve::stage_kernels::CompileFailure;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
@@ -43,7 +44,7 @@ impl Solver {
             return Ok(attempt);
         }
         let view = self.view(look, self.window(look, start, margin));
-        let alternatives = match self.options.alternatives {
+        let alternatives = match self.options.preparing {
             Preparing::AtOnce => self.compiled.alternatives(&|| true),
             Preparing::Beside => self.compiled.alternatives_shelf().ready(&view.layout),
         };
@@ -83,23 +84,24 @@ impl Solver {
         })
     }
 
-    /// A candidate whose fit began anywhere, with a fit that samples as it has to where the model leaves that open.
-    pub fn resampled(
-        &self,
-        look: &Look,
-        mut candidate: Candidate,
-        margin: Margin,
-    ) -> Result<Candidate, CompileFailure> {
-        let plain = |fit: &&Fit| fit.chosen.is_none() && fit.choice.is_none();
-        let Some(fit) = candidate.attempt.fit.as_ref().filter(plain) else { return Ok(candidate) };
-        let window = self.window(look, &fit.parameters, margin);
-        let view = self.view(look, window);
-        let Some(sampling) = self.sampling(look, &view) else { return Ok(candidate) };
-        let finer = self.finer(&sampling, &view, fit, None)?;
-        if let Some(finer) = finer.filter(|finer| self.rejection(finer, &view, look.window).is_none()) {
-            candidate.attempt.ending = finer.ending;
-            candidate.attempt.fit = Some(finer);
+    /// A candidate whose fit did not sample as it has to, where the model leaves that open, with one that does.
+    pub fn resampled(&self, look: &Look, candidate: Candidate, margin: Margin, before: Option<&Chosen>) -> Candidate {
+        let is_plain = |fit: &&Fit| fit.chosen.is_none() && fit.choice.is_none() && fit.ending.is_fit();
+        let Some(plain) = candidate.attempt.fit.as_ref().filter(is_plain) else { return candidate };
+        let view = self.view(look, self.window(look, &plain.parameters, margin));
+        let Some(sampling) = self.sampling(look, &view) else { return candidate };
+        let finer = self.sampled_fit(&sampling, &view, &plain.parameters, before, Way::Any);
+        let is_good = |fit: &Fit| self.rejection(fit, &view, look.window).is_none();
+        let Some(mut finer) = finer.filter(is_good) else { return candidate };
+        if let Some((last, earlier)) = finer.stages.last_mut().zip(plain.stages.last()) {
+            *last = last.clone().after(earlier);
         }
-        Ok(candidate)
+        let attempt = Attempt { ending: finer.ending, fit: Some(finer), ..candidate.attempt };
+        let mut anew = Candidate::of(self, attempt, candidate.ground);
+        // What was expected of it is as it was.
+        if let Some((now, then)) = anew.evidence.as_mut().zip(candidate.evidence) {
+            (now.distance, now.strangeness) = (then.distance, then.strangeness);
+        }
+        anew
     }
 }

@@ -14,21 +14,29 @@ const SPOT: &str = include_str!("../../../models/spot.toml");
 /// px a frame
 const VELOCITY: [f64; 2] = [0.31, 0.17];
 
-fn tracker(text: &str, precision: Precision, alternatives: Preparing) -> Tracker {
+fn tracker(text: &str, precision: Precision, preparing: Preparing) -> Tracker {
     let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), precision).unwrap());
-    Tracker::new(compiled, TrackerOptions { precision, alternatives, ..TrackerOptions::default() }).unwrap()
+    Tracker::new(compiled, TrackerOptions { precision, preparing, ..TrackerOptions::default() }).unwrap()
 }
 
 /// The light itself, and where its centre is.
-fn frame(half: f64, number: u64, noise: f64) -> (Frame, [f64; 2]) {
-    let side = (4.0 * half + 24.0) as usize;
+fn pixels_of(half: f64, side: usize, number: u64, noise: f64) -> (Vec<f32>, [f64; 2]) {
     let centre = VELOCITY.map(|velocity| 0.5 * side as f64 - 1.3 + velocity * number as f64);
     let half = [half, 0.72 * half];
     let spot = Spot { centre, half, angle: 0.5, amplitude: 130.0, profile: Falloff::Cubic(-0.5, -0.3) };
     let picture = TestPicture { samples: 12, noise, seed: number + 1, ..TestPicture::new(side, side, vec![spot]) };
-    let bytes = picture.pixels().iter().flat_map(|value| (*value as f32).to_ne_bytes()).collect();
+    (picture.pixels().into_iter().map(|value| value as f32).collect(), centre)
+}
+
+fn frame_of(half: f64, side: usize, number: u64, noise: f64) -> (Frame, [f64; 2]) {
+    let (pixels, centre) = pixels_of(half, side, number, noise);
+    let bytes = pixels.iter().flat_map(|value| value.to_ne_bytes()).collect();
     let frame = Frame::new(&[side, side], vec![Plane::owned(PixelFormat::F32, bytes, side)]).unwrap();
     (frame.with_sequence(number), centre)
+}
+
+fn frame(half: f64, number: u64, noise: f64) -> (Frame, [f64; 2]) {
+    frame_of(half, (4.0 * half + 24.0) as usize, number, noise)
 }
 
 /// √(eᵀC⁻¹e) of the centre.
@@ -99,4 +107,35 @@ fn what_sampling_needs_is_prepared_beside_the_fits() {
 fn fits_in_double_precision_say_that_they_take_two_points() {
     let estimate = tracker(SPOT, Precision::F64, Preparing::AtOnce).track(&frame(8.0, 0, 0.0).0);
     assert_eq!(estimate.sampled, Some(Sampled { points: 2, slopes: 2 }));
+}
+
+#[test]
+fn a_target_that_shrinks_slowly_is_sampled_ever_more_finely() {
+    let mut tracker = tracker(SPOT, Precision::F32, Preparing::AtOnce);
+    let mut half = 24.0;
+    let mut points = Vec::new();
+    for number in 0..50 {
+        let (frame, centre) = frame_of(half, 130, number, 0.0);
+        let estimate = tracker.track(&frame);
+        assert!(distance(&estimate, centre) < 0.3, "{half} px: {}, {estimate:?}", distance(&estimate, centre));
+        points.push(estimate.sampled.unwrap().points);
+        half *= 0.96;
+    }
+    assert!(points[0] < points[49], "{points:?}");
+}
+
+#[test]
+fn pixels_that_are_no_numbers_are_left_out_after_clean_frames() {
+    let mut tracker = tracker(SPOT, Precision::F32, Preparing::AtOnce);
+    for number in 0..6 {
+        let (mut pixels, centre) = pixels_of(12.0, 120, number, 0.0);
+        if number > 2 {
+            let place = centre[1] as usize * 120 + centre[0] as usize + 3;
+            pixels[place] = f32::NAN;
+        }
+        let bytes = pixels.iter().flat_map(|value| value.to_ne_bytes()).collect();
+        let frame = Frame::new(&[120, 120], vec![Plane::owned(PixelFormat::F32, bytes, 120)]).unwrap();
+        let estimate = tracker.track(&frame.with_sequence(number));
+        assert!(distance(&estimate, centre) < 0.6, "{number}: {estimate:?}");
+    }
 }

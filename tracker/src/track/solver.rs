@@ -49,7 +49,7 @@ pub(crate) struct Look<'a> {
     limits: Mutex<Vec<(Window, Vec<f64>)>>,
     /// What it may cost; none where nothing bounds it.
     budget: Option<&'a FrameBudget<'a>>,
-    /// Alternatives that a fit went on without.
+    /// What a fit went on without.
     wanted: OnceLock<Preparation>,
 }
 
@@ -69,12 +69,12 @@ impl<'a> Look<'a> {
         self.budget.and_then(FrameBudget::stopped).map(Ending::from)
     }
 
-    /// Says that a fit would have tried alternatives.
+    /// Says what a fit went on without.
     pub fn want(&self, preparation: Preparation) {
         self.wanted.get_or_init(|| preparation);
     }
 
-    /// What fits would have tried.
+    /// What fits went on without.
     pub fn wanted(&self) -> Option<&Preparation> {
         self.wanted.get()
     }
@@ -199,45 +199,38 @@ impl Solver {
         let Some(sampling) = self.sampling(look, view) else {
             return fit(&self.compiled, view, &self.constants, start, begin, control);
         };
-        if let Some(fit) = sampling.fit(view, &self.constants, start, before, Way::Short)? {
-            return Ok(fit);
+        match self.sampled_fit(&sampling, view, start, before, Way::Short) {
+            Some(fit) => Ok(fit),
+            None => fit(&self.compiled, view, &self.constants, start, Begin::Anywhere, control),
         }
-        let plain = fit(&self.compiled, view, &self.constants, start, Begin::Anywhere, control)?;
-        Ok(self.finer(&sampling, view, &plain, before)?.unwrap_or(plain))
     }
 
-    /// What a fit comes to when it samples as it has to.
-    pub(super) fn finer(
+    /// A fit that samples as it has to. Where its kernels cannot be made, fits go on without from then on.
+    pub(super) fn sampled_fit(
         &self,
         sampling: &Sampling,
         view: &View,
-        plain: &Fit,
+        start: &[f64],
         before: Option<&Chosen>,
-    ) -> Result<Option<Fit>, CompileFailure> {
-        if !plain.ending.is_fit() {
-            return Ok(None);
-        }
-        let mut finer = sampling.fit(view, &self.constants, &plain.parameters, before, Way::Any)?;
-        if let Some((last, earlier)) = finer.as_mut().and_then(|finer| finer.stages.last_mut()).zip(plain.stages.last())
-        {
-            *last = last.clone().after(earlier);
-        }
-        Ok(finer)
+        way: Way,
+    ) -> Option<Fit> {
+        let fit = sampling.fit(view, &self.constants, start, before, way);
+        fit.inspect_err(|_| self.compiled.sampling_shelf().give_up()).ok().flatten()
     }
 
-    /// What a fit samples with, where the model leaves that open; `None` while it is being prepared.
+    /// What a fit samples with, where the model leaves that open; `None` while it is being prepared, and where there is nothing.
     pub(super) fn sampling(&self, look: &Look, view: &View) -> Option<Arc<Sampling>> {
-        if !Sampling::applies(&self.compiled) {
+        if !Sampling::applies(&self.compiled) || self.geometry.is_some() {
             return None;
         }
-        let ready = match self.options.alternatives {
+        let ready = match self.options.preparing {
             Preparing::AtOnce => Some(self.compiled.sampling()),
             Preparing::Beside => self.compiled.sampling_shelf().ready(&view.layout),
         };
         if ready.is_none() {
             look.want(Preparation::new(&self.compiled, view, Lacking::Sampling));
         }
-        ready
+        ready.filter(|sampling| !sampling.is_empty())
     }
 
     /// How a fit sampled pixels, where the model leaves that open.

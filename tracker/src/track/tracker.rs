@@ -32,7 +32,7 @@ pub struct Tracker {
     pub(super) tracks: Vec<Track>,
     advisor: Option<Advisor>,
     clock: FrameClock,
-    /// Alternatives that frames were fitted without.
+    /// What frames were fitted without.
     wanted: Option<Preparation>,
 }
 
@@ -199,7 +199,10 @@ impl Tracker {
             };
             let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
             outcomes[number] = Some(match outcome {
-                Finding::Seen(candidate) => Finding::Seen(Box::new(solver.resampled(look, *candidate, margin)?)),
+                Finding::Seen(candidate) => {
+                    let before = self.tracks[number].memory.chosen.as_ref();
+                    Finding::Seen(Box::new(solver.resampled(look, *candidate, margin, before)))
+                }
                 outcome => outcome,
             });
         }

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::bench::{Bench, Goal};
 use super::starts::{self, Offset};
-use crate::solve::fit::quadratic_at;
+use crate::solve::fit::pass_at;
 use crate::solve::stage::eigen_resolution;
 use crate::solve::stage_kernels::CompileFailure;
 use crate::track::window::Margin;
@@ -117,9 +117,9 @@ impl Bench {
         let window = self.solver.window(&look, point, Margin::NONE);
         let view = self.solver.view(&look, window);
         let compiled = &self.solver.compiled;
-        let quadratic = quadratic_at(compiled, &view, &self.solver.constants, stage, goal.control, point)?;
+        let pass = pass_at(compiled, &view, &self.solver.constants, stage, goal.control, point)?;
         let resolution = eigen_resolution(compiled.precision());
-        Ok(quadratic.and_then(|quadratic| inertia(&quadratic.hessian, resolution)))
+        Ok(pass.and_then(|pass| inertia(&pass.quadratic.hessian, resolution)))
     }
 }
 

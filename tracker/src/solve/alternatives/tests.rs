@@ -47,8 +47,8 @@ fn compiled() -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(model), Precision::F32).expect("kernels"))
 }
 
-fn tracker(compiled: &Arc<Compiled>, alternatives: Preparing) -> Tracker {
-    let options = TrackerOptions { alternatives, ..TrackerOptions::default() };
+fn tracker(compiled: &Arc<Compiled>, preparing: Preparing) -> Tracker {
+    let options = TrackerOptions { preparing, ..TrackerOptions::default() };
     Tracker::new(compiled.clone(), options).expect("options")
 }
 
