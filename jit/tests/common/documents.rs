@@ -373,7 +373,11 @@ fn judge_plane(
     // A difference of intensities is as right as these are.
     let rounded = match prediction {
         Some(Prediction::Correction(_)) => {
-            1e-9 * scene.values.iter().fold(1.0_f64, |most, value| most.max(value.abs()))
+            let axes = model.coordinates().len();
+            let places =
+                (y..y + height).flat_map(|y| (x..x + width).map(move |x| [x as f64, y as f64][..axes].to_vec()));
+            let shown = places.map(|place| model.predicted(&place, &scene.values, &scene.constants).abs());
+            1e-12 * shown.filter(|value| value.is_finite()).fold(1.0, f64::max)
         }
         _ => 1e-30,
     };

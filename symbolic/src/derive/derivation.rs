@@ -92,12 +92,22 @@ pub(crate) struct Derivation {
     factors: FxHashMap<(NodeId, bool), Polynomial>,
 }
 
+/// What first derivatives are made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum By {
+    /// Few pixel values that all parameters share.
+    Features,
+    /// The chain rule's own terms.
+    Variables,
+}
+
 impl Derivation {
     /// Nothing when the graph overflows.
-    pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts) -> Option<Derivation> {
+    pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts, by: By) -> Option<Derivation> {
         let mut variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
         let (residual, parameters) = (differentiand.residual, differentiand.parameters);
-        let finite = (differentiand.order == Order::First).then(|| Finite::below(&graph, residual, parameters));
+        let finite = (differentiand.order == Order::First && by == By::Features)
+            .then(|| Finite::below(&graph, residual, parameters));
         if let Some(finite) = &finite {
             variables.extend(frontier(&graph, residual, parameters, finite));
         }

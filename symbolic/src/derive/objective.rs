@@ -9,7 +9,7 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::derive::absorb::{Scaling, gather, reciprocals};
-use crate::derive::derivation::{Cuts, Derivation, Differentiand};
+use crate::derive::derivation::{By, Cuts, Derivation, Differentiand};
 use crate::derive::domain::region;
 use crate::derive::expressions::Expressions;
 use crate::derive::monomial::whole_output;
@@ -389,7 +389,7 @@ impl<'a> Setting<'a> {
         let derived = match form {
             Form::Factored => search::fewest_flops(graph, &differentiand, Scaling::Unified),
             Form::Plain => search::fewest_flops(graph, &differentiand, Scaling::AsWritten),
-            Form::Unfactored => Derivation::new(graph.copied(), &differentiand, &Cuts::default())
+            Form::Unfactored => Derivation::new(graph.copied(), &differentiand, &Cuts::default(), By::Variables)
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
         };
         let origin = WholeModel::of(model);

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use crate::derive::absorb::{Scaling, gather};
 use crate::derive::cuts::cut_classes;
-use crate::derive::derivation::{Cuts, Derivation, Differentiand, Layout, reduced};
+use crate::derive::derivation::{By, Cuts, Derivation, Differentiand, Layout, reduced};
 use crate::derive::polynomials::collected;
 use crate::derive::schedule::pixel_weight;
 use crate::derive::square::completed;
@@ -136,7 +136,7 @@ impl Search<'_> {
         let differentiand = Differentiand { residual, ..*self.differentiand };
         self.derivations += 1;
         let layout = Layout { expand: true, split: BTreeSet::new() };
-        let Some(mut derivation) = Derivation::new(graph, &differentiand, &cuts) else {
+        let Some(mut derivation) = Derivation::new(graph, &differentiand, &cuts, By::Features) else {
             self.work = WORK;
             return;
         };
