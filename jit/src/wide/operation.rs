@@ -230,18 +230,9 @@ impl Operation {
                 EVEX_Vxorps_zmm_k1z_zmm_zmmm512b32,
                 EVEX_Vxorpd_zmm_k1z_zmm_zmmm512b64,
             ],
-            AddBits => {
-                let [narrow, wide] = [VEX_Vpaddq_ymm_ymm_ymmm256, EVEX_Vpaddq_zmm_k1z_zmm_zmmm512b64];
-                [narrow, narrow, wide, wide]
-            }
-            SubBits => {
-                let [narrow, wide] = [VEX_Vpsubq_ymm_ymm_ymmm256, EVEX_Vpsubq_zmm_k1z_zmm_zmmm512b64];
-                [narrow, narrow, wide, wide]
-            }
-            EqualBits => {
-                let [narrow, wide] = [VEX_Vpcmpeqq_ymm_ymm_ymmm256, EVEX_Vpcmpeqq_kr_k1_zmm_zmmm512b64];
-                [narrow, narrow, wide, wide]
-            }
+            AddBits => alike(VEX_Vpaddq_ymm_ymm_ymmm256, EVEX_Vpaddq_zmm_k1z_zmm_zmmm512b64),
+            SubBits => alike(VEX_Vpsubq_ymm_ymm_ymmm256, EVEX_Vpsubq_zmm_k1z_zmm_zmmm512b64),
+            EqualBits => alike(VEX_Vpcmpeqq_ymm_ymm_ymmm256, EVEX_Vpcmpeqq_kr_k1_zmm_zmmm512b64),
             Compare(_) => [
                 VEX_Vcmpps_ymm_ymm_ymmm256_imm8,
                 VEX_Vcmppd_ymm_ymm_ymmm256_imm8,
@@ -261,42 +252,15 @@ impl Operation {
                 EVEX_Vpternlogd_zmm_k1z_zmm_zmmm512b32_imm8,
                 EVEX_Vpternlogq_zmm_k1z_zmm_zmmm512b64_imm8,
             ],
-            ShiftLeft(_) => {
-                let [narrow, wide] = [VEX_Vpsllq_ymm_ymm_imm8, EVEX_Vpsllq_zmm_k1z_zmmm512b64_imm8];
-                [narrow, narrow, wide, wide]
-            }
-            ShiftRight(_) => {
-                let [narrow, wide] = [VEX_Vpsrlq_ymm_ymm_imm8, EVEX_Vpsrlq_zmm_k1z_zmmm512b64_imm8];
-                [narrow, narrow, wide, wide]
-            }
-            Widen => {
-                let [narrow, wide] = [VEX_Vcvtps2pd_ymm_xmmm128, EVEX_Vcvtps2pd_zmm_k1z_ymmm256b32_sae];
-                [narrow, narrow, wide, wide]
-            }
-            Narrow => {
-                let [narrow, wide] = [VEX_Vcvtpd2ps_xmm_ymmm256, EVEX_Vcvtpd2ps_ymm_k1z_zmmm512b64_er];
-                [narrow, narrow, wide, wide]
-            }
-            UpperHalf => {
-                let [narrow, wide] = [VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8];
-                [narrow, narrow, wide, wide]
-            }
-            Join => {
-                let [narrow, wide] = [VEX_Vinsertf128_ymm_ymm_xmmm128_imm8, EVEX_Vinsertf64x4_zmm_k1z_zmm_ymmm256_imm8];
-                [narrow, narrow, wide, wide]
-            }
-            Firsts => {
-                let [narrow, wide] = [VEX_Vunpcklpd_ymm_ymm_ymmm256, EVEX_Vunpcklpd_zmm_k1z_zmm_zmmm512b64];
-                [narrow, narrow, wide, wide]
-            }
-            Seconds => {
-                let [narrow, wide] = [VEX_Vunpckhpd_ymm_ymm_ymmm256, EVEX_Vunpckhpd_zmm_k1z_zmm_zmmm512b64];
-                [narrow, narrow, wide, wide]
-            }
-            Pieces(_) => {
-                let [narrow, wide] = [VEX_Vperm2f128_ymm_ymm_ymmm256_imm8, EVEX_Vshuff64x2_zmm_k1z_zmm_zmmm512b64_imm8];
-                [narrow, narrow, wide, wide]
-            }
+            ShiftLeft(_) => alike(VEX_Vpsllq_ymm_ymm_imm8, EVEX_Vpsllq_zmm_k1z_zmmm512b64_imm8),
+            ShiftRight(_) => alike(VEX_Vpsrlq_ymm_ymm_imm8, EVEX_Vpsrlq_zmm_k1z_zmmm512b64_imm8),
+            Widen => alike(VEX_Vcvtps2pd_ymm_xmmm128, EVEX_Vcvtps2pd_zmm_k1z_ymmm256b32_sae),
+            Narrow => alike(VEX_Vcvtpd2ps_xmm_ymmm256, EVEX_Vcvtpd2ps_ymm_k1z_zmmm512b64_er),
+            UpperHalf => alike(VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8),
+            Join => alike(VEX_Vinsertf128_ymm_ymm_xmmm128_imm8, EVEX_Vinsertf64x4_zmm_k1z_zmm_ymmm256_imm8),
+            Firsts => alike(VEX_Vunpcklpd_ymm_ymm_ymmm256, EVEX_Vunpcklpd_zmm_k1z_zmm_zmmm512b64),
+            Seconds => alike(VEX_Vunpckhpd_ymm_ymm_ymmm256, EVEX_Vunpckhpd_zmm_k1z_zmm_zmmm512b64),
+            Pieces(_) => alike(VEX_Vperm2f128_ymm_ymm_ymmm256_imm8, EVEX_Vshuff64x2_zmm_k1z_zmm_zmmm512b64_imm8),
             FromIntegers => [
                 VEX_Vcvtdq2ps_ymm_ymmm256,
                 VEX_Vcvtdq2pd_ymm_xmmm128,
@@ -315,14 +279,8 @@ impl Operation {
                 EVEX_Vpmovzxwd_zmm_k1z_ymmm256,
                 EVEX_Vpmovzxwd_ymm_k1z_xmmm128,
             ],
-            Load => {
-                let [narrow, wide] = [VEX_Vmovups_ymm_ymmm256, EVEX_Vmovups_zmm_k1z_zmmm512];
-                [narrow, narrow, wide, wide]
-            }
-            LoadHalf => {
-                let [narrow, wide] = [VEX_Vmovups_xmm_xmmm128, EVEX_Vmovups_ymm_k1z_ymmm256];
-                [narrow, narrow, wide, wide]
-            }
+            Load => alike(VEX_Vmovups_ymm_ymmm256, EVEX_Vmovups_zmm_k1z_zmmm512),
+            LoadHalf => alike(VEX_Vmovups_xmm_xmmm128, EVEX_Vmovups_ymm_k1z_ymmm256),
             Spread => [
                 VEX_Vbroadcastss_ymm_m32,
                 VEX_Vbroadcastsd_ymm_m64,
@@ -342,6 +300,11 @@ impl Operation {
 
 /// The table of truth of `a ? b : c`, for the instruction that computes any of three operands.
 const SELECT: u32 = 0xca;
+
+/// Codes of what is the same for both elements, at 256 and at 512 bits.
+fn alike(narrow: Code, wide: Code) -> [Code; 4] {
+    [narrow, narrow, wide, wide]
+}
 
 fn pick(codes: [Code; 4], element: Element, width: VectorWidth) -> Code {
     codes[2 * usize::from(width == VectorWidth::Bits512) + element as usize]
