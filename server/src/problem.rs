@@ -61,6 +61,10 @@ impl Problem {
         let status = StatusCode::UNPROCESSABLE_ENTITY;
         Problem { status, code: "wrong-document", detail, diagnostics }
     }
+    /// 409: a pushed frame that will not be fitted any more.
+    pub fn session_ended() -> Problem {
+        Problem::conflict("not-applicable", "the session ended before the frame was fitted")
+    }
     /// 422 with one diagnostic at `key`, whose place follows later from the text (see `documents`).
     pub fn wrong_key(code: &str, key: &str, message: impl Into<String>) -> Problem {
         let mut diagnostic = Diagnostic::error("", code, key, isophote_symbolic::Span::default(), message);

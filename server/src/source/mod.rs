@@ -193,12 +193,12 @@ impl Source {
         self.wake.iter().for_each(Wake::ring);
     }
 
-    /// A frame that a client sent.
+    /// A frame that a client sent; 409 when the source, and with it the session that it was meant for, ends.
     pub fn push(&self, mut captured: Captured, reply: Reply) -> Result<(), Problem> {
         captured.frame.capture_ns = Some(monotonic_ns());
         let mut state = self.shared.lock();
         if state.is_stopping {
-            return Err(Problem::stopping());
+            return Err(Problem::session_ended());
         }
         if state.pushed.len() >= LIMITS.pushed_frames {
             return Err(Problem::over_limit("pushed frames that wait", LIMITS.pushed_frames));

@@ -10,7 +10,7 @@ use isophote_tracker::{Frame, Plane};
 use isophote_wire::{Pace, PushedDocument, PushedFormat, SourceDocument, SourceState};
 
 use super::{FrameShape, Opened, Producer, Source};
-use crate::session::inbox::{Event, Inbox, SourceEnd};
+use crate::session::inbox::{Event, Inbox, Reply, SourceEnd};
 
 /// So many frames, then `None` or a panic.
 struct Counted {
@@ -106,4 +106,18 @@ fn a_source_stops_while_a_closed_session_was_busy() {
     inbox.close();
     source.stop();
     assert!(matches!(inbox.next(), Event::Closed));
+}
+
+/// The source of a session that is replaced stops before the session's sockets have noticed: 409, not "the service is
+/// stopping".
+#[test]
+fn a_frame_for_a_source_that_has_stopped_is_told_that_its_session_ended() {
+    let (source, inbox) = start(0, false, Pace::Fit);
+    inbox.close();
+    source.stop();
+    let frame = Frame::new(&[1, 1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap();
+    let (sender, _answer) = tokio::sync::oneshot::channel();
+    let reply = Reply { session: inbox, sender };
+    let refused = source.push(Captured { frame, file: None, truth: None }, reply).unwrap_err();
+    assert_eq!(refused.document().status, 409, "{refused:?}");
 }

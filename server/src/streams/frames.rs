@@ -11,7 +11,7 @@ use axum::extract::ws::{Message, WebSocket};
 use isophote_tracker::Frame;
 use isophote_wire::{EstimateView, FrameTime};
 
-use super::pushed::{Pushed, WaitingFrame, gone};
+use super::pushed::{Pushed, WaitingFrame};
 use super::websocket::{close, refuse, send};
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
@@ -59,7 +59,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                 waiting.push_back(frame.and_then(|frame| pushed.push(frame)));
             }
             Turn::Ended(Next::End(end)) => {
-                let unfinished = decoding.is_some().then(|| Err(gone()));
+                let unfinished = decoding.is_some().then(|| Err(Problem::session_ended()));
                 let answers = waiting.into_iter().map(|one| one.and_then(WaitingFrame::last)).chain(unfinished);
                 return leave(&mut socket, answers.collect(), &end).await;
             }

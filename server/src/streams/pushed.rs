@@ -91,18 +91,13 @@ impl WaitingFrame {
     pub async fn estimate(&mut self) -> Result<Arc<EstimateView>, Problem> {
         let late = |_| Problem::late("the frame was not fitted in time");
         let deadline = *self.deadline.get_or_insert_with(|| Instant::now() + LIMITS.push_time);
-        tokio::time::timeout_at(deadline, &mut self.answer).await.map_err(late)?.map_err(|_| gone())
+        tokio::time::timeout_at(deadline, &mut self.answer).await.map_err(late)?.map_err(|_| Problem::session_ended())
     }
 
     /// The estimate if it is there by now, for a session that has ended.
     pub fn last(mut self) -> Result<Arc<EstimateView>, Problem> {
-        self.answer.try_recv().map_err(|_| gone())
+        self.answer.try_recv().map_err(|_| Problem::session_ended())
     }
-}
-
-/// What is said of a frame that will not be fitted any more.
-pub fn gone() -> Problem {
-    Problem::conflict("not-applicable", "the session ended before the frame was fitted")
 }
 
 /// Pixels that begin like a JPEG are possible; the eight bytes of a PNG are not.
