@@ -547,10 +547,10 @@ impl Graph {
 
     /// The value in f64, for formulas without pixels. Truth values are 1 and 0. `leaf` gives inputs and coordinates.
     pub fn evaluate(&self, root: NodeId, leaf: &dyn Fn(&Node) -> f64) -> f64 {
-        let mut values: FxHashMap<NodeId, f64> = FxHashMap::default();
+        let mut values = vec![f64::NAN; root.index() + 1];
         let truth = |b: bool| f64::from(u8::from(b));
         for id in self.reachable(&[root]) {
-            let at = |n: &NodeId| values[n];
+            let at = |n: &NodeId| values[n.index()];
             let value = match self.node(id) {
                 Node::Number(bits) => bits.get(),
                 node @ (Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => leaf(node),
@@ -572,9 +572,9 @@ impl Graph {
                     }
                 }
             };
-            values.insert(id, value);
+            values[id.index()] = value;
         }
-        values[&root]
+        values[root.index()]
     }
 }
 

@@ -94,6 +94,19 @@ impl<'a> View<'a> {
         view
     }
 
+    /// A window inside of this one.
+    pub fn narrowed(&self, window: Window) -> View<'a> {
+        View {
+            planes: self.planes.clone(),
+            window,
+            saturation: self.saturation.clone(),
+            limits: self.limits.clone(),
+            layout: self.layout.clone(),
+            rounding: self.rounding,
+            budget: self.budget,
+        }
+    }
+
     /// The same with a plane of corrections for each entry that is fitted, which hold the window's pixels.
     pub fn corrected<'b>(&self, corrections: &'b [Vec<f32>]) -> Option<View<'b>>
     where

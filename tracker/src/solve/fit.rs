@@ -15,7 +15,7 @@ use crate::solve::loops::{Loops, Totals};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
-use crate::solve::trust::{Curvature, Quadratic, Spectrum};
+use crate::solve::trust::{Curvature, Definite, Quadratic, Spectrum};
 
 /// What a fit came to.
 #[derive(Clone, Debug)]
@@ -314,11 +314,13 @@ impl<'a> Passes<'a> {
 
 /// The inverse Fisher information at unit variance, `2 H⁻¹` with H = 2 JᵀWJ: F has no factor ½. `None` when singular.
 fn inverse_fisher(quadratic: &Quadratic, precision: Precision) -> Option<DMatrix<f64>> {
-    let scale = quadratic.hessian.diagonal().map(|entry| entry.sqrt());
-    if !scale.iter().all(|&d| d > 0.0) {
-        return None;
-    }
-    Some(Spectrum::new(quadratic, &scale, stage::eigen_resolution(precision))?.inverse()? * 2.0)
+    let resolution = stage::eigen_resolution(precision);
+    let definite = Definite::of(&quadratic.hessian)?;
+    let inverse = match definite.is_clear(resolution) {
+        true => definite.inverse(),
+        false => Spectrum::new(quadratic, definite.scale(), resolution)?.inverse()?,
+    };
+    Some(inverse * 2.0)
 }
 
 impl Pass {

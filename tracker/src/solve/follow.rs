@@ -13,7 +13,7 @@ use nalgebra::DVector;
 
 use crate::estimate::{Ending, StageReport};
 use crate::solve::stage::{CostFunction, Pass, Rules, eigen_resolution};
-use crate::solve::trust::Spectrum;
+use crate::solve::trust::{Definite, Quadratic, Spectrum};
 
 /// What may be left of the way to the minimum, in standard deviations.
 const LEFT: f64 = 0.05;
@@ -56,30 +56,36 @@ pub(crate) fn follow<P: CostFunction>(
         if before.is_some_and(|(last, _)| objective > last + slack) {
             return None;
         }
-        let scale = pass.quadratic.hessian.diagonal().map(f64::sqrt);
-        if !scale.iter().all(|entry| *entry > 0.0) {
-            return None;
-        }
-        let spectrum = Spectrum::new(&pass.quadratic, &scale, eigen_resolution(rules.precision))?;
-        let step = spectrum.step(f64::INFINITY);
+        let (delta, reduction) = newton_step(&pass.quadratic, eigen_resolution(rules.precision))?;
         let variance = if rules.noise { 1.0 } else { rules.reduced(&pass).filter(|reduced| *reduced > 0.0)? };
-        if !step.interior || spectrum.is_indefinite() || !step.reduction.is_finite() {
+        if !reduction.is_finite() {
             return None;
         }
         report.iterations += 1;
-        moved(&mut at, &rules.free, &step.delta);
+        moved(&mut at, &rules.free, &delta);
         if !problem.allowed(&at) {
             return None;
         }
-        let length = (step.reduction.max(0.0) / variance).sqrt();
+        let length = (reduction.max(0.0) / variance).sqrt();
         if before.is_some_and(|(_, last)| is_near(last, length)) {
             point.copy_from_slice(&at);
-            pass.quadratic.objective -= step.reduction;
+            pass.quadratic.objective -= reduction;
             return Some(ShortWay { report, pass, variance });
         }
         before = Some((objective, length));
     }
     None
+}
+
+/// `−H⁻¹g`, and by how much F falls there, where H bends upwards.
+fn newton_step(quadratic: &Quadratic, resolution: f64) -> Option<(DVector<f64>, f64)> {
+    let definite = Definite::of(&quadratic.hessian)?;
+    if definite.is_clear(resolution) {
+        return Some(definite.newton_step(&quadratic.gradient));
+    }
+    let spectrum = Spectrum::new(quadratic, definite.scale(), resolution)?;
+    let step = spectrum.step(f64::INFINITY);
+    (step.interior && !spectrum.is_indefinite()).then_some((step.delta, step.reduction))
 }
 
 fn moved(at: &mut [f64], free: &[usize], delta: &DVector<f64>) {
@@ -97,7 +103,7 @@ mod tests {
     use nalgebra::DMatrix;
 
     use super::*;
-    use crate::solve::trust::{Curvature, Quadratic};
+    use crate::solve::trust::Curvature;
     use isophote_symbolic::Precision;
 
     /// Residuals `tanh(3 (u − 0.1 i)) − tanh(3 (0.7 − 0.1 i))` of unit variance, times `contrast`, and a curve that is

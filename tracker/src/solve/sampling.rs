@@ -11,17 +11,18 @@
 
 use std::sync::{Arc, OnceLock};
 
-use isophote_jit::{Kernel, KernelCache, KernelOptions};
+use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
 use isophote_symbolic::{
     Bindings, Diagnostics, Model, ParameterId, Precision, Prediction, Quadrature, Slopes, Summand,
 };
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::DVector;
 
 use crate::estimate::{Sampled, StageReport};
 use crate::sight::view::View;
 use crate::solve::fit::{Arrival, Fit, fit_controlled, followed, pass_at};
 use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
+use crate::solve::trust::{Definite, scaled};
 use crate::solve::workers::InTurn;
 
 /// Points a side, at most, …
@@ -126,10 +127,11 @@ impl Sampling {
     }
 
     /// The fit from a start that is nearly right, by the choice of a fit before it; `None` where the start was not, or where
-    /// there is no choice.
+    /// there is no choice. `domain`: all that the short way from the start can look at.
     pub fn fit(
         &self,
         view: &View,
+        domain: Window,
         constants: &[f64],
         start: &[f64],
         before: Option<&Chosen>,
@@ -143,11 +145,13 @@ impl Sampling {
                 None => return Ok(None),
             },
         };
+        let narrow = view.narrowed(domain);
         let mut from = start.to_vec();
         let mut earlier: Option<StageReport> = None;
         let mut before = None;
         for _ in 0..ROUNDS {
-            let found = match kernels.fit(view, constants, &from, &chosen, before, way)? {
+            let seen = if way == Way::Short { &narrow } else { view };
+            let found = match kernels.fit(seen, constants, &from, &chosen, before, way)? {
                 Arrival::There(fit) => fit,
                 Arrival::Far { parameters, way: far, report } => {
                     earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
@@ -263,14 +267,14 @@ impl Kernels {
             pass_at(self.of(slopes), &view, constants, 0, Control::Dropping, at)
         };
         let (Some(first), Some(second)) = (pass(1, 1)?, pass(1, 2)?) else { return Ok(None) };
-        let Some(whitened) = Whitened::of(&second.quadratic.hessian) else { return Ok(None) };
+        let Some(definite) = Definite::of(&second.quadratic.hessian) else { return Ok(None) };
         // With ln σ² in it a pixel's F is that of unit variance; without noise it says the variance itself.
         let deviation = match self.centre.model().has_noise() {
             true => 1.0,
             false => (second.quadratic.objective / second.pixels.max(1) as f64).sqrt(),
         };
         let bias = |coarse: &Pass, fine: &Pass| {
-            whitened.length(&(&coarse.quadratic.gradient - &fine.quadratic.gradient))
+            definite.length(&(&coarse.quadratic.gradient - &fine.quadratic.gradient))
                 / (deviation * std::f64::consts::SQRT_2)
         };
         let of_centre = bias(&first, &second);
@@ -292,7 +296,7 @@ impl Kernels {
             now = finer;
         }
         let Some(mean) = pass(2, points.max(2))? else { return Ok(None) };
-        let differs = whitened.differs(&mean.quadratic.hessian);
+        let differs = definite.differs(&mean.quadratic.hessian);
         let coarser = before.is_some_and(|before| before.slopes > 1);
         let is_centre = points == 1 || differs <= if coarser { INFORMATION_COARSER } else { INFORMATION };
         // H is twice JᵀWJ, whose derivatives both lag.
@@ -364,37 +368,4 @@ fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
     let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
     let moved = DVector::from_iterator(free.len(), moved).component_div(&deviations);
     Some(moved.dot(&scaled(covariance, &deviations).cholesky()?.solve(&moved)).max(0.0).sqrt())
-}
-
-/// H by its factors: `H = D L Lᵀ D`.
-struct Whitened {
-    scale: DVector<f64>,
-    factor: Cholesky<f64, Dyn>,
-}
-
-impl Whitened {
-    fn of(hessian: &DMatrix<f64>) -> Option<Whitened> {
-        let scale = hessian.diagonal().map(f64::sqrt);
-        let factor = scaled(hessian, &scale).cholesky()?;
-        Some(Whitened { scale, factor })
-    }
-
-    /// `√(gᵀH⁻¹g)`.
-    fn length(&self, gradient: &DVector<f64>) -> f64 {
-        let gradient = gradient.component_div(&self.scale);
-        gradient.dot(&self.factor.solve(&gradient)).max(0.0).sqrt()
-    }
-
-    /// The largest relative difference of another H, in whatever direction.
-    fn differs(&self, other: &DMatrix<f64>) -> f64 {
-        let lower = self.factor.l();
-        let half = lower.solve_lower_triangular(&scaled(other, &self.scale));
-        let whole = half.and_then(|half| lower.solve_lower_triangular(&half.transpose()));
-        let eigenvalues = whole.map(|whole| (0.5 * (&whole + whole.transpose())).symmetric_eigenvalues());
-        eigenvalues.map_or(f64::INFINITY, |values| values.iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max))
-    }
-}
-
-fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
-    DMatrix::from_fn(scale.len(), scale.len(), |i, j| matrix[(i, j)] / (scale[i] * scale[j]))
 }

@@ -139,3 +139,29 @@ fn a_gradient_along_a_drowned_eigenvalue_is_answered_if_it_can_be_real() {
         assert!((step.delta[1] - expected).abs() <= 1e-6 * expected.abs(), "{gradient}: {step:?}");
     }
 }
+
+#[test]
+fn what_is_clearly_definite_has_the_steps_of_its_spectrum() {
+    // From two parameters that can hardly be told apart to two that have nothing in common.
+    let mut clear = 0;
+    for power in 0..18 {
+        let apart = 10f64.powi(-power);
+        let same = 2.0 * (1.0 - apart);
+        let mut valley = quadratic(&[3.0, -1.0, 0.5], &[2.0, same, 0.1, same, 2.0, 0.1, 0.1, 0.1, 50.0]);
+        valley.curvature = Curvature::GaussNewton;
+        valley.objective = 1e30;
+        let Some(definite) = Definite::of(&valley.hessian) else { continue };
+        let spectrum = Spectrum::new(&valley, definite.scale(), 1e-8).unwrap();
+        if !definite.is_clear(1e-8) {
+            continue;
+        }
+        clear += 1;
+        assert!(spectrum.values.min() > spectrum.zero, "{apart}: {} of {}", spectrum.values.min(), spectrum.zero);
+        let ((delta, reduction), step) = (definite.newton_step(&valley.gradient), spectrum.step(f64::INFINITY));
+        assert!((&delta - &step.delta).norm() <= 1e-6 * delta.norm(), "{apart}: {delta} {}", step.delta);
+        assert!((reduction / step.reduction - 1.0).abs() < 1e-6, "{apart}");
+        let unit = definite.inverse() * &valley.hessian - DMatrix::identity(3, 3);
+        assert!(unit.amax() < 1e-6, "{apart}: {unit}");
+    }
+    assert!((4..10).contains(&clear), "{clear} of 18");
+}

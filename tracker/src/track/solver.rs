@@ -26,6 +26,8 @@ use isophote_frame::Frame;
 
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;
+/// About a domain, for what its walk through the model may have missed.
+const DOMAIN_MARGIN: Margin = Margin { share: 0.01, px: [1.0; 4] };
 /// A fit whose domain leaves its window is repeated in a larger one, so many times.
 const WINDOWS: usize = 4;
 
@@ -214,7 +216,8 @@ impl Solver {
         before: Option<&Chosen>,
         way: Way,
     ) -> Option<Fit> {
-        let fit = sampling.fit(view, &self.constants, start, before, way);
+        let domain = self.reach.window(self.model(), start, DOMAIN_MARGIN, view.window).unwrap_or(view.window);
+        let fit = sampling.fit(view, domain, &self.constants, start, before, way);
         fit.inspect_err(|_| self.compiled.sampling_shelf().give_up()).ok().flatten()
     }
 
