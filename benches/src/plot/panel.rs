@@ -83,6 +83,15 @@ pub struct Cell {
     pub text: String,
 }
 
+/// A text beside a point.
+#[derive(Clone, Debug)]
+pub struct Label {
+    /// The point, in values of the axes.
+    pub place: [f64; 2],
+    /// Right of it, or left of it in the panel's right part.
+    pub text: String,
+}
+
 /// One panel.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
@@ -96,6 +105,8 @@ pub struct Panel {
     pub series: Vec<Series>,
     /// Behind them; one unit of each axis large.
     pub cells: Vec<Cell>,
+    /// Over all, moved up or down where they would cover each other.
+    pub labels: Vec<Label>,
 }
 
 impl Panel {
@@ -138,6 +149,32 @@ impl Panel {
             let (x, y) = (left + (i % 2) as f64 * 180.0, base + 54.0 + (i / 2) as f64 * 17.0);
             line(format!("<rect x=\"{x}\" y=\"{}\" width=\"12\" height=\"5\" fill=\"{}\"/>", y - 6.0, series.colour));
             line(format!("<text x=\"{}\" y=\"{y}\">{}</text>", x + 18.0, series.name));
+        }
+        self.labels(&mut line);
+    }
+
+    fn labels(&self, line: &mut impl FnMut(String)) {
+        const HEIGHT: f64 = 11.0;
+        let mut taken: Vec<[f64; 3]> =
+            self.labels.iter().map(|label| self.place(label.place)).map(|[x, y]| [x - 4.0, x + 4.0, y]).collect();
+        for label in &self.labels {
+            let [x, y] = self.place(label.place);
+            let length = 5.6 * label.text.chars().count() as f64;
+            let is_left = x + 7.0 + length > RIGHT;
+            let (begin, anchor) = if is_left { (x - 7.0 - length, "end") } else { (x + 7.0, "start") };
+            let is_free = |y: f64| {
+                let mut others = taken.iter().filter(|[from, to, _]| *from < begin + length && begin < *to);
+                others.all(|[.., other]| (other - y).abs() >= HEIGHT - 1.0)
+            };
+            let places = (0..40).map(|i| y + 3.0 * f64::from((i + 1) / 2) * if i % 2 == 0 { 1.0 } else { -1.0 });
+            let free = places.into_iter().find(|y| is_free(*y)).unwrap_or(y);
+            taken.push([begin, begin + length, free]);
+            line(format!(
+                "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"10\" text-anchor=\"{anchor}\">{}</text>",
+                if is_left { x - 7.0 } else { x + 7.0 },
+                free + 3.5,
+                label.text
+            ));
         }
     }
 
