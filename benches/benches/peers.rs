@@ -1,4 +1,4 @@
-//! `cargo bench -p isophote-benches --bench peers [-- --frames N]`: the tracker with shipped documents beside Ceres, SciPy and
+//! `cargo bench -p isophote-benches --bench peers [-- --frames N]`: the tracker with shipped documents beside Ceres, NumPy, SciPy and
 //! OpenCV on the same frames: microseconds a frame and RMSE/CRLB of the centre. What is not installed is left out by name. Rounds
 //! take turns, so that what disturbs the machine disturbs all. With `UPDATE_EXPECT=1` it writes its part of docs/speed.md and
 //! docs/peers.svg.

@@ -2,7 +2,7 @@
 //!
 //! What comes in: a spot of [`crate::accuracy`]'s scenes on a steady course, from which each frame jumps by 0.1 px. What goes out:
 //! table and figure of [docs/speed.md](../../../docs/speed.md). [`ours`] tracks it; [`theirs`] runs two programs, `peers.cc`
-//! with Ceres and `peers.py` with SciPy and OpenCV, which read the course from a file and print times and centres. They are
+//! with Ceres and `peers.py` with NumPy, SciPy and OpenCV, which read the course from a file and print times and centres. They are
 //! told where the target is predicted, which window to look at, and what is known of the camera; they know nothing of isophote.
 
 pub mod course;

@@ -10,7 +10,7 @@ use crate::tracked::{SETTLING, quantile};
 
 /// Colours of the figure by how a method's name begins.
 const FAMILIES: [(&str, &str); 4] =
-    [("isophote", COLOURS[0]), ("Ceres", COLOURS[1]), ("SciPy", COLOURS[2]), ("OpenCV", COLOURS[3])];
+    [("isophote", COLOURS[0]), ("Ceres", COLOURS[1]), ("Python", COLOURS[2]), ("OpenCV", COLOURS[3])];
 
 /// A method over all frames that count.
 pub struct Standing {
@@ -75,36 +75,28 @@ impl Outcome {
     }
 
     fn panel(&self) -> Panel {
-        let times: [&[f64]; 2] = [&[20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0, 20000.0]; 2];
-        let errors = [1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0];
-        let points = |head: &str| {
-            let of = self.standings.iter().filter(|s| s.name.starts_with(head));
-            of.map(|s| [s.took_us[0], s.ratio]).collect::<Vec<_>>()
-        };
+        let times = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0];
+        let errors = [1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 8.0];
+        let of = |head: &'static str| self.standings.iter().filter(move |s| s.name.starts_with(head));
+        let place = |s: &Standing| [s.took_us[0], s.ratio];
         let dots = FAMILIES.map(|(head, colour)| Series {
             name: head.to_string(),
             colour,
             style: Style::Dots,
-            points: points(head),
+            points: of(head).map(place).collect(),
         });
-        let x = Axis::logarithmic("µs a frame", [20.0, 20000.0], times[0]);
-        let bound = Series {
-            name: "Cramér–Rao bound".to_string(),
-            colour: COLOURS[4],
-            style: Style::Dashed,
-            points: vec![[x.range[0], 1.0], [x.range[1], 1.0]],
+        let label = |(s, head, colour): (&Standing, &str, &'static str)| {
+            let text = s.name.trim_start_matches(head).trim_start_matches([',', ' ']);
+            let text = if text.is_empty() { head } else { text }.to_string();
+            Label { place: place(s), text, colour }
         };
-        let label = |s: &Standing| {
-            let short = FAMILIES.iter().fold(s.name.as_str(), |name, (head, _)| name.trim_start_matches(head));
-            let text = short.trim_start_matches([',', ' ']).to_string();
-            Label { place: [s.took_us[0], s.ratio], text: if text.is_empty() { s.name.clone() } else { text } }
-        };
+        let labelled = FAMILIES.into_iter().flat_map(|(head, colour)| of(head).map(move |s| (s, head, colour)));
         Panel {
             title: self.case.title(),
-            x,
-            y: Axis::logarithmic("RMSE/CRLB of the centre", [0.95, 20.0], &errors),
-            series: dots.into_iter().chain([bound]).collect(),
-            labels: self.standings.iter().map(label).collect(),
+            x: Axis::logarithmic("µs a frame", [20.0, 20000.0], &times),
+            y: Axis::logarithmic("RMSE/CRLB of the centre", [0.6, 10.0], &errors),
+            series: dots.into(),
+            labels: labelled.map(label).collect(),
             ..Panel::default()
         }
     }

@@ -28,7 +28,15 @@ impl Programs {
     pub fn new() -> Programs {
         let (mut commands, mut skipped) = (vec![vec!["python3".into(), source("peers.py")]], Vec::new());
         let ceres = folder().join("ceres");
-        let flags = ["-O3", "-march=native", "-std=c++17", "-I/usr/include/eigen3"];
+        let flags = [
+            "-O3",
+            "-march=native",
+            "-ffast-math",
+            "-fno-finite-math-only",
+            "-DNDEBUG",
+            "-std=c++17",
+            "-I/usr/include/eigen3",
+        ];
         let mut compiler = Command::new("c++");
         compiler.args(flags).arg(source("peers.cc")).arg("-o").arg(&ceres).args(["-lceres", "-lglog"]);
         let said = match compiler.output() {

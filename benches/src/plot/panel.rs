@@ -88,8 +88,10 @@ pub struct Cell {
 pub struct Label {
     /// The point, in values of the axes.
     pub place: [f64; 2],
-    /// Right of it, or left of it in the panel's right part.
+    /// Right of it, or left of it where there is no room.
     pub text: String,
+    /// Of the text.
+    pub colour: &'static str,
 }
 
 /// One panel.
@@ -169,11 +171,15 @@ impl Panel {
             let places = (0..40).map(|i| y + 3.0 * f64::from((i + 1) / 2) * if i % 2 == 0 { 1.0 } else { -1.0 });
             let free = places.into_iter().find(|y| is_free(*y)).unwrap_or(y);
             taken.push([begin, begin + length, free]);
+            let (text, colour, near) = (&label.text, label.colour, if is_left { x - 7.0 } else { x + 7.0 });
+            if (free - y).abs() > HEIGHT / 2.0 {
+                line(format!(
+                    "<path d=\"M{x:.1} {y:.1}L{near:.1} {free:.1}\" stroke=\"{colour}\" stroke-opacity=\"0.6\"/>"
+                ));
+            }
+            let y = free + 3.5;
             line(format!(
-                "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"10\" text-anchor=\"{anchor}\">{}</text>",
-                if is_left { x - 7.0 } else { x + 7.0 },
-                free + 3.5,
-                label.text
+                "<text x=\"{near:.1}\" y=\"{y:.1}\" font-size=\"10\" fill=\"{colour}\" text-anchor=\"{anchor}\">{text}</text>"
             ));
         }
     }

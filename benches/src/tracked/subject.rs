@@ -190,7 +190,7 @@ impl Plate {
     pub fn new() -> Plate {
         let rotation = Rotation3::from_euler_angles(0.4, 0.34, 0.5).into_inner();
         let place = Rigid { rotation, translation: Vector3::new(0.0, 0.0, Plate::DISTANCE_MM) };
-        Plate { pose: place.clone(), place, random: pose::Random::of(1) }
+        Plate { pose: place, place, random: pose::Random::of(1) }
     }
 
     fn mm_per_px() -> f64 {
@@ -214,7 +214,7 @@ impl Subject for Plate {
     }
 
     fn shot(&mut self, offset_px: [f64; 2]) -> Frame {
-        self.pose = self.place.clone();
+        self.pose = self.place;
         self.pose.translation += Vector3::new(offset_px[0], offset_px[1], 0.0) * Plate::mm_per_px();
         pose::frame(&self.pose, &pose::target(0.0).spots, pose::brightness(0.0), &mut self.random).unwrap()
     }
