@@ -159,7 +159,9 @@ impl Panel {
         const HEIGHT: f64 = 11.0;
         let mut taken: Vec<[f64; 3]> =
             self.labels.iter().map(|label| self.place(label.place)).map(|[x, y]| [x - 4.0, x + 4.0, y]).collect();
-        for label in &self.labels {
+        let mut from_the_top: Vec<&Label> = self.labels.iter().collect();
+        from_the_top.sort_by(|a, b| self.place(a.place)[1].total_cmp(&self.place(b.place)[1]));
+        for label in from_the_top {
             let [x, y] = self.place(label.place);
             let length = 5.6 * label.text.chars().count() as f64;
             let is_left = x + 7.0 + length > RIGHT;
