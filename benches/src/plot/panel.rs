@@ -230,3 +230,30 @@ pub fn svg(title: &str, panels: &[Panel]) -> String {
     }
     svg.finish()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where texts of 10 px stand, from the top.
+    fn heights(places: &[[f64; 2]]) -> Vec<f64> {
+        let label = |place: &[f64; 2]| Label { place: *place, text: "label".to_string(), colour: COLOURS[0] };
+        let axis = || Axis::linear("", [0.0, 10.0], &[]);
+        let panel = Panel { x: axis(), y: axis(), labels: places.iter().map(label).collect(), ..Panel::default() };
+        let drawn = svg("", &[panel]);
+        let texts = drawn.lines().filter(|line| line.ends_with(">label</text>"));
+        texts.map(|text| text.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()).collect()
+    }
+
+    #[test]
+    fn labels_stand_apart_and_beside_their_points_where_there_is_room() {
+        let crowded = heights(&[[5.0, 5.0], [5.0, 4.9], [5.0, 5.1], [5.2, 5.0]]);
+        assert_eq!(crowded.len(), 4);
+        let mut sorted = crowded.clone();
+        sorted.sort_by(f64::total_cmp);
+        assert!(sorted.windows(2).all(|pair| pair[1] - pair[0] >= 9.9), "{crowded:?}");
+        let free = heights(&[[1.0, 8.0], [1.0, 2.0]]);
+        let [y, other] = [8.0, 2.0].map(|y| ORIGIN[1] - y / 10.0 * (ORIGIN[1] - TOP) + 3.5);
+        assert!((free[0] - y).abs() < 0.1 && (free[1] - other).abs() < 0.1, "{free:?}");
+    }
+}
