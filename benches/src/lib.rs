@@ -2,15 +2,18 @@
 //!
 //! What comes in: shipped models and frames made here. What goes out: tables on standard output, and those of pages of docs/.
 //! Three rooms that import nothing of each other: [`flops`] counts, [`speed`] takes the time, [`accuracy`] says how right answers
-//! are. [`bodies`] makes the loops that the first two compare, [`page`] and [`plot`] are what they write with.
+//! are. Two more take the time of whole frames of accuracy's scenes: [`tracked`] beside a pass of our own, [`peers`] beside other
+//! libraries. [`bodies`] makes the loops that the first two compare, [`page`] and [`plot`] are what all write with.
 #![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
 
 pub mod accuracy;
 pub mod bodies;
 pub mod flops;
 pub mod page;
+pub mod peers;
 pub mod plot;
 pub mod speed;
+pub mod tracked;
 
 use std::time::Instant;
 

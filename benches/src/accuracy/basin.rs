@@ -89,8 +89,8 @@ pub fn figure(basins: &[Basin]) -> String {
             title: format!("{}: found from a start", basin.light),
             x: axis("px off", OFFSETS),
             y: axis("start radius, px (the spot: 20 × 14)", RADII),
-            series: Vec::new(),
             cells: (0..16).map(cell).collect(),
+            ..Panel::default()
         }
     };
     svg("Basin of convergence", &basins.iter().map(panel).collect::<Vec<Panel>>())

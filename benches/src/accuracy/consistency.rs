@@ -61,7 +61,7 @@ pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
             limit(1.8),
             limit(2.2),
         ],
-        cells: Vec::new(),
+        ..Panel::default()
     };
     let line = |(i, measured): (usize, &Measured)| Series {
         name: measured.task.condition.name.to_string(),
@@ -81,7 +81,7 @@ pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
         x: Axis::linear("should be, %", [0.0, 100.0], &ticks),
         y: Axis::linear("is, %", [0.0, 100.0], &ticks),
         series: std::iter::once(ideal).chain(long.iter().enumerate().map(line)).collect(),
-        cells: Vec::new(),
+        ..Panel::default()
     };
     svg("Covariance consistency", &[means, shares])
 }

@@ -90,7 +90,7 @@ pub fn saturation_figure(curve: &Curve) -> String {
             series("isophote, cold", 2, Style::Dots, along(&|m| ratio(&m.cold, m.bound_px))),
             series("best peer", 1, Style::Dots, peers),
         ],
-        cells: Vec::new(),
+        ..Panel::default()
     };
     let ignored = |pick: fn(&(f64, f64, f64)) -> f64| IGNORED.iter().map(|row| [row.0, pick(row)]).collect::<Vec<_>>();
     let worth = Panel {
@@ -103,7 +103,7 @@ pub fn saturation_figure(curve: &Curve) -> String {
             series("semi-axis, all pixels fitted", 1, Style::Line, ignored(|row| row.1)),
             series("brightness, all pixels fitted", 4, Style::Line, ignored(|row| row.2)),
         ],
-        cells: Vec::new(),
+        ..Panel::default()
     };
     svg("Error against saturation", &[centre, worth])
 }
@@ -121,13 +121,13 @@ pub fn glare_figure(curves: &[Curve]) -> String {
     let mut centre = each(|m| ratio(&m.tracking, m.bound_px));
     centre.push(series("best peer", 4, Style::Dots, vec![[140.0, 33.0]]));
     let panels = [
-        Panel { title: "Centre, tracking".to_string(), x: x.clone(), y: ratios(), series: centre, cells: Vec::new() },
+        Panel { title: "Centre, tracking".to_string(), x: x.clone(), y: ratios(), series: centre, ..Panel::default() },
         Panel {
             title: "Brightness: mean error, %".to_string(),
             x,
             y: Axis::linear("%", [-2.0, 2.0], &[-2.0, -1.0, 0.0, 1.0, 2.0]),
             series: each(|m| 100.0 * m.tracking.brightness.mean),
-            cells: Vec::new(),
+            ..Panel::default()
         },
     ];
     svg("Error against a lobe of glare", &panels)
@@ -147,7 +147,7 @@ pub fn occlusion_figure(curve: &Curve) -> String {
                 series("cold", 2, Style::Line, along(&|m| ratio(&m.cold, m.bound_px))),
                 series("best peer", 1, Style::Dots, vec![[25.0, 49.0]]),
             ],
-            cells: Vec::new(),
+            ..Panel::default()
         },
         Panel {
             title: "Failures, %".to_string(),
@@ -157,7 +157,7 @@ pub fn occlusion_figure(curve: &Curve) -> String {
                 series("tracking", 0, Style::Line, along(&|m| 100.0 * m.tracking.failed)),
                 series("cold", 2, Style::Line, along(&|m| 100.0 * m.cold.failed)),
             ],
-            cells: Vec::new(),
+            ..Panel::default()
         },
     ];
     svg("Error against occlusion", &panels)

@@ -83,6 +83,17 @@ pub struct Cell {
     pub text: String,
 }
 
+/// A text beside a point.
+#[derive(Clone, Debug)]
+pub struct Label {
+    /// The point, in values of the axes.
+    pub place: [f64; 2],
+    /// Right of it, or left of it where there is no room.
+    pub text: String,
+    /// Of the text.
+    pub colour: &'static str,
+}
+
 /// One panel.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
@@ -96,6 +107,8 @@ pub struct Panel {
     pub series: Vec<Series>,
     /// Behind them; one unit of each axis large.
     pub cells: Vec<Cell>,
+    /// Over all, moved up or down where they would cover each other.
+    pub labels: Vec<Label>,
 }
 
 impl Panel {
@@ -138,6 +151,38 @@ impl Panel {
             let (x, y) = (left + (i % 2) as f64 * 180.0, base + 54.0 + (i / 2) as f64 * 17.0);
             line(format!("<rect x=\"{x}\" y=\"{}\" width=\"12\" height=\"5\" fill=\"{}\"/>", y - 6.0, series.colour));
             line(format!("<text x=\"{}\" y=\"{y}\">{}</text>", x + 18.0, series.name));
+        }
+        self.labels(&mut line);
+    }
+
+    fn labels(&self, line: &mut impl FnMut(String)) {
+        const HEIGHT: f64 = 11.0;
+        let mut taken: Vec<[f64; 3]> =
+            self.labels.iter().map(|label| self.place(label.place)).map(|[x, y]| [x - 4.0, x + 4.0, y]).collect();
+        let mut from_the_top: Vec<&Label> = self.labels.iter().collect();
+        from_the_top.sort_by(|a, b| self.place(a.place)[1].total_cmp(&self.place(b.place)[1]));
+        for label in from_the_top {
+            let [x, y] = self.place(label.place);
+            let length = 5.6 * label.text.chars().count() as f64;
+            let is_left = x + 7.0 + length > RIGHT;
+            let (begin, anchor) = if is_left { (x - 7.0 - length, "end") } else { (x + 7.0, "start") };
+            let is_free = |y: f64| {
+                let mut others = taken.iter().filter(|[from, to, _]| *from < begin + length && begin < *to);
+                others.all(|[.., other]| (other - y).abs() >= HEIGHT - 1.0)
+            };
+            let places = (0..40).map(|i| y + 3.0 * f64::from((i + 1) / 2) * if i % 2 == 0 { 1.0 } else { -1.0 });
+            let free = places.into_iter().find(|y| is_free(*y)).unwrap_or(y);
+            taken.push([begin, begin + length, free]);
+            let (text, colour, near) = (&label.text, label.colour, if is_left { x - 7.0 } else { x + 7.0 });
+            if (free - y).abs() > HEIGHT / 2.0 {
+                line(format!(
+                    "<path d=\"M{x:.1} {y:.1}L{near:.1} {free:.1}\" stroke=\"{colour}\" stroke-opacity=\"0.6\"/>"
+                ));
+            }
+            let y = free + 3.5;
+            line(format!(
+                "<text x=\"{near:.1}\" y=\"{y:.1}\" font-size=\"10\" fill=\"{colour}\" text-anchor=\"{anchor}\">{text}</text>"
+            ));
         }
     }
 
@@ -184,4 +229,31 @@ pub fn svg(title: &str, panels: &[Panel]) -> String {
         svg.element("</g>");
     }
     svg.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where texts of 10 px stand, from the top.
+    fn heights(places: &[[f64; 2]]) -> Vec<f64> {
+        let label = |place: &[f64; 2]| Label { place: *place, text: "label".to_string(), colour: COLOURS[0] };
+        let axis = || Axis::linear("", [0.0, 10.0], &[]);
+        let panel = Panel { x: axis(), y: axis(), labels: places.iter().map(label).collect(), ..Panel::default() };
+        let drawn = svg("", &[panel]);
+        let texts = drawn.lines().filter(|line| line.ends_with(">label</text>"));
+        texts.map(|text| text.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()).collect()
+    }
+
+    #[test]
+    fn labels_stand_apart_and_beside_their_points_where_there_is_room() {
+        let crowded = heights(&[[5.0, 5.0], [5.0, 4.9], [5.0, 5.1], [5.2, 5.0]]);
+        assert_eq!(crowded.len(), 4);
+        let mut sorted = crowded.clone();
+        sorted.sort_by(f64::total_cmp);
+        assert!(sorted.windows(2).all(|pair| pair[1] - pair[0] >= 9.9), "{crowded:?}");
+        let free = heights(&[[1.0, 8.0], [1.0, 2.0]]);
+        let [y, other] = [8.0, 2.0].map(|y| ORIGIN[1] - y / 10.0 * (ORIGIN[1] - TOP) + 3.5);
+        assert!((free[0] - y).abs() < 0.1 && (free[1] - other).abs() < 0.1, "{free:?}");
+    }
 }

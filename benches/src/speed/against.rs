@@ -5,7 +5,7 @@ use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Processor, Vec
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
 
 use super::appendix;
-use super::contenders::{self, Function, Way};
+use super::contenders::{self, Body, Function, Way};
 use super::foreign::{Compiled, Picture};
 use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
 use super::race::{Contender, Standing, race, refuse_wrong, repeated, scales};
@@ -30,9 +30,11 @@ pub struct Race {
     pub standings: Vec<Standing>,
 }
 
-/// The small window, px, and how many passes over it are one turn.
-const SMALL: [usize; 2] = [24, 24];
-const SMALL_PASSES: usize = 64;
+/// The smaller windows, px, what of them is the domain, and how many passes over them are one turn.
+const SMALLER: [([usize; 2], Domain, usize); 3] =
+    [([96, 96], Domain::Covering, 4), ([24, 24], Domain::Covering, 64), ([24, 24], Domain::Inscribed, 64)];
+/// What SymPy's loops are given, in this order.
+const SYMPY_INPUTS: [&str; 9] = ["a1", "a2", "a3", "bx", "by", "k1", "k2", "v0", "v1"];
 
 /// A picture that all contenders see, all of it.
 struct Scene {
@@ -76,10 +78,10 @@ impl Case {
     /// The program that a contender is made of. C with `-ffast-math` multiplies and adds at once where it likes, and makes
     /// no vectors of sums that are told to.
     fn program(&self, way: &Way) -> &Program {
-        match (way.plain, way.command[0]) {
-            (true, _) => &self.plain,
-            (false, "cc") => &self.for_c,
-            (false, _) => &self.optimised,
+        match (way.body, way.command[0]) {
+            (Body::Unfactored, _) => &self.plain,
+            (Body::Same, "cc") => &self.for_c,
+            _ => &self.optimised,
         }
     }
 }
@@ -104,9 +106,12 @@ fn compile(model: &Model, cases: &[Case], way: &Way) -> Compiled {
         .iter()
         .map(|(name, program)| Function { name: name.clone(), program, pixel: PixelType::F32 })
         .collect();
-    let source = contenders::source(model, way, &functions);
+    let source = match way.body {
+        Body::Sympy => include_str!("sympy_cse.c").to_string(),
+        Body::Same | Body::Unfactored => contenders::source(model, way, &functions),
+    };
     let extension = if way.command[0] == "cc" { "c" } else { "rs" };
-    let file = format!("{}.{extension}", way.name.replace([',', ' '], "_"));
+    let file = format!("{}.{extension}", way.name.replace([',', ' ', '\''], "_"));
     let made = Compiled::new(&contenders::folder(), &file, &source, &way.command).unwrap();
     if way.command[0] == "cc" {
         assert_eq!(made.loops_with_vectors(way.bits), cases.len(), "{}: pixel loops with vectors", way.name);
@@ -114,9 +119,9 @@ fn compile(model: &Model, cases: &[Case], way: &Way) -> Compiled {
     made
 }
 
-/// All subsets: over the large picture, of which the domain covers half, and over small ones, which it covers or which its
-/// ellipse is inscribed in.
-pub fn races() -> [Vec<Race>; 3] {
+/// All subsets: over the large picture, of which the domain covers half, and over smaller ones, which it covers or which
+/// its ellipse is inscribed in.
+pub fn races() -> [Vec<Race>; 4] {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
     let cases = cases(&model);
     let compiled: Vec<(Way, Compiled)> =
@@ -127,16 +132,16 @@ pub fn races() -> [Vec<Race>; 3] {
         parameters: beside_truth(&model),
         passes: 1,
     };
-    let small = [Domain::Covering, Domain::Inscribed].map(|domain| {
-        let (bytes, parameters) = small(&model, SMALL, domain);
-        Scene { bytes, size: SMALL, parameters, passes: SMALL_PASSES }
+    let [medium, covered, ellipse] = SMALLER.map(|(size, domain, passes)| {
+        let (bytes, parameters) = small(&model, size, domain);
+        Scene { bytes, size, parameters, passes }
     });
-    let [covered, ellipse] = &small;
-    [&large, covered, ellipse].map(|scene| cases.iter().map(|case| run(case, &compiled, scene)).collect())
+    [&large, &medium, &covered, &ellipse]
+        .map(|scene| cases.iter().map(|case| run(&model, case, &compiled, scene)).collect())
 }
 
 /// One subset over one picture.
-fn run(case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) -> Race {
+fn run(model: &Model, case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) -> Race {
     let Scene { bytes, size: [width, height], parameters, passes } = scene;
     let (width, height, passes) = (*width, *height, *passes);
     let bindings = Bindings { parameters, entry: parameters, ..Bindings::default() };
@@ -163,14 +168,17 @@ fn run(case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) -> Race {
     for (way, made) in compiled {
         let program = case.program(way);
         let Sink::Sums { outputs, .. } = program.sink() else { unreachable!() };
-        let inputs = program.gather(&bindings).collect::<Vec<f64>>();
+        let inputs: Vec<f64> = match way.body {
+            Body::Sympy => SYMPY_INPUTS.map(|name| parameters[model.parameter(name).unwrap().index()]).into(),
+            Body::Same | Body::Unfactored => program.gather(&bindings).collect(),
+        };
         let call = format!("call_{}", case.name);
         let function = made.function(&call, inputs.len(), outputs.len(), 4).unwrap();
         let picture = Picture { bytes, width, height };
         let pass = move || function.sums(picture, [0, 0, width, height], &inputs).unwrap();
         let turn = move || repeated(passes, &pass);
         // The plain derivatives do not sum F itself.
-        let from = usize::from(way.plain);
+        let from = usize::from(way.body == Body::Unfactored);
         let (theirs, used) = turn();
         refuse_wrong(way.name, &expected[from..], &theirs, &scales[from..], 1e-4);
         assert_eq!(used, pixels, "{}: other pixels", way.name);

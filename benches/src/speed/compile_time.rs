@@ -1,11 +1,12 @@
-//! From the text of the thesis' spot to its kernels: all three stages, warm and in a fresh process.
+//! From a document's text to its kernels: of several documents, and more closely of the thesis' spot, all three stages,
+//! warm and in a fresh process.
 
 use std::hint::black_box;
 use std::process::Command;
 use std::sync::Arc;
 use std::time::Instant;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth, has_fma};
+use isophote_jit::{Kernel, KernelCache, KernelOptions, PixelFormat, VectorWidth, fastest_width, has_fma};
 use isophote_machine::Threads;
 use isophote_symbolic::{Lowering, Model, Precision};
 use isophote_tracker::{Compiled, InTurn, Workers};
@@ -18,6 +19,26 @@ pub const COLD: &str = "first-call-ever";
 pub const RUNS: usize = 200;
 /// Fresh processes.
 pub const PROCESSES: usize = 20;
+
+/// What is timed from its text to all kernels, and in how many milliseconds that should be done on two threads.
+const DOCUMENTS: [(&str, f64); 3] = [("thesis-spot", 8.0), ("spot", 15.0), ("three-spots-pose", 60.0)];
+/// Rounds, in each of which every document is compiled once for each width on two threads, and once on one.
+const ROUNDS: usize = 60;
+
+/// A document by a width of vectors.
+#[derive(Clone, Copy, Debug)]
+pub struct Text {
+    /// A shipped document.
+    pub document: &'static str,
+    /// Of its kernels.
+    pub width: VectorWidth,
+    /// On two threads, as the service does it.
+    pub two: Took,
+    /// On one.
+    pub one: Took,
+    /// On two threads, median, milliseconds.
+    pub asked_ms: f64,
+}
 
 /// Milliseconds.
 #[derive(Clone, Copy, Debug)]
@@ -35,9 +56,10 @@ impl Took {
     }
 }
 
-fn all(document: &str, workers: &dyn Workers) {
+fn all(document: &str, width: VectorWidth, workers: &dyn Workers) {
     let model = Arc::new(Model::from_toml(document).unwrap());
-    let compiled = Compiled::with_cache(model, Precision::F32, Arc::default(), workers).unwrap();
+    let cache = Arc::new(KernelCache::of_width(width));
+    let compiled = Compiled::with_cache(model, Precision::F32, cache, workers).unwrap();
     compiled.warm(PixelFormat::U8, workers).unwrap();
     black_box(compiled);
 }
@@ -51,7 +73,7 @@ fn milliseconds(f: impl FnOnce()) -> f64 {
 /// Text to all kernels, for the first time in this process, in ms.
 pub fn cold_here() -> f64 {
     let document = text("thesis-spot");
-    milliseconds(|| all(&document, &Threads))
+    milliseconds(|| all(&document, VectorWidth::Bits128, &Threads))
 }
 
 /// The same, each time in a fresh process of this program.
@@ -64,7 +86,36 @@ pub fn cold() -> Took {
     Took::of((0..PROCESSES).map(once).collect())
 }
 
-/// Warm: what is measured, and how long it took.
+/// Text to all kernels, warm, of each document for 128 bits and for the vectors that are fastest here.
+pub fn texts() -> Vec<Text> {
+    let begin = Instant::now();
+    let mut widths = vec![VectorWidth::Bits128, fastest_width(&|| begin.elapsed().as_nanos() as u64)];
+    widths.dedup();
+    let cases: Vec<_> = DOCUMENTS.iter().flat_map(|one| widths.iter().map(move |width| (one, *width))).collect();
+    let documents: Vec<String> = cases.iter().map(|((name, _), _)| text(name)).collect();
+    let mut took: Vec<[Vec<f64>; 2]> = vec![Default::default(); cases.len()];
+    for round in 0..=ROUNDS {
+        for ((document, (_, width)), [two, one]) in documents.iter().zip(&cases).zip(&mut took) {
+            let now =
+                [&Threads as &dyn Workers, &InTurn].map(|workers| milliseconds(|| all(document, *width, workers)));
+            // The first round warms the process.
+            if round > 0 {
+                two.push(now[0]);
+                one.push(now[1]);
+            }
+        }
+    }
+    let line = |((&(document, asked_ms), width), [two, one]): (_, [Vec<f64>; 2])| Text {
+        document,
+        width,
+        two: Took::of(two),
+        one: Took::of(one),
+        asked_ms,
+    };
+    cases.into_iter().zip(took).map(line).collect()
+}
+
+/// Warm, of the thesis' spot: what is measured, and how long it took.
 pub fn warm() -> Vec<(&'static str, Took)> {
     let document = text("thesis-spot");
     let model = Arc::new(Model::from_toml(&document).unwrap());
@@ -82,11 +133,12 @@ pub fn warm() -> Vec<(&'static str, Took)> {
             black_box(Kernel::compile(&program, &options).unwrap());
         }
     };
+    let narrow = VectorWidth::Bits128;
     let mut rows: [Vec<f64>; 6] = Default::default();
-    all(&document, &Threads);
+    all(&document, narrow, &Threads);
     for _ in 0..RUNS {
-        rows[0].push(milliseconds(|| all(&document, &Threads)));
-        rows[1].push(milliseconds(|| all(&document, &InTurn)));
+        rows[0].push(milliseconds(|| all(&document, narrow, &Threads)));
+        rows[1].push(milliseconds(|| all(&document, narrow, &InTurn)));
         rows[2].push(milliseconds(|| drop(black_box(Model::from_toml(&document).unwrap()))));
         let mut compiled = None;
         rows[3].push(milliseconds(|| compiled = Some(Compiled::new(model.clone(), Precision::F32).unwrap())));

@@ -10,6 +10,17 @@ use std::path::PathBuf;
 use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_symbolic::{Model, Precision, Program, Sink};
 
+/// What a contender sums.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Body {
+    /// The kernel's own program.
+    Same,
+    /// The derivatives as differentiation gives them.
+    Unfactored,
+    /// What SymPy's `cse` makes of F and the derivatives: `sympy_cse.c`.
+    Sympy,
+}
+
 /// A way to compile.
 #[derive(Clone, Debug)]
 pub struct Way {
@@ -19,8 +30,8 @@ pub struct Way {
     pub language: Language,
     /// Pixels at a time.
     pub lanes: usize,
-    /// True for the derivatives as differentiation gives them.
-    pub plain: bool,
+    /// What it sums.
+    pub body: Body,
     /// The width of its vectors, bits; 0 where the compiler uses none.
     pub bits: usize,
     /// Compiler and arguments.
@@ -48,73 +59,40 @@ fn with(command: &[&'static str], more: &[&'static str]) -> Vec<&'static str> {
 
 /// All ways that this machine can run.
 pub fn ways() -> Vec<Way> {
-    let wide = std::arch::is_x86_feature_detected!("avx512f");
-    let way = |name, language, lanes, plain, bits, command| Way { name, language, lanes, plain, bits, command };
-    let v3 = "-Ctarget-cpu=x86-64-v3";
+    let way = |name, language, lanes, body, bits, command| Way { name, language, lanes, body, bits, command };
+    let (v3, native) = ("-Ctarget-cpu=x86-64-v3", "-march=native");
+    let rust = |name, lanes, bits, target| way(name, Language::Rust, lanes, Body::Same, bits, with(&RUST, &[target]));
+    let c = |name, body, bits, target| {
+        let width = match bits {
+            128 => "-mprefer-vector-width=128",
+            256 => "-mprefer-vector-width=256",
+            _ => "-mprefer-vector-width=512",
+        };
+        way(name, Language::C, 1, body, bits, with(&C, &[target, width]))
+    };
     let mut ways = vec![
-        way("same program, Rust, scalar", Language::Rust, 1, false, 0, with(&RUST, &[v3])),
-        way(
-            "same program, C, 128 bits",
-            Language::C,
-            1,
-            false,
-            128,
-            with(&C, &["-march=x86-64-v3", "-mprefer-vector-width=128"]),
-        ),
-        way(
-            "same program, C, 256 bits",
-            Language::C,
-            1,
-            false,
-            256,
-            with(&C, &["-march=x86-64-v3", "-mprefer-vector-width=256"]),
-        ),
-        way("same program, Rust, 128-bit vectors", Language::Rust, 4, false, 128, with(&RUST, &[v3])),
-        way("same program, Rust, 256-bit vectors", Language::Rust, 8, false, 256, with(&RUST, &[v3])),
-        way(
-            "unfactored, C, 128 bits",
-            Language::C,
-            1,
-            true,
-            128,
-            with(&C, &["-march=native", "-mprefer-vector-width=128"]),
-        ),
-        way(
-            "unfactored, C, 256 bits",
-            Language::C,
-            1,
-            true,
-            256,
-            with(&C, &["-march=native", "-mprefer-vector-width=256"]),
-        ),
+        rust("same program, Rust, scalar", 1, 0, v3),
+        c("same program, C, 128 bits", Body::Same, 128, "-march=x86-64-v3"),
+        c("same program, C, 256 bits", Body::Same, 256, "-march=x86-64-v3"),
+        rust("same program, Rust, 128-bit vectors", 4, 128, v3),
+        rust("same program, Rust, 256-bit vectors", 8, 256, v3),
+        c("unfactored, C, 128 bits", Body::Unfactored, 128, native),
+        c("unfactored, C, 256 bits", Body::Unfactored, 256, native),
+        c("SymPy's cse, C, 128 bits", Body::Sympy, 128, native),
+        c("SymPy's cse, C, 256 bits", Body::Sympy, 256, native),
     ];
-    if wide {
-        ways.push(way(
-            "same program, C, 512 bits",
-            Language::C,
-            1,
-            false,
-            512,
-            with(&C, &["-march=native", "-mprefer-vector-width=512"]),
-        ));
-        ways.push(way(
-            "same program, Rust, 512-bit vectors",
-            Language::Rust,
-            16,
-            false,
-            512,
-            with(&RUST, &["-Ctarget-cpu=native"]),
-        ));
-        ways.push(way(
-            "unfactored, C, 512 bits",
-            Language::C,
-            1,
-            true,
-            512,
-            with(&C, &["-march=native", "-mprefer-vector-width=512"]),
-        ));
+    if has_widest() {
+        ways.push(c("same program, C, 512 bits", Body::Same, 512, native));
+        ways.push(rust("same program, Rust, 512-bit vectors", 16, 512, "-Ctarget-cpu=native"));
+        ways.push(c("unfactored, C, 512 bits", Body::Unfactored, 512, native));
+        ways.push(c("SymPy's cse, C, 512 bits", Body::Sympy, 512, native));
     }
     ways
+}
+
+/// True where vectors of 512 bits run; where not, nobody's are timed.
+pub fn has_widest() -> bool {
+    std::arch::is_x86_feature_detected!("avx512f")
 }
 
 /// A function of a file.
