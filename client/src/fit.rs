@@ -73,7 +73,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model_id = wire::model_id(model.name(), model.digest());
     let window = args.window.map(|window| window.0);
     while let Some(captured) = run.recording.next().map_err(Failure::other)? {
-        check_frame(args, &model, &captured, window)?;
+        check_frame(args, &model, &captured, &run.options)?;
         let start = std::time::Instant::now();
         let estimate = tracker.track(&captured.frame);
         let fit_us = start.elapsed().as_micros() as u64;
@@ -121,7 +121,7 @@ fn check_overlay(args: &FitArgs, model: &Model) -> Result<(), Failure> {
 }
 
 /// What the tracker could only call a wrong frame is said here in full.
-fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, window: Option<Window>) -> Result<(), Failure> {
+fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, options: &TrackerOptions) -> Result<(), Failure> {
     let name = captured.file.as_deref().unwrap_or("the frame");
     let size: Vec<String> = captured.frame.size().iter().map(usize::to_string).collect();
     let (dimensions, coordinates) = (size.len(), model.coordinates().len());
@@ -134,8 +134,11 @@ fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, window: Optio
             model.coordinates().join(", ")
         )));
     }
+    if let Err(error) = options.check_size(model, captured.frame.size()) {
+        return Err(Failure::Usage(format!("{name}: {error}")));
+    }
     let sides = captured.frame.sides();
-    if window.is_some_and(|window| window.clipped_to(sides).is_none()) {
+    if options.window.is_some_and(|window| window.clipped_to(sides).is_none()) {
         return Err(Failure::Usage(format!("the window lies outside of {name}, which has {} px", size.join("×"))));
     }
     Ok(())

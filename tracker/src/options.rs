@@ -8,7 +8,7 @@ use isophote_symbolic::{Estimator, Model, Precision, Start};
 use crate::budget::WORK_MAX;
 use crate::camera::{Camera, Distortion, IntrinsicsError};
 use crate::exposure::ExposureGoal;
-use crate::pose::{Geometry, Target, TargetError};
+use crate::pose::{Geometry, PoseMismatch, Target, TargetError};
 use crate::solve::prepare::Preparing;
 
 /// What a session says beside the model.
@@ -137,6 +137,9 @@ pub enum TrackError {
     /// The target cannot be.
     #[error(transparent)]
     Target(#[from] TargetError),
+    /// The target and the model, or the lens and the frames, do not belong together.
+    #[error(transparent)]
+    Pose(#[from] PoseMismatch),
     /// The formulas of the model bend light otherwise than the lens.
     #[error(
         "the model's formulas have no `{wanted}`, which the camera's lens needs: take a model for lenses of this kind"
@@ -251,7 +254,10 @@ impl TrackerOptions {
                 return Err(TrackError::NotFinite { name: name.clone(), value });
             }
         }
-        self.target.as_ref().map_or(Ok(()), Target::check)?;
+        if let Some(target) = &self.target {
+            target.check()?;
+            PoseMismatch::check_target(model, target)?;
+        }
         let is_pose =
             |start: &Start| matches!(start, Start::Estimator(Estimator::Position(_) | Estimator::Orientation(_)));
         let starts_at_pose = model.parameters().iter().find(|parameter| is_pose(&parameter.start));
@@ -261,6 +267,18 @@ impl TrackerOptions {
             return Err(TrackError::NoGeometry { name: parameter.name.clone() });
         }
         self.check_lens(model)
+    }
+
+    /// Checks that poses can follow from frames of that size, px, inner first.
+    ///
+    /// # Errors
+    /// When the lens is that of other pictures.
+    pub fn check_size(&self, model: &Model, size: &[usize]) -> Result<(), TrackError> {
+        let is_pose = self.target.is_some() || model.roles().iter().any(|roles| !roles.position.is_empty());
+        match &self.camera.intrinsics {
+            Some(lens) if is_pose => Ok(PoseMismatch::check_size(lens, size)?),
+            _ => Ok(()),
+        }
     }
 
     /// A model that has the lens in its formulas must have all of it.

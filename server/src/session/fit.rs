@@ -42,11 +42,18 @@ pub struct ExposureKnob {
     exposure: Exposure,
 }
 
+/// Why a model's sessions cannot set an exposure.
+pub const UNADVISED: &str = "the model's exposure cannot be controlled: that needs the role `brightness`, and formulas that \
+    are fitted to one channel as it is";
+
 impl ExposureKnob {
-    /// What a session asks for; a problem when its source has no exposure to set.
-    pub fn of(options: &SessionOptions, source: &Source) -> Result<Option<ExposureKnob>, Problem> {
+    /// What a session asks for; a problem when its source has no exposure to set, or its model none to advise.
+    pub fn of(options: &SessionOptions, source: &Source, tracker: &Tracker) -> Result<Option<ExposureKnob>, Problem> {
         if !options.exposure.control {
             return Ok(None);
+        }
+        if !tracker.advises_exposure() {
+            return Err(Problem::wrong_key("not-applicable", "options.exposure.control", UNADVISED));
         }
         let message = "the source has no exposure that could be set";
         let absent = || Problem::wrong_key("not-applicable", "options.exposure.control", message);

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use isophote_tracker::{TrackError, Tracker};
+use isophote_tracker::{PoseMismatch, TrackError, Tracker};
 use tokio::sync::oneshot;
 
 use crate::hub::{End, Hub};
@@ -79,11 +79,13 @@ impl Session {
             compiled.warm(format, &Threads)?;
         }
         let options = swap::options(&document);
-        let tracker = Tracker::new(compiled, options).map_err(|error| wrong_options(&document, entry, &error))?;
+        let suits = source.source.shape().size.as_ref().map_or(Ok(()), |size| options.check_size(&entry.model, size));
+        let tracker = suits.and_then(|()| Tracker::new(compiled, options));
+        let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
-        let knob = ExposureKnob::of(&document.options, &source.source)?;
+        let knob = ExposureKnob::of(&document.options, &source.source, &tracker)?;
         let fitter = Fitter {
             name: name.to_string(),
             shared: shared.clone(),
@@ -177,8 +179,11 @@ impl Session {
         let compile_ms = elapsed_ms(start_ns);
         let options = swap::options_known(&self.document, &entry.model);
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
-        Tracker::new(compiled.clone(), options.clone())
+        let proof = Tracker::new(compiled.clone(), options.clone())
             .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
+        if self.document.options.exposure.control && !proof.advises_exposure() {
+            return Err(Problem::conflict("not-applicable", fit::UNADVISED));
+        }
         let (reply, answer) = oneshot::channel();
         let swap = Box::new(Swap { active: Active::new(entry), compiled, options, reply });
         let gone = |_| Problem::conflict("not-applicable", "the session has ended");
@@ -259,6 +264,8 @@ fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackEr
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),
         (None, None, TrackError::Target(_)) => "target".to_string(),
+        (None, None, TrackError::Pose(PoseMismatch::Size { .. })) => "camera.intrinsics".to_string(),
+        (None, None, TrackError::Pose(_)) => "target".to_string(),
         (None, None, TrackError::Intrinsics(_)) => "camera.intrinsics".to_string(),
         (None, None, _) => "model".to_string(),
     };

@@ -87,6 +87,12 @@ impl Advisor {
     }
 }
 
+/// True where advice can be given at all: the model has a brightness, and what it fits is a channel as it is.
+pub(crate) fn is_advisable(solver: &Solver) -> bool {
+    let model = solver.model();
+    model.roles().first().is_some_and(|roles| roles.brightness.is_some()) && is_plain(solver) && !model.needs_a_frame()
+}
+
 /// What is fitted is a channel as it is.
 fn is_plain(solver: &Solver) -> bool {
     let mixture = Mixture::observed(solver.model(), &solver.constants);

@@ -125,7 +125,8 @@ impl Solver {
     pub fn look<'a>(&self, frame: &'a Frame) -> Option<Look<'a>> {
         let model = self.model();
         let dimensions = model.coordinates().len();
-        let suits = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
+        let has_dimensions = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
+        let suits = has_dimensions && self.options.check_size(model, frame.size()).is_ok();
         let planes = frame.planes_of(model.channels()).filter(|_| suits)?;
         let whole = Window::of_size(frame.sides());
         let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;

@@ -12,7 +12,7 @@ use isophote_symbolic::Model;
 
 use crate::budget::{FrameBudget, Watch};
 use crate::estimate::{Ending, Estimate, TrackState};
-use crate::exposure::Advisor;
+use crate::exposure::{Advisor, is_advisable};
 use crate::options::{TrackError, TrackerOptions};
 use crate::solve::compiled::Compiled;
 use crate::solve::prepare::Preparation;
@@ -75,6 +75,11 @@ impl Tracker {
         let moving = self.names().into_iter().zip(&self.tracks).filter(|(_, track)| track.memory.measurements() > 0);
         carried.moving = moving.map(|(name, _)| name).collect();
         carried
+    }
+
+    /// True where estimates of this model may carry advice about exposure.
+    pub fn advises_exposure(&self) -> bool {
+        is_advisable(&self.solver)
     }
 
     /// The targets' ids, in the order of their numbers.
