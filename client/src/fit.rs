@@ -65,7 +65,8 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     check_overlay(args, &model)?;
     let precision = args.precision.map(Precision::from);
-    let cache = Arc::new(KernelCache::of_width(args.vector_width.width()?));
+    let width = args.vector_width.width()?;
+    let cache = Arc::new(KernelCache::of_width(width));
     let mut run = offline::OfflineRun::open(&args.model, &model, &args.frames, precision, (options(args)?, cache))?;
     let mut tracker = run.tracker()?;
     let frames = run.recording.path();
@@ -80,6 +81,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
         let mut line = wire::EstimateView::new(&model, &model_id, captured.frame.sequence, &estimate);
         line.file = captured.file.clone();
         line.time_s = captured.frame.time_s;
+        line.vector_width = Some(8 * width.bytes());
         line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
         line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
         let text = if args.json {

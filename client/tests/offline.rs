@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use isophote_jit::{Processor, VectorWidth};
 use serde_json::Value;
 
 fn model(name: &str) -> PathBuf {
@@ -63,7 +64,7 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
     for (truth, fit) in truth.iter().zip(lines(&fits)) {
         assert_eq!((&fit["state"], &fit["ending"]), (&Value::from("tracking"), &Value::from("small-step")));
         assert_eq!((&fit["frame"], &fit["file"]), (&truth["frame"], &truth["file"]));
-        assert_eq!(fit["truth"], truth["parameters"]);
+        assert_eq!((&fit["truth"], &fit["vector_width"]), (&truth["parameters"], &Value::from(128)));
         assert_eq!(
             (fit["time_s"].as_f64(), &fit["time_s"]),
             (Some(fit["frame"].as_f64().unwrap() / 60.0), &truth["t"])
@@ -77,6 +78,10 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
         assert!(fit["timing_us"]["fit"].is_u64());
     }
     assert_eq!(std::fs::read_dir(&overlays).unwrap().count(), 4);
+    if Processor::Host.has(VectorWidth::Bits256) {
+        let wide = output(&["fit", text(&spot), "--frames", text(&frames), "--json", "--vector-width", "256"]);
+        assert!(lines(&wide).iter().all(|fit| fit["vector_width"] == 256), "{wide}");
+    }
     let plain = output(&["fit", text(&spot), "--frames", text(&frames)]);
     assert_eq!(plain.lines().count(), 4);
     let first = plain.lines().next().unwrap();

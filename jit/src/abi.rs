@@ -101,14 +101,18 @@ impl Functions {
         let at = usize::from(machine.fused) * Function1::EVERY.len() + function as usize;
         (table + at * Self::SLOT) as i32
     }
-    /// How many vectors the form for lanes at a byte offset takes; `None` where there is none.
+    /// How many vectors in memory the function at a byte offset takes; `None` where there is none.
     #[cfg(all(target_arch = "x86_64", unix))]
-    pub fn operands_of_lanes(offset: usize) -> Option<usize> {
+    pub fn vectors(offset: usize) -> Option<usize> {
         let within =
             |start: usize, bytes: usize| (start..start + bytes).contains(&offset) && offset.is_multiple_of(Self::SLOT);
         let (first, second) = (std::mem::offset_of!(Functions, single1), std::mem::offset_of!(Functions, single2));
         let (third, fourth) = (std::mem::offset_of!(Functions, double1), std::mem::offset_of!(Functions, double2));
         let [ones, twos] = [2 * Function1::EVERY.len() * Self::SLOT, 2 * Function2::ALL.len() * Self::SLOT];
+        let scalars = std::mem::offset_of!(Functions, scalar1)..std::mem::offset_of!(Functions, single1);
+        if scalars.contains(&offset) && offset.is_multiple_of(Self::SLOT) {
+            return Some(0);
+        }
         if within(first, ones) || within(third, ones) {
             return Some(1);
         }

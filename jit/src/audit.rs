@@ -52,8 +52,7 @@ fn allowed(opcode: Opcode) -> bool {
             | Ishl
             | Ushr
             | Icmp
-            | Smin
-            | Smax
+            | Umin
             | Band
             | Bor
             | Bxor

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use cranelift_codegen::isa::{OwnedTargetIsa, TargetIsa};
+use cranelift_codegen::isa::{self, OwnedTargetIsa, TargetIsa};
 use cranelift_codegen::settings::{self, Configurable};
 
 use crate::error::CompileError;
@@ -45,6 +45,15 @@ pub(crate) fn isa(processor: Processor, allocator: Allocator) -> Result<Arc<dyn 
 }
 
 fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, String> {
+    let target = match processor {
+        Processor::Host => cranelift_native::builder(),
+        Processor::Baseline => cranelift_native::builder_with_options(false),
+    };
+    built(target.map_err(str::to_owned)?, allocator)
+}
+
+/// The compiler for that processor, with our settings.
+pub(crate) fn built(target: isa::Builder, allocator: Allocator) -> Result<OwnedTargetIsa, String> {
     let algorithm = match allocator {
         Allocator::Backtracking => "backtracking",
         Allocator::SinglePass => "single_pass",
@@ -66,11 +75,6 @@ fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, S
     for (name, value) in flags {
         builder.set(name, value).map_err(|e| format!("{name}: {e}"))?;
     }
-    let target = match processor {
-        Processor::Host => cranelift_native::builder(),
-        Processor::Baseline => cranelift_native::builder_with_options(false),
-    };
-    let target = target.map_err(str::to_owned)?;
     target.finish(settings::Flags::new(builder)).map_err(|e| e.to_string())
 }
 

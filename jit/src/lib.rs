@@ -3,7 +3,7 @@
 //! What comes in: a [`Program`](isophote_symbolic::Program) of `symbolic`, and pixels in memory. What goes out: a
 //! [`Kernel`] that runs the whole loop nest in one call and equals the interpreter bit for bit.
 //! ```text
-//! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► runner (executable memory) ─► Kernel
+//! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► verify ─► runner (executable memory) ─► Kernel
 //! Program ─► KernelCache ─────────────────────────────────────────────────────► Arc<Kernel>, shared
 //! bytes ─► PlaneView ─► Region (window inside plane) ─────────────────────────────────────► Sums
 //! ```
@@ -61,6 +61,8 @@ mod options;
 mod plan;
 mod plane;
 mod runner;
+#[cfg(all(target_arch = "x86_64", unix))]
+mod verify;
 #[cfg(all(target_arch = "x86_64", unix))]
 mod wide;
 

@@ -153,7 +153,7 @@ impl Code {
             pixels: 0,
             saturated: 0,
         };
-        // SAFETY: the code was lowered from a checked and audited program of this `CallShape`: it reads `inputs`, writes
+        // SAFETY: the code was made from a checked program of this `CallShape`, and audited or, where we can, verified byte by byte: it reads `inputs`, writes
         // `outputs`, and reads or writes pixels of `window` only. No group reads or writes more, because no row is shorter
         // than a group: narrow ones are padded copies. The assertions above say that the slices are that long; each
         // `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies inside

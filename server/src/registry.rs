@@ -71,6 +71,11 @@ impl ModelEntry {
         model_id(self.name.as_str(), self.model.digest())
     }
 
+    /// The vectors that its kernels are made for.
+    pub fn width(&self) -> VectorWidth {
+        self.cache.width()
+    }
+
     /// A strong ETag without its quotes: version and the digest's first letters, so that a name that was removed and
     /// put again has another one.
     pub fn tag(&self) -> String {

@@ -1,4 +1,4 @@
-//! Where every address comes from: checked on the compiler's own form, before it becomes machine code.
+//! Where every address comes from: checked on the compiler's own form, on processors whose machine code we do not read.
 //!
 //! What comes in: a function that takes the address of [`Args`], and how long the lists behind it are. What goes out:
 //! nothing, or the first instruction whose address is none of these:

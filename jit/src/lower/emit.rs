@@ -30,6 +30,10 @@ pub(super) mod arg {
     pub const W: i32 = offset_of!(Args, w) as i32;
     pub const DEPTH: i32 = offset_of!(Args, depth) as i32;
     pub const LENGTH: i32 = offset_of!(Args, length) as i32;
+    pub const FURTHEST: i32 = offset_of!(Args, furthest) as i32;
+    pub const LAST: i32 = offset_of!(Args, last) as i32;
+    pub const LAST_ROW: i32 = offset_of!(Args, last_row) as i32;
+    pub const TARGET_STRIDE: i32 = offset_of!(Args, target_stride) as i32;
     pub const PIXELS: i32 = offset_of!(Args, pixels) as i32;
     pub const SATURATED: i32 = offset_of!(Args, saturated) as i32;
 }

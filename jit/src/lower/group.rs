@@ -38,7 +38,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     /// The pixels from `pixel` on, as far as the row goes. Begins so far left that it ends inside of the window.
     pub fn partial(emit: &'e mut Emitter<'a, 'p>, pixel: ir::Value, row: Row) -> Self {
         let furthest = emit.load(types::I64, emit.plan.furthest);
-        let first = emit.b.ins().smin(pixel, furthest);
+        let first = emit.b.ins().umin(pixel, furthest);
         let before = emit.b.ins().isub(pixel, first);
         let until = emit.b.ins().isub(row.end, first);
         let until = emit.b.ins().iadd_imm_s(until, 1);

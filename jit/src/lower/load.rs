@@ -22,22 +22,38 @@ impl Emitter<'_, '_> {
                 offset_of!(PlaneArgs, slice_stride),
                 offset_of!(PlaneArgs, volume_stride),
             ];
-            for (at, stride) in at.iter().zip(strides) {
+            for (axis, (at, stride)) in at.iter().zip(strides).enumerate() {
+                let last = self.arg(types::I64, arg::LAST + (axis * size_of::<i64>()) as i32);
+                let at = self.b.ins().umin(*at, last);
                 let stride = self.plane_field(planes, channel, stride);
-                let down = self.b.ins().imul(*at, stride);
+                let down = self.b.ins().imul(at, stride);
                 row = self.b.ins().iadd(row, down);
             }
             self.store_of(row, *slot, which);
         }
         if let Sink::Plane(_) = self.plan.program.sink() {
             let target = self.arg(types::I64, arg::TARGET);
-            let width = self.arg(types::I64, arg::WIDTH);
-            let lanes = self.integer(self.lanes() as i64);
-            let pitch = self.b.ins().smax(width, lanes);
-            let pixels = self.b.ins().imul(row, pitch);
-            let down = self.b.ins().ishl_imm_s(pixels, 2);
+            let last = self.arg(types::I64, arg::LAST_ROW);
+            let row = self.b.ins().umin(row, last);
+            let stride = self.arg(types::I64, arg::TARGET_STRIDE);
+            let down = self.b.ins().imul(row, stride);
             let row = self.b.ins().iadd(target, down);
             self.store_of(row, self.plan.target, which);
+        }
+    }
+
+    /// Rows that nobody has prepared begin where the window does, so that what the record holds is an address from the
+    /// beginning on.
+    pub fn prepare_no_row(&mut self, which: i32) {
+        for (channel, slot) in self.plan.rows.iter().enumerate() {
+            let Some(slot) = slot else { continue };
+            let planes = self.arg(types::I64, arg::PLANES);
+            let first = self.plane_field(planes, channel, offset_of!(PlaneArgs, first));
+            self.store_of(first, *slot, which);
+        }
+        if let Sink::Plane(_) = self.plan.program.sink() {
+            let target = self.arg(types::I64, arg::TARGET);
+            self.store_of(target, self.plan.target, which);
         }
     }
 

@@ -86,8 +86,10 @@ impl Nest<'_, '_> {
         let counters = if outer == 1 { 1 } else { outer + 1 };
         let [first, second] = self.emit.row_areas();
         // The two rows before the first ones have no pixels.
-        self.emit.areas = Some(Areas { scalars: first, vectors: first, ahead: first });
-        self.emit.prepare_empty();
+        for ahead in [first, second] {
+            self.emit.areas = Some(Areas { scalars: first, vectors: first, ahead });
+            self.emit.prepare_empty();
+        }
         let zero = self.emit.integer(0);
         let start = [vec![zero.into(); counters + 2], vec![first.into(), second.into()]].concat();
         self.emit.b.ins().jump(head, &start);
@@ -192,10 +194,7 @@ impl Nest<'_, '_> {
             let column = self.emit.b.ins().splat(types::F64X2, column);
             self.emit.store(column, slot);
         }
-        let lanes = self.emit.lanes() as i64;
-        let furthest = self.emit.b.ins().iadd_imm_s(width, -lanes);
-        let zero = self.emit.integer(0);
-        let furthest = self.emit.b.ins().smax(furthest, zero);
+        let furthest = self.emit.arg(types::I64, arg::FURTHEST);
         self.emit.store(furthest, self.emit.plan.furthest);
     }
 
@@ -226,6 +225,9 @@ impl Nest<'_, '_> {
         let distance = self.emit.b.ins().isub(end, start);
         let full = self.emit.b.ins().band_imm_s(distance, -lanes);
         let rest = self.emit.b.ins().iadd(start, full);
+        // Full groups begin before the furthest one in any case; here it is said once a row, for who reads the machine code.
+        let furthest = self.emit.load(types::I64, self.emit.plan.furthest);
+        let rest = self.emit.b.ins().umin(rest, furthest);
         let row = Row { end, rest };
 
         self.emit.hold();
@@ -281,7 +283,7 @@ impl Nest<'_, '_> {
 
     /// Goes on with the group at pixel `i`: as a full one where it is not the row's last.
     fn groups(&mut self, row: Row, i: ir::Value, state: &Running, [full, partial]: [Block; 2]) {
-        let more = self.emit.b.ins().icmp(IntCC::SignedLessThan, i, row.rest);
+        let more = self.emit.b.ins().icmp(IntCC::UnsignedLessThan, i, row.rest);
         let values = with(i, &state.values());
         self.emit.b.ins().brif(more, full, &values, partial, &values);
     }

@@ -44,6 +44,7 @@ impl Emitter<'_, '_> {
             self.b.ins().splat(types::I64X2, number)
         });
         range.into_iter().zip(self.plan.range).for_each(|(pixel, slot)| self.store(pixel, slot));
+        (0..2).for_each(|row| self.prepare_no_row(row));
     }
 
     /// A pass or row value, for both rows.

@@ -228,8 +228,6 @@ pub(crate) struct Assembled {
     pub bytes: Vec<u8>,
     /// Where the instructions end.
     pub code_end: usize,
-    /// Where the constants begin.
-    pub pool_start: usize,
     pub spans: Vec<Spoken>,
 }
 
@@ -337,6 +335,6 @@ impl Assembler {
         }
         bytes.resize(pool_start, 0);
         bytes.extend(self.pool);
-        Ok(Assembled { bytes, code_end, pool_start, spans })
+        Ok(Assembled { bytes, code_end, spans })
     }
 }

@@ -13,7 +13,7 @@ use crate::abi::Args;
 pub(super) const ARGS: Register = Register::RBX;
 
 /// What a function of the table takes at once.
-pub(crate) const CALL_BYTES: usize = 16;
+const CALL_BYTES: usize = 16;
 
 /// A field of the argument block.
 pub(super) fn arg(offset: usize) -> MemoryPlace {

@@ -9,15 +9,16 @@ use isophote_symbolic::interpreter::Outcome;
 use isophote_symbolic::{Precision, Program, Sink};
 
 use super::emulator_tests::{Emulator, Ended};
-use super::verify::decoded;
 use crate::abi::{Args, Functions, PlaneArgs};
 use crate::options::{KernelOptions, VectorWidth};
+use crate::verify::decode;
 
 #[path = "../../tests/common/mod.rs"]
 mod common;
 
 use common::Random;
-use common::differential::{Case, Stage, agree};
+pub(crate) use common::differential::Stage;
+use common::differential::{Case, agree};
 use common::generate::{Variety, program};
 
 const ARGS: u64 = 0x1_0000;
@@ -40,8 +41,8 @@ struct Emulated<'p> {
 impl<'p> Emulated<'p> {
     fn new(program: &'p Program, options: KernelOptions) -> Emulated<'p> {
         let (assembled, _) = super::code(program, &options).unwrap();
-        let instructions = decoded(&assembled).unwrap();
-        let pool = (assembled.pool_start as u64, assembled.bytes[assembled.pool_start..].to_vec());
+        let instructions = decode(&assembled.bytes, assembled.code_end).unwrap().instructions;
+        let pool = (assembled.code_end as u64, assembled.bytes[assembled.code_end..].to_vec());
         Emulated { program, options, instructions, pool }
     }
 
@@ -131,7 +132,7 @@ impl<'p> Emulated<'p> {
 }
 
 /// A generated program with what it runs on.
-fn subject(seed: u64, width: VectorWidth) -> (Program, Precision, Stage, Random) {
+pub(crate) fn subject(seed: u64, width: VectorWidth) -> (Program, Precision, Stage, Random) {
     let mut random = Random(seed);
     let longest = *random.pick(&[4, 10, 30, 60, 150]);
     let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));

@@ -1,7 +1,7 @@
 //! Wide vectors: 256 and 512 bits on x86-64, which the compiler does not have.
 //!
 //! What comes in: a checked `Program`, and options that ask for them. What goes out: bytes of machine code for the same
-//! argument block, checked by [`verify`] before anyone runs them.
+//! argument block, checked by [`crate::verify`] before anyone runs them.
 //! ```text
 //! Program ─► places ─► nest: outer levels, groups ─► block ─► acts on registers ─► assembler ─► bytes ─► verify
 //!            frame      select, functions, pixels     SSA     allocation            labels
@@ -16,7 +16,7 @@ mod assembler;
 mod block;
 mod calls;
 #[cfg(test)]
-mod emulation_tests;
+pub(crate) mod emulation_tests;
 #[cfg(test)]
 mod emulator_tests;
 mod frame;
@@ -28,31 +28,18 @@ mod outer;
 mod pixels;
 mod places;
 mod select;
-mod verify;
 
 use isophote_symbolic::Program;
 
 use crate::error::CompileError;
 use crate::options::KernelOptions;
 pub(crate) use assembler::{ALIGNMENT, Assembled};
-use verify::{Permitted, verify};
+pub(crate) use operation::every_code;
 
 /// Machine code of a program, and the bytes of stack that a call takes.
 ///
 /// # Errors
-/// When the code is not what it should be, which only a bug could be.
+/// When an instruction cannot be encoded, which only a bug could ask for.
 pub(crate) fn code(program: &Program, options: &KernelOptions) -> Result<(Assembled, usize), CompileError> {
-    let (assembled, frame_bytes) = nest::nest(program, options)?;
-    verify(&assembled, reach(program, options)).map_err(CompileError::Audit)?;
-    Ok((assembled, frame_bytes))
-}
-
-/// What the code of a program may touch.
-fn reach<'a>(program: &Program, options: &'a KernelOptions) -> Permitted<'a> {
-    Permitted {
-        inputs: program.inputs().len(),
-        outputs: program.sink().outputs().len(),
-        formats: &options.formats,
-        lanes: options.lanes().count(),
-    }
+    nest::nest(program, options)
 }

@@ -375,7 +375,7 @@ pub(super) fn truth_of_mask(element: Element) -> Code {
 }
 
 /// Every instruction of the table.
-pub(super) fn every_code() -> Vec<Code> {
+pub(crate) fn every_code() -> Vec<Code> {
     use Operation::*;
     let operations = [
         Add,

@@ -1,7 +1,7 @@
 //! Reading raw planes, and adding to the output plane.
 //!
 //! A group begins at its pixel, or so far left of it that it ends inside of the window; that is made sure of before its first
-//! access, in the way that [`super::verify`] knows.
+//! access, in the way that [`crate::verify`] knows.
 
 use std::mem::offset_of;
 

@@ -149,6 +149,7 @@ impl Session {
             active_model: status.active.name.clone(),
             active_digest: status.active.model.digest().to_string(),
             active_since_frame: status.active_since_frame,
+            vector_width: 8 * status.active.width.bytes(),
             frames: status.frames,
             dropped: status.dropped,
             rate_hz: status.rate_hz(monotonic_ns()),

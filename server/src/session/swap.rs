@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use isophote_jit::VectorWidth;
 use isophote_symbolic::Model;
 use isophote_tracker::{Compiled, MotionOptions, PredictOptions, Preparing, TrackerOptions, WORK_MAX};
 use isophote_wire::{PredictDocument, SessionDocument, WindowDocument};
@@ -18,12 +19,15 @@ pub struct Active {
     pub id: Arc<str>,
     /// The checked document.
     pub model: Arc<Model>,
+    /// The vectors of its kernels.
+    pub width: VectorWidth,
 }
 
 impl Active {
     /// The model of a registry's entry.
     pub fn new(entry: &ModelEntry) -> Active {
-        Active { name: entry.name.to_string(), id: entry.id().into(), model: entry.model.clone() }
+        let (name, id, model) = (entry.name.to_string(), entry.id().into(), entry.model.clone());
+        Active { name, id, model, width: entry.width() }
     }
 }
 

@@ -182,6 +182,9 @@ pub struct SessionView {
     pub active_digest: String,
     /// Frames from this number on are fitted with it.
     pub active_since_frame: u64,
+    /// Bits of the vectors that its kernels are made for: which pixels are summed together, so that a fit with the same adds up
+    /// bit for bit.
+    pub vector_width: usize,
     /// Frames fitted.
     pub frames: u64,
     /// Frames of the source that were not fitted.

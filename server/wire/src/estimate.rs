@@ -89,6 +89,9 @@ pub struct EstimateView {
     /// How pixels were sampled, when the model leaves that open.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub sampled: Option<Sampled>,
+    /// Bits of the vectors that its kernels are made for, where no session says so.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub vector_width: Option<usize>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub truth: Option<Named>,
@@ -120,7 +123,7 @@ pub struct Timing {
 
 impl EstimateView {
     /// The tracker's result in the wire's form. `model_id` is `name@sha256:…`; the caller adds what only it knows
-    /// (session, file, times, truth). Numbers that are not finite are absent.
+    /// (session, file, times, vectors, truth). Numbers that are not finite are absent.
     pub fn new(model: &Model, model_id: &str, frame: u64, result: &tracker::Estimate) -> EstimateView {
         let names = model.parameters();
         let roles = model.roles().first();
@@ -162,6 +165,7 @@ impl EstimateView {
             predict: result.ahead.clone(),
             substitute: result.substitute,
             sampled: result.sampled,
+            vector_width: None,
             truth: None,
             timing_us: None,
         }

@@ -4,6 +4,7 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use isophote_jit::VectorWidth;
 use isophote_server::{Options, Server};
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
@@ -53,7 +54,9 @@ impl Running {
         Running::start_with(None, false)
     }
     pub fn start_with(data: Option<&Path>, demo: bool) -> Running {
-        let width = isophote_jit::VectorWidth::default();
+        Running::start_of_width(data, demo, VectorWidth::default())
+    }
+    pub fn start_of_width(data: Option<&Path>, demo: bool, width: VectorWidth) -> Running {
         let (listen, data) = ("127.0.0.1:0".parse().unwrap(), data.map(Path::to_path_buf));
         let options = Options { listen, data, demo, width };
         let server = Server::start(&options).unwrap();

@@ -1,9 +1,18 @@
 //! Sources and sessions: life cycle, statuses, pushed frames, recordings.
 
-use isophote_jit::PixelFormat;
+use isophote_jit::{PixelFormat, Processor, VectorWidth};
 use serde_json::json;
 
 use crate::client::{Folder, Running, picture, session, synthetic};
+
+#[test]
+fn sessions_say_how_wide_their_vectors_are() {
+    for width in VectorWidth::ALL.into_iter().filter(|width| Processor::Host.has(*width)) {
+        let service = Running::start_of_width(None, false, width);
+        let view = service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
+        assert_eq!(view["vector_width"], 8 * width.bytes());
+    }
+}
 
 #[test]
 fn life_cycle() {

@@ -1,0 +1,196 @@
+//! Is this code what it should be? Decoded from its bytes, and checked whoever wrote them, before anyone runs it.
+//!
+//! What comes in: machine code of a kernel, and how long the lists behind its argument are. What goes out: nothing, or the
+//! first instruction that is not proved to keep the rules:
+//! - every instruction is on the list: none traps, none is an import;
+//! - memory is read in the frame, in the constants, in the argument block and its lists, and in pixels of the window;
+//!   it is written in the frame, in the two counts, in the outputs, and in the window's rows of the output plane;
+//! - a pixel's address is the window's first plus products of strides and numbers that a comparison has bounded by the window's
+//!   size, so that no arithmetic before that matters;
+//! - functions are called through the table, with addresses of vectors in the frame;
+//! - the caller's registers and stack are as they were on return.
+//!
+//! It must never know: programs, or how the code was made: that of either backend. The walk goes over the basic blocks until
+//! nothing new is known of any register or place in the frame; what is known only ever becomes less. Equal values share a name, so
+//! that what a comparison says of one register holds for its copies and for what was spilled.
+
+#[cfg(test)]
+mod compiled_tests;
+mod known;
+mod listed;
+mod rules;
+mod state;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use iced_x86::{Code, Decoder, DecoderOptions, Instruction, OpKind, Register};
+use isophote_symbolic::Program;
+
+use self::rules::Check;
+use self::state::{Asked, FRAME_BYTES_MAX, State};
+use crate::options::KernelOptions;
+use crate::plane::PixelFormat;
+
+/// What the code may touch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Permitted<'a> {
+    /// How many numbers there are.
+    pub inputs: usize,
+    pub outputs: usize,
+    /// Of each channel.
+    pub formats: &'a [PixelFormat],
+    /// Pixels of a row follow each other without gaps.
+    pub packed: bool,
+    /// Pixels of a group.
+    pub lanes: usize,
+}
+
+impl<'a> Permitted<'a> {
+    /// What the code of a program may touch.
+    pub fn of(program: &Program, options: &'a KernelOptions) -> Permitted<'a> {
+        Permitted {
+            inputs: program.inputs().len(),
+            outputs: program.sink().outputs().len(),
+            formats: &options.formats,
+            packed: options.packed,
+            lanes: options.lanes().count(),
+        }
+    }
+}
+
+/// Checks machine code, which ends at `code_end` at the latest; says which instruction breaks which rule.
+pub(crate) fn verify(bytes: &[u8], code_end: usize, reach: Permitted<'_>) -> Result<(), String> {
+    let decoded = decode(bytes, code_end)?;
+    check(&decoded.instructions, &decoded.pool, reach)
+}
+
+/// Machine code, and where the constants behind it are.
+pub(crate) struct Decoded {
+    pub instructions: Vec<Instruction>,
+    pub pool: Range<u64>,
+}
+
+/// The instructions, one behind the other. The compiler does not say where the code ends: at the first constant that an
+/// instruction reads, or at the zeros that fill the gap in front of that one.
+pub(crate) fn decode(bytes: &[u8], code_end: usize) -> Result<Decoded, String> {
+    let mut first_constant = code_end as u64;
+    let mut instructions = Vec::new();
+    let mut decoder = Decoder::with_ip(64, bytes, 0, DecoderOptions::NONE);
+    while decoder.ip() < first_constant {
+        let gap = bytes.get(decoder.position()..first_constant as usize).unwrap_or_default();
+        let is_left = instructions.last().is_none_or(|last: &Instruction| !falls_through(last));
+        if is_left && gap.iter().all(|byte| *byte == 0) {
+            break;
+        }
+        let instruction = decoder.decode();
+        if instruction.code() == Code::INVALID {
+            return Err(said(&instruction, "is no instruction"));
+        }
+        if instruction.is_ip_rel_memory_operand() {
+            first_constant = first_constant.min(instruction.ip_rel_memory_address());
+        }
+        instructions.push(instruction);
+    }
+    Ok(Decoded { pool: decoder.ip()..bytes.len() as u64, instructions })
+}
+
+fn falls_through(instruction: &Instruction) -> bool {
+    !matches!(instruction.code(), Code::Retnq | Code::Jmp_rel8_64 | Code::Jmp_rel32_64)
+}
+
+/// The same of decoded instructions, with constants at `pool`.
+fn check(instructions: &[Instruction], pool: &Range<u64>, reach: Permitted<'_>) -> Result<(), String> {
+    if let Some(stranger) = instructions.iter().find(|instruction| !listed::is_allowed(instruction)) {
+        return Err(said(stranger, "is not on the list"));
+    }
+    for instruction in instructions {
+        rules::constant(instruction, pool).map_err(|rule| said(instruction, rule))?;
+        let is_there = |ip: u64| instructions.binary_search_by_key(&ip, Instruction::ip).is_ok();
+        if target(instruction).is_some_and(|target| !is_there(target)) {
+            return Err(said(instruction, "jumps into an instruction"));
+        }
+    }
+    // What changes nothing that is known of registers and frame is checked already.
+    let instructions: Vec<Instruction> = instructions.iter().filter(|i| !rules::is_settled(i)).copied().collect();
+    let place = |ip: u64| instructions.partition_point(|instruction| instruction.ip() < ip);
+    let mut leads = vec![false; instructions.len() + 1];
+    for (at, target) in instructions.iter().enumerate().filter_map(|(at, instruction)| Some((at, target(instruction)?)))
+    {
+        (leads[place(target)], leads[at + 1]) = (true, true);
+    }
+    let mut known: BTreeMap<usize, State> = BTreeMap::from([(0, State::at_entry())]);
+    let mut open = BTreeSet::from([0]);
+    while let Some(leader) = open.pop_first() {
+        let Some(mut state) = known.get(&leader).cloned() else { continue };
+        let mut learn = |place: usize, state: &State| {
+            let joined = known.get(&place).map_or_else(|| state.before_all(), |before| before.or(state, place));
+            if known.get(&place) != Some(&joined) {
+                known.insert(place, joined);
+                open.insert(place);
+            }
+        };
+        let mut at = leader;
+        loop {
+            if let Some(behind) = probes(&instructions[at..]).filter(|_| state.has_no_frame()) {
+                at += behind;
+                state.forget_probe();
+            }
+            let instruction = instructions.get(at).ok_or("the code has no end")?;
+            Check { instruction, reach }.run(&mut state).map_err(|rule| said(instruction, rule))?;
+            let asked = Asked::by(instruction.mnemonic());
+            if let Some(place) = target(instruction).map(place) {
+                let mut there = state.clone();
+                asked.iter().for_each(|asked| there.learn(*asked));
+                learn(place, &there);
+                asked.iter().for_each(|asked| state.learn(asked.otherwise()));
+            }
+            if !falls_through(instruction) {
+                break;
+            }
+            at += 1;
+            if leads[at] {
+                learn(at, &state);
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// How a large frame is made sure of: page by page down, then back. How many instructions it is, if it begins here.
+/// ```text
+/// mov r11, rsp; sub r11, bytes; again: sub rsp, page; mov [rsp], 0; cmp r11, rsp; jne again; add rsp, bytes
+/// ```
+fn probes(instructions: &[Instruction]) -> Option<usize> {
+    let [start, lower, step, touch, compare, again, back, ..] = instructions else { return None };
+    let changes = |i: &Instruction, code: Code, register: Register| i.code() == code && i.op0_register() == register;
+    let (bytes, page) = (lower.immediate32to64(), step.immediate32to64());
+    let is_loop = changes(start, Code::Mov_rm64_r64, Register::R11)
+        && start.op1_register() == Register::RSP
+        && changes(lower, Code::Sub_rm64_imm32, Register::R11)
+        && changes(step, Code::Sub_rm64_imm32, Register::RSP)
+        && touch.code() == Code::Mov_rm32_imm32
+        && (touch.memory_base(), touch.memory_index()) == (Register::RSP, Register::None)
+        && touch.memory_displacement64() == 0
+        && changes(compare, Code::Cmp_r64_rm64, Register::R11)
+        && compare.op1_register() == Register::RSP
+        && again.code() == Code::Jne_rel32_64
+        && target(again) == Some(step.ip())
+        && changes(back, Code::Add_rm64_imm32, Register::RSP)
+        && back.immediate32to64() == bytes
+        && page > 0
+        && bytes % page == 0
+        && (page..=FRAME_BYTES_MAX + page).contains(&bytes);
+    is_loop.then_some(7)
+}
+
+fn target(instruction: &Instruction) -> Option<u64> {
+    (instruction.op_count() == 1 && instruction.op0_kind() == OpKind::NearBranch64).then(|| instruction.near_branch64())
+}
+
+fn said(instruction: &Instruction, rule: &str) -> String {
+    format!("{:#x}, {:?}: it {rule}", instruction.ip(), instruction.code())
+}

@@ -1,0 +1,369 @@
+//! What one instruction may do, and what is known behind it.
+
+use std::mem::offset_of;
+use std::ops::Range;
+
+use iced_x86::{Instruction, Mnemonic, OpKind, Register};
+
+use super::known::{Distance, Fact, Few, Limit};
+use super::state::{Asked, State, Word};
+use super::{Permitted, listed};
+use crate::abi::{Args, Functions, PlaneArgs};
+
+/// One instruction with its surroundings.
+#[derive(Clone, Copy)]
+pub(super) struct Check<'a> {
+    pub instruction: &'a Instruction,
+    pub reach: Permitted<'a>,
+}
+
+type Checked<T> = Result<T, &'static str>;
+
+const WORD_BYTES: i64 = 8;
+/// What the stack pointer may be rounded down with.
+const ALIGNMENTS: [i64; 3] = [-16, -32, -64];
+const ASTRAY: &str = "wants an address that is a multiple of 16";
+/// What a called function takes at once, and what some instructions want to be at a multiple of.
+const VECTOR_BYTES: i64 = 16;
+
+/// A memory operand, in the terms of what is known.
+struct Access {
+    place: Fact,
+    /// How much further an index may lead.
+    more: i64,
+    offset: i64,
+    bytes: i64,
+}
+
+/// Whether it neither changes nor asks what is known of registers and frame: a vector instruction on registers and constants.
+pub(super) fn is_settled(i: &Instruction) -> bool {
+    let is_elsewhere =
+        (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory) && !i.is_ip_rel_memory_operand();
+    writes_vector(i) && !is_elsewhere
+}
+
+fn writes_vector(i: &Instruction) -> bool {
+    i.op_count() > 0 && i.op0_register().is_vector_register() && !listed::compares_numbers(i.mnemonic())
+}
+
+/// Checks what is read of the constants.
+pub(super) fn constant(i: &Instruction, pool: &Range<u64>) -> Checked<()> {
+    if !i.is_ip_rel_memory_operand() {
+        return Ok(());
+    }
+    let start = i.ip_rel_memory_address();
+    if start < pool.start || start.saturating_add(i.memory_size().size() as u64) > pool.end {
+        return Err("leaves the constants");
+    }
+    let is_aligned = start.is_multiple_of(VECTOR_BYTES as u64) || !wants_alignment(i);
+    if is_aligned { Ok(()) } else { Err(ASTRAY) }
+}
+
+/// Whether the instruction ends the process when its operand is not at a multiple of its size.
+fn wants_alignment(i: &Instruction) -> bool {
+    i.memory_size().size() as i64 >= VECTOR_BYTES && listed::wants_alignment(i.mnemonic())
+}
+
+impl Check<'_> {
+    /// Checks the instruction, and moves the state behind it.
+    pub fn run(&self, state: &mut State) -> Checked<()> {
+        let i = self.instruction;
+        let has_memory = (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory);
+        let access = (has_memory && i.mnemonic() != Mnemonic::Lea).then(|| self.access(state));
+        if let Some(access) = &access {
+            if wants_alignment(i) && !self.is_aligned(state, access) {
+                return Err(ASTRAY);
+            }
+            let only_reads = matches!(i.mnemonic(), Mnemonic::Cmp | Mnemonic::Test | Mnemonic::Call);
+            match i.op0_kind() == OpKind::Memory && !only_reads {
+                true => self.write(state, access)?,
+                false => self.read(state, access)?,
+            }
+        }
+        if writes_vector(i) {
+            return Ok(());
+        }
+        match i.mnemonic() {
+            Mnemonic::Push => return state.push(i.op0_register()),
+            Mnemonic::Pop => return state.pop(i.op0_register(), self.names()[0]),
+            Mnemonic::Call => return self.call(state, &access),
+            Mnemonic::Ret => return state.may_return(),
+            Mnemonic::Cmp => return self.compare(state, &access),
+            mnemonic if !listed::keeps_flags(mnemonic) => state.compared = None,
+            _ => {}
+        }
+        if i.op_count() == 0
+            || i.op0_kind() != OpKind::Register
+            || !i.op0_register().is_gpr()
+            || i.mnemonic() == Mnemonic::Test
+        {
+            return Ok(());
+        }
+        let known = self.result(state, &access)?;
+        state.set(i.op0_register(), known, self.names()[0])
+    }
+
+    /// Names that values of this instruction may get.
+    fn names(&self) -> [u64; 2] {
+        [1, 2].map(|n| 2 * self.instruction.ip() + n)
+    }
+
+    fn compare(&self, state: &mut State, access: &Option<Access>) -> Checked<()> {
+        for operand in 0..2 {
+            state.name(self.instruction.op_register(operand), self.names()[operand as usize]);
+        }
+        state.compared = self.is_of_words().then(|| [0, 1].map(|operand| self.operand(state, operand, access)));
+        Ok(())
+    }
+
+    /// Whether all 64 bits of its operands count.
+    fn is_of_words(&self) -> bool {
+        let i = self.instruction;
+        match i.op0_kind() {
+            OpKind::Memory => i.memory_size().size() as i64 == WORD_BYTES,
+            _ => (Register::RAX..=Register::R15).contains(&i.op0_register()),
+        }
+    }
+
+    fn operand(&self, state: &State, operand: u32, access: &Option<Access>) -> Word {
+        let i = self.instruction;
+        match (i.op_kind(operand), access) {
+            (OpKind::Register, _) => state.of(i.op_register(operand)),
+            (OpKind::Memory, Some(access)) => self.fetched(state, access),
+            (OpKind::Memory, None) => Word::unnamed(Fact::Number),
+            _ => Word::unnamed(Fact::constant(i.immediate(operand) as i64)),
+        }
+    }
+
+    /// What the general register in front holds afterwards.
+    fn result(&self, state: &mut State, access: &Option<Access>) -> Checked<Word> {
+        let i = self.instruction;
+        let unnamed = |fact: Fact| Ok(Word::unnamed(fact));
+        let is_constant = i.op_count() == 2 && matches!(i.op1_kind(), OpKind::Immediate32 | OpKind::Immediate64);
+        if i.mnemonic() == Mnemonic::Mov && (self.is_of_words() || is_constant) {
+            state.name(i.op1_register(), self.names()[1]);
+            return Ok(self.operand(state, 1, access));
+        }
+        if i.mnemonic() == Mnemonic::Xor && i.op0_register() == i.op1_register() {
+            return unnamed(Fact::constant(0));
+        }
+        if !self.is_of_words() {
+            return unnamed(Fact::Number);
+        }
+        let before = state.of(i.op0_register());
+        let other = |state: &State| self.operand(state, 1, access);
+        if State::is_rsp(i.op0_register()) {
+            let bytes = if i.op_count() == 2 && i.op1_kind() != OpKind::Register { i.immediate(1) as i64 } else { 0 };
+            match i.mnemonic() {
+                Mnemonic::Add => return unnamed(state.shrink(bytes)),
+                Mnemonic::Sub => return state.grow(bytes).map(Word::unnamed),
+                Mnemonic::And if ALIGNMENTS.contains(&bytes) && state.has_no_frame() => {
+                    return unnamed(Fact::Aligned);
+                }
+                _ => {}
+            }
+        }
+        unnamed(match i.mnemonic() {
+            Mnemonic::Add => before.fact.plus(other(state).fact),
+            Mnemonic::Shl => match other(state).fact {
+                Fact::OneOf(bits) => {
+                    bits.only().map_or(Fact::Number, |bits| before.fact.scaled(1 << bits.clamp(0, 32)))
+                }
+                _ => Fact::Number,
+            },
+            Mnemonic::Imul if i.op_count() == 3 => other(state).fact.scaled(i.immediate(2) as i64),
+            Mnemonic::Imul => before.fact.times(other(state).fact),
+            Mnemonic::Lea => match i.memory_displacement64() as i64 {
+                0 => self.sum(state),
+                offset => self.sum(state).plus(Fact::constant(offset)),
+            },
+            mnemonic if listed::is_conditional_move(mnemonic) => match Asked::by(mnemonic) {
+                Some(asked) => state.under(asked, other(state)).or(state.under(asked.otherwise(), before)),
+                None => before.fact.or(other(state).fact),
+            },
+            _ => Fact::Number,
+        })
+    }
+
+    /// A register and another, times a number.
+    fn sum(&self, state: &State) -> Fact {
+        let i = self.instruction;
+        let of = |register: Register| match register {
+            Register::None => Fact::constant(0),
+            register => state.of(register).fact,
+        };
+        let index = of(i.memory_index()).scaled(i.memory_index_scale().into());
+        match (i.memory_base(), i.memory_index()) {
+            (base, Register::None) => of(base),
+            (Register::None, _) => index,
+            (base, _) => of(base).plus(index),
+        }
+    }
+
+    /// The memory operand.
+    fn access(&self, state: &State) -> Access {
+        let i = self.instruction;
+        let (offset, bytes) = (i.memory_displacement64() as i64, i.memory_size().size() as i64);
+        let [base, index] = [i.memory_base(), i.memory_index()].map(|register| state.of(register).fact);
+        match (base, index) {
+            (Fact::Frame(_), Fact::Below(count)) => {
+                Access { place: base, more: (count - 1) * i64::from(i.memory_index_scale()), offset, bytes }
+            }
+            _ => Access { place: self.sum(state), more: 0, offset, bytes },
+        }
+    }
+
+    fn is_aligned(&self, state: &State, access: &Access) -> bool {
+        let is_multiple = |at: i64| at % VECTOR_BYTES == 0;
+        match access.place {
+            _ if self.instruction.is_ip_rel_memory_operand() => true,
+            Fact::Frame(places) => {
+                state.is_frame_aligned(VECTOR_BYTES) && places.each().all(|at| is_multiple(at + access.offset))
+            }
+            _ => false,
+        }
+    }
+
+    /// The memory operand in the frame, wherever its index leads: its first bytes, and how many there are.
+    fn in_frame(&self, state: &State, places: Few, access: &Access) -> Checked<(Few, i64)> {
+        let bytes = access.more + access.bytes;
+        let is_inside = |at: i64| at >= 0 && at + bytes <= state.frame();
+        let places = places.plus_number(access.offset).ok_or("leaves the frame")?;
+        if places.each().all(is_inside) { Ok((places, bytes)) } else { Err("leaves the frame") }
+    }
+
+    /// Whether it is inside of so many bytes.
+    fn list(&self, access: &Access, bytes: usize) -> Checked<()> {
+        let is_inside = access.offset >= 0 && access.offset + access.bytes <= bytes as i64;
+        if is_inside { Ok(()) } else { Err("leaves its list") }
+    }
+
+    fn read(&self, state: &State, access: &Access) -> Checked<()> {
+        let i = self.instruction;
+        if i.is_ip_rel_memory_operand() {
+            return Ok(());
+        }
+        match access.place {
+            Fact::Frame(places) => self.in_frame(state, places, access).map(drop),
+            Fact::Args => self.list(access, size_of::<Args>()),
+            Fact::Inputs => self.list(access, size_of::<f64>() * self.reach.inputs),
+            Fact::Functions => self.list(access, size_of::<Functions>()),
+            Fact::Planes => self.list(access, size_of::<PlaneArgs>() * self.reach.formats.len()),
+            Fact::Pixel { channel, lane, .. } => {
+                let is_inside =
+                    access.offset == 0 && access.bytes <= self.pixel_bytes(channel)? && lane < self.reach.lanes;
+                if is_inside { Ok(()) } else { Err("reads pixels that are not known to be in the window") }
+            }
+            Fact::Group { channel, bytes } if self.reach.packed && bytes == self.pixel_bytes(channel)? => {
+                self.group(access, bytes)
+            }
+            Fact::TargetGroup => self.group(access, size_of::<f32>() as i64),
+            _ => Err("reads where nothing is known to be"),
+        }
+    }
+
+    fn pixel_bytes(&self, channel: usize) -> Checked<i64> {
+        let format = self.reach.formats.get(channel).ok_or("reads a plane that does not exist")?;
+        Ok(format.bytes_per_pixel() as i64)
+    }
+
+    /// Pixels of a group, which all are in the window.
+    fn group(&self, access: &Access, pixel_bytes: i64) -> Checked<()> {
+        let is_inside = access.offset >= 0 && access.offset + access.bytes <= pixel_bytes * self.reach.lanes as i64;
+        if is_inside { Ok(()) } else { Err("touches pixels that are not known to be in the window") }
+    }
+
+    fn write(&self, state: &mut State, access: &Access) -> Checked<()> {
+        let i = self.instruction;
+        match access.place {
+            Fact::Frame(places) => {
+                let (places, bytes) = self.in_frame(state, places, access)?;
+                let is_word = i.mnemonic() == Mnemonic::Mov && bytes == WORD_BYTES;
+                if is_word {
+                    state.name(i.op1_register(), self.names()[1]);
+                }
+                let known = is_word.then(|| self.operand(state, 1, &None));
+                state.store(&places, bytes, known);
+                Ok(())
+            }
+            Fact::Args if access.offset < offset_of!(Args, pixels) as i64 => Err("writes over arguments"),
+            Fact::Args => self.list(access, size_of::<Args>()),
+            Fact::Outputs => self.list(access, size_of::<f64>() * self.reach.outputs),
+            Fact::TargetGroup => self.group(access, size_of::<f32>() as i64),
+            _ => Err("writes where nothing may be written"),
+        }
+    }
+
+    /// What 64 bits of memory are.
+    fn fetched(&self, state: &State, access: &Access) -> Word {
+        let is_word = access.bytes == WORD_BYTES && access.more == 0;
+        let fact = match access.place {
+            Fact::Frame(places) if is_word => {
+                let places = places.plus_number(access.offset);
+                return places.map_or(Word::unnamed(Fact::Number), |places| state.fetched(&places));
+            }
+            Fact::Args if is_word => argument(access.offset),
+            Fact::Planes if is_word => plane(access.offset),
+            Fact::Functions if is_word && access.offset % WORD_BYTES == 0 => Fact::Function(access.offset),
+            _ => Fact::Number,
+        };
+        Word::unnamed(fact)
+    }
+
+    /// A function of the table, with vectors of the frame.
+    fn call(&self, state: &mut State, access: &Option<Access>) -> Checked<()> {
+        let Fact::Function(offset) = self.operand(state, 0, access).fact else {
+            return Err("calls something that is not in the table");
+        };
+        let operands = usize::try_from(offset).ok().and_then(Functions::vectors).ok_or("calls no function")?;
+        for (operand, register) in [Register::RDI, Register::RSI].into_iter().take(operands).enumerate() {
+            let Fact::Frame(places) = state.of(register).fact else { return Err("hands over no vector of the frame") };
+            let vector = Access { place: Fact::Number, more: 0, offset: 0, bytes: VECTOR_BYTES };
+            let (places, bytes) = self.in_frame(state, places, &vector)?;
+            if operand == 0 {
+                state.store(&places, bytes, None);
+            }
+        }
+        if !state.is_frame_aligned(VECTOR_BYTES) {
+            return Err("calls without a frame, or with one that is not at a multiple of 16");
+        }
+        state.forget_registers();
+        Ok(())
+    }
+}
+
+/// A field of the argument block.
+fn argument(at: i64) -> Fact {
+    let last = offset_of!(Args, last);
+    let fields = [
+        (offset_of!(Args, inputs), Fact::Inputs),
+        (offset_of!(Args, outputs), Fact::Outputs),
+        (offset_of!(Args, functions), Fact::Functions),
+        (offset_of!(Args, planes), Fact::Planes),
+        (offset_of!(Args, target), Fact::Target { is_row: false }),
+        (offset_of!(Args, furthest), Fact::Limit(Limit::Furthest)),
+        (last, Fact::Limit(Limit::Last(0))),
+        (last + size_of::<i64>(), Fact::Limit(Limit::Last(1))),
+        (last + 2 * size_of::<i64>(), Fact::Limit(Limit::Last(2))),
+        (offset_of!(Args, last_row), Fact::Limit(Limit::LastRow)),
+        (offset_of!(Args, target_stride), Fact::TargetStride),
+    ];
+    fields.iter().find(|(field, _)| *field as i64 == at).map_or(Fact::Number, |(_, fact)| *fact)
+}
+
+/// A field in the list of planes.
+fn plane(at: i64) -> Fact {
+    let Ok(at) = usize::try_from(at) else { return Fact::Number };
+    let (channel, field) = (at / size_of::<PlaneArgs>(), at % size_of::<PlaneArgs>());
+    let strides = [
+        offset_of!(PlaneArgs, pixel_stride),
+        offset_of!(PlaneArgs, row_stride),
+        offset_of!(PlaneArgs, slice_stride),
+        offset_of!(PlaneArgs, volume_stride),
+    ];
+    if field == offset_of!(PlaneArgs, first) {
+        return Fact::Pixel { channel, axes: 0, lane: 0 };
+    }
+    let axis = strides.iter().position(|stride| *stride == field);
+    axis.map_or(Fact::Number, |axis| Fact::Stride(Distance { channel, axis }))
+}
