@@ -71,3 +71,15 @@ fn a_source_without_a_knob_is_told() {
     let problem = service.put("/v1/sessions/one", &pushed).expect(422);
     assert_eq!(problem["diagnostics"][0]["key"], "options.exposure.control");
 }
+
+#[test]
+fn a_model_whose_exposure_nobody_can_advise_is_told() {
+    let service = Running::start();
+    let source = json!({"kind": "synthetic", "model": "three-spots-raw", "width": 64, "height": 64, "pace": "fit"});
+    let document = |control: bool| json!({"source": source, "model": "three-spots", "options": {"exposure": {"control": control}}});
+    let problem = service.put("/v1/sessions/one", &document(true)).expect(422);
+    let fault = &problem["diagnostics"][0];
+    assert_eq!(fault["key"], "options.exposure.control");
+    assert!(fault["message"].as_str().unwrap().contains("one channel"), "{problem}");
+    service.put("/v1/sessions/one", &document(false)).expect(201);
+}

@@ -88,6 +88,20 @@ fn a_shared_source() {
     service.put("/v1/sessions/one", &json!({"source": "bench", "model": "spot"})).expect(404);
 }
 
+/// `spot` looks for one spot without a name.
+fn two_spots() -> serde_json::Value {
+    let spot = |name: &str| json!({"name": name, "position_mm": [0, 80, 0], "radius_mm": 30});
+    json!({"spots": [spot("red"), spot("green")]})
+}
+
+/// A session whose lens was calibrated at another size than its source has.
+fn of_other_pictures() -> serde_json::Value {
+    let mut document = session("fit", 100.0);
+    document["target"] = json!({"spots": [{"name": "lamp", "position_mm": [0, 0, 0], "radius_mm": 30}]});
+    document["camera"] = json!({"intrinsics": {"width": 12, "height": 9, "fx": 10, "fy": 10, "cx": 5.5, "cy": 4}});
+    document
+}
+
 #[test]
 fn wrong_documents_name_the_key() {
     let service = Running::start();
@@ -108,6 +122,8 @@ fn wrong_documents_name_the_key() {
         (with("start", json!({"a1": -1})), "model"),
         (with("window", json!({"x": 0, "y": 0, "width": 0, "height": 5})), "window"),
         (with("target", json!({"name": "t"})), "target"),
+        (with("target", two_spots()), "target"),
+        (of_other_pictures(), "camera.intrinsics"),
         (with("options", json!({"precision": "f16"})), "options.precision"),
         (with("options", json!({"exposure": {"goal": "beauty"}})), "options.exposure.goal"),
         (with("options", json!({"targets": 0})), "options.targets"),
