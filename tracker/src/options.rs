@@ -251,6 +251,10 @@ impl TrackerOptions {
                 return Err(TrackError::NotFinite { name: name.clone(), value });
             }
         }
+        if let Some(value) = self.camera.defects.filter(|share| !(0.0..1.0).contains(share)) {
+            let range = "a share of all pixels, from 0 to less than 1".to_string();
+            return Err(TrackError::Range { name: "camera.defects", value, range });
+        }
         self.target.as_ref().map_or(Ok(()), Target::check)?;
         let is_pose =
             |start: &Start| matches!(start, Start::Estimator(Estimator::Position(_) | Estimator::Orientation(_)));
