@@ -26,7 +26,7 @@ pub struct CompareArgs {
     /// A folder or file of frames, as for `isophote fit`; errors are known where truth.jsonl lies beside them
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
-    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e
+    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Draw error over time as SVG

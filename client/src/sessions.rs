@@ -34,7 +34,7 @@ pub struct StartArgs {
     /// Look at these pixels only
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, intrinsics
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, defects, intrinsics
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Arithmetic of the pixel loops [default: f32]

@@ -2,8 +2,11 @@
 //! every program passes and by finite differences of F.
 #![allow(clippy::unwrap_used)]
 
+use isophote_elementary::Function1;
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
-use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Saturated, ValueKind};
+use isophote_symbolic::{
+    Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Program, Saturated, ValueKind,
+};
 
 /// A spot; LIKELIHOOD stands for further keys of `[model]`.
 const SPOT: &str = r#"
@@ -59,7 +62,7 @@ const WINDOW: Window = Window { x: 0, y: 0, width: 41, height: 33, slices: Slice
 const POINT: [f64; 7] = [20.1, 17.0, 0.0081, 0.0004, 0.0118, 21.0, 280.0];
 
 fn sums(program: &isophote_symbolic::Program, parameters: &[f64], entry: &[f64]) -> interpreter::Outcome {
-    let bindings = Bindings { parameters, entry, constants: &[0.05, 0.75], saturation: &[254.5; 3], shift: &[] };
+    let bindings = Bindings { parameters, entry, constants: &[0.05, 0.75, 0.02], saturation: &[254.5; 3], shift: &[] };
     interpreter::run(program, Precision::F64, Lanes::Two, &bindings, &Picture, WINDOW, None)
 }
 
@@ -112,6 +115,92 @@ fn every_likelihood_has_the_derivatives_of_its_f() {
             }
         }
     }
+}
+
+/// One number for the light of a few pixels, all of them at the limit.
+const LEVEL: &str = r#"
+name = "level"
+coordinates = ["x"]
+channels = ["phi"]
+[parameters]
+v0 = { start = 100 }
+[model]
+intensity = "v0"
+noise = "4"
+saturated = "censored"
+"#;
+
+/// The sums over the pixels at their limit.
+fn at_limits(model: &Model, method: Method) -> Program {
+    let clipped = model.summands().into_iter().find(|summand| summand.is_clipped).unwrap().model;
+    clipped.objective(&every(model), method).unwrap().program(Lowering::default()).unwrap()
+}
+
+/// F, its slope by the light and the information of one pixel at its limit, z standard deviations above the prediction.
+fn at_limit(program: &Program, precision: Precision, z: f64, defects: f64) -> [f64; 3] {
+    struct White;
+    impl Pixels for White {
+        fn at(&self, _: usize, _: usize, _: usize) -> f64 {
+            255.0
+        }
+    }
+    let v0 = [254.5 - 2.0 * z];
+    let bindings = Bindings { parameters: &v0, entry: &v0, constants: &[defects], saturation: &[254.5], shift: &[] };
+    let window = Window { x: 0, y: 0, width: 1, height: 1, slices: Slices::ONE };
+    let outcome = interpreter::run(program, precision, Lanes::Two, &bindings, &White, window, None);
+    assert_eq!(outcome.pixels, 1);
+    outcome.outputs.try_into().unwrap()
+}
+
+/// Against −2 ln[(1 − ε) Q + ε] itself, from where light is certain to where it is out of the question.
+#[test]
+fn a_pixel_at_its_limit_may_be_a_defect() {
+    let model = Model::from_toml(LEVEL).unwrap();
+    assert_eq!((model.constants()[0].name.as_str(), model.constants()[0].value), ("defects", 1e-3));
+    let programs = [Method::GaussNewton, Method::Newton].map(|method| at_limits(&model, method));
+    for share in [1e-3, 0.1, 1e-6] {
+        for precision in [Precision::F32, Precision::F64] {
+            let close = if precision == Precision::F32 { 2e-5 } else { 1e-12 };
+            for z in (-160..=800).map(|quarters| 0.25 * f64::from(quarters)) {
+                let (q, h) = (Function1::LogTail.value(z).exp(), Function1::Hazard.value(z));
+                let light = (1.0 - share) * q / ((1.0 - share) * q + share);
+                let expected = [
+                    -2.0 * ((1.0 - share) * q + share).ln(),
+                    -light * h, // 2 w h/σ, by the light and not by z
+                    0.5 * light * h * (h - z),
+                ];
+                let found = at_limit(&programs[0], precision, z, share);
+                assert!(found[2] >= 0.0);
+                // The program's z is rounded, and the slopes' scale is 1/σ.
+                let allowed = close * (1.0 + expected[0].abs() + z.abs() * light);
+                for (found, expected) in found.iter().zip(expected) {
+                    assert!((found - expected).abs() <= allowed, "{share} {z}: {found} for {expected}");
+                }
+                let newton = at_limit(&programs[1], precision, z, share);
+                let bend = expected[2] - 0.5 * light * (1.0 - light) * h * h;
+                assert!((newton[1] - expected[1]).abs() <= allowed && (newton[2] - bend).abs() <= 8.0 * allowed);
+            }
+        }
+    }
+}
+
+/// Without defects a pixel at its limit is censored and nothing else, as far as f32 reaches.
+#[test]
+fn without_defects_the_tail_stays() {
+    let program = at_limits(&Model::from_toml(LEVEL).unwrap(), Method::GaussNewton);
+    for z in [-40.0, -2.0, 0.0, 3.0, 40.0, 200.0] {
+        let [value, slope, _] = at_limit(&program, Precision::F32, z, 0.0);
+        let expected = -2.0 * Function1::LogTail.value(z);
+        assert!((value - expected).abs() <= 1e-5 * (1.0 + expected), "{z}: {value} for {expected}");
+        let expected = -Function1::Hazard.value(z);
+        assert!((slope - expected).abs() <= 1e-5 * (1.0 - expected), "{z}: {slope} for {expected}");
+    }
+    // A document may say what the word means.
+    let own = LEVEL.replace("[model]", "[constants]\ndefects = 0.25\n[model]");
+    assert_eq!(Model::from_toml(&own).unwrap().constants()[0].value, 0.25);
+    let other = LEVEL.replace("v0", "defects");
+    assert!(Model::from_toml(&other).unwrap().constants().is_empty());
+    assert!(Model::from_toml(&LEVEL.replace("censored", "dropped")).unwrap().constants().is_empty());
 }
 
 /// Three channels that see two lights in different mixtures, and what one number a channel costs and says.

@@ -258,6 +258,10 @@ impl TrackerOptions {
             target.check()?;
             PoseMismatch::check_target(model, target)?;
         }
+        if let Some(value) = self.camera.defects.filter(|share| !(0.0..1.0).contains(share)) {
+            let range = "a share of all pixels, from 0 to less than 1".to_string();
+            return Err(TrackError::Range { name: "camera.defects", value, range });
+        }
         let is_pose =
             |start: &Start| matches!(start, Start::Estimator(Estimator::Position(_) | Estimator::Orientation(_)));
         let starts_at_pose = model.parameters().iter().find(|parameter| is_pose(&parameter.start));

@@ -45,6 +45,8 @@ pub struct Condition {
     pub motion_px: f64,
     /// Standard deviation of the blur, px.
     pub blur_px: f64,
+    /// Share of pixels that read 255 DN whatever the light.
+    pub hot: f64,
 }
 
 /// 96 × 96 px, a spot of 20 × 14 px, nothing saturated.
@@ -60,12 +62,13 @@ const PLAIN: Condition = Condition {
     blinded: 0.0,
     motion_px: 0.0,
     blur_px: 0.0,
+    hot: 0.0,
 };
 const SMALL: Condition = Condition { side_px: 25, semi_axes_px: [4.5, 3.3], ..PLAIN };
 const LOBE: Glare = Glare::Lobe { height: 140.0, centre: [8.0, 12.0], width: 35.0 };
 
 /// All conditions, in the order of the tables. Where light matters less than what hides it, 10 or 30 % are saturated.
-pub const CONDITIONS: [Condition; 14] = [
+pub const CONDITIONS: [Condition; 18] = [
     PLAIN,
     Condition { name: "S10", saturated: 0.1, ..PLAIN },
     Condition { name: "S30", saturated: 0.3, ..PLAIN },
@@ -80,6 +83,10 @@ pub const CONDITIONS: [Condition; 14] = [
     Condition { name: "small_S0", ..SMALL },
     Condition { name: "small_S30", saturated: 0.3, ..SMALL },
     Condition { name: "big_S30", side_px: 220, semi_axes_px: [60.0, 42.0], saturated: 0.3, ..PLAIN },
+    Condition { name: "hot05_S0", hot: 5e-4, ..PLAIN },
+    Condition { name: "hot5_S0", hot: 5e-3, ..PLAIN },
+    Condition { name: "hot05_S30", saturated: 0.3, hot: 5e-4, ..PLAIN },
+    Condition { name: "hot5_S30", saturated: 0.3, hot: 5e-3, ..PLAIN },
 ];
 
 /// The condition of that name.
@@ -144,7 +151,7 @@ const fn row(condition: &'static str, document: &'static str, goal: [Option<f64>
 const CLEAR: [Option<f64>; 2] = [Some(1.06), Some(1.06)];
 
 /// The table: which document is fitted in which condition, and what is to be reached.
-pub const ROWS: [Row; 18] = [
+pub const ROWS: [Row; 22] = [
     row("S0", "spot-plane", CLEAR),
     row("S10", "spot-plane", CLEAR),
     row("S30", "spot-plane", CLEAR),
@@ -163,4 +170,8 @@ pub const ROWS: [Row; 18] = [
     row("small_S0", "spot-plane", CLEAR),
     row("small_S30", "spot-plane", CLEAR),
     row("big_S30", "spot-plane", CLEAR),
+    row("hot05_S0", "spot-plane", CLEAR),
+    row("hot5_S0", "spot-plane", CLEAR),
+    row("hot05_S30", "spot-plane", CLEAR),
+    row("hot5_S30", "spot-plane", CLEAR),
 ];

@@ -20,10 +20,11 @@ pub const PEERS: [(&str, Option<(f64, &str)>); 14] = [
     ("big_S30", Some((1.08, "scipy, rotated Gaussian"))),
 ];
 
-/// For a cell of a table.
+/// For a cell of a table; a condition that peers were not measured on has none.
 pub fn best(condition: &str) -> String {
     match PEERS.iter().find(|(name, _)| *name == condition) {
         Some((_, Some((ratio, who)))) => format!("{ratio} ({who})"),
-        _ => "no answer".to_string(),
+        Some((_, None)) => "no answer".to_string(),
+        None => "–".to_string(),
     }
 }

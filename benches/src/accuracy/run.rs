@@ -8,7 +8,7 @@ use super::bound::variances;
 use super::condition::{Glare, Task};
 use super::document::{Document, frame};
 use super::scene::{Beside, Scene};
-use super::sensor::Random;
+use super::sensor::{FULL, Random};
 use super::summary::Summary;
 use super::trial::{Outcome, ask};
 
@@ -67,8 +67,12 @@ fn beside(task: &Task) -> Beside {
 pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Random) {
     let mut random = Random::of(task.condition.name, number);
     let scene = Scene::draw(task.condition, &mut random);
-    let image = frame(random.exposed(&scene.seen().0), scene.condition.side_px);
-    (scene, image, random)
+    let mut pixels = random.exposed(&scene.seen().0);
+    if task.condition.hot > 0.0 {
+        let mut hot = Random::of("hot pixels", number);
+        pixels.iter_mut().filter(|_| hot.uniform(0.0, 1.0) < task.condition.hot).for_each(|pixel| *pixel = FULL as u8);
+    }
+    (scene, frame(pixels, task.condition.side_px), random)
 }
 
 /// A task over that many frames.

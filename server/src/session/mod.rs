@@ -261,6 +261,7 @@ fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackEr
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant, error) {
+        (_, _, TrackError::Range { name, .. }) if name.starts_with("camera.") => name.to_string(),
         (_, _, TrackError::Range { name, .. }) => format!("options.{name}"),
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),

@@ -4,18 +4,20 @@
 //! [`Shape::direct`] says the same in any arithmetic; programs are checked against it.
 //! - a pixel below its limit: r²/σ² (and ln σ², which its users add), or a robust function ρ of r/σ;
 //! - one at its limit, where r is the limit minus the intensity: −2 ln Q(r/σ), Q the upper tail of the normal
-//!   distribution: light could not have been less (Tobin 1958).
+//!   distribution: light could not have been less (Tobin 1958); −2 ln[(1 − ε) Q + ε] where a share ε of all pixels is at
+//!   the limit whatever the light.
 //!
-//! Gauss–Newton of a robust ρ uses the weight ρ′/(2r), which is never negative (iteratively reweighted least squares).
+//! Gauss–Newton weighs the slopes of r² by ρ′/(2r), and those of −2 ln Q by the probability (1 − ε) Q/[(1 − ε) Q + ε] that
+//! the pixel shows light: never negative (iteratively reweighted least squares).
 
 use isophote_elementary::Function1;
 
 use crate::derive::jet::{Jet, jet};
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::Loss;
-use crate::program::Comparison;
+use crate::program::{Comparison, ConstantId, Input};
 use crate::proof::hyper::Order;
-use crate::proof::likelihood::{Shape, bend};
+use crate::proof::likelihood::{HOPELESS, Shape, bend};
 
 impl Shape {
     /// F without ln σ².
@@ -38,7 +40,15 @@ impl Shape {
                 let far = graph.sum(-c * c, [(root, 2.0 * c)]);
                 graph.select(inside, square, far)
             }
-            Shape::Clipped(loss) => {
+            Shape::Clipped(Loss::Squares, Some(defects)) => {
+                let Odds { tail, light, defect, ratio, is_defect } = odds(graph, residual, variance, defects);
+                let both = graph.sum(1.0, [(ratio, 1.0)]);
+                let both = graph.call1(Function1::Log, both);
+                let (near, far) =
+                    (graph.sum(0.0, [(tail, -2.0), (light, -2.0), (both, -2.0)]), graph.scale(-2.0, defect));
+                graph.select(is_defect, far, near)
+            }
+            Shape::Clipped(loss, _) => {
                 let z = whitened(graph, residual, variance);
                 let logarithm = graph.call1(Function1::LogTail, z);
                 let near = graph.scale(-2.0, logarithm);
@@ -67,21 +77,52 @@ impl Shape {
             }
             _ => value,
         };
-        let weight = match self {
-            Shape::Seen(loss) if order == Order::First => robust_weight(graph, loss, residual, variance),
+        let weighed = match self {
+            Shape::Seen(loss) if order == Order::First => {
+                robust_weight(graph, loss, residual, variance).map(|weight| (weight, Shape::Seen(Loss::Squares)))
+            }
+            Shape::Clipped(Loss::Squares, Some(defects)) if order == Order::First => {
+                let Odds { ratio, is_defect, .. } = odds(graph, residual, variance, defects);
+                let both = graph.sum(1.0, [(ratio, 1.0)]);
+                let (far, near) = (graph.number(0.0), graph.product(1.0, [(both, -1)]));
+                Some((graph.select(is_defect, far, near), Shape::Clipped(Loss::Squares, None)))
+            }
             _ => None,
         };
-        let Some(weight) = weight else {
+        let Some((weight, plain)) = weighed else {
             let top = jet(graph, total, &tops.iter().copied().collect(), Order::Second);
             return (total, top);
         };
-        let mut own = Jet::default();
-        let factors =
-            |more: &[(NodeId, i32)]| [more, &variance.map(|v| (v, -1)).into_iter().collect::<Vec<_>>()].concat();
-        own.first.insert(residual, graph.product(2.0, factors(&[(weight, 1), (residual, 1)])));
-        own.second.insert((residual, residual), graph.product(2.0, factors(&[(weight, 1)])));
-        (total, own)
+        let plain = plain.value(graph, residual, variance);
+        let mut top = jet(graph, plain, &[residual].into(), Order::Second);
+        top.first.values_mut().chain(top.second.values_mut()).for_each(|slope| *slope = graph.mul(weight, *slope));
+        (total, top)
     }
+}
+
+/// Whether a pixel at its limit is a defect.
+struct Odds {
+    /// ln Q
+    tail: NodeId,
+    /// ln (1 − ε) and ln ε
+    light: NodeId,
+    defect: NodeId,
+    /// ε/[(1 − ε) Q]
+    ratio: NodeId,
+    /// That ratio is [`HOPELESS`]: beyond that, and only there, it may overflow.
+    is_defect: NodeId,
+}
+
+fn odds(graph: &mut Graph, residual: NodeId, variance: Option<NodeId>, defects: ConstantId) -> Odds {
+    let z = whitened(graph, residual, variance);
+    let share = graph.input(Input::Constant(defects));
+    let rest = graph.sum(1.0, [(share, -1.0)]);
+    let [tail, light, defect] = [(Function1::LogTail, z), (Function1::Log, rest), (Function1::Log, share)]
+        .map(|(function, argument)| graph.call1(function, argument));
+    let odds = graph.sum(0.0, [(defect, 1.0), (light, -1.0), (tail, -1.0)]);
+    let hopeless = graph.number(HOPELESS);
+    let is_defect = graph.compare(Comparison::Le, hopeless, odds);
+    Odds { tail, light, defect, ratio: graph.call1(Function1::Exp, odds), is_defect }
 }
 
 /// r/σ.

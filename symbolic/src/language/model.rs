@@ -264,6 +264,8 @@ pub(crate) struct Formulas {
     pub constraints: Vec<NodeId>,
     pub loss: Loss,
     pub saturated: Saturated,
+    /// The share of pixels that are at their limit whatever the light, where pixels there are censored.
+    pub defects: Option<ConstantId>,
     pub quadrature: Quadrature,
     /// Only pixels at this channel's limit.
     pub clipped: Option<ChannelId>,

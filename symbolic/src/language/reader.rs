@@ -59,11 +59,12 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
     let coordinates = names.list(&mut faults, &top, "coordinates", root.span, LIMITS.coordinates);
     let channels = names.list(&mut faults, &top, "channels", root.span, LIMITS.channels);
     let parameters = read_parameters(&mut faults, &top, root.span, &mut names, coordinates.len());
-    let constants = read_constants(&mut faults, &top, &mut names);
+    let mut constants = read_constants(&mut faults, &top, &mut names);
     let definitions = read_definitions(&mut faults, &top, &mut names);
     let roles = read_roles(&mut faults, &top, &parameters, coordinates.len());
     let stages = read_stages(&mut faults, &top, &parameters);
 
+    let defects = defects(&top, &mut constants, &names);
     let mut graph = Graph::default();
     let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
     let mut reader = FormulaReader::new(graph, bindings, &mut faults);
@@ -91,7 +92,7 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
         Some(entry) => match &entry.item {
             Item::Table(model) => {
                 reader.faults.known("model", model, &MODEL);
-                read_model(reader, model, entry.span, &channels, coordinates.len())
+                read_model(reader, model, entry.span, &channels, coordinates.len(), defects)
             }
             _ => {
                 faults.wrong_type("model", entry, "a table");
@@ -311,6 +312,21 @@ fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span
         faults.tell("unknown-name", &path, entry.span, message, help);
     }
     found.map(Start::Estimator)
+}
+
+/// The share of pixels that are at their limit whatever the light, when nobody says: its name, and its value.
+const DEFECTS: (&str, f64) = ("defects", 1e-3);
+
+/// Where pixels at their limit are censored, the constant of that name; it is added unless the name has another meaning.
+fn defects(top: &[(Key, Entry)], constants: &mut Vec<Constant>, names: &Names) -> Option<ConstantId> {
+    let model = get(top, "model").map(|entry| &entry.item);
+    let saturated = if let Some(Item::Table(model)) = model { get(model, "saturated") } else { None }?;
+    let is_censored = matches!(&saturated.item, Item::Text(text) if &*text.value == "censored");
+    if is_censored && !names.seen.contains_key(DEFECTS.0) && constants.len() < LIMITS.constants {
+        constants.push(Constant { name: DEFECTS.0.into(), value: DEFECTS.1, span: saturated.span });
+    }
+    let place = constants.iter().position(|constant| constant.name == DEFECTS.0);
+    place.filter(|_| is_censored).map(|place| ConstantId(place as u32))
 }
 
 fn read_constants(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names) -> Vec<Constant> {

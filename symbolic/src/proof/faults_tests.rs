@@ -97,7 +97,7 @@ fn outcomes(program: &Program) -> Vec<(Outcome, Vec<f32>)> {
         let bindings = Bindings {
             parameters: &parameters,
             entry: &entry,
-            constants: &[9.0],
+            constants: &[9.0, 0.02],
             saturation: &saturation,
             shift: &shift,
         };

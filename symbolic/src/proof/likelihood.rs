@@ -6,6 +6,7 @@
 use isophote_elementary::Function1;
 
 use crate::language::model::{Formulas, Loss};
+use crate::program::ConstantId;
 use crate::proof::calculus::{Two, derivatives};
 use crate::proof::evaluate::Number;
 use crate::proof::hyper::{Hyper, Order, Quantity};
@@ -15,9 +16,12 @@ use crate::proof::hyper::{Hyper, Order, Quantity};
 pub(crate) enum Shape {
     /// Of a pixel below its limit.
     Seen(Loss),
-    /// Of a pixel at its limit.
-    Clipped(Loss),
+    /// Of a pixel at its limit; the constant is the share of pixels that are there whatever the light.
+    Clipped(Loss, Option<ConstantId>),
 }
+
+/// ln of how much likelier a defect is than light where nothing else is left of F.
+pub(crate) const HOPELESS: f64 = 30.0;
 
 /// −2 ln Q(c) and its slope: what a tail is continued with beyond c.
 pub(crate) fn bend(c: f64) -> (f64, f64) {
@@ -27,7 +31,7 @@ pub(crate) fn bend(c: f64) -> (f64, f64) {
 impl Formulas {
     /// What F is of a residual.
     pub fn shape(&self) -> Shape {
-        if self.clipped.is_some() { Shape::Clipped(self.loss) } else { Shape::Seen(self.loss) }
+        if self.clipped.is_some() { Shape::Clipped(self.loss, self.defects) } else { Shape::Seen(self.loss) }
     }
 }
 
@@ -45,10 +49,10 @@ impl Shape {
     /// F, gradient and upper Hessian of one pixel value, in any arithmetic: of Newton's method, …
     ///
     /// F is differentiated by r and σ² alone, which no program multiplies out, and then put together with theirs.
-    pub fn newton<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>) -> Hyper<N> {
+    pub fn newton<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>, share: Option<N>) -> Hyper<N> {
         let variable = |x: &Hyper<N>, i| Hyper::variable(x.value.alone(), i, Order::Second);
         let (r, v) = (variable(residual, 0), variance.map(|v| variable(v, 1)));
-        let f = self.differentiated(&r, v.as_ref());
+        let f = self.differentiated(&r, v.as_ref(), share.map(N::alone));
         let made = |y: N| y.made_of(residual.value, variance.map(|v| v.value));
         let (value, a, aa) = (made(f.value), made(f.gradient(0)), made(f.hessian(0, 0)));
         let Some(variance) = variance else { return residual.unary((value, a, aa)) };
@@ -57,7 +61,7 @@ impl Shape {
     }
 
     #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
-    fn differentiated<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>) -> Hyper<N> {
+    fn differentiated<N: Number>(self, residual: &Hyper<N>, variance: Option<&Hyper<N>>, share: Option<N>) -> Hyper<N> {
         let square = variance.map_or_else(|| residual.power(2), |v| residual.power(2).mul(&v.power(-1)));
         let f = match self {
             Shape::Seen(Loss::Squares) => square,
@@ -68,15 +72,28 @@ impl Shape {
             Shape::Seen(Loss::Tukey(c)) => Hyper::fixed(N::from(c * c / 3.0)),
             Shape::Seen(Loss::Huber(c)) if square.value < N::from(c * c) => square,
             Shape::Seen(Loss::Huber(c)) => Hyper::fixed(N::from(-c * c)).add(&square.sqrt().scaled(2.0 * c)),
-            Shape::Clipped(loss) => {
+            Shape::Clipped(loss, _) => {
                 let z = variance.map_or_else(|| residual.clone(), |v| residual.mul(&v.sqrt().power(-1)));
-                match loss {
-                    Loss::Tukey(c) if z.value >= N::from(c) => Hyper::fixed(N::from(bend(c).0)),
-                    Loss::Huber(c) if z.value >= N::from(c) => {
+                let tail = z.unary(derivatives(Function1::LogTail, z.value));
+                match (loss, share) {
+                    (Loss::Tukey(c), _) if z.value >= N::from(c) => Hyper::fixed(N::from(bend(c).0)),
+                    (Loss::Huber(c), _) if z.value >= N::from(c) => {
                         let (value, slope) = bend(c);
                         Hyper::fixed(N::from(value - slope * c)).add(&z.scaled(slope))
                     }
-                    _ => z.unary(derivatives(Function1::LogTail, z.value)).scaled(-2.0),
+                    (Loss::Squares, Some(share)) => {
+                        let one = N::from(1.0);
+                        let [light, defect] = [one - share, share].map(|x| x.call1(Function1::Log));
+                        let odds = Hyper::fixed(defect - light).add(&tail.scaled(-1.0));
+                        let ratio = odds.unary(derivatives(Function1::Exp, odds.value));
+                        let both = Hyper::fixed(one).add(&ratio);
+                        let both = both.unary(derivatives(Function1::Log, both.value));
+                        match odds.value >= N::from(HOPELESS) {
+                            true => Hyper::fixed(defect).scaled(-2.0),
+                            false => tail.add(&Hyper::fixed(light)).add(&both).scaled(-2.0),
+                        }
+                    }
+                    _ => tail.scaled(-2.0),
                 }
             }
         };
@@ -88,7 +105,7 @@ impl Shape {
 
     /// … and F, L and Q, of Gauss–Newton.
     #[allow(clippy::neg_cmp_op_on_partial_ord)] // what is not a number takes the same branch as in the kernels
-    pub fn direct<N: Number>(self, residual: N, variance: Option<N>) -> [N; 3] {
+    pub fn direct<N: Number>(self, residual: N, variance: Option<N>, share: Option<N>) -> [N; 3] {
         let (one, two, four) = (N::from(1.0), N::from(2.0), N::from(4.0));
         let weight = variance.map_or(one, |v| one / v);
         let square = residual * residual * weight;
@@ -106,7 +123,7 @@ impl Shape {
                 let root = square.sqrt();
                 weighed(N::from(2.0 * c) * root - N::from(c * c), N::from(c) / root)
             }
-            Shape::Clipped(loss) => {
+            Shape::Clipped(loss, _) => {
                 let deviation = variance.map_or(one, |v| v.sqrt());
                 let z = residual / deviation;
                 let zero = N::from(0.0);
@@ -119,8 +136,17 @@ impl Shape {
                     _ => {
                         let hazard = z.call1(Function1::Hazard);
                         let log = z.call1(Function1::LogTail);
-                        let slope = two * hazard / deviation;
-                        [-(two * log), slope, four * hazard * (hazard - z) * weight / two]
+                        let (slope, bend) = (two * hazard / deviation, four * hazard * (hazard - z) * weight / two);
+                        let Some(share) = share.filter(|_| loss == Loss::Squares) else {
+                            return [-(two * log), slope, bend];
+                        };
+                        let [light, defect] = [one - share, share].map(|x| x.call1(Function1::Log));
+                        let odds = defect - light - log;
+                        if odds >= N::from(HOPELESS) {
+                            return [-(two * defect), zero, zero];
+                        }
+                        let both = one + odds.call1(Function1::Exp);
+                        [-(two * (log + light + both.call1(Function1::Log))), slope / both, bend / both]
                     }
                 }
             }

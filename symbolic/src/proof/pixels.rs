@@ -130,7 +130,7 @@ impl Rim {
     }
 
     fn of(subject: &Subject, mut point: Point<f64>, middle: f64) -> Rim {
-        let at_limit = matches!(subject.shape, Shape::Clipped(_));
+        let at_limit = matches!(subject.shape, Shape::Clipped(..));
         let channels = subject.model.channels.len();
         let shown = |channel: usize| if at_limit { limit(channel) + 5.0 } else { limit(channel) - 5.0 };
         let outer = point.rows[0].clone();

@@ -276,7 +276,7 @@ impl Referee {
 
     fn f32_error_at(&self, program: &Program, point: &Point<f64>, picture: &Picture) -> Option<f64> {
         let n = self.subject.parameters.len();
-        let is_clipped = matches!(self.subject.shape, Shape::Clipped(_));
+        let is_clipped = matches!(self.subject.shape, Shape::Clipped(..));
         let channels = 0..self.subject.model.channels.len();
         let saturation: Vec<f64> = channels.map(|c| if is_clipped { limit(c) } else { f64::INFINITY }).collect();
         let bindings = Bindings {

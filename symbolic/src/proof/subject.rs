@@ -52,8 +52,8 @@ impl Subject {
     /// where those are what rounding leaves of much larger numbers.
     pub(super) fn show_threshold(&self, evaluator: &mut Values<'_, f64>, point: &mut Point<f64>) -> bool {
         let threshold = match self.shape {
-            Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c)) => c,
-            Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares) => 1.0,
+            Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c), _) => c,
+            Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares, _) => 1.0,
         };
         // Without pixels the residual is −intensity, as far as observed values are pixels.
         let (mut pixels, mut are_sure) = (Vec::new(), true);
@@ -114,6 +114,7 @@ impl Subject {
         is_evidence: impl Fn(&[&Hyper<N>]) -> bool,
     ) -> Option<Vec<N>> {
         evaluator.enter(&|node| point.given(node));
+        let share = self.model.formulas.defects.map(|constant| point.constants[constant.index()]);
         let mut sums = vec![N::from(0.0); self.outputs()];
         for (row, outer) in point.rows.iter().enumerate() {
             for (column, x) in point.columns.iter().enumerate() {
@@ -125,22 +126,22 @@ impl Subject {
                 if !is_evidence(&values) {
                     return None;
                 }
-                let entries = self.entries(&values);
+                let entries = self.entries(&values, share);
                 sums.iter_mut().zip(entries).for_each(|(sum, entry)| *sum = *sum + entry);
             }
         }
         Some(sums)
     }
 
-    /// What one pixel adds, by its residual and variance.
-    fn entries<N: Number>(&self, values: &[&Hyper<N>]) -> Vec<N> {
+    /// What one pixel adds, by its residual and variance, and the share of defects.
+    fn entries<N: Number>(&self, values: &[&Hyper<N>], share: Option<N>) -> Vec<N> {
         let n = self.parameters.len() as u16;
         let (residual, variance) = (values[0], values.get(1).copied());
         let mut entries = Vec::with_capacity(self.outputs());
         match self.claim {
             Claim::Value(kind) => {
                 let variance = variance.map(|v| v.value);
-                let [value, ..] = self.shape.direct(residual.value, variance);
+                let [value, ..] = self.shape.direct(residual.value, variance, share);
                 if kind == ValueKind::Full {
                     let logarithm = variance.filter(|_| self.shape.has_logarithm()).map(|v| v.call1(Function1::Log));
                     entries.push(logarithm.map_or(value, |logarithm| value + logarithm));
@@ -148,7 +149,7 @@ impl Subject {
                 entries.push(value);
             }
             Claim::Derivatives { newton: true, part } => {
-                let f = self.shape.newton(residual, variance);
+                let f = self.shape.newton(residual, variance, share);
                 entries.push(f.value);
                 if part.has_gradient() {
                     entries.extend(f.gradients(n));
@@ -158,7 +159,7 @@ impl Subject {
                 }
             }
             Claim::Derivatives { newton: false, part } => {
-                let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value));
+                let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value), share);
                 let slopes: Vec<N> = residual.gradients(n).collect();
                 entries.push(value);
                 if part.has_gradient() {

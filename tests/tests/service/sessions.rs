@@ -131,6 +131,7 @@ fn wrong_documents_name_the_key() {
         (with("options", json!({"motion": {"coast_s": -1}})), "options.motion.coast_s"),
         (with("options", json!({"predict": {"horizon_s": 0.5, "steps": 0}})), "options.predict.steps"),
         (with("camera", json!({"saturatoin": 255})), "camera.saturatoin"),
+        (with("camera", json!({"defects": 1})), "camera.defects"),
         (with("source", json!({"kind": "recording", "path": "/no/such/folder"})), "source.path"),
         (with("source", json!({"kind": "radio"})), "source.kind"),
         (with("model", json!("profile-1d")), "model"),

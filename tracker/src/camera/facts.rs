@@ -18,6 +18,9 @@ pub struct Camera {
     /// Standard deviation of a pixel without light, in electrons.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub read_noise_e: Option<f64>,
+    /// The share of pixels that are at `saturation` whatever the light (hot pixels). Default: what the model says, or 0.001.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub defects: Option<f64>,
     /// The lens.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<Intrinsics>,
@@ -64,7 +67,8 @@ pub enum Distortion {
 
 impl Camera {
     /// The value of a model's constant of that name, as far as this camera gives it: `gain` is pixel values per electron,
-    /// `read_noise` and `black` in pixel values (a black level of 0 is one that was not given), `fx` `fy` `cx` `cy` the lens,
+    /// `read_noise` and `black` in pixel values (a black level of 0 is one that was not given), `defects` a share of all
+    /// pixels, `fx` `fy` `cx` `cy` the lens,
     /// in px, and `lens_k1` … `lens_k6`, `lens_p1`, `lens_p2` its distortion (0 where the lens has none).
     pub fn constant(&self, name: &str) -> Option<f64> {
         let lens = self.intrinsics.as_ref();
@@ -75,6 +79,7 @@ impl Camera {
             "cy" => Some(lens?.cy),
             "black" => Some(self.black).filter(|black| *black != 0.0),
             "gain" => Some(1.0 / self.electrons_per_dn?),
+            "defects" => self.defects,
             "read_noise" => Some(self.read_noise_e? / self.electrons_per_dn?),
             _ => lens?.coefficient(name.strip_prefix("lens_")?),
         }

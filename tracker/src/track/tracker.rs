@@ -277,3 +277,6 @@ mod circular_start_tests;
 #[cfg(test)]
 #[path = "bounded_tests.rs"]
 mod bounded_tests;
+#[cfg(test)]
+#[path = "defects_tests.rs"]
+mod defects_tests;

@@ -8,7 +8,7 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Formulas, Observation, Saturated};
 use crate::language::reader::faults::get;
 use crate::language::reader::likelihood_of_model::{Likelihood, read_likelihood};
-use crate::program::{ChannelId, CoordinateId};
+use crate::program::{ChannelId, ConstantId, CoordinateId};
 use isophote_syntax::diagnostic::Span;
 use isophote_syntax::limits::LIMITS;
 
@@ -19,6 +19,7 @@ pub(crate) fn read_model(
     at: Span,
     channels: &[String],
     coordinates: usize,
+    defects: Option<ConstantId>,
 ) -> Option<Formulas> {
     let likelihood = read_likelihood(reader.faults, model, coordinates);
     let intensity = match get(model, "intensity") {
@@ -136,6 +137,7 @@ pub(crate) fn read_model(
         constraints,
         loss,
         saturated,
+        defects,
         quadrature,
         clipped,
         entries: list,
