@@ -1,8 +1,11 @@
 #!/usr/bin/env python3
-"""Writes src/coefficients.rs: python3 scripts/coefficients.py > src/coefficients.rs
+"""Writes src/coefficients.rs: python3 scripts/coefficients.py > src/coefficients.rs, and
+python3 scripts/coefficients.py waves > src/wave_coefficients.rs
 
 Each polynomial interpolates its function at Chebyshev nodes, which is within a small factor of the best one, and is
 rounded to f64. The error in its comment is measured with the rounded coefficients."""
+import sys
+
 from mpmath import (mp, mpf, cos, pi, exp, log, sin, tan, atan, asin, sinh, tanh, erf, erfc, sqrt, atanh, floor, besselj,
                     bessely)
 
@@ -63,6 +66,40 @@ def parts(name, formula, value, bits):
     print(f"pub(super) const {name}: [f64; {len(bits)}] = {found!r};\n")
 
 
+if sys.argv[1:] == ["waves"]:
+    print("""//! Coefficients of the Bessel functions and of sinc, lowest power first.
+//!
+//! Written by `scripts/coefficients.py waves`, which says how they are found. `SINGLE` is for results that are rounded to
+//! f32; relative errors are of the height of the waves.
+""")
+    c = mpf(32)
+    x_of = lambda t: sqrt(c * (1 + t))
+    for n, start in ((0, mpf(1)), (1, mpf(1) / 2), (2, mpf(1) / 8)):
+        g = lambda t: (besselj(n, x_of(t)) / x_of(t) ** n - start) / (c * (1 + t))
+        envelope = lambda x: min(start, sqrt(2 / (pi * x)) / x ** n)
+        table(f"BESSEL_{n}", f"Jₙ(x)/xⁿ = {float(start)} + z P(t), n = {n}, z = x² = 32 (1 + t)", g, ("-0.99999999999", 1),
+              lambda t, p: (p - g(t)) * c * (1 + t) / envelope(x_of(t)), (11, 21))
+    for n in (0, 1):
+        x_of = lambda w: 8 / sqrt(w)
+        def waves(w):
+            """√(πx/2) times Jₙ and Yₙ, and cos and sin of the angle."""
+            x = x_of(w)
+            angle = x - pi / 4 - n * pi / 2
+            return [sqrt(pi * x / 2) * besselj(n, x), sqrt(pi * x / 2) * bessely(n, x), cos(angle), sin(angle)]
+        def even(w):
+            j, y, cosine, sine = waves(w)
+            return j * cosine + y * sine
+        def uneven(w):
+            j, y, cosine, sine = waves(w)
+            return (y * cosine - j * sine) / sqrt(w)
+        table(f"HANKEL_P{n}", f"√(πx/2) (Jₙ cos χ + Yₙ sin χ) = P(w), n = {n}, w = 64/x², χ = x − (2n + 1) π/4", even,
+              ("1e-8", 1), lambda w, p: p - even(w), (5, 14))
+        table(f"HANKEL_Q{n}", f"√(πx/2) (Yₙ cos χ − Jₙ sin χ) = 8/x P(w), n = {n}", uneven, ("1e-8", 1),
+              lambda w, p: p - uneven(w), (5, 14))
+    g = lambda z: ((sin(sqrt(z)) / sqrt(z) - cos(sqrt(z))) / z - mpf(1) / 3) / z
+    table("SINC", "(sin x/x − cos x)/x² = ⅓ + z P(z), z = x²", g, ("1e-20", 4),
+          lambda z, p: (p - g(z)) * z / (mpf(1) / 3 + z * g(z)), (5, 12))
+    sys.exit()
 print("""//! Coefficients of the elementary functions, lowest power first, and constants in parts.
 //!
 //! Written by scripts/coefficients.py, which says how they are found. `SINGLE` is for results that are rounded to f32.
@@ -100,33 +137,6 @@ c, scaled = mpf(2), lambda a: exp(a ** 2) * erfc(a) if a < mpf("1e7") else 1 / (
 g = lambda t: (1 + 2 * a(t)) * scaled(a(t))
 table("TAIL", "e^(a²) (1 − erf a) (1 + 2a) = P(t), t = (a − 2)/(a + 2), a ≥ 0", g, (-1, "0.99999999"),
       lambda t, p: p / g(t) - 1, (14, 27))
-c = mpf(32)
-x_of = lambda t: sqrt(c * (1 + t))
-for n, start in ((0, mpf(1)), (1, mpf(1) / 2), (2, mpf(1) / 8)):
-    g = lambda t: (besselj(n, x_of(t)) / x_of(t) ** n - start) / (c * (1 + t))
-    envelope = lambda x: min(start, sqrt(2 / (pi * x)) / x ** n)
-    table(f"BESSEL_{n}", f"Jₙ(x)/xⁿ = {float(start)} + z P(t), n = {n}, z = x² = 32 (1 + t)", g, ("-0.99999999999", 1),
-          lambda t, p: (p - g(t)) * c * (1 + t) / envelope(x_of(t)), (11, 21))
-for n in (0, 1):
-    x_of = lambda w: 8 / sqrt(w)
-    def waves(w):
-        """√(πx/2) times Jₙ and Yₙ, and cos and sin of the angle."""
-        x = x_of(w)
-        angle = x - pi / 4 - n * pi / 2
-        return [sqrt(pi * x / 2) * besselj(n, x), sqrt(pi * x / 2) * bessely(n, x), cos(angle), sin(angle)]
-    def even(w):
-        j, y, cosine, sine = waves(w)
-        return j * cosine + y * sine
-    def uneven(w):
-        j, y, cosine, sine = waves(w)
-        return (y * cosine - j * sine) / sqrt(w)
-    table(f"HANKEL_P{n}", f"√(πx/2) (Jₙ cos χ + Yₙ sin χ) = P(w), n = {n}, w = 64/x², χ = x − (2n + 1) π/4", even,
-          ("1e-8", 1), lambda w, p: p - even(w), (5, 14))
-    table(f"HANKEL_Q{n}", f"√(πx/2) (Yₙ cos χ − Jₙ sin χ) = 8/x P(w), n = {n}", uneven, ("1e-8", 1),
-          lambda w, p: p - uneven(w), (5, 14))
-g = lambda z: ((sin(sqrt(z)) / sqrt(z) - cos(sqrt(z))) / z - mpf(1) / 3) / z
-table("SINC", "(sin x/x − cos x)/x² = ⅓ + z P(z), z = x²", g, ("1e-20", 4),
-      lambda z, p: (p - g(z)) * z / (mpf(1) / 3 + z * g(z)), (5, 12))
 parts("LN_2", "ln 2", log(2), (32, 53))
 parts("LN_2_DOUBLE", "ln 2", log(2), (42, 42, 53))
 parts("HALF_PI", "π/2", pi / 2, (33, 33, 33, 53))

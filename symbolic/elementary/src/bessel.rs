@@ -4,9 +4,9 @@
 //! polynomials in 64/x² (Hankel 1869). Errors are in proportion to the height of the waves, not to a value near a zero.
 
 use super::arithmetic::{clamped, polynomial, signed};
-use super::coefficients::*;
 use super::machine::{Accuracy, Machine};
 use super::trigonometric::sin_cos;
+use super::wave_coefficients::*;
 
 /// From here on by waves.
 const FAR: f64 = 8.0;

@@ -33,6 +33,7 @@ mod tail;
 mod tests;
 mod trigonometric;
 pub mod ulps;
+mod wave_coefficients;
 
 pub use arithmetic::MAGIC;
 pub use calculus::{Two, derivatives, derivatives2};

@@ -1,9 +1,9 @@
 //! sin(x)/x, and (sin(x)/x − cos x)/x² for its derivatives: near 0 a polynomial in x².
 
 use super::arithmetic::{clamped, polynomial};
-use super::coefficients::{SINC_DOUBLE, SINC_SINGLE};
 use super::machine::{Accuracy, Machine};
 use super::trigonometric::{sin, sin_cos};
+use super::wave_coefficients::{SINC_DOUBLE, SINC_SINGLE};
 
 /// sinc x = sin(x)/x: 1 at 0, 0 at infinity.
 #[inline(always)]
