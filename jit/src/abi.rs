@@ -73,11 +73,11 @@ type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
 /// there is one that rounds after every operation, and one that multiplies and adds with one rounding.
 #[repr(C)]
 pub(crate) struct Functions {
-    scalar1: [Scalar1; 14],
+    scalar1: [Scalar1; Function1::EVERY.len()],
     scalar2: [Scalar2; 2],
-    single1: [[Lanes1<f32, 4>; 14]; 2],
+    single1: [[Lanes1<f32, 4>; Function1::EVERY.len()]; 2],
     single2: [[Lanes2<f32, 4>; 2]; 2],
-    double1: [[Lanes1<f64, 2>; 14]; 2],
+    double1: [[Lanes1<f64, 2>; Function1::EVERY.len()]; 2],
     double2: [[Lanes2<f64, 2>; 2]; 2],
 }
 
@@ -173,6 +173,13 @@ macro_rules! every {
             $f::<11 $(, $fused)?>,
             $f::<12 $(, $fused)?>,
             $f::<13 $(, $fused)?>,
+            $f::<14 $(, $fused)?>,
+            $f::<15 $(, $fused)?>,
+            $f::<16 $(, $fused)?>,
+            $f::<17 $(, $fused)?>,
+            $f::<18 $(, $fused)?>,
+            $f::<19 $(, $fused)?>,
+            $f::<20 $(, $fused)?>,
         ]
     };
 }

@@ -107,7 +107,7 @@ fn check(model: &Model, subset: &[ParameterId], method: Method) {
     }
 }
 
-const EXTRA: [&str; 3] = [
+const EXTRA: [&str; 4] = [
     r#"
 name = "functions"
 coordinates = ["x", "y"]
@@ -121,6 +121,19 @@ r = "sqrt((x - b)^2 + y^2 + c)"
 "g(t)" = "t^2 / (1 + t^2)"
 [model]
 intensity = "30*exp(-r/c) + d*atan2(y + c, x + b) + sin(d*r) + g(d*x/10)*erf(c) + abs(x - b)^1.5 + c^d + tanh(r - 9)*log(r + c)"
+"#,
+    r#"
+name = "waves"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[parameters]
+b = { start = 16.0 }
+k = { start = 0.7 }
+c = { start = 3.1 }
+[definitions]
+u = "k * (x - b)"
+[model]
+intensity = "30*bessel_j0(u) + 20*bessel_j1(u + c*y/9) + c*sinc(u) + 7*erfc(u/2 - c) + sinc(c*(y - 11))*bessel_j1(u)/9"
 "#,
     r#"
 name = "branches"

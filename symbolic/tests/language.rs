@@ -41,6 +41,8 @@ fn values() {
         ("asin(sin(t)) + acos(cos(t)) + atan(tan(t))", 2.25),
         ("cosh(t)^2 - sinh(t)^2 + tanh(0) + erf(0)", 1.0),
         ("log(exp(t))", 0.75),
+        ("erf(t) + erfc(t) + sinc(0) + bessel_j0(0) + bessel_j1(0)", 3.0),
+        ("atan2(0, 0) + atan2(-0, t - 0.75)", 0.0),
         // Vectors and matrices.
         ("([1, 2] + [3, 4] - 2*[1, 1])[1]", 4.0),
         ("([1, 2]/2)[0]", 0.5),

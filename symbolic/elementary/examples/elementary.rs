@@ -5,7 +5,7 @@
 //! rounding it takes hours.
 #![allow(clippy::print_stdout)]
 
-use isophote_elementary::ulps::{Arguments, error_double, error_single, exact1, exact2};
+use isophote_elementary::ulps::{Arguments, allowed_for, error_double, error_single, exact1, exact2};
 use isophote_elementary::{Accuracy, Function1, Function2, Plain, call1};
 
 const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
@@ -38,11 +38,11 @@ fn shared(work: impl Fn(u64) -> Worst + Sync) -> Worst {
 const BLOCK: usize = 256;
 
 /// Function `F` of f32 arguments against its own f64 form, whose error does not count here: what the samples of f64 show.
-/// The sign of the argument is taken off before, and put on after, everything else in all functions but exp, log and acos:
+/// The sign of the argument is taken off before, and put on after, everything else in all functions but exp, log, acos and erfc:
 /// of those the negative arguments are visited in steps.
 fn singles<const F: usize>(stride: u64) -> Worst {
     let function = Function1::ALL[F];
-    let signed = matches!(function, Function1::Exp | Function1::Log | Function1::Acos);
+    let signed = matches!(function, Function1::Exp | Function1::Log | Function1::Acos | Function1::Erfc);
     let halves = [(0, stride), (1 << 31, if signed { stride } else { stride * 509 })];
     shared(|thread| {
         let mut worst = Worst::default();
@@ -74,28 +74,33 @@ fn block<const F: usize>(first: u64, stride: u64, worst: &mut Worst) {
             !close
         };
         for i in (0..BLOCK).filter(|i| far(*i)) {
-            let error = error_single(values[i], [exact[i], 0.0]);
+            let exact = [exact[i], 0.0];
+            let error = allowed_for(Function1::ALL[F], x[i], exact, error_single(values[i], exact));
             note(worst, error, [x[i], 0.0]);
         }
     }
 }
 
-fn doubles(samples: u64, value: impl Fn(Plain, [f64; 2]) -> (f64, [f64; 2]) + Sync) -> Worst {
+fn doubles(
+    samples: u64,
+    value: impl Fn(Plain, [f64; 2]) -> (f64, [f64; 2]) + Sync,
+    allowed: impl Fn([f64; 2], [f64; 2], f64) -> f64 + Sync,
+) -> Worst {
     shared(|thread| {
         let mut random = Arguments(thread);
         let mut worst = Worst::default();
         for _ in 0..samples / THREADS {
             let at = [random.argument(), random.argument()];
             let (unfused, exact) = value(MACHINES[0], at);
-            note(&mut worst[0], error_double(unfused, exact), at);
+            note(&mut worst[0], allowed(at, exact, error_double(unfused, exact)), at);
             let (fused, _) = value(MACHINES[1], [at[0], at[1]]);
-            note(&mut worst[1], error_double(fused, exact), at);
+            note(&mut worst[1], allowed(at, exact, error_double(fused, exact)), at);
         }
         worst
     })
 }
 
-const ALL: [fn(u64) -> Worst; 12] = [
+const ALL: [fn(u64) -> Worst; 16] = [
     singles::<0>,
     singles::<1>,
     singles::<2>,
@@ -108,6 +113,10 @@ const ALL: [fn(u64) -> Worst; 12] = [
     singles::<9>,
     singles::<10>,
     singles::<11>,
+    singles::<12>,
+    singles::<13>,
+    singles::<14>,
+    singles::<15>,
 ];
 
 fn row(name: &str, single: Option<Worst>, double: Worst) {
@@ -123,17 +132,25 @@ fn main() {
     let (stride, samples) = (number(0).unwrap_or(1).max(1), number(1).unwrap_or(10_000_000));
     let wanted = |name: &str| arguments.len() < 3 || arguments[2..].iter().any(|one| one == name);
     for function in Function1::ALL.into_iter().filter(|f| wanted(f.name())) {
-        let double = doubles(samples, |machine, [x, _]| {
-            let exact = if machine.fused { [0.0; 2] } else { exact1(function, x) };
-            (function.value_with(machine, Accuracy::Double, x), exact)
-        });
+        let double = doubles(
+            samples,
+            |machine, [x, _]| {
+                let exact = if machine.fused { [0.0; 2] } else { exact1(function, x) };
+                (function.value_with(machine, Accuracy::Double, x), exact)
+            },
+            |[x, _], exact, error| allowed_for(function, x, exact, error),
+        );
         row(function.name(), Some(ALL[function as usize](stride)), double);
     }
     for function in Function2::ALL.into_iter().filter(|f| wanted(f.name())) {
-        let double = doubles(samples, |machine, [a, b]| {
-            let exact = if machine.fused { [0.0; 2] } else { exact2(function, a, b) };
-            (function.value_with(machine, Accuracy::Double, a, b), exact)
-        });
+        let double = doubles(
+            samples,
+            |machine, [a, b]| {
+                let exact = if machine.fused { [0.0; 2] } else { exact2(function, a, b) };
+                (function.value_with(machine, Accuracy::Double, a, b), exact)
+            },
+            |_, _, error| error,
+        );
         row(function.name(), None, double);
     }
 }

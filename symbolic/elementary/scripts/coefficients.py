@@ -1,9 +1,13 @@
 #!/usr/bin/env python3
-"""Writes src/coefficients.rs: python3 scripts/coefficients.py > src/coefficients.rs
+"""Writes src/coefficients.rs: python3 scripts/coefficients.py > src/coefficients.rs, and
+python3 scripts/coefficients.py waves > src/wave_coefficients.rs
 
 Each polynomial interpolates its function at Chebyshev nodes, which is within a small factor of the best one, and is
 rounded to f64. The error in its comment is measured with the rounded coefficients."""
-from mpmath import mp, mpf, cos, pi, exp, log, sin, tan, atan, asin, sinh, tanh, erf, erfc, sqrt, atanh, floor
+import sys
+
+from mpmath import (mp, mpf, cos, pi, exp, log, sin, tan, atan, asin, sinh, tanh, erf, erfc, sqrt, atanh, floor, besselj,
+                    bessely)
 
 mp.dps = 60
 GRID = 400
@@ -62,6 +66,40 @@ def parts(name, formula, value, bits):
     print(f"pub(super) const {name}: [f64; {len(bits)}] = {found!r};\n")
 
 
+if sys.argv[1:] == ["waves"]:
+    print("""//! Coefficients of the Bessel functions and of sinc, lowest power first.
+//!
+//! Written by `scripts/coefficients.py waves`, which says how they are found. `SINGLE` is for results that are rounded to
+//! f32; relative errors are of the height of the waves.
+""")
+    c = mpf(32)
+    x_of = lambda t: sqrt(c * (1 + t))
+    for n, start in ((0, mpf(1)), (1, mpf(1) / 2), (2, mpf(1) / 8)):
+        g = lambda t: (besselj(n, x_of(t)) / x_of(t) ** n - start) / (c * (1 + t))
+        envelope = lambda x: min(start, sqrt(2 / (pi * x)) / x ** n)
+        table(f"BESSEL_{n}", f"Jₙ(x)/xⁿ = {float(start)} + z P(t), n = {n}, z = x² = 32 (1 + t)", g, ("-0.99999999999", 1),
+              lambda t, p: (p - g(t)) * c * (1 + t) / envelope(x_of(t)), (11, 21))
+    for n in (0, 1):
+        x_of = lambda w: 8 / sqrt(w)
+        def waves(w):
+            """√(πx/2) times Jₙ and Yₙ, and cos and sin of the angle."""
+            x = x_of(w)
+            angle = x - pi / 4 - n * pi / 2
+            return [sqrt(pi * x / 2) * besselj(n, x), sqrt(pi * x / 2) * bessely(n, x), cos(angle), sin(angle)]
+        def even(w):
+            j, y, cosine, sine = waves(w)
+            return j * cosine + y * sine
+        def uneven(w):
+            j, y, cosine, sine = waves(w)
+            return (y * cosine - j * sine) / sqrt(w)
+        table(f"HANKEL_P{n}", f"√(πx/2) (Jₙ cos χ + Yₙ sin χ) = P(w), n = {n}, w = 64/x², χ = x − (2n + 1) π/4", even,
+              ("1e-8", 1), lambda w, p: p - even(w), (5, 14))
+        table(f"HANKEL_Q{n}", f"√(πx/2) (Yₙ cos χ − Jₙ sin χ) = 8/x P(w), n = {n}", uneven, ("1e-8", 1),
+              lambda w, p: p - uneven(w), (5, 14))
+    g = lambda z: ((sin(sqrt(z)) / sqrt(z) - cos(sqrt(z))) / z - mpf(1) / 3) / z
+    table("SINC", "(sin x/x − cos x)/x² = ⅓ + z P(z), z = x²", g, ("1e-20", 4),
+          lambda z, p: (p - g(z)) * z / (mpf(1) / 3 + z * g(z)), (5, 12))
+    sys.exit()
 print("""//! Coefficients of the elementary functions, lowest power first, and constants in parts.
 //!
 //! Written by scripts/coefficients.py, which says how they are found. `SINGLE` is for results that are rounded to f32.

@@ -211,6 +211,9 @@ impl DoubleDouble {
         if y.is_nan() || x.is_nan() || (y.hi.is_infinite() && x.hi.is_infinite()) {
             return libm::atan2(y.hi, x.hi).into();
         }
+        if y.hi == 0.0 && x.hi == 0.0 {
+            return y;
+        }
         let half = Self { hi: HALF_PI[0], lo: HALF_PI[1] };
         let (up, right) = (y.abs(), x.abs());
         let acute = match (up.hi == 0.0, up <= right) {
@@ -271,6 +274,92 @@ impl DoubleDouble {
         TWO_OVER_ROOT_PI * (-square).exp() * sum
     }
 
+    /// erfc x: for x > 2 e^(−x²)/(x √π) over a continued fraction, from its far end.
+    fn erfc(self) -> Self {
+        if self.is_nan() || self.hi.is_infinite() || self.hi < 2.0 {
+            return Self::ONE - self.erf();
+        }
+        if self.hi > 28.0 {
+            return Self::ZERO;
+        }
+        let half = Self::from(0.5);
+        let fraction = (1..TERMS).rev().fold(self, |f, n| self + half * f64::from(n).into() / f);
+        TWO_OVER_ROOT_PI * half * (-(self * self)).exp() / fraction
+    }
+
+    /// sin(x)/x
+    fn sinc(self) -> Self {
+        match self.hi {
+            0.0 => Self::ONE,
+            x if x.is_infinite() => Self::ZERO,
+            _ => self.sin_cos().0 / self,
+        }
+    }
+
+    /// (sin(x)/x − cos x)/x², near 0 by its series ⅓ − x²/30 + ….
+    fn sinc_ratio(self) -> Self {
+        if self.hi.is_infinite() {
+            return Self::ZERO;
+        }
+        if self.hi.abs() < 2.0 {
+            let square = self * self * Self::from(-0.5);
+            return Self::series(Self::ONE / 3.0.into(), |n| square / (n * (2.0 * n + 3.0)).into());
+        }
+        (self.sinc() - self.sin_cos().1) / self / self
+    }
+
+    /// J0(|x|), J1(|x|), J1(x)/x, J2(x)/x²: by power series, by the recurrence from the far end (Miller 1952), by Hankel's series, in
+    /// that order.
+    fn bessel(self) -> [Self; 4] {
+        let x = self.abs();
+        if x.hi < 1.0 {
+            let quarter = x * x * Self::from(-0.25);
+            let [first, ratio, next] = [(1.0, 0.0), (0.5, 1.0), (0.125, 2.0)]
+                .map(|(start, order)| Self::series(start.into(), |n| quarter / (n * (n + order)).into()));
+            return [first, x * ratio, ratio, next];
+        }
+        if x.hi.is_infinite() {
+            return [Self::ZERO; 4];
+        }
+        let [first, second] = if x.hi < 40.0 { x.miller() } else { [0.0, 1.0].map(|order| x.hankel(order)) };
+        let ratio = second / x;
+        [first, second, ratio, (ratio + ratio - first) / x / x]
+    }
+
+    /// J0 and J1 of 1 ≤ x < 40: Jₙ₋₁ = 2n/x Jₙ − Jₙ₊₁ from n = 120, with J0 + 2 J2 + 2 J4 + … = 1.
+    fn miller(self) -> [Self; 2] {
+        let [mut above, mut value, mut sum] = [Self::ZERO, Self::from(1e-200), Self::ZERO];
+        for n in (1..=120).rev() {
+            if n % 2 == 0 {
+                sum = sum + value + value;
+            }
+            (above, value) = (value, Self::from(f64::from(2 * n)) / self * value - above);
+        }
+        [value / (sum + value), above / (sum + value)]
+    }
+
+    /// J0 or J1 of x ≥ 40: √(2/πx) (P cos χ − Q sin χ), P and Q until their terms are negligible.
+    fn hankel(self, order: f64) -> Self {
+        let (mut p, mut q, mut term) = (Self::ONE, Self::ZERO, Self::ONE);
+        for k in 1..60 {
+            let k = f64::from(k);
+            let odd = 2.0 * k - 1.0;
+            term = term * Self::from(4.0 * order * order - odd * odd) / (self * Self::from(8.0 * k));
+            let sign = if k % 4.0 < 2.0 { Self::ONE } else { -Self::ONE };
+            if k % 2.0 == 1.0 {
+                q = q + sign * term
+            } else {
+                p = p + sign * term
+            };
+            if term.hi.abs() < NEGLIGIBLE {
+                break;
+            }
+        }
+        let (sin, cos) = self.sin_cos();
+        let waves = if order == 0.0 { (p + q) * cos + (p - q) * sin } else { (p + q) * sin - (p - q) * cos };
+        waves / (Self::PI.sqrt() * self.sqrt())
+    }
+
     /// x^y for real y: e^(y ln x); a negative base only with a whole exponent.
     fn pow(self, y: Self) -> Self {
         let plain = libm::pow(self.hi, y.hi);
@@ -300,6 +389,14 @@ impl DoubleDouble {
             Function1::Cosh => self.cosh(),
             Function1::Tanh => self.tanh(),
             Function1::Erf => self.erf(),
+            Function1::Erfc => self.erfc(),
+            Function1::BesselJ0 => self.bessel()[0],
+            Function1::BesselJ1 if self.is_negative() => -(-self).bessel()[1],
+            Function1::BesselJ1 => self.bessel()[1],
+            Function1::BesselRatio1 => self.bessel()[2],
+            Function1::BesselRatio2 => self.bessel()[3],
+            Function1::Sinc => self.sinc(),
+            Function1::SincRatio => self.sinc_ratio(),
             Function1::LogTail | Function1::Hazard => function.value(self.to_f64()).into(),
         }
     }

@@ -17,10 +17,24 @@ pub enum Function1 {
     Cosh,
     Tanh,
     Erf,
+    /// 1 − erf
+    Erfc,
+    /// Bessel's J0
+    BesselJ0,
+    /// Bessel's J1
+    BesselJ1,
+    /// sin(x)/x, 1 at 0
+    Sinc,
     /// ln Q(z), Q the upper tail of the normal distribution; no word of the language.
     LogTail,
     /// φ(z)/Q(z); no word of the language.
     Hazard,
+    /// J1(x)/x; no word of the language.
+    BesselRatio1,
+    /// J2(x)/x²; no word of the language.
+    BesselRatio2,
+    /// (sin(x)/x − cos x)/x², which is −sinc′(x)/x; no word of the language.
+    SincRatio,
 }
 
 /// Functions of two arguments.
@@ -36,15 +50,18 @@ pub enum Function2 {
 
 impl Function1 {
     /// The functions of the language, in the order of the numeric value.
-    pub const ALL: [Function1; 12] = {
+    pub const ALL: [Function1; 16] = {
         use Function1::*;
-        [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf]
+        [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf, Erfc, BesselJ0, BesselJ1, Sinc]
     };
 
-    /// Those and the ones that a likelihood needs, in the order of the numeric value.
-    pub const EVERY: [Function1; 14] = {
+    /// Those, and the ones that a likelihood or a derivative needs, in the order of the numeric value.
+    pub const EVERY: [Function1; 21] = {
         use Function1::*;
-        [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf, LogTail, Hazard]
+        let mut every = [Exp; 21];
+        every.split_at_mut(16).0.copy_from_slice(&Function1::ALL);
+        every.split_at_mut(16).1.copy_from_slice(&[LogTail, Hazard, BesselRatio1, BesselRatio2, SincRatio]);
+        every
     };
 
     /// The name, in the formula language if it is a word of it.
@@ -62,8 +79,15 @@ impl Function1 {
             Function1::Cosh => "cosh",
             Function1::Tanh => "tanh",
             Function1::Erf => "erf",
+            Function1::Erfc => "erfc",
+            Function1::BesselJ0 => "bessel_j0",
+            Function1::BesselJ1 => "bessel_j1",
+            Function1::Sinc => "sinc",
             Function1::LogTail => "log_tail",
             Function1::Hazard => "hazard",
+            Function1::BesselRatio1 => "bessel_ratio1",
+            Function1::BesselRatio2 => "bessel_ratio2",
+            Function1::SincRatio => "sinc_ratio",
         }
     }
 

@@ -43,7 +43,8 @@ pub(super) fn atan2<M: Machine>(m: &M, accuracy: Accuracy, y: M::Number, x: M::N
     let near = m.select(flips, m.neg(near), near);
     let choose = |i: usize| m.select(steep, half[i], m.select(left, whole[i], zero));
     let angle = m.add(choose(0), m.add(choose(1), near));
-    let angle = m.abs(angle);
+    // −0 is to the left, but at the origin there is no left.
+    let angle = m.select(m.equal(large, zero), zero, m.abs(angle));
     let number = m.and(m.equal(x, x), m.equal(y, y));
     m.select(number, signed(m, angle, y), m.constant(f64::NAN))
 }

@@ -2,12 +2,21 @@
 //! and what the same checks say of a function that is slightly wrong.
 #![allow(clippy::unwrap_used)]
 
-use crate::ulps::{Arguments, error_double, error_single, exact1, exact2};
+use crate::ulps::{Arguments, allowed_for, error_double, error_single, exact1, exact2};
 use crate::{Accuracy, Function1, Function2, Plain};
 
 const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
 /// What docs/elementary.md promises, in units of the last place.
 const ULPS_MAX: f64 = 2.0;
+
+/// … and of the functions that are less exact.
+fn ulps_max(function: Function1) -> f64 {
+    match function {
+        Function1::Erfc => 5.0,
+        Function1::BesselJ0 | Function1::BesselJ1 => 80.0,
+        _ => ULPS_MAX,
+    }
+}
 
 /// The worst error and the argument that has it.
 type Worst = (f64, f64);
@@ -36,7 +45,8 @@ fn worst_single(function: Function1, value: impl Fn(f64) -> f64, stride: usize) 
     let all = (0..=u32::MAX).step_by(stride).chain(near);
     worst(all.map(|bits| {
         let x = f64::from(f32::from_bits(bits));
-        (error_single(value(x) as f32, exact1(function, x)), x)
+        let exact = exact1(function, x);
+        (allowed_for(function, x, exact, error_single(value(x) as f32, exact)), x)
     }))
 }
 
@@ -44,7 +54,8 @@ fn worst_double(function: Function1, value: impl Fn(f64) -> f64, samples: usize)
     let mut random = Arguments(function as u64);
     worst((0..samples).map(|_| {
         let x = random.argument();
-        (error_double(value(x), exact1(function, x)), x)
+        let exact = exact1(function, x);
+        (allowed_for(function, x, exact, error_double(value(x), exact)), x)
     }))
 }
 
@@ -65,7 +76,7 @@ fn doubles_are_right() {
         for machine in MACHINES {
             let value = |x: f64| function.value_with(machine, Accuracy::Double, x);
             let (error, at) = worst_double(function, value, 4000);
-            assert!(error <= ULPS_MAX, "{function:?} {machine:?}: {error} at {at:e}");
+            assert!(error <= ulps_max(function), "{function:?} {machine:?}: {error} at {at:e}");
         }
     }
 }
@@ -97,7 +108,7 @@ fn a_planted_fault_is_caught() {
     // The short form in the place of the long one.
     for function in Function1::ALL {
         let short = |x: f64| function.value_with(MACHINES[0], Accuracy::Single, x);
-        assert!(worst_double(function, short, 1000).0 > ULPS_MAX, "{function:?}");
+        assert!(worst_double(function, short, 1000).0 > ulps_max(function), "{function:?}");
     }
     // The wrong sign of a zero, a number for NaN, and a finite number for an infinite one.
     assert!(error_double(0.0, [-0.0, 0.0]).is_infinite());
@@ -145,6 +156,13 @@ fn special_values_are_right() {
         (Cosh, vec![(0.0, 1.0), (INF, INF), (-INF, INF), (-711.0, INF)]),
         (Tanh, vec![(0.0, 0.0), (-0.0, -0.0), (INF, 1.0), (-INF, -1.0), (800.0, 1.0)]),
         (Erf, vec![(0.0, 0.0), (-0.0, -0.0), (INF, 1.0), (-INF, -1.0), (9.0, 1.0)]),
+        (Erfc, vec![(0.0, 1.0), (-0.0, 1.0), (INF, 0.0), (-INF, 2.0), (30.0, 0.0), (-9.0, 2.0)]),
+        (BesselJ0, vec![(0.0, 1.0), (-0.0, 1.0), (INF, 0.0), (-INF, 0.0)]),
+        (BesselJ1, vec![(0.0, 0.0), (-0.0, -0.0), (INF, 0.0), (-INF, -0.0)]),
+        (Sinc, vec![(0.0, 1.0), (-0.0, 1.0), (INF, 0.0), (-INF, 0.0)]),
+        (BesselRatio1, vec![(0.0, 0.5), (INF, 0.0)]),
+        (BesselRatio2, vec![(0.0, 0.125), (-INF, 0.0)]),
+        (SincRatio, vec![(0.0, 1.0 / 3.0), (INF, 0.0)]),
     ];
     for (function, pairs) in rows {
         for (x, expected) in pairs.into_iter().chain([(NAN, NAN), (-NAN, NAN)]) {
@@ -193,7 +211,9 @@ fn special_pairs_are_those_of_the_standard() {
     ];
     for (a, b) in numbers.iter().flat_map(|a| numbers.map(|b| (*a, b))) {
         for machine in MACHINES {
-            for (function, expected) in [(Function2::Pow, libm::pow(a, b)), (Function2::Atan2, libm::atan2(a, b))] {
+            // But for the angle of the origin, which is 0 on whichever side of it −0 is.
+            let angle = if a == 0.0 && b == 0.0 { a } else { libm::atan2(a, b) };
+            for (function, expected) in [(Function2::Pow, libm::pow(a, b)), (Function2::Atan2, angle)] {
                 let value = function.value_with(machine, Accuracy::Double, a, b);
                 // libm is itself within 1 unit.
                 let error = error_double(value, [expected, 0.0]);

@@ -109,6 +109,18 @@ pub(super) fn cos<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Num
     m.elsewhere(m.less(m.constant(LARGE), a), value, Function1::Cos, x)
 }
 
+/// sin a and cos a of a ≥ 0, from one reduction.
+#[inline(always)]
+pub(super) fn sin_cos<M: Machine>(m: &M, accuracy: Accuracy, a: M::Number) -> [M::Number; 2] {
+    let (r, quadrant) = reduced(m, accuracy, a);
+    let [sin, cos] = kernels(m, accuracy, r).map(|pair| pair[0]);
+    let odd = is_odd(m, quadrant);
+    let large = m.less(m.constant(LARGE), a);
+    let value = turned(m, m.select(odd, cos, sin), quadrant);
+    let other = turned(m, m.select(odd, sin, cos), m.bits_add(quadrant, m.pattern(1)));
+    [m.elsewhere(large, value, Function1::Sin, a), m.elsewhere(large, other, Function1::Cos, a)]
+}
+
 /// tan x
 #[inline(always)]
 pub(super) fn tan<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Number {

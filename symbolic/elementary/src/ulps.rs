@@ -44,6 +44,17 @@ pub fn exact2(function: Function2, a: f64, b: f64) -> [f64; 2] {
     DoubleDouble::from(a).call2(function, b.into()).parts()
 }
 
+/// An error in units of the last place of the exact value, in those of what it may be measured by: of a Bessel function the
+/// height of its waves, √(2/πx), at most 1.
+pub fn allowed_for(function: Function1, x: f64, exact: [f64; 2], error: f64) -> f64 {
+    let height = match function {
+        Function1::BesselJ1 if x.abs() < 1.0 => return error,
+        Function1::BesselJ0 | Function1::BesselJ1 => (std::f64::consts::FRAC_2_PI / x.abs()).sqrt().min(1.0),
+        _ => return error,
+    };
+    if exact[0] == 0.0 { error } else { error * (exact[0].abs() / height).min(1.0) }
+}
+
 /// 2^(⌊log₂ |x|⌋ − digits), at least the smallest there is.
 fn unit(x: f64, digits: i32, lowest: i32) -> f64 {
     let exponent = (x.to_bits() >> 52 & 0x7ff) as i32 - 1023;

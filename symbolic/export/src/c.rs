@@ -7,7 +7,8 @@ use isophote_symbolic::{Level, Opcode, Sink};
 use crate::body::{Body, Statements};
 use crate::header;
 use crate::lines::File;
-use crate::options::{ExportSubject, PixelType};
+use crate::options::{ExportSubject, Language, PixelType};
+use crate::special;
 
 /// The whole file.
 pub(super) fn file(source: &ExportSubject<'_>) -> String {
@@ -22,6 +23,7 @@ pub(super) fn file(source: &ExportSubject<'_>) -> String {
     file.line(" * Returns 1; 0, and nothing is written, for a window that is empty or leaves a plane.");
     file.line(" */");
     types(&mut file, source);
+    special::functions(&mut file, &statements, Language::C);
     function(&mut file, source, &statements, &body);
     file.text
 }

@@ -31,7 +31,7 @@ pub(super) fn file(source: &ExportSubject<'_>) -> Result<String, ExportError> {
     file.line("use core::arch::x86_64::*;");
     file.line("");
     rust::types(&mut file, source);
-    rust::nearest_and_erf(&mut file, &statements);
+    rust::helpers(&mut file, &statements);
     lanes.total(&mut file);
     rust::open(&mut file, source, &statements, "\n/// `None`, too, on a processor without the vectors.");
     let has: Vec<String> =

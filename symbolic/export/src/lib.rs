@@ -7,7 +7,8 @@
 //! It must never know: how a frame lies in memory; an exported function is told by strides, counted in pixels.
 //!
 //! `names` finds words for values, `body` writes the statements of each level, `c` and `rust` what stands around them, `spelling`
-//! is the table of how each language spells an operation; `lanes` writes the pixel loop with vectors, whose table is `vectors`.
+//! is the table of how each language spells an operation, `special`
+//! has the functions that it lacks; `lanes` writes the pixel loop with vectors, whose table is `vectors`.
 
 mod body;
 mod c;
@@ -17,6 +18,7 @@ mod lines;
 mod names;
 mod options;
 mod rust;
+mod special;
 mod spelling;
 mod vectors;
 

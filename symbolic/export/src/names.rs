@@ -23,7 +23,8 @@ pub(super) fn is_function_name(name: &str) -> bool {
 fn is_taken(name: &str) -> bool {
     TAKEN.split_whitespace().any(|word| word == name)
         || isophote_symbolic::Function1::named(name).is_some()
-        || ["sqrt", "abs", "fabs", "pow", "atan2", "fma", "rint", "signal", "raise"].contains(&name)
+        || ["sqrt", "abs", "fabs", "pow", "atan2", "fma", "rint", "signal", "raise", "bessel_ratio", "sinc_ratio"]
+            .contains(&name)
 }
 
 /// A name of the document as a word. The languages and their libraries have many words, but few of up to three small letters

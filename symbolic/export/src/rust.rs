@@ -1,11 +1,12 @@
 //! The file around the statements, in Rust.
 
-use isophote_symbolic::{Function1, Level, Op, Opcode, Precision, Sink};
+use isophote_symbolic::{Level, Opcode, Precision, Sink};
 
 use crate::body::{Body, Statements};
 use crate::header;
 use crate::lines::File;
-use crate::options::ExportSubject;
+use crate::options::{ExportSubject, Language};
+use crate::special;
 
 /// The whole file.
 pub(super) fn file(source: &ExportSubject<'_>) -> String {
@@ -14,7 +15,7 @@ pub(super) fn file(source: &ExportSubject<'_>) -> String {
     let mut file = File::default();
     head(&mut file, source);
     types(&mut file, source);
-    nearest_and_erf(&mut file, &statements);
+    helpers(&mut file, &statements);
     function(&mut file, source, &statements, &body);
     file.text
 }
@@ -81,8 +82,8 @@ pub(super) fn types(file: &mut File, source: &ExportSubject<'_>) {
     file.line("");
 }
 
-/// The two functions that the standard library lacks, where they are called.
-pub(super) fn nearest_and_erf(file: &mut File, statements: &Statements<'_>) {
+/// The functions that the standard library lacks, where they are called.
+pub(super) fn helpers(file: &mut File, statements: &Statements<'_>) {
     if !statements.offsets().is_empty() {
         file.line("/// The nearest whole number, ties to even, for magnitudes below 2^51.");
         file.open("fn nearest(x: f64) -> f64 {");
@@ -91,29 +92,7 @@ pub(super) fn nearest_and_erf(file: &mut File, statements: &Statements<'_>) {
         file.close("}");
         file.line("");
     }
-    let calls_erf = |op: Op| op.code == Opcode::Call1(Function1::Erf);
-    if statements.program().instructions().iter().zip(&statements.live).any(|(x, live)| *live && calls_erf(x.op)) {
-        file.line("/// erf: a series of terms of one sign near 0, a continued fraction of erfc beyond.");
-        file.open("fn erf(x: f64) -> f64 {");
-        file.line("let t = x.abs();");
-        file.line("let scale = 2.0 / core::f64::consts::PI.sqrt() * (-t * t).exp();");
-        file.open("if t < 3.0 {");
-        file.line("let (mut term, mut sum) = (t, t);");
-        file.open("for n in 1..80 {");
-        file.line("term *= 2.0 * t * t / f64::from(2 * n + 1);");
-        file.line("sum += term;");
-        file.close("}");
-        file.line("return (scale * sum).copysign(x);");
-        file.close("}");
-        file.line("let mut fraction = t;");
-        file.open("for n in (1..60).rev() {");
-        file.line("fraction = t + f64::from(n) / 2.0 / fraction;");
-        file.close("}");
-        file.line("let erf = if t < 7.0 { 1.0 - scale / 2.0 / fraction } else { 1.0 };");
-        file.line("if x.is_nan() { x } else { erf.copysign(x) }");
-        file.close("}");
-        file.line("");
-    }
+    special::functions(file, statements, Language::Rust);
 }
 
 /// The function's head, up to its first statement of the pass.

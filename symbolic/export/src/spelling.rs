@@ -128,9 +128,16 @@ impl Dialect {
 
     fn elementary(self, f: Function1, x: &str) -> String {
         let x = self.widened(x);
+        let special = |name: &str, order: u32| format!("{name}({order}, {x})");
         self.back(match (self.language, f) {
+            (_, Function1::BesselJ0) => special("bessel_ratio", 0),
+            (_, Function1::BesselJ1) => format!("({x} * {})", special("bessel_ratio", 1)),
+            (_, Function1::BesselRatio1) => special("bessel_ratio", 1),
+            (_, Function1::BesselRatio2) => special("bessel_ratio", 2),
+            (_, Function1::Sinc) => special("sinc_ratio", 0),
+            (_, Function1::SincRatio) => special("sinc_ratio", 1),
             (Language::C, _) => format!("{}({x})", f.name()),
-            (Language::Rust, Function1::Erf) => format!("erf({x})"),
+            (Language::Rust, Function1::Erf | Function1::Erfc) => format!("{}({x})", f.name()),
             (Language::Rust, Function1::Log) => format!("({x}).ln()"),
             (Language::Rust, _) => format!("({x}).{}()", f.name()),
         })

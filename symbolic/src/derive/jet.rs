@@ -251,11 +251,37 @@ fn derivatives(graph: &mut Graph, function: Function1, a: NodeId, value: NodeId)
             let rest = graph.sum(1.0, [(square, 1.0)]);
             (graph.product(1.0, [(rest, -1)]), graph.product(-2.0, [(a, 1), (rest, -2)]))
         }
-        Function1::Erf => {
+        Function1::Erf | Function1::Erfc => {
+            let sign = if function == Function1::Erf { 1.0 } else { -1.0 };
             let square = graph.product(-1.0, [(a, 2)]);
             let bell = graph.call1(Function1::Exp, square);
-            let d1 = graph.product(std::f64::consts::FRAC_2_SQRT_PI, [(bell, 1)]);
+            let d1 = graph.product(sign * std::f64::consts::FRAC_2_SQRT_PI, [(bell, 1)]);
             (d1, graph.product(-2.0, [(a, 1), (d1, 1)]))
+        }
+        Function1::BesselJ0 => {
+            let (other, ratio) = (graph.call1(Function1::BesselJ1, a), graph.call1(Function1::BesselRatio1, a));
+            (graph.scale(-1.0, other), graph.sub(ratio, value))
+        }
+        Function1::BesselJ1 => {
+            let [other, ratio, next] = [Function1::BesselJ0, Function1::BesselRatio1, Function1::BesselRatio2]
+                .map(|function| graph.call1(function, a));
+            let bend = graph.mul(a, next);
+            (graph.sub(other, ratio), graph.sub(bend, value))
+        }
+        Function1::BesselRatio1 | Function1::Sinc => {
+            let is_bessel = function == Function1::BesselRatio1;
+            let (next, n) = if is_bessel { (Function1::BesselRatio2, 3.0) } else { (Function1::SincRatio, 2.0) };
+            let ratio = graph.call1(next, a);
+            (graph.product(-1.0, [(a, 1), (ratio, 1)]), graph.sum(0.0, [(ratio, n), (value, -1.0)]))
+        }
+        // What only derivatives are made of: none is taken of them, and at 0 these have a hole.
+        Function1::BesselRatio2 | Function1::SincRatio => {
+            let is_bessel = function == Function1::BesselRatio2;
+            let (lower, n) = if is_bessel { (Function1::BesselRatio1, 4.0) } else { (Function1::Sinc, 3.0) };
+            let lower = graph.call1(lower, a);
+            let next = graph.sum(0.0, [(value, n), (lower, -1.0)]);
+            let bend = graph.product(n + 1.0, [(next, 1), (a, -2)]);
+            (graph.product(-1.0, [(next, 1), (a, -1)]), graph.sub(bend, value))
         }
         Function1::LogTail => {
             let hazard = graph.call1(Function1::Hazard, a);
@@ -284,19 +310,22 @@ fn binary(
     let (ja, jb) = (&jets[&a], &jets[&b]);
     match function {
         Function2::Atan2 => {
-            // a is y, b is x; D = x² + y².
+            // a is y, b is x; I = 1/(x² + y²), 0 at the origin: all derivatives count as 0 there.
             let (yy, xx) = (graph.product(1.0, [(a, 2)]), graph.product(1.0, [(b, 2)]));
-            let d = graph.add2(xx, yy);
-            let d1 = graph.product(1.0, [(b, 1), (d, -1)]);
+            let square = graph.add2(xx, yy);
+            let (zero, inverse) = (graph.number(0.0), graph.product(1.0, [(square, -1)]));
+            let is_origin = graph.compare(Comparison::Eq, square, zero);
+            let d = graph.select(is_origin, zero, inverse);
+            let d1 = graph.product(1.0, [(b, 1), (d, 1)]);
             form.add(graph, d1, ja);
-            let d1 = graph.product(-1.0, [(a, 1), (d, -1)]);
+            let d1 = graph.product(-1.0, [(a, 1), (d, 1)]);
             form.add(graph, d1, jb);
-            let mixed = graph.product(-2.0, [(a, 1), (b, 1), (d, -2)]);
+            let mixed = graph.product(-2.0, [(a, 1), (b, 1), (d, 2)]);
             form.add_product(graph, mixed, ja, ja, true);
             let difference = graph.sub(yy, xx);
-            let cross = graph.product(1.0, [(difference, 1), (d, -2)]);
+            let cross = graph.product(1.0, [(difference, 1), (d, 2)]);
             form.add_product(graph, cross, ja, jb, false);
-            let mixed = graph.product(2.0, [(a, 1), (b, 1), (d, -2)]);
+            let mixed = graph.product(2.0, [(a, 1), (b, 1), (d, 2)]);
             form.add_product(graph, mixed, jb, jb, true);
         }
         Function2::Pow => {

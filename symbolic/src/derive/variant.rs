@@ -61,6 +61,7 @@ impl Model {
                 model.parameters.push(Parameter {
                     name,
                     start,
+                    others: Vec::new(),
                     min: None,
                     max: None,
                     unit: None,

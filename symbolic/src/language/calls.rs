@@ -6,6 +6,7 @@ use std::rc::Rc;
 
 use isophote_elementary::{Function1, Function2};
 
+use crate::language::elaborate::unknown::NO_FUNCTION;
 use crate::language::elaborate::{
     Binding, Elaborator, Function, Local, Matrix, MatrixShape, Poison, REMEMBERED, Worked, fault, shape_of,
 };
@@ -92,7 +93,7 @@ impl Elaborator<'_> {
                     let fault = fault("syntax", at, format!("{} is not a function", quoted(name)));
                     self.tell(fault.help("there is no implicit multiplication: write `*`"));
                 } else {
-                    self.unknown(name, at, "is not a function");
+                    self.unknown(name, at, NO_FUNCTION);
                 }
                 self.check(arguments);
                 Err(Poison::Unknown)

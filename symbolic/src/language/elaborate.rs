@@ -6,7 +6,7 @@
 mod cache;
 mod conditions;
 mod matrices;
-mod unknown;
+pub mod unknown;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::rc::Rc;

@@ -17,6 +17,8 @@ pub struct Parameter {
     pub name: String,
     /// Where a cold start takes its value from.
     pub start: Start,
+    /// Numbers that a cold start tries as well.
+    pub others: Vec<f64>,
     /// Exclusive lower bound.
     pub min: Option<f64>,
     /// Exclusive upper bound.

@@ -238,9 +238,11 @@ fn read_parameters(
         let path = format!("parameters.{}", key.name);
         names.declare(faults, &path, &key.name, key.span);
         // One that is at fault is still a parameter to those who name it.
-        let parameter =
-            |start, min, max, unit| Parameter { name: key.name.clone(), start, min, max, unit, span: key.span };
-        let unread = parameter(Start::Number(f64::NAN), None, None, None);
+        let parameter = |(start, others), min, max, unit| {
+            let name = key.name.clone();
+            Parameter { name, start, others, min, max, unit, span: key.span }
+        };
+        let unread = parameter((Start::Number(f64::NAN), Vec::new()), None, None, None);
         let Some(fields) = faults.table(&path, entry) else {
             parameters.push(unread);
             continue;
@@ -252,7 +254,7 @@ fn read_parameters(
         let (min, max) = (bound(faults, "min"), bound(faults, "max"));
         let unit =
             get(fields, "unit").and_then(|e| faults.text(&format!("{path}.unit"), e)).map(|t| t.value.to_string());
-        let start = read_start(faults, &path, fields, key.span, coordinates);
+        let starts = read_starts(faults, &path, fields, key.span, coordinates);
         if let (Some(min), Some(max)) = (min, max)
             && min >= max
         {
@@ -264,9 +266,10 @@ fn read_parameters(
                 "bounds are exclusive: min < max",
             );
         }
-        if let Some(Start::Number(value)) = start
+        let is_outside = |value: &f64| min.is_some_and(|m| *value <= m) || max.is_some_and(|m| *value >= m);
+        if let Some((Start::Number(first), others)) = &starts
             && !matches!((min, max), (Some(min), Some(max)) if min >= max)
-            && (min.is_some_and(|m| value <= m) || max.is_some_and(|m| value >= m))
+            && let Some(value) = [first].into_iter().chain(others).find(|value| is_outside(value))
         {
             let at = get(fields, "start").map_or(entry.span, |e| e.span);
             faults.tell(
@@ -277,9 +280,39 @@ fn read_parameters(
                 "bounds are exclusive: min < start < max",
             );
         }
-        parameters.push(start.map_or(unread, |start| parameter(start, min, max, unit)));
+        parameters.push(starts.map_or(unread, |starts| parameter(starts, min, max, unit)));
+        let count = parameters.iter().map(|p: &Parameter| 1 + p.others.len()).product::<usize>();
+        let is_list = parameters.last().is_some_and(|p| !p.others.is_empty());
+        if is_list && count > LIMITS.starts {
+            let at = get(fields, "start").map_or(entry.span, |e| e.span);
+            let message =
+                format!("the starts have {count} combinations up to here, at most {} are tried", LIMITS.starts);
+            faults.tell("limit", &format!("{path}.start"), at, message, "give fewer numbers");
+            parameters.iter_mut().for_each(|p| p.others.clear());
+        }
     }
     parameters
+}
+
+/// The first start, and the numbers that follow it in a list.
+fn read_starts(
+    faults: &mut Faults,
+    path: &str,
+    fields: &[(Key, Entry)],
+    at: Span,
+    coordinates: usize,
+) -> Option<(Start, Vec<f64>)> {
+    let Some(Item::List(list)) = get(fields, "start").map(|entry| &entry.item) else {
+        return Some((read_start(faults, path, fields, at, coordinates)?, Vec::new()));
+    };
+    let path = format!("{path}.start");
+    if list.is_empty() {
+        faults.tell("bad-range", &path, at, "the list of starts is empty", "give a number, or several");
+        return None;
+    }
+    let numbers: Vec<Option<f64>> = list.iter().take(LIMITS.starts + 1).map(|e| faults.number(&path, e)).collect();
+    let numbers = numbers.into_iter().collect::<Option<Vec<f64>>>()?;
+    Some((Start::Number(numbers[0]), numbers[1..].to_vec()))
 }
 
 fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span, coordinates: usize) -> Option<Start> {

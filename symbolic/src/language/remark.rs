@@ -5,8 +5,8 @@
 
 use crate::language::graph::{Node, NodeId};
 use crate::language::model::Model;
-use crate::program::{Input, ParameterId};
-use isophote_syntax::diagnostic::{Diagnostic, Severity};
+use crate::program::{ConstantId, Input, ParameterId};
+use isophote_syntax::diagnostic::{Diagnostic, Severity, Span};
 
 impl Model {
     /// What is to be said about a parameter: where the stage of that index frees it, or where it is declared.
@@ -31,13 +31,31 @@ impl Model {
 
     /// True when a formula reads the parameter: intensity, observed, domain, noise or a constraint.
     pub fn reads(&self, parameter: ParameterId) -> bool {
+        self.read_by_formulas(&[Input::Parameter(parameter), Input::Entry(parameter)])
+    }
+
+    /// A warning for each parameter and each constant that no formula reads.
+    pub fn unused(&self) -> Vec<Diagnostic> {
+        let ids = (0..self.parameters.len() as u32).map(ParameterId);
+        let parameters = ids.filter(|id| !self.reads(*id)).map(|id| &self.parameters[id.index()]);
+        let parameters = parameters.map(|parameter| ("parameters", &parameter.name, parameter.span));
+        let is_read = |i: usize| self.read_by_formulas(&[Input::Constant(ConstantId(i as u32))]);
+        let constants = self.constants.iter().enumerate().filter(|(i, _)| !is_read(*i)).map(|(_, constant)| constant);
+        let constants = constants.map(|constant| ("constants", &constant.name, constant.span));
+        let remark = |(table, name, span): (&str, &String, Span)| {
+            let (key, message) = (format!("{table}.{name}"), format!("no formula reads `{name}`"));
+            let remark = Diagnostic::error(&self.text, "unused", &key, span, message);
+            Diagnostic { severity: Severity::Warning, ..remark.help("remove it, or use it in a formula") }
+        };
+        parameters.chain(constants).map(remark).collect()
+    }
+
+    fn read_by_formulas(&self, inputs: &[Input]) -> bool {
         let entries = self.formulas.entries.iter();
         let of_entries = entries.flat_map(|entry| [Some(entry.observed), Some(entry.intensity), entry.noise]).flatten();
         let roots = of_entries.chain(self.formulas.domain).chain(self.formulas.constraints.iter().copied());
-        self.reach(
-            &roots.collect::<Vec<_>>(),
-            |node| matches!(node, Node::Input(Input::Parameter(p) | Input::Entry(p)) if *p == parameter),
-        )
+        let is_one = |node: &Node| matches!(node, Node::Input(input) if inputs.contains(input));
+        self.reach(&roots.collect::<Vec<_>>(), is_one)
     }
 
     /// True when the intensity or the domain reads a channel: then nothing is predicted without a frame.

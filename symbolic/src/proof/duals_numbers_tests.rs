@@ -1,9 +1,8 @@
 //! Hyper-dual numbers over any arithmetic.
 
-use isophote_elementary::{DoubleDouble, Function1, Function2};
+use isophote_elementary::{DoubleDouble, Function1, Function2, Two, derivatives, derivatives2};
 
 use super::grammar::PARAMETERS;
-use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::evaluate::Number;
 use crate::proof::weighed::Weighed;
 

@@ -1,15 +1,14 @@
 //! Hyper-dual numbers: a value with its gradient and Hessian, in any arithmetic, and the evaluation of a graph in them.
 //!
-//! It is forward differentiation, with no formula for a derivative but those of [`crate::proof::calculus`]: what the derivatives
+//! It is forward differentiation, with no formula for a derivative but those of [`isophote_elementary::derivatives`]: what the derivatives
 //! of [`crate::derive::jet`], and all that is made of them, are compared with. Only variables that a value depends on take room.
 
-use isophote_elementary::{Function1, Function2};
+use isophote_elementary::{Function1, Function2, Two, derivatives, derivatives2};
 use rustc_hash::FxHashMap;
 use smallvec::{SmallVec, smallvec};
 
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::{Level, holds};
-use crate::proof::calculus::{Two, derivatives, derivatives2};
 use crate::proof::evaluate::Number;
 
 /// A value and its derivatives.

@@ -3,11 +3,10 @@
 //! What comes in: numbers for r and σ². What goes out: F, its derivatives, and Gauss–Newton's L and Q. It shares nothing with
 //! the derivation's own account of the same function but its name.
 
-use isophote_elementary::Function1;
+use isophote_elementary::{Function1, Two, derivatives};
 
 use crate::language::model::{Formulas, Loss};
 use crate::program::ConstantId;
-use crate::proof::calculus::{Two, derivatives};
 use crate::proof::evaluate::Number;
 use crate::proof::hyper::{Hyper, Order, Quantity};
 

@@ -13,7 +13,6 @@
 //! That holds for every lowering of sums ([`referee`]) and of planes ([`plane`]). What the check may cost is in [`budget`].
 
 pub(crate) mod budget;
-pub(crate) mod calculus;
 pub(crate) mod claim;
 pub(crate) mod direct;
 pub(crate) mod draft;

@@ -2,10 +2,9 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use isophote_elementary::{Function1, Function2};
+use isophote_elementary::{Function1, Function2, derivatives, derivatives2};
 
 use crate::proof::SMALLEST;
-use crate::proof::calculus::{derivatives, derivatives2};
 use crate::proof::evaluate::Number;
 
 /// A value, and the sum of the absolute values of the terms that it was made of, each scaled by how it acts on the result.

@@ -15,6 +15,8 @@ pub struct Limits {
     pub name_bytes: usize,
     /// Parameters of a document.
     pub parameters: usize,
+    /// Combinations of the starts of all parameters.
+    pub starts: usize,
     /// Constants of a document.
     pub constants: usize,
     /// Coordinates of a document.
@@ -58,6 +60,7 @@ pub const LIMITS: Limits = Limits {
     definitions: 128,
     name_bytes: 64,
     parameters: 64,
+    starts: 16,
     constants: 64,
     coordinates: 4,
     channels: 8,

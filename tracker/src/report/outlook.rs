@@ -54,7 +54,7 @@ impl Outlook {
     /// When parameters of the last stage can be told apart at none of them.
     pub fn of(compiled: &Compiled) -> Result<Outlook, Diagnostics> {
         let model = compiled.model();
-        let mut found = Outlook { warnings: unused(model), ..Outlook::default() };
+        let mut found = Outlook { warnings: model.unused(), ..Outlook::default() };
         found.conditions = vec![[None; 2]; model.stages().len()];
         let solver = Solver::new(Arc::new(compiled.share()), TrackerOptions::default());
         let Some(kernels) = Kernels::compile(&solver, Precision::F64) else { return Ok(found) };
@@ -89,17 +89,6 @@ fn bound(compiled: &Compiled, parameters: &[f64], deviations: Vec<f64>) -> Bound
         saturated: 0.0,
         noise: (!model.has_noise()).then_some(1.0),
     }
-}
-
-/// Parameters that no formula reads.
-fn unused(model: &Model) -> Diagnostics {
-    let ids = (0..model.parameters().len() as u32).map(ParameterId);
-    let remark = |id: ParameterId| {
-        let message = format!("no formula reads `{}`", model.parameters()[id.index()].name);
-        let remark = model.remark(Severity::Warning, "unused", (None, id), message);
-        remark.help("remove it, or use it in a formula")
-    };
-    ids.filter(|id| !model.reads(*id)).map(remark).collect()
 }
 
 impl Survey {

@@ -83,6 +83,13 @@ fn what_has_no_effect_is_told_and_not_refused() {
         unread.warnings.iter().map(|w| (w.code.as_str(), w.key.as_str())).collect::<Vec<_>>(),
         [("unused", "parameters.z9")]
     );
+    let constant = check(&SPOT.replace("[constants]\n", "[constants]\nc9 = 2.0\n")).unwrap();
+    let [unread] = &constant.warnings[..] else { panic!("{:?}", constant.warnings) };
+    assert_eq!(
+        (unread.code.as_str(), unread.key.as_str(), unread.severity),
+        ("unused", "constants.c9", Severity::Warning)
+    );
+    assert!(unread.source.starts_with("c9"), "{unread:?}");
     // A tilt that starts at 0 and is squared.
     let squared = SPOT.replace("v1 = {", "g = { start = 0.0 }\nv1 = {").replace("v0 + v1 * f", "v0 + g^2 * x + v1 * f");
     let squared = check(&squared.replace(FREE, &FREE.replace("\"v1\"", "\"g\", \"v1\""))).unwrap();

@@ -146,14 +146,29 @@ fn starts(
         };
         parameters.map(value).collect()
     };
-    let mut starts = vec![start(1.0, 1.0)];
+    let mut starts = listed(model, given, start(1.0, 1.0));
     let clipped = targets.iter().any(|target| target.saturated > CLIPPED_PIXELS);
     if clipped && estimators.contains(&Some(Estimator::Amplitude)) {
-        starts.push(start(BRIGHTER, 1.0));
+        starts.extend(listed(model, given, start(BRIGHTER, 1.0)));
     }
     let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
     let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
     Starts { starts, tighter }
+}
+
+/// The start itself, and one for each other combination of the numbers that the document lists; a number that is given
+/// takes the place of a list. The document's limits bound how many there are.
+fn listed(model: &Model, given: &[Option<f64>], start: Vec<f64>) -> Vec<Vec<f64>> {
+    let mut all = vec![start];
+    for (index, parameter) in model.parameters().iter().enumerate().filter(|(index, _)| given[*index].is_none()) {
+        for number in 0..all.len() * parameter.others.len() {
+            let (other, of) = (parameter.others[number % parameter.others.len()], number / parameter.others.len());
+            let mut start = all[of].clone();
+            start[index] = other;
+            all.push(start);
+        }
+    }
+    all
 }
 
 /// Starts for every pose that suits the spots, and again brighter where spots are clipped; `None` when no pose does.
@@ -187,7 +202,7 @@ fn pose_starts(
             let mut start = model.parameters().iter().enumerate().map(value).collect::<Option<Vec<f64>>>()?;
             geometry.put(&pose_start.pose, &mut start);
             start.iter_mut().zip(given).for_each(|(start, given)| *start = given.unwrap_or(*start));
-            starts.push(start);
+            starts.extend(listed(model, given, start));
         }
     }
     (!starts.is_empty()).then_some(starts)

@@ -280,3 +280,7 @@ mod bounded_tests;
 #[cfg(test)]
 #[path = "defects_tests.rs"]
 mod defects_tests;
+
+#[cfg(test)]
+#[path = "start_list_tests.rs"]
+mod start_list_tests;

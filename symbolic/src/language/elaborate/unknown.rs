@@ -5,10 +5,10 @@ use isophote_elementary::Function1;
 use super::{Binding, Elaborator, Poison, fault};
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::parser::Expr;
-use isophote_syntax::words::RESERVED;
+use isophote_syntax::words::{RESERVED, functions};
 
 /// What other languages call it.
-const FOREIGN: [(&str, &str); 33] = [
+const FOREIGN: [(&str, &str); 34] = [
     ("ln", "the natural logarithm is `log`"),
     ("log10", "write `log(x) / log(10)`"),
     ("log2", "write `log(x) / log(2)`"),
@@ -35,7 +35,8 @@ const FOREIGN: [(&str, &str); 33] = [
     ("arccos", "write `acos`"),
     ("arctan", "write `atan`"),
     ("arctan2", "write `atan2(y, x)`"),
-    ("erfc", "write `1 - erf(x)`"),
+    ("j0", "write `bessel_j0`"),
+    ("j1", "write `bessel_j1`"),
     ("floor", "there is no rounding in formulas: they must have derivatives"),
     ("round", "there is no rounding in formulas: they must have derivatives"),
     ("mod", "there is no remainder in formulas: they must have derivatives"),
@@ -43,6 +44,9 @@ const FOREIGN: [(&str, &str); 33] = [
     ("π", "write `pi`"),
     ("true", "write a condition: `s <= 1`"),
 ];
+
+/// What is said of a call.
+pub const NO_FUNCTION: &str = "is not a function";
 
 impl Elaborator<'_> {
     /// Tells a name that nothing declares.
@@ -53,7 +57,10 @@ impl Elaborator<'_> {
         // The name alone, not the call.
         let mut fault = fault("unknown-name", at, format!("{} {what}", quoted(name)));
         fault.end = at.start + name.len();
-        let help = self.meant(name);
+        let help = match self.meant(name) {
+            help if what == NO_FUNCTION => format!("{help} (functions: {})", functions().join(", ")),
+            help => help,
+        };
         self.tell(fault.help(help))
     }
 

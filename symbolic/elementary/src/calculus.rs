@@ -1,12 +1,10 @@
-//! Derivatives of the elementary functions in any arithmetic: the table that forward differentiation uses. [`crate::derive::jet`]
-//! has its own, over nodes; the two are compared.
+//! Derivatives of the elementary functions in any arithmetic: the table that forward differentiation uses. Who writes
+//! derivatives as formulas has a table of its own; the two are compared.
 
-use isophote_elementary::{Function1, Function2};
-
-use crate::proof::evaluate::Number;
+use crate::{Function1, Function2, Number};
 
 /// f, f′, f″.
-pub(crate) fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
+pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
     let (one, two) = (N::from(1.0), N::from(2.0));
     let f = x.call1(function);
     match function {
@@ -31,9 +29,30 @@ pub(crate) fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
             let slope = one - f * f;
             (f, slope, -(two * f * slope))
         }
-        Function1::Erf => {
+        Function1::Erf | Function1::Erfc => {
             let slope = N::two_over_root_pi() * (-(x * x)).call1(Function1::Exp);
+            let slope = if function == Function1::Erf { slope } else { -slope };
             (f, slope, -(two * x * slope))
+        }
+        Function1::BesselJ0 => (f, -x.call1(Function1::BesselJ1), x.call1(Function1::BesselRatio1) - f),
+        Function1::BesselJ1 => {
+            let slope = x.call1(Function1::BesselJ0) - x.call1(Function1::BesselRatio1);
+            (f, slope, x * x.call1(Function1::BesselRatio2) - f)
+        }
+        Function1::BesselRatio1 => {
+            let ratio = x.call1(Function1::BesselRatio2);
+            (f, -(x * ratio), ratio + two * ratio - f)
+        }
+        Function1::Sinc => {
+            let ratio = x.call1(Function1::SincRatio);
+            (f, -(x * ratio), two * ratio - f)
+        }
+        // What only derivatives are made of: none is taken of them, and at 0 these have a hole.
+        Function1::BesselRatio2 | Function1::SincRatio => {
+            let is_bessel = function == Function1::BesselRatio2;
+            let (lower, n) = if is_bessel { (Function1::BesselRatio1, 4.0) } else { (Function1::Sinc, 3.0) };
+            let next = (N::from(n) * f - x.call1(lower)) / x;
+            (f, -next, N::from(n + 1.0) * next / x - f)
         }
         Function1::LogTail => {
             let hazard = x.call1(Function1::Hazard);
@@ -47,22 +66,34 @@ pub(crate) fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
 }
 
 /// A function of two arguments, and its five derivatives.
-pub(crate) struct Two<N> {
+#[derive(Clone, Copy, Debug)]
+pub struct Two<N> {
+    /// f
     pub value: N,
+    /// ∂f/∂a
     pub a: N,
+    /// ∂f/∂b
     pub b: N,
+    /// ∂²f/∂a²
     pub aa: N,
+    /// ∂²f/∂a∂b
     pub ab: N,
+    /// ∂²f/∂b²
     pub bb: N,
 }
 
-pub(crate) fn derivatives2<N: Number>(function: Function2, x: N, y: N) -> Two<N> {
+/// Of a function of two arguments; those of the angle count as 0 at the origin, where it has none.
+pub fn derivatives2<N: Number>(function: Function2, x: N, y: N) -> Two<N> {
     let (one, two) = (N::from(1.0), N::from(2.0));
     let value = x.call2(function, y);
     match function {
         // angle(x, y) = atan2(first, second)
         Function2::Atan2 => {
             let square = x * x + y * y;
+            let none = N::from(0.0);
+            if square == none {
+                return Two { value, a: none, b: none, aa: none, ab: none, bb: none };
+            }
             let mixed = (x * x - y * y) / (square * square);
             let bend = two * x * y / (square * square);
             Two { value, a: y / square, b: -(x / square), aa: -bend, ab: mixed, bb: bend }
