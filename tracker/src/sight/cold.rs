@@ -35,8 +35,8 @@ pub(crate) enum Grain {
 pub(crate) struct Starts {
     /// Full parameter vectors.
     pub starts: Vec<Vec<f64>>,
-    /// To be tried when none of the others leads to a believable fit: a tighter outline.
-    pub tighter: Option<Vec<f64>>,
+    /// Tighter outlines: to be tried when none of the others leads to a believable fit, and where numbers are listed.
+    pub tighter: Vec<Vec<f64>>,
 }
 
 /// From this many saturated pixels on, what is seen of the amplitude is too little, …
@@ -86,7 +86,7 @@ impl Cold {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
             let found = find(&grey, &wanted);
             let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
-            let (sights, variance) = (vec![Starts { starts, tighter: None }], Some(found.noise.powi(2)));
+            let (sights, variance) = (vec![Starts { starts, tighter: Vec::new() }], Some(found.noise.powi(2)));
             return Some(Cold { sights, saturated, variance, is_placed: false });
         }
         let targets = model.roles().len().max(1);
@@ -152,7 +152,8 @@ fn starts(
         starts.extend(listed(model, given, start(BRIGHTER, 1.0)));
     }
     let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
-    let tighter = estimators.iter().any(sized).then(|| start(1.0, TIGHTER));
+    let is_sized = estimators.iter().any(sized);
+    let tighter = if is_sized { listed(model, given, start(1.0, TIGHTER)) } else { Vec::new() };
     Starts { starts, tighter }
 }
 

@@ -241,9 +241,11 @@ fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Resu
     let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
     let mut best: Option<Attempt> = None;
     let mut others = Vec::new();
-    for start in starts.starts.iter().chain(&starts.tighter) {
-        let last_resort = Some(start) == starts.tighter.as_ref();
-        if last_resort && best.as_ref().is_some_and(Attempt::is_good) {
+    // From the wrong one of several listed numbers fits end somewhere, and are good.
+    let is_listed = starts.tighter.len() > 1;
+    for (number, start) in starts.starts.iter().chain(&starts.tighter).enumerate() {
+        let is_last_resort = number >= starts.starts.len() && !is_listed;
+        if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
             break;
         }
         let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
