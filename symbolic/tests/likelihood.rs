@@ -200,7 +200,16 @@ fn without_defects_the_tail_stays() {
     assert_eq!(Model::from_toml(&own).unwrap().constants()[0].value, 0.25);
     let other = LEVEL.replace("v0", "defects");
     assert!(Model::from_toml(&other).unwrap().constants().is_empty());
-    assert!(Model::from_toml(&LEVEL.replace("censored", "dropped")).unwrap().constants().is_empty());
+    for text in [LEVEL.replace("censored", "dropped"), LEVEL.replace("noise = \"4\"\n", "")] {
+        assert!(Model::from_toml(&text).unwrap().constants().is_empty(), "{text}");
+    }
+    // Nobody is told to remove what he did not write, and a camera without defects is compared with the formulas as well.
+    assert!(Model::from_toml(LEVEL).unwrap().unused().is_empty());
+    let none = Model::from_toml(&LEVEL.replace("[model]", "[constants]\ndefects = 0.0\n[model]")).unwrap();
+    for method in [Method::GaussNewton, Method::Newton] {
+        let [value, ..] = at_limit(&at_limits(&none, method), Precision::F64, 3.0, 0.0);
+        assert!((value + 2.0 * Function1::LogTail.value(3.0)).abs() < 1e-9, "{value}");
+    }
 }
 
 /// Three channels that see two lights in different mixtures, and what one number a channel costs and says.

@@ -258,9 +258,13 @@ impl TrackerOptions {
             target.check()?;
             PoseMismatch::check_target(model, target)?;
         }
-        if let Some(value) = self.camera.defects.filter(|share| !(0.0..1.0).contains(share)) {
+        let is_share = |share: &f64| (0.0..1.0).contains(share);
+        let of_model =
+            model.defects().map(|constant| ("constants.defects", self.constants_of(model)[constant.index()]));
+        let of_camera = self.camera.defects.map(|value| ("camera.defects", value));
+        if let Some((name, value)) = of_camera.into_iter().chain(of_model).find(|(_, value)| !is_share(value)) {
             let range = "a share of all pixels, from 0 to less than 1".to_string();
-            return Err(TrackError::Range { name: "camera.defects", value, range });
+            return Err(TrackError::Range { name, value, range });
         }
         let is_pose =
             |start: &Start| matches!(start, Start::Estimator(Estimator::Position(_) | Estimator::Orientation(_)));

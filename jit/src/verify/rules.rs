@@ -217,7 +217,8 @@ impl Check<'_> {
         let is_multiple = |at: i64| at % VECTOR_BYTES == 0;
         match access.place {
             _ if self.instruction.is_ip_rel_memory_operand() => true,
-            Fact::Frame(places) => {
+            // An index may lead anywhere.
+            Fact::Frame(places) if access.more == 0 => {
                 state.is_frame_aligned(VECTOR_BYTES) && places.each().all(|at| is_multiple(at + access.offset))
             }
             _ => false,

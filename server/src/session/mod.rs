@@ -179,9 +179,12 @@ impl Session {
         }
         let compile_ms = elapsed_ms(start_ns);
         let options = swap::options_known(&self.document, &entry.model);
+        let refused = |error: TrackError| Problem::conflict("not-applicable", error.to_string());
+        if let Some(size) = &shape.size {
+            options.check_size(&entry.model, size).map_err(refused)?;
+        }
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
-        let proof = Tracker::new(compiled.clone(), options.clone())
-            .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
+        let proof = Tracker::new(compiled.clone(), options.clone()).map_err(refused)?;
         if self.document.options.exposure.control && !proof.advises_exposure() {
             return Err(Problem::conflict("not-applicable", fit::UNADVISED));
         }
@@ -261,7 +264,7 @@ fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackEr
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant, error) {
-        (_, _, TrackError::Range { name, .. }) if name.starts_with("camera.") => name.to_string(),
+        (_, _, TrackError::Range { name, .. }) if name.contains("defects") => name.to_string(),
         (_, _, TrackError::Range { name, .. }) => format!("options.{name}"),
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),

@@ -60,6 +60,9 @@ pub fn options_known(document: &SessionDocument, model: &Model) -> TrackerOption
     let mut options = options(document);
     options.start.retain(|name, _| model.parameter(name).is_some());
     options.constants.retain(|name, _| model.constant(name).is_some());
+    // A model of one spot without a name has no pose of several; the target comes back with the model that has.
+    let is_nameless = model.roles().iter().all(|roles| roles.name.is_none() && roles.position.is_empty());
+    options.target = options.target.filter(|target| !is_nameless || target.spots.len() == 1);
     options
 }
 

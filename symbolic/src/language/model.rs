@@ -378,6 +378,10 @@ impl Model {
     pub fn has_noise(&self) -> bool {
         self.formulas.noise.is_some()
     }
+    /// The share of defects among pixels, where pixels at their limit may be some.
+    pub fn defects(&self) -> Option<ConstantId> {
+        self.formulas.defects
+    }
     /// What becomes of pixels at their limit.
     pub fn saturated(&self) -> Saturated {
         self.formulas.saturated

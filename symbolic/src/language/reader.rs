@@ -350,16 +350,21 @@ fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span
 /// The share of pixels that are at their limit whatever the light, when nobody says: its name, and its value.
 const DEFECTS: (&str, f64) = ("defects", 1e-3);
 
-/// Where pixels at their limit are censored, the constant of that name; it is added unless the name has another meaning.
+/// Where pixels at their limit are censored, and weighed by their noise, the constant of that name; it is added unless the
+/// name has another meaning. Without noise nobody knows how much less light would be strange, and a `loss` bounds what a pixel
+/// counts by itself.
 fn defects(top: &[(Key, Entry)], constants: &mut Vec<Constant>, names: &Names) -> Option<ConstantId> {
-    let model = get(top, "model").map(|entry| &entry.item);
-    let saturated = if let Some(Item::Table(model)) = model { get(model, "saturated") } else { None }?;
+    let Some(Item::Table(model)) = get(top, "model").map(|entry| &entry.item) else { return None };
+    let saturated = get(model, "saturated")?;
     let is_censored = matches!(&saturated.item, Item::Text(text) if &*text.value == "censored");
-    if is_censored && !names.seen.contains_key(DEFECTS.0) && constants.len() < LIMITS.constants {
+    if !is_censored || get(model, "noise").is_none() || get(model, "loss").is_some() {
+        return None;
+    }
+    if !names.seen.contains_key(DEFECTS.0) && constants.len() < LIMITS.constants {
         constants.push(Constant { name: DEFECTS.0.into(), value: DEFECTS.1, span: saturated.span });
     }
-    let place = constants.iter().position(|constant| constant.name == DEFECTS.0);
-    place.filter(|_| is_censored).map(|place| ConstantId(place as u32))
+    let place = constants.iter().position(|constant| constant.name == DEFECTS.0)?;
+    Some(ConstantId(place as u32))
 }
 
 fn read_constants(faults: &mut Faults, top: &[(Key, Entry)], names: &mut Names) -> Vec<Constant> {

@@ -39,7 +39,10 @@ impl Model {
         let ids = (0..self.parameters.len() as u32).map(ParameterId);
         let parameters = ids.filter(|id| !self.reads(*id)).map(|id| &self.parameters[id.index()]);
         let parameters = parameters.map(|parameter| ("parameters", &parameter.name, parameter.span));
-        let is_read = |i: usize| self.read_by_formulas(&[Input::Constant(ConstantId(i as u32))]);
+        let is_read = |i: usize| {
+            let constant = ConstantId(i as u32);
+            self.formulas.defects == Some(constant) || self.read_by_formulas(&[Input::Constant(constant)])
+        };
         let constants = self.constants.iter().enumerate().filter(|(i, _)| !is_read(*i)).map(|(_, constant)| constant);
         let constants = constants.map(|constant| ("constants", &constant.name, constant.span));
         let remark = |(table, name, span): (&str, &String, Span)| {

@@ -189,7 +189,13 @@ pub(crate) fn plausible(model: &Model, centre: [f64; 4], random: &mut Random) ->
     let beside = |p: &f64| if *p == 0.0 { 1e-3 } else { p * (1.0 + 0.01 * random.signed()) };
     let entry = parameters.iter().map(beside).collect();
     let shift = (0..coordinates).map(|_| 0.4 * random.signed()).collect();
-    let constants = model.constants.iter().map(|c| c.value).collect();
+    let mut constants: Vec<f64> = model.constants.iter().map(|c| c.value).collect();
+    // Without any defects their logarithm has no value, and nothing would be compared.
+    model
+        .formulas
+        .defects
+        .iter()
+        .for_each(|share| constants[share.index()] = constants[share.index()].clamp(1e-3, 0.5));
     let limits = (0..model.channels.len()).map(limit).collect();
     Point { parameters, entry, constants, limits, shift, columns, rows, pixels }
 }

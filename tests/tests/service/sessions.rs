@@ -132,6 +132,7 @@ fn wrong_documents_name_the_key() {
         (with("options", json!({"predict": {"horizon_s": 0.5, "steps": 0}})), "options.predict.steps"),
         (with("camera", json!({"saturatoin": 255})), "camera.saturatoin"),
         (with("camera", json!({"defects": 1})), "camera.defects"),
+        (with("constants", json!({"defects": -0.1})), "constants.defects"),
         (with("source", json!({"kind": "recording", "path": "/no/such/folder"})), "source.path"),
         (with("source", json!({"kind": "radio"})), "source.kind"),
         (with("model", json!("profile-1d")), "model"),

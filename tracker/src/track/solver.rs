@@ -27,7 +27,7 @@ use isophote_frame::Frame;
 /// A brightness of less than this many standard deviations is nothing.
 const SIGNIFICANT: f64 = 5.0;
 /// About a domain, for what its walk through the model may have missed.
-const DOMAIN_MARGIN: Margin = Margin { share: 0.01, px: [1.0; 4] };
+const DOMAIN_MARGIN: Margin = Margin { share: 0.05, px: [2.0; 4] };
 /// A fit whose domain leaves its window is repeated in a larger one, so many times.
 const WINDOWS: usize = 4;
 
