@@ -101,7 +101,8 @@ impl Scene {
             window,
             values,
             entry,
-            constants: vec![random.between(0.1, 0.9)],
+            // The document's own, and the share of defects where pixels at their limit are censored.
+            constants: vec![random.between(0.1, 0.9), 1e-3],
             saturation: vec![limit, limit + 0.25],
             shift: [random.between(-0.4, 0.4), random.between(-0.4, 0.4)],
         }
