@@ -131,7 +131,11 @@ impl Dialect {
         let special = |name: &str, order: u32| format!("{name}({order}, {x})");
         self.back(match (self.language, f) {
             (_, Function1::BesselJ0) => special("bessel_ratio", 0),
-            (_, Function1::BesselJ1) => format!("({x} * {})", special("bessel_ratio", 1)),
+            (Language::C, Function1::BesselJ1) => format!("({x} * {})", special("bessel_ratio", 1)),
+            // Brackets around all of an assignment are warned of.
+            (Language::Rust, Function1::BesselJ1) => {
+                format!("core::ops::Mul::mul({x}, {})", special("bessel_ratio", 1))
+            }
             (_, Function1::BesselRatio1) => special("bessel_ratio", 1),
             (_, Function1::BesselRatio2) => special("bessel_ratio", 2),
             (_, Function1::Sinc) => special("sinc_ratio", 0),
