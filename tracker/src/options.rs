@@ -160,7 +160,7 @@ pub enum TrackError {
     /// A number of the options that cannot be.
     #[error("{name} = {value} must be {range}")]
     Range {
-        /// As in a session's options.
+        /// As in a session's options, or where it stands in the session: `camera.…`, `constants.…`.
         name: &'static str,
         /// As given.
         value: f64,

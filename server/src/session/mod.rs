@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use isophote_tracker::{PoseMismatch, TrackError, Tracker};
+use isophote_tracker::{Compiled, PoseMismatch, TrackError, Tracker, TrackerOptions};
 use tokio::sync::oneshot;
 
 use crate::hub::{End, Hub};
@@ -79,8 +79,7 @@ impl Session {
             compiled.warm(format, &Threads)?;
         }
         let options = swap::options(&document);
-        let suits = source.source.shape().size.as_ref().map_or(Ok(()), |size| options.check_size(&entry.model, size));
-        let tracker = suits.and_then(|()| Tracker::new(compiled, options));
+        let tracker = tracker(compiled, options, source.source.shape());
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
@@ -179,12 +178,9 @@ impl Session {
         }
         let compile_ms = elapsed_ms(start_ns);
         let options = swap::options_known(&self.document, &entry.model);
-        let refused = |error: TrackError| Problem::conflict("not-applicable", error.to_string());
-        if let Some(size) = &shape.size {
-            options.check_size(&entry.model, size).map_err(refused)?;
-        }
         // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
-        let proof = Tracker::new(compiled.clone(), options.clone()).map_err(refused)?;
+        let proof = tracker(compiled.clone(), options.clone(), &shape)
+            .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
         if self.document.options.exposure.control && !proof.advises_exposure() {
             return Err(Problem::conflict("not-applicable", fit::UNADVISED));
         }
@@ -259,13 +255,23 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) -> Result<(
     Ok(())
 }
 
+/// A tracker of such frames.
+fn tracker(compiled: Arc<Compiled>, options: TrackerOptions, shape: &FrameShape) -> Result<Tracker, TrackError> {
+    if let Some(size) = &shape.size {
+        options.check_size(compiled.model(), size)?;
+    }
+    Tracker::new(compiled, options)
+}
+
 /// The key of the option that a tracker refuses.
 fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
     let key = match (parameter, constant, error) {
-        (_, _, TrackError::Range { name, .. }) if name.contains("defects") => name.to_string(),
-        (_, _, TrackError::Range { name, .. }) => format!("options.{name}"),
+        (_, _, TrackError::Range { name, .. }) => match name.split_once('.') {
+            Some(("camera" | "constants", _)) => name.to_string(),
+            _ => format!("options.{name}"),
+        },
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),
         (None, None, TrackError::Target(_)) => "target".to_string(),

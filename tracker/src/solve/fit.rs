@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
+use crate::scaled::Definite;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
 use crate::solve::follow::{ShortWay, follow};
@@ -15,7 +16,7 @@ use crate::solve::loops::{Loops, Totals};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
-use crate::solve::trust::{Curvature, Definite, Quadratic, Spectrum};
+use crate::solve::trust::{Curvature, Quadratic, Spectrum};
 
 /// What a fit came to.
 #[derive(Clone, Debug)]

@@ -12,8 +12,9 @@
 use nalgebra::DVector;
 
 use crate::estimate::{Ending, StageReport};
+use crate::scaled::Definite;
 use crate::solve::stage::{CostFunction, Pass, Rules, eigen_resolution};
-use crate::solve::trust::{Definite, Quadratic, Spectrum};
+use crate::solve::trust::{Quadratic, Spectrum};
 
 /// What may be left of the way to the minimum, in standard deviations.
 const LEFT: f64 = 0.05;

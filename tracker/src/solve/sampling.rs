@@ -18,11 +18,11 @@ use isophote_symbolic::{
 use nalgebra::DVector;
 
 use crate::estimate::{Sampled, StageReport};
+use crate::scaled::Definite;
 use crate::sight::view::View;
 use crate::solve::fit::{Arrival, Fit, fit_controlled, followed, pass_at};
 use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
-use crate::solve::trust::{Definite, scaled};
 use crate::solve::workers::InTurn;
 
 /// Points a side, at most, …
@@ -364,8 +364,6 @@ fn less(mut fine: Planes, coarse: &Planes) -> Planes {
 /// How far a fit is from where it began, in standard deviations; `None` without a covariance.
 fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
     let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
-    let deviations = covariance.diagonal().map(f64::sqrt);
     let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
-    let moved = DVector::from_iterator(free.len(), moved).component_div(&deviations);
-    Some(moved.dot(&scaled(covariance, &deviations).cholesky()?.solve(&moved)).max(0.0).sqrt())
+    Some(Definite::of(covariance)?.length(&DVector::from_iterator(free.len(), moved)))
 }

@@ -8,7 +8,9 @@
 //! MINPACK), the first radius is `1·‖D u‖`: with 10 or 100 instead the NIST problems are not all solved (notes,
 //! "Numerical solvers").
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use crate::scaled::{Definite, scaled};
 
 /// Which second derivatives H holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -179,7 +181,7 @@ impl Spectrum {
             return None;
         }
         let factor = self.scaled.clone().cholesky()?;
-        Some(Definite { scale: self.scale.clone(), factor }.inverse())
+        Some(Definite::of_factor(self.scale.clone(), factor).inverse())
     }
 
     /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ cannot be told from 0, see [`Answered`].
@@ -272,70 +274,6 @@ impl Spectrum {
             interior: false,
         }
     }
-}
-
-/// An H that bends upwards in every direction, by its factors: `H = D L Lᵀ D` with D the root of its diagonal.
-pub(crate) struct Definite {
-    scale: DVector<f64>,
-    factor: Cholesky<f64, Dyn>,
-}
-
-impl Definite {
-    /// `None` where an entry of the diagonal, or the factorisation, says that it does not.
-    pub fn of(hessian: &DMatrix<f64>) -> Option<Definite> {
-        let scale = hessian.diagonal().map(f64::sqrt);
-        if !scale.iter().all(|entry| *entry > 0.0) {
-            return None;
-        }
-        let factor = scaled(hessian, &scale).cholesky()?;
-        Some(Definite { scale, factor })
-    }
-
-    /// The diagonal of D.
-    pub fn scale(&self) -> &DVector<f64> {
-        &self.scale
-    }
-
-    /// True where no eigenvalue of `D⁻¹HD⁻¹` could be taken for zero. These have the sum n, so the product of all but the
-    /// least is below `(n/(n − 1))ⁿ⁻¹ < e`.
-    pub fn is_clear(&self, resolution: f64) -> bool {
-        let n = self.scale.len() as f64;
-        self.factor.determinant() > std::f64::consts::E * n * n * resolution
-    }
-
-    /// `−H⁻¹g`, and by how much F falls there.
-    pub fn newton_step(&self, gradient: &DVector<f64>) -> (DVector<f64>, f64) {
-        let delta = -self.factor.solve(&gradient.component_div(&self.scale)).component_div(&self.scale);
-        let reduction = -0.5 * delta.dot(gradient);
-        (delta, reduction)
-    }
-
-    /// H⁻¹.
-    pub fn inverse(&self) -> DMatrix<f64> {
-        let inverse = self.factor.inverse();
-        let mean = |i, j| 0.5 * (inverse[(i, j)] + inverse[(j, i)]);
-        DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| mean(i, j) / (self.scale[i] * self.scale[j]))
-    }
-
-    /// `√(gᵀH⁻¹g)`.
-    pub fn length(&self, gradient: &DVector<f64>) -> f64 {
-        let gradient = gradient.component_div(&self.scale);
-        gradient.dot(&self.factor.solve(&gradient)).max(0.0).sqrt()
-    }
-
-    /// The largest relative difference of another H, in whatever direction.
-    pub fn differs(&self, other: &DMatrix<f64>) -> f64 {
-        let lower = self.factor.l();
-        let half = lower.solve_lower_triangular(&scaled(other, &self.scale));
-        let whole = half.and_then(|half| lower.solve_lower_triangular(&half.transpose()));
-        let eigenvalues = whole.map(|whole| (0.5 * (&whole + whole.transpose())).symmetric_eigenvalues());
-        eigenvalues.map_or(f64::INFINITY, |values| values.iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max))
-    }
-}
-
-/// `D⁻¹ M D⁻¹`.
-pub(crate) fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
-    DMatrix::from_fn(scale.len(), scale.len(), |i, j| matrix[(i, j)] / (scale[i] * scale[j]))
 }
 
 /// The region's memory from step to step.
