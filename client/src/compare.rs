@@ -9,7 +9,7 @@ use std::time::Instant;
 use isophote_capture::{Captured, FrameSource};
 use isophote_symbolic::Model;
 use isophote_tracker::tune::figures;
-use isophote_tracker::{Camera, Estimate, TrackState, TrackerOptions};
+use isophote_tracker::{CONFIDENCE_MIN, Camera, Estimate, TrackState, TrackerOptions};
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -29,6 +29,9 @@ pub struct CompareArgs {
     /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
+    /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.01]
+    #[arg(long, value_name = "P")]
+    pub confidence_min: Option<f64>,
     /// Draw error over time as SVG
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
@@ -78,7 +81,8 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
 
 /// Follows the target through all frames.
 fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
-    let options = TrackerOptions { camera: camera.clone(), ..TrackerOptions::default() };
+    let confidence_min = args.confidence_min.unwrap_or(CONFIDENCE_MIN);
+    let options = TrackerOptions { camera: camera.clone(), confidence_min, ..TrackerOptions::default() };
     let mut run = OfflineRun::open(document, model, &args.frames, None, (options, Arc::default()))?;
     let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());

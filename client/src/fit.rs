@@ -9,13 +9,16 @@ use isophote_capture::encode::encode_png_rgb;
 use isophote_capture::{Captured, FrameSource};
 use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Estimate, ExposureGoal, Pose, TrackState, TrackerOptions, contours};
+use isophote_tracker::{CONFIDENCE_MIN, Estimate, ExposureGoal, Pose, TrackState, TrackerOptions, contours};
 use isophote_wire as wire;
 
 use crate::arguments::{NumberArgs, PrecisionArgument, VectorWidthArgument, WindowArgument};
 use crate::failure::Failure;
 use crate::output::with_deviation;
 use crate::{model_files, offline, output, overlay};
+
+/// A confidence below this is told.
+const DOUBTFUL: f64 = 0.5;
 
 /// Fit a model to every frame of a folder or file: one line a frame
 #[derive(Clone, Debug, clap::Args)]
@@ -46,6 +49,9 @@ pub struct FitArgs {
     /// the pose
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
+    /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.01]
+    #[arg(long, value_name = "P")]
+    pub confidence_min: Option<f64>,
     /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
@@ -105,6 +111,7 @@ fn options(args: &FitArgs) -> Result<TrackerOptions, Failure> {
         camera: offline::camera(args.camera.as_deref())?,
         target: args.target.as_deref().map(offline::target).transpose()?,
         exposure: Some(ExposureGoal::Centre),
+        confidence_min: args.confidence_min.unwrap_or(CONFIDENCE_MIN),
         ..TrackerOptions::default()
     })
 }
@@ -167,8 +174,31 @@ fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> Str
             text += &pose_columns(pose);
         }
         text += &format!("  saturated {:.1} %", 100.0 * line.saturated);
+        if let Some(substitute) = &line.substitute {
+            text += &substitute_column(substitute);
+        }
+        for name in &line.at_bounds {
+            text += &format!("  {name} at its bound");
+        }
+    }
+    match line.confidence.filter(|confidence| *confidence < DOUBTFUL) {
+        Some(confidence) if line.rejection == Some(wire::Rejection::Unlikely) => {
+            text += &format!("  not taken: confidence {confidence:.1e} is below --confidence-min");
+        }
+        Some(confidence) => text += &format!("  confidence {confidence:.2}"),
+        None => {}
     }
     text + "  " + line.ending.name()
+}
+
+/// What was fitted in the model's place.
+fn substitute_column(substitute: &wire::Substitute) -> String {
+    let degree = match substitute.degree {
+        0 => "even background".to_string(),
+        degree => format!("background of degree {degree}"),
+    };
+    let robust = if substitute.robust { ", outliers left out" } else { "" };
+    format!("  substitute: {degree}, {:.0} % hidden{robust}", 100.0 * substitute.hidden)
 }
 
 /// Position with standard deviations in mm; the rotation as an axis times its angle in degrees.

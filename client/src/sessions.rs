@@ -37,6 +37,9 @@ pub struct StartArgs {
     /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, defects, intrinsics
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
+    /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.01]
+    #[arg(long, value_name = "P")]
+    pub confidence_min: Option<f64>,
     /// Arithmetic of the pixel loops [default: f32]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
@@ -97,8 +100,15 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if let Some(path) = &args.camera {
         document.insert("camera".into(), source_uri::read_json(path)?);
     }
+    let mut options = Map::new();
     if let Some(precision) = args.precision {
-        document.insert("options".into(), json!({"precision": isophote_symbolic::Precision::from(precision)}));
+        options.insert("precision".into(), json!(isophote_symbolic::Precision::from(precision)));
+    }
+    if let Some(confidence_min) = args.confidence_min {
+        options.insert("confidence_min".into(), json!(confidence_min));
+    }
+    if !options.is_empty() {
+        document.insert("options".into(), options.into());
     }
     let view: Value = RemoteService::new(&args.service)?.put(&path(&args.name), &document)?;
     if args.service.json {

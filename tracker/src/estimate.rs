@@ -1,6 +1,6 @@
 //! `Estimate`: what one frame says about one target, and how the fit that says so ended.
 
-use isophote_symbolic::ParameterId;
+use isophote_symbolic::{Model, Parameter, ParameterId};
 
 use serde::{Deserialize, Serialize};
 
@@ -146,6 +146,8 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
+    /// The probability that it is the target is less than `confidence_min`.
+    Unlikely,
 }
 
 /// What is different about a fit that was chosen over the plain one.
@@ -182,6 +184,11 @@ pub struct Ahead {
     pub covariance: Vec<Vec<f64>>,
 }
 
+/// A parameter is at a bound when it is nearer than this, in standard deviations, …
+const NEAR: f64 = 0.05;
+/// … or in shares of the bound, where it has none.
+const NEAREST: f64 = 1e-9;
+
 /// What one frame says about one target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
@@ -208,7 +215,7 @@ pub struct Estimate {
     /// ln L of the frame's pixels in the domain.
     pub log_likelihood: Option<f64>,
     /// The probability that the thing tracked is the target; absent where the model does not say what is bright, or is that of a
-    /// pose, and where nothing was seen.
+    /// pose, and where nothing was seen. Of a fit that is rejected as unlikely: its own.
     pub confidence: Option<f64>,
     /// What exposure would be best, when it was asked for and the target was seen.
     pub exposure_advice: Option<ExposureAdvice>,
@@ -245,6 +252,18 @@ impl Estimate {
     /// True when a stage's domain lost more than half of its pixels on the way.
     pub fn domain_shrank(&self) -> bool {
         self.stages.iter().any(StageReport::domain_shrank)
+    }
+
+    /// Names of parameters that a bound of the document holds back: nearer to it than a twentieth of their standard deviation.
+    pub fn at_bounds(&self, model: &Model) -> Vec<String> {
+        let is_held = |(index, parameter): &(usize, &Parameter)| {
+            let (id, value) = (ParameterId(*index as u32), self.parameters[*index]);
+            let near = NEAR * self.deviation(id).unwrap_or(0.0);
+            let bounds = parameter.min.iter().chain(&parameter.max);
+            self.order.contains(&id) && bounds.clone().any(|bound| (value - bound).abs() <= near.max(NEAREST * bound.abs()))
+        };
+        let parameters = model.parameters().iter().enumerate().filter(|(index, _)| *index < self.parameters.len());
+        parameters.filter(is_held).map(|(_, parameter)| parameter.name.clone()).collect()
     }
 
     /// The standard deviation of a free parameter.

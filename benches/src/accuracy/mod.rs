@@ -14,6 +14,7 @@
 
 pub mod basin;
 pub mod bound;
+pub mod clutter;
 pub mod colour;
 pub mod condition;
 pub mod consistency;

@@ -49,8 +49,8 @@ pub struct SessionOptions {
     /// How many targets to follow, each an instance of the model: one estimate a frame for each.
     #[serde(skip_serializing_if = "is_one")]
     pub targets: usize,
-    /// What a search finds is taken for a target from this confidence on, 0 … 1.
-    #[serde(skip_serializing_if = "is_nought")]
+    /// What is fitted is taken for a target from this confidence on, 0 … 1.
+    #[serde(skip_serializing_if = "is_usual_confidence")]
     pub confidence_min: f64,
     /// How targets move.
     #[serde(skip_serializing_if = "MotionDocument::is_usual")]
@@ -77,7 +77,7 @@ impl Default for SessionOptions {
         SessionOptions {
             precision: Precision::default(),
             targets: 1,
-            confidence_min: 0.0,
+            confidence_min: isophote_tracker::CONFIDENCE_MIN,
             motion: MotionDocument::default(),
             exposure: ExposureOptions::default(),
             predict: None,
@@ -100,8 +100,8 @@ fn is_one(count: &usize) -> bool {
     *count == 1
 }
 
-fn is_nought(number: &f64) -> bool {
-    *number == 0.0
+fn is_usual_confidence(confidence_min: &f64) -> bool {
+    *confidence_min == isophote_tracker::CONFIDENCE_MIN
 }
 
 impl MotionDocument {

@@ -86,6 +86,9 @@ pub struct EstimateView {
     /// What was fitted in the model's place, when that left too much unexplained.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub substitute: Option<Substitute>,
+    /// Parameters that a bound of the document holds back.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub at_bounds: Vec<String>,
     /// How pixels were sampled, when the model leaves that open.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub sampled: Option<Sampled>,
@@ -164,6 +167,7 @@ impl EstimateView {
             exposure_advice: result.exposure_advice.clone(),
             predict: result.ahead.clone(),
             substitute: result.substitute,
+            at_bounds: if result.state == TrackState::Tracking { result.at_bounds(model) } else { Vec::new() },
             sampled: result.sampled,
             vector_width: None,
             truth: None,

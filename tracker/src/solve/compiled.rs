@@ -4,12 +4,13 @@
 //! never knows a frame.
 
 use std::ops::Deref;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, Precision};
 
 use crate::solve::alternatives::Alternatives;
+use crate::solve::residuals::Predictions;
 use crate::solve::sampling::Sampling;
 use crate::solve::shelf::Shelf;
 use crate::solve::stage_kernels::{CompileFailure, StageKernels};
@@ -21,6 +22,7 @@ pub struct Compiled {
     kernels: StageKernels,
     alternatives: Arc<Shelf<Alternatives>>,
     sampling: Arc<Shelf<Sampling>>,
+    predictions: Arc<OnceLock<Option<Predictions>>>,
 }
 
 impl Compiled {
@@ -52,12 +54,13 @@ impl Compiled {
             kernels: self.kernels.share(),
             alternatives: self.alternatives.clone(),
             sampling: self.sampling.clone(),
+            predictions: self.predictions.clone(),
         }
     }
 
     /// With nothing derived beside these.
     pub(crate) fn of_kernels(kernels: StageKernels) -> Compiled {
-        Compiled { kernels, alternatives: Arc::default(), sampling: Arc::default() }
+        Compiled { kernels, alternatives: Arc::default(), sampling: Arc::default(), predictions: Arc::default() }
     }
 
     /// Alternatives to the model, derived as long as `keeps_going` says so; those that are there need not be.
@@ -69,6 +72,12 @@ impl Compiled {
     /// Where they are kept.
     pub(crate) fn alternatives_shelf(&self) -> &Shelf<Alternatives> {
         &self.alternatives
+    }
+
+    /// What the model predicts of each pixel; `None` where that reads the picture.
+    pub(crate) fn predictions(&self) -> Option<&Predictions> {
+        let make = || Predictions::new(self.model(), self.precision(), self.kernels.cache()).ok().flatten();
+        self.predictions.get_or_init(make).as_ref()
     }
 
     /// The kernels of a model that leaves its quadrature open.

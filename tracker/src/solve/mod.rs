@@ -10,6 +10,7 @@ pub(crate) mod fit;
 pub(crate) mod follow;
 pub(crate) mod loops;
 pub(crate) mod prepare;
+pub(crate) mod residuals;
 pub(crate) mod sampling;
 pub(crate) mod shelf;
 pub(crate) mod stage;

@@ -5,9 +5,14 @@
 //! 1. *Contrast*, `ln (F₀/F)`: F₀ is F without the target, brightness 0 and the background fitted anew. F is a parabola in
 //!    both, so `F₀ − F = v²/var(v)`, where var(v) is the brightness' variance at unit noise when nothing but the background
 //!    is unknown beside it: no pass over pixels is needed. `½ (F₀ − F)` is the log-likelihood ratio against background alone.
-//! 2. *Misfit*, `ln (e/e₀)`, at least 0, with e the share of the target's light that the model leaves unexplained beyond the
-//!    noise, `(χ²/ν − 1)/((F₀ − F)/ν)`: a thing of another shape. No model is quite right, so e₀ is forgiven. Without
-//!    `noise` in the model the noise is that at the border of what was searched, with a variance that grows as the light.
+//! 2. *Misfit*, `ln (e/e₀)`, at least 0, with e the share of the target's light that the model leaves unexplained, over the
+//!    number of places where it does so independently: a thing of another shape. No model is quite right, so e₀ is forgiven.
+//!    What hangs together in the residuals of the frame in which the target was found says it ([`Structure`]), without any
+//!    knowledge of the noise; in frames after that one, what χ²/ν has grown by as well. Where there are too few pixels for
+//!    that it is `(χ²/ν − 1)/((F₀ − F)/ν)`, over no number of places, and without `noise` in
+//!    the model the noise is that at the border of what was searched, with a variance that grows as the light.
+//!    A substitute, which may leave out what does not suit it, is held to the noise itself: e is what χ²/ν exceeds 1 by,
+//!    and the more it leaves out, the less it says.
 //! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate; none for a target that moved by less than
 //!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
@@ -17,7 +22,8 @@
 use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::DMatrix;
 
-use super::solver::Solver;
+use super::solver::{Attempt, Look, Solver};
+use super::structure::Structure;
 use crate::solve::fit::{Fit, Worth};
 
 /// What the weights multiply, in the order of the list above, and the constant.
@@ -26,8 +32,16 @@ const CONSTANT: f64 = -3.0;
 
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
-/// e₀.
+/// e₀, …
+const PRETENDED: f64 = 2e-4;
+/// … and where nothing is known of how residuals hang together.
 const IMPERFECT: f64 = 0.002;
+/// e₀ of χ²/ν, for substitutes.
+const EXCESS: f64 = 0.02;
+/// e-folds for a substitute that leaves all pixels out.
+const HIDDEN: f64 = 2.5;
+/// A target's pixels are looked at one by one again when χ²/ν has grown by this factor since.
+const GROWN: f64 = 1.35;
 /// A height of so many times what pixels hold can still be told.
 const HEIGHT_MAX: f64 = 3.0;
 /// χ²/ν may be larger than 1 by so many of its standard deviations, √(2/ν).
@@ -40,6 +54,18 @@ pub(crate) struct Ground {
     pub variance: f64,
     /// The largest value that a pixel may have.
     pub limit: f64,
+    /// Of the target's own pixels, when they were last looked at one by one.
+    pub own: Option<Own>,
+}
+
+/// A target's own pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Own {
+    pub structure: Structure,
+    /// χ²/ν of that fit.
+    pub reduced: f64,
+    /// By which factor its pixels are brighter than the background.
+    pub light: f64,
 }
 
 /// For and against having the target.
@@ -67,18 +93,33 @@ impl Evidence {
         let worth = fit.worth.as_ref().filter(|_| !solver.fits_pose())?;
         let gain = gain(solver, fit, worth)?;
         let contrast = (1.0 + gain).ln();
-        let unit = match solver.model().has_noise() {
-            true => Some(1.0),
-            false => ground.map(|ground| ground.variance * light(solver, fit, ground.limit)),
+        let own = ground.and_then(|ground| Some((ground.own?, light(solver, fit, ground.limit))));
+        let unit = match (own, solver.model().has_noise()) {
+            (Some((own, light)), _) => Some(own.reduced * (light / own.light).max(1.0)),
+            (None, true) => Some(1.0),
+            (None, false) => ground.map(|ground| ground.variance * light(solver, fit, ground.limit)),
         };
         let freedom = worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64;
         let unexplained = |unit: f64| {
             let reduced = worth.reduced? / unit;
             Some((reduced - 1.0 - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
         };
-        let misfit = unit.map_or(Some(0.0), |unit| Some((unexplained(unit)? / IMPERFECT).max(1.0).ln()))?;
+        let misfit = match fit.choice {
+            Some(choice) => {
+                let excess = worth.reduced? - 1.0 - SCATTER * (2.0 / freedom).sqrt();
+                (excess.max(0.0) / EXCESS).ln_1p() + HIDDEN * choice.hidden
+            }
+            None => {
+                let grown = unit.map_or(Some(0.0), unexplained)?;
+                let share = own.map_or(grown / IMPERFECT, |(own, _)| {
+                    own.structure.share().max(grown * own.structure.cell) / PRETENDED
+                });
+                share.max(1.0).ln()
+            }
+        };
         let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
-        Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(), ..Evidence::default() })
+        Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(),
+..Evidence::default() })
     }
 
     /// By which one of several things is taken.
@@ -95,6 +136,19 @@ impl Evidence {
     /// The probability that the thing fitted is the target.
     pub fn confidence(&self) -> f64 {
         1.0 / (1.0 + (-self.log_odds()).exp())
+    }
+}
+
+impl Ground {
+    /// With the pixels of a fit looked at one by one, unless they were and χ²/ν is as it was then.
+    pub fn looked_at(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
+        let Some((fit, reduced)) = attempt.fit.as_ref().zip(attempt.reduced()) else { return self };
+        if fit.choice.is_some() || self.own.is_some_and(|own| reduced <= GROWN * own.reduced) {
+            return self;
+        }
+        let light = light(solver, fit, self.limit);
+        let own = solver.structure(look, fit).map(|structure| Own { structure, reduced, light });
+        Ground { own: own.or(self.own), ..self }
     }
 }
 

@@ -23,9 +23,11 @@ mod rival;
 pub(crate) mod search;
 pub(crate) mod shared;
 pub(crate) mod solver;
+mod structure;
 pub(crate) mod tracker;
 pub(crate) mod window;
 
+use crate::estimate::Rejection;
 use crate::options::TrackerOptions;
 use crate::solve::alternatives::StartsFrom;
 use crate::solve::fit::Begin;
@@ -61,8 +63,8 @@ pub(crate) enum Finding {
     Seen(Box<Candidate>),
     /// It is not; where it should be by now.
     Coasting(Attempt, Predicted),
-    /// It is not, and nobody knows where it may be.
-    Missing(Attempt),
+    /// It is not, and nobody knows where it may be. Of something that may be the target, but is not likely to: how likely.
+    Missing(Attempt, Option<f64>),
 }
 
 /// What became of the fit around the prediction.
@@ -95,12 +97,14 @@ impl Track {
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
         let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
-        let candidate = Candidate::of(solver, attempt, self.memory.ground);
+        let ground = self.memory.ground.map(|ground| ground.looked_at(solver, look, &attempt));
+        let candidate = Candidate::of(solver, attempt, ground);
         let candidate = self.expecting(solver, candidate, time_s);
         // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.
         let is_substitute = candidate.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
         let is_unlike = is_substitute && candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
         let is_kept = !is_unlike
+            && solver.is_sure(&candidate)
             && self.is_expected(solver, look, &candidate.attempt)
             && self.is_near(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
@@ -151,11 +155,10 @@ impl Track {
         };
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
-            let sure = candidate.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min);
             let guess = !self.is_confirmed() && search.is_guess(&candidate);
-            (sure && !guess && suits(&candidate)).then_some(candidate)
+            (solver.is_sure(&candidate) && !guess && suits(&candidate)).then_some(candidate)
         });
-        let good = doubtful.as_ref().is_some_and(|candidate| candidate.attempt.is_good());
+        let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && solver.is_sure(warm));
         match (doubtful.filter(|_| good), found) {
             (Some(warm), Some(found)) => {
                 let (was, is) = (self.change(solver, &warm.attempt), self.change(solver, &found.candidate.attempt));
@@ -173,7 +176,17 @@ impl Track {
                 Finding::Seen(Box::new(found.candidate))
             }
             (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
-            _ => self.missing(solver, look, search.failure.clone(), time_s),
+            _ => match search.doubted().filter(|candidate| !solver.is_sure(candidate)) {
+                Some(Candidate { attempt, evidence, .. }) => {
+                    let attempt = Attempt { rejection: Some(Rejection::Unlikely), ..attempt };
+                    let confidence = evidence.map(|evidence| evidence.confidence());
+                    match self.missing(solver, look, attempt, time_s) {
+                        Finding::Missing(attempt, _) => Finding::Missing(attempt, confidence),
+                        coasting => coasting,
+                    }
+                }
+                None => self.missing(solver, look, search.failure.clone(), time_s),
+            },
         }
     }
 
@@ -183,7 +196,7 @@ impl Track {
         let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s + ROUNDING_S);
         match predicted.filter(|_| recent) {
             Some(predicted) if inside(solver, look, &predicted) => Finding::Coasting(attempt, predicted),
-            _ => Finding::Missing(attempt),
+            _ => Finding::Missing(attempt, None),
         }
     }
 

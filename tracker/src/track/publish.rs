@@ -39,12 +39,12 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
             let pose = solver.pose_of(&parameters, covariance.as_ref());
             (TrackState::Coasting, attempt, covariance, parameters, None, pose)
         }
-        Finding::Missing(attempt) => {
+        Finding::Missing(attempt, confidence) => {
             if !attempt.ending.is_unfinished() {
                 memory.lose();
             }
             let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
-            (state, attempt, None, memory.last.clone(), None, None)
+            (state, attempt, None, memory.last.clone(), confidence, None)
         }
     };
     let good = state == TrackState::Tracking;

@@ -166,7 +166,7 @@ impl Search {
             return Ok(());
         };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = cold.variance.map(|variance| Ground { variance, limit });
+        let ground = cold.variance.map(|variance| Ground { variance, limit, own: None });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
             let attempt = best(solver, look, starts, control)?;
@@ -175,6 +175,7 @@ impl Search {
                 self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });
             }
             if attempt.is_good() {
+                let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
                 let candidate = Candidate::of(solver, attempt, ground);
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
@@ -210,6 +211,11 @@ impl Search {
     pub fn is_guess(&self, candidate: &Candidate) -> bool {
         let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
         unlike && !self.is_placed && self.candidates.len() > 1
+    }
+
+    /// The likeliest that nobody has claimed, whether it is taken or not.
+    pub fn doubted(&self) -> Option<Candidate> {
+        self.best(|candidate| Some(candidate.clone())).map(|pick| pick.candidate)
     }
 
     /// The likeliest that nobody has claimed, of those that `admit` lets through.

@@ -9,6 +9,8 @@ use isophote_jit::{PlaneView, Window};
 use isophote_symbolic::{Model, Quadrature};
 
 use super::rival::Rival;
+use super::search::Candidate;
+use super::structure::Structure;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
@@ -19,6 +21,7 @@ use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::residuals::Over;
 use crate::solve::sampling::{Chosen, Sampling, Way};
 use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
@@ -244,6 +247,14 @@ impl Solver {
         fit.chosen.as_ref().map(|chosen| chosen.sampled).or(unchosen)
     }
 
+    /// What hangs together in the residuals of a fit.
+    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<Structure> {
+        let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
+        let predictions = self.compiled.predictions()?;
+        let seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
+        Structure::of(&seen, view.window.width)
+    }
+
     /// The same in a frame of that size; `None` where nothing of the domain is inside.
     pub fn reach_window(&self, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
         self.reach.window(self.model(), parameters, margin, whole)
@@ -325,6 +336,11 @@ impl Solver {
             }
         }
         (self.fits_pose() && known && !shining).then_some(Rejection::Faint)
+    }
+
+    /// True when a thing is the target with at least the probability that the session asks for, as far as that is known.
+    pub fn is_sure(&self, candidate: &Candidate) -> bool {
+        candidate.confidence().is_none_or(|confidence| confidence >= self.options.confidence_min)
     }
 
     /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.

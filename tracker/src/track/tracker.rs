@@ -124,7 +124,7 @@ impl Tracker {
             false => frame,
         };
         let time_s = self.clock.time_s(frame, self.solver.options.motion.period_s);
-        let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending))).collect();
+        let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending), None)).collect();
         let budget = FrameBudget::new(self.solver.options.work_max, watch);
         let look = self.solver.look(frame).map(|look| look.within(&budget));
         let outcomes: Vec<Finding> = match &look {

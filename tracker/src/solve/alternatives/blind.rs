@@ -7,7 +7,7 @@
 use isophote_jit::{PixelFormat, PlaneView};
 use isophote_symbolic::Precision;
 
-use super::residuals::Seen;
+use crate::solve::residuals::Seen;
 use crate::sight::view::View;
 
 /// A saturated pixel is the target's where this share of the way from the background to the limit is predicted, while

@@ -8,7 +8,6 @@
 //! Only models that say how noisy a pixel is (`noise`) have alternatives: without it nothing says what is too much.
 
 mod blind;
-mod residuals;
 #[cfg(test)]
 mod tests;
 
@@ -18,10 +17,10 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{BlindMask, Known, Painted};
-use self::residuals::{Over, Predictions};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::residuals::{Over, Predictions};
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 

@@ -1,0 +1,99 @@
+//! What is taken for a target in frames that are full of other things, and what becomes of targets among them.
+
+pub mod scene;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::{Compiled, TrackState, Tracker, TrackerOptions};
+
+use crate::accuracy::search::scene::Random;
+use scene::{Edges, Kind, SIZE};
+
+/// Documents that are tried.
+pub const DOCUMENTS: [&str; 3] = ["spot", "spot-plane", "gaussian"];
+/// Of [`lines`].
+pub const HEAD: &str = "| document | frame | frames | no target: tracking | no target: confidence ≥ 0.5 | a target: found | a target: something else | ms |\n\
+                        |---|---|---|---|---|---|---|---|\n";
+/// A fit that ends this near to the target's centre is right, px.
+const RIGHT_PX: f64 = 2.0;
+/// Targets are so far from the frame's border, px.
+const BORDER_PX: f64 = 45.0;
+/// Half the longer axis of targets, px, and their height, DN.
+const HALF_PX: [f64; 2] = [4.0, 20.0];
+const HEIGHT: [f64; 2] = [60.0, 220.0];
+
+/// What became of one frame.
+struct Told {
+    is_tracking: bool,
+    is_right: bool,
+    confidence: f64,
+    ms: f64,
+}
+
+/// The rows of a document: all kinds of clutter, sharp and blurred.
+pub fn lines(document: &str, frames: usize) -> impl Iterator<Item = String> {
+    let model = Arc::new(Model::from_toml(&crate::text(document)).unwrap());
+    let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
+    let kinds = Kind::ALL.into_iter().flat_map(|kind| [Edges::Sharp, Edges::Blurred].map(|edges| (kind, edges)));
+    kinds.map(move |(kind, edges)| {
+        let [empty, full] = [false, true].map(|with_target| {
+            let parts = shared_out(frames, |seed| one(document, &compiled, (kind, edges), with_target, seed));
+            parts.into_iter().flatten().collect::<Vec<Told>>()
+        });
+        let share = |told: &[Told], is: &dyn Fn(&Told) -> bool| {
+            format!("{:.1} %", 100.0 * told.iter().filter(|one| is(one)).count() as f64 / frames as f64)
+        };
+        let mut ms: Vec<f64> = empty.iter().chain(&full).map(|one| one.ms).collect();
+        ms.sort_by(f64::total_cmp);
+        format!(
+            "| `{document}` | {}, {} | {frames} | {} | {} | {} | {} | {:.0} |\n",
+            kind.name(),
+            edges.name(),
+            share(&empty, &|one| one.is_tracking),
+            share(&empty, &|one| one.is_tracking && one.confidence >= 0.5),
+            share(&full, &|one| one.is_right),
+            share(&full, &|one| one.is_tracking && !one.is_right),
+            ms[ms.len() / 2],
+        )
+    })
+}
+
+/// `work` for each frame, on all processors.
+fn shared_out<T: Send>(frames: usize, work: impl Fn(u64) -> T + Sync) -> Vec<Vec<T>> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let part = |first: usize| -> Vec<T> { (first..frames).step_by(threads).map(|seed| work(seed as u64)).collect() };
+    std::thread::scope(|scope| {
+        let started: Vec<_> = (0..threads).map(|first| scope.spawn(move || part(first))).collect();
+        started.into_iter().map(|thread| thread.join().unwrap()).collect()
+    })
+}
+
+/// A cold start of a fresh tracker.
+fn one(document: &str, compiled: &Arc<Compiled>, clutter: (Kind, Edges), with_target: bool, seed: u64) -> Told {
+    let seed = seed + 10_000_019 * (clutter.0 as u64 + 1) + 500_000_003 * clutter.1 as u64;
+    let mut light = scene::light(clutter.0, clutter.1, seed);
+    let target = with_target.then(|| {
+        let mut random = Random::new(seed ^ 0x7A26);
+        let centre = SIZE.map(|side| random.within(BORDER_PX, side as f64 - BORDER_PX));
+        let half = random.within(HALF_PX[0], HALF_PX[1]);
+        let half = [half, half * random.within(0.6, 1.0)];
+        let (angle, height) = (random.within(0.0, std::f64::consts::PI), random.within(HEIGHT[0], HEIGHT[1]));
+        scene::add_target(&mut light, document, centre, half, angle, height);
+        centre
+    });
+    let frame = scene::frame(&light, seed);
+    let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+    let begin = Instant::now();
+    let estimate = tracker.track(&frame);
+    let ms = begin.elapsed().as_secs_f64() * 1e3;
+    let is_tracking = estimate.state == TrackState::Tracking;
+    let is_at = |at: [f64; 2]| (estimate.parameters[0] - at[0]).hypot(estimate.parameters[1] - at[1]) < RIGHT_PX;
+    Told {
+        is_tracking,
+        is_right: is_tracking && target.is_some_and(is_at),
+        confidence: estimate.confidence.unwrap_or(0.0),
+        ms,
+    }
+}
