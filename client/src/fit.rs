@@ -168,6 +168,10 @@ fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> Str
         }
         text += &format!("  saturated {:.1} %", 100.0 * line.saturated);
     }
+    if let Some(strongest) = &line.strongest {
+        let wire::Strength { score, threshold, place: [x, y], .. } = strongest;
+        text += &format!("  strongest {score:.1} of {threshold:.1} σ at {x:.0}, {y:.0}");
+    }
     text + "  " + line.ending.name()
 }
 

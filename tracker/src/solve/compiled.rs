@@ -4,11 +4,12 @@
 //! never knows a frame.
 
 use std::ops::Deref;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, Precision};
 
+use crate::sight::detect::Bank;
 use crate::solve::alternatives::Alternatives;
 use crate::solve::sampling::Sampling;
 use crate::solve::shelf::Shelf;
@@ -21,7 +22,12 @@ pub struct Compiled {
     kernels: StageKernels,
     alternatives: Arc<Shelf<Alternatives>>,
     sampling: Arc<Shelf<Sampling>>,
+    /// What targets look like, for the constants of so many sessions, the latest last.
+    banks: Arc<Mutex<Vec<(Vec<f64>, Arc<Bank>)>>>,
 }
+
+/// Sessions' constants that templates are kept for.
+const BANKS_MAX: usize = 8;
 
 impl Compiled {
     /// Derives all programs of the model's stages, with a cache of its own. Kernels follow when a pixel layout is known.
@@ -52,12 +58,13 @@ impl Compiled {
             kernels: self.kernels.share(),
             alternatives: self.alternatives.clone(),
             sampling: self.sampling.clone(),
+            banks: self.banks.clone(),
         }
     }
 
     /// With nothing derived beside these.
     pub(crate) fn of_kernels(kernels: StageKernels) -> Compiled {
-        Compiled { kernels, alternatives: Arc::default(), sampling: Arc::default() }
+        Compiled { kernels, alternatives: Arc::default(), sampling: Arc::default(), banks: Arc::default() }
     }
 
     /// Alternatives to the model, derived as long as `keeps_going` says so; those that are there need not be.
@@ -69,6 +76,20 @@ impl Compiled {
     /// Where they are kept.
     pub(crate) fn alternatives_shelf(&self) -> &Shelf<Alternatives> {
         &self.alternatives
+    }
+
+    /// What searches look for with these constants; `None` where a document cannot say what its target looks like.
+    pub(crate) fn bank(&self, constants: &[f64]) -> Option<Arc<Bank>> {
+        let mut banks = self.banks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, bank)) = banks.iter().find(|(known, _)| known == constants) {
+            return Some(bank.clone());
+        }
+        let bank = Arc::new(Bank::of(self.model())?);
+        if banks.len() == BANKS_MAX {
+            banks.remove(0);
+        }
+        banks.push((constants.to_vec(), bank.clone()));
+        Some(bank)
     }
 
     /// The kernels of a model that leaves its quadrature open.

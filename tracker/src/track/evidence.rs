@@ -86,6 +86,12 @@ impl Evidence {
         self.log_odds() + LARGER * self.significance
     }
 
+    /// The highest rank that anything with such a log-likelihood ratio can have.
+    pub(crate) fn most(log_likelihood_ratio: f64) -> f64 {
+        let significance = log_likelihood_ratio.max(1.0).ln();
+        Evidence { contrast: Self::CONTRAST_MAX, significance, ..Evidence::default() }.rank()
+    }
+
     /// The log odds.
     pub fn log_odds(&self) -> f64 {
         let seen = [self.contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
@@ -139,7 +145,7 @@ fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
 }
 
 /// The variance of a parameter when only `other` is unknown beside it.
-fn alone(information: &DMatrix<f64>, parameter: usize, other: Option<usize>) -> Option<f64> {
+pub(super) fn alone(information: &DMatrix<f64>, parameter: usize, other: Option<usize>) -> Option<f64> {
     let own = information[(parameter, parameter)];
     let shared = other.map_or(0.0, |other| information[(parameter, other)].powi(2) / information[(other, other)]);
     Some(1.0 / (own - shared)).filter(|variance| *variance > 0.0 && variance.is_finite())
