@@ -23,8 +23,11 @@ pub struct Compiled {
     alternatives: Arc<Shelf<Alternatives>>,
     sampling: Arc<Shelf<Sampling>>,
     /// What targets look like, for the constants of so many sessions, the latest last.
-    banks: Arc<Mutex<Vec<(Vec<f64>, Arc<Bank>)>>>,
+    banks: Arc<Mutex<Banks>>,
 }
+
+/// Constants, and what targets look like with them.
+type Banks = Vec<(Vec<f64>, Arc<Bank>)>;
 
 /// Sessions' constants that templates are kept for.
 const BANKS_MAX: usize = 8;

@@ -145,7 +145,7 @@ fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
 }
 
 /// The variance of a parameter when only `other` is unknown beside it.
-pub(super) fn alone(information: &DMatrix<f64>, parameter: usize, other: Option<usize>) -> Option<f64> {
+fn alone(information: &DMatrix<f64>, parameter: usize, other: Option<usize>) -> Option<f64> {
     let own = information[(parameter, parameter)];
     let shared = other.map_or(0.0, |other| information[(parameter, other)].powi(2) / information[(other, other)]);
     Some(1.0 / (own - shared)).filter(|variance| *variance > 0.0 && variance.is_finite())

@@ -9,10 +9,8 @@
 //! the background, at each of the places where a target of its size could have been. What noise exceeds anywhere in hardly any
 //! frame is the least.
 
-use isophote_symbolic::Roles;
+use isophote_symbolic::{ParameterId, Roles};
 
-use super::evidence::alone;
-use super::solver::Solver;
 use super::window::half_widths;
 use crate::sight::cold::FALSE_ALARMS;
 use crate::solve::fit::Fit;
@@ -28,8 +26,7 @@ const SIGNIFICANT: f64 = 5.0;
 
 /// True when a target of the model is brighter than noise; `None` where its brightness is not fitted. `blank`: by how much less
 /// its variance is than that of the rounding of pixels. The fit was in a window of so many pixels.
-pub(super) fn is_bright(solver: &Solver, fit: &Fit, roles: &Roles, blank: f64, pixels: usize) -> Option<bool> {
-    let order = solver.compiled.last_parameters();
+pub(super) fn is_bright(order: &[ParameterId], fit: &Fit, roles: &Roles, blank: f64, pixels: usize) -> Option<bool> {
     let place = |parameter| order.iter().position(|&p| p == parameter);
     let (brightness, worth) = (place(roles.brightness?)?, fit.worth.as_ref()?);
     let height = fit.parameters[order[brightness].index()].abs();
@@ -40,18 +37,24 @@ pub(super) fn is_bright(solver: &Solver, fit: &Fit, roles: &Roles, blank: f64, p
         return Some(true);
     }
     let background = roles.background.and_then(place);
+    // Its variance when nothing but the background is unknown beside it.
     let information = covariance.clone().cholesky().map(|factor| factor.inverse());
-    let variance = information.and_then(|information| alone(&information, brightness, background));
-    Some(variance.is_some_and(|variance| height / (variance * blank).sqrt() >= least(solver, fit, roles, pixels)))
+    let variance = information.map(|information| {
+        let shared = |other: usize| information[(brightness, other)].powi(2) / information[(other, other)];
+        1.0 / (information[(brightness, brightness)] - background.map_or(0.0, shared))
+    });
+    Some(variance.is_some_and(|variance| {
+        variance > 0.0 && height / (variance * blank).sqrt() >= least(order, fit, roles, pixels)
+    }))
 }
 
 /// The least significance that is believed of a fit in a window of so many pixels.
-fn least(solver: &Solver, fit: &Fit, roles: &Roles, pixels: usize) -> f64 {
-    let dimensions = solver.model().coordinates().len();
+fn least(order: &[ParameterId], fit: &Fit, roles: &Roles, pixels: usize) -> f64 {
+    let dimensions = roles.centre.len();
     let box_of = |widths: Vec<f64>| widths.iter().map(|width| 2.0 * width).product::<f64>();
     let volume = half_widths(roles, dimensions, &fit.parameters).map(box_of);
     let places = (pixels as f64 / volume.unwrap_or(1.0).max(1.0)).max(1.0);
-    least_of(FALSE_ALARMS / (FRAMES * places), solver.compiled.last_parameters().len().saturating_sub(1))
+    least_of(FALSE_ALARMS / (FRAMES * places), order.len().saturating_sub(1))
 }
 
 /// The square root of what a χ² exceeds with that probability.

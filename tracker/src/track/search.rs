@@ -41,6 +41,9 @@ const SIGHTS_MIN: usize = 2;
 /// A thing's energy is at most so many times that of a box of its size and height.
 const ENERGY: f64 = 4.0;
 
+/// A fit of something that was seen with a size is of that when its area is the same but for this factor.
+const ALIKE: f64 = 6.0;
+
 /// How much of what there is has to be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scope {
@@ -128,6 +131,16 @@ impl Candidate {
                 None => !off.is_empty() && off.iter().map(|d| d * d).sum::<f64>() <= COINCIDENCE_PX.powi(2),
             }
         })
+    }
+
+    /// True when a fit ended inside the outline that it began with, is not of quite another size, and met no saturated pixels,
+    /// of which anything can be said.
+    fn stays(&self, solver: &Solver, start: &[f64]) -> bool {
+        let Some(fit) = &self.attempt.fit else { return false };
+        let sizes = solver.looks(&fit.parameters).0.zip(solver.looks(start).0);
+        let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
+        let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
+        is_alike && is_clear && self.coincides(solver, start)
     }
 
     fn rank(&self) -> f64 {
@@ -269,17 +282,17 @@ impl Search {
             if self.is_spent(look) {
                 break;
             }
-            let mut attempt = self.try_all(solver, look, starts, control)?;
+            let attempt = self.try_all(solver, look, starts, control)?;
+            let mut candidate = Candidate::of(solver, attempt, ground);
             // That there is something has been decided: a fit that stays there need not decide again.
-            if attempt.rejection == Some(Rejection::Faint) && solver.stays(&attempt, &starts.starts[0]) {
-                attempt.rejection = None;
+            if candidate.attempt.rejection == Some(Rejection::Faint) && candidate.stays(solver, &starts.starts[0]) {
+                candidate = Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground);
             }
-            if attempt.is_good() {
-                let candidate = Candidate::of(solver, attempt, ground);
+            if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
             } else if self.failure.fit.is_none() {
-                self.failure = Attempt { strongest: spotted.strongest, ..attempt };
+                self.failure = Attempt { strongest: spotted.strongest, ..candidate.attempt };
             }
         }
         Ok(())

@@ -10,7 +10,6 @@ use isophote_symbolic::{Model, Quadrature};
 
 use super::faint;
 use super::rival::Rival;
-use super::search::Candidate;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
@@ -27,8 +26,6 @@ use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use isophote_frame::Frame;
 
-/// A fit of something that was seen with a size is of that when its area is the same but for this factor.
-const ALIKE: f64 = 6.0;
 /// About a domain, for what its walk through the model may have missed.
 const DOMAIN_MARGIN: Margin = Margin { share: 0.05, px: [2.0; 4] };
 /// A fit whose domain leaves its window is repeated in a larger one, so many times.
@@ -340,7 +337,7 @@ impl Solver {
             let floor = if view.holds_whole_values() && !model.has_noise() { QUANTISATION } else { 0.0 };
             let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced).unwrap_or(0.0);
             let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
-            let brightness = faint::is_bright(self, fit, roles, blank, view.window.pixels());
+            let brightness = faint::is_bright(self.compiled.last_parameters(), fit, roles, blank, view.window.pixels());
             known |= brightness.is_some();
             shining |= brightness == Some(true);
             if !self.fits_pose() && brightness == Some(false) {
@@ -348,16 +345,6 @@ impl Solver {
             }
         }
         (self.fits_pose() && known && !shining).then_some(Rejection::Faint)
-    }
-
-    /// True when a fit ended inside the outline that it began with, is not of quite another size, and met no saturated pixels,
-    /// of which anything can be said.
-    pub fn stays(&self, attempt: &Attempt, start: &[f64]) -> bool {
-        let Some(fit) = &attempt.fit else { return false };
-        let sizes = self.looks(&fit.parameters).0.zip(self.looks(start).0);
-        let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
-        let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
-        is_alike && is_clear && Candidate::of(self, attempt.clone(), None).coincides(self, start)
     }
 
     /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.

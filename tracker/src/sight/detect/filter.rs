@@ -1,6 +1,6 @@
 //! `Filter`: a level's picture correlated with templates, tile by tile, by Fourier transforms.
 //!
-//! What comes in: a [`Level`] and [`Template`]s. What goes out: for each template the sum of products about every pixel, as if
+//! What comes in: a [`Octave`] and [`Template`]s. What goes out: for each template the sum of products about every pixel, as if
 //! beyond the border all were ground. It never knows what the sums mean.
 //!
 //! Tiles overlap by a template's width, so that what wraps around is not used (overlap-save). They are small enough to stay in
@@ -11,7 +11,7 @@ use std::sync::Arc;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
-use super::level::Level;
+use super::level::Octave;
 use super::template::{HALF_PX, Template};
 
 /// Sides of a tile to choose from; all are products of small primes.
@@ -46,7 +46,7 @@ struct Transform {
 
 impl Filter {
     /// One map for each template, as large as the level's picture.
-    pub fn maps(&mut self, level: &Level, templates: &[&Template]) -> Vec<Vec<f32>> {
+    pub fn maps(&mut self, level: &Octave, templates: &[&Template]) -> Vec<Vec<f32>> {
         let mut transform = self.transform(level.width, level.height);
         let spectra: Vec<Vec<Complex<f32>>> =
             templates.iter().map(|template| transform.spectrum(&template.kernel)).collect();
@@ -111,7 +111,7 @@ impl Transform {
     }
 
     /// Two tiles, as real and imaginary part.
-    fn read(&self, level: &Level, corners: &[[usize; 2]], tile: &mut [Complex<f32>]) {
+    fn read(&self, level: &Octave, corners: &[[usize; 2]], tile: &mut [Complex<f32>]) {
         tile.fill(Complex::default());
         let half = HALF_PX as usize;
         for (part, [left, top]) in corners.iter().enumerate() {
@@ -130,7 +130,7 @@ impl Transform {
         }
     }
 
-    fn write(&self, corners: &[[usize; 2]], level: &Level, map: &mut [f32]) {
+    fn write(&self, corners: &[[usize; 2]], level: &Octave, map: &mut [f32]) {
         let half = HALF_PX as usize;
         for (part, [left, top]) in corners.iter().enumerate() {
             let count = (self.x.side - OVERLAP).min(level.width - left);

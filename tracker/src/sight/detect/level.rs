@@ -1,4 +1,4 @@
-//! `Picture` and `Level`: a picture with fewer and fewer pixels, and what stands above its ground at one of them.
+//! `Mended` and `Octave`: a picture with fewer and fewer pixels, and what stands above its ground at one of them.
 //!
 //! What comes in: pixel values. What goes out: the same without single bad pixels; at each level the difference from the local
 //! ground, how large its noise is and how skewed. It never knows what is looked for.
@@ -23,7 +23,7 @@ const SAMPLES: usize = 60_000;
 
 /// One picture.
 #[derive(Clone, Debug)]
-pub(super) struct Picture {
+pub(super) struct Mended {
     pub values: Vec<f32>,
     pub width: usize,
     pub height: usize,
@@ -33,7 +33,7 @@ pub(super) struct Picture {
 
 /// A picture less its ground.
 #[derive(Clone, Debug)]
-pub(super) struct Level {
+pub(super) struct Octave {
     /// How often it was halved.
     pub number: usize,
     /// Differences from the ground.
@@ -55,9 +55,9 @@ struct Ground {
     down: usize,
 }
 
-impl Picture {
+impl Mended {
     /// The pixels themselves: bad ones and taken places are ground.
-    pub fn of(grey: &Grey, masks: &[Mask]) -> Picture {
+    pub fn of(grey: &Grey, masks: &[Mask]) -> Mended {
         let [width, height, ..] = grey.size;
         let mut values: Vec<f32> = grey.values.iter().map(|value| *value as f32).collect();
         if !masks.is_empty() {
@@ -69,13 +69,13 @@ impl Picture {
                 *value = background.at(grey.place(i)) as f32;
             }
         }
-        let mut picture = Picture { values, width, height, rounding: grey.step / 12.0_f64.sqrt() };
+        let mut picture = Mended { values, width, height, rounding: grey.step / 12.0_f64.sqrt() };
         picture.mend();
         picture
     }
 
     /// Half the pixels along x and y, each the mean of four.
-    pub fn halved(&self) -> Picture {
+    pub fn halved(&self) -> Mended {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut values = Vec::with_capacity(width * height);
         for rows in self.values.chunks_exact(2 * self.width).take(height) {
@@ -83,7 +83,7 @@ impl Picture {
             let cells = upper.chunks_exact(2).zip(lower.chunks_exact(2));
             values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
         }
-        Picture { values, width, height, rounding: 0.5 * self.rounding }
+        Mended { values, width, height, rounding: 0.5 * self.rounding }
     }
 
     /// Puts the median of its neighbours in the place of a pixel that is bad.
@@ -133,9 +133,9 @@ impl Picture {
     }
 }
 
-impl Level {
+impl Octave {
     /// What stands above the ground in a picture that was halved so often.
-    pub fn of(picture: &Picture, number: usize) -> Level {
+    pub fn of(picture: &Mended, number: usize) -> Octave {
         let (width, height) = (picture.width, picture.height);
         let ground = Ground::of(picture);
         let mut values = picture.values.clone();
@@ -149,7 +149,7 @@ impl Level {
         let near = || sample().map(|value| f64::from(value) / noise).filter(|value| value.abs() < NOISE);
         let (count, cubes) = near().fold((0.0, 0.0), |(count, cubes), value| (count + 1.0, cubes + value.powi(3)));
         let skewness = if noise > 0.0 && count > 0.0 { cubes / count } else { 0.0 };
-        Level { number, values, width, height, noise, rounding: picture.rounding, skewness, ground }
+        Octave { number, values, width, height, noise, rounding: picture.rounding, skewness, ground }
     }
 
     /// Pixels of the frame along one of its own.
@@ -169,7 +169,7 @@ impl Level {
 }
 
 impl Ground {
-    fn of(picture: &Picture) -> Ground {
+    fn of(picture: &Mended) -> Ground {
         let (across, down) = (picture.width.div_ceil(BLOCK_PX).max(1), picture.height.div_ceil(BLOCK_PX).max(1));
         let mut values = Vec::with_capacity(across * down);
         let mut block = Vec::with_capacity(BLOCK_PX * BLOCK_PX);

@@ -5,7 +5,7 @@
 
 use super::Strength;
 use super::alarm::Limits;
-use super::level::{Level, deviation};
+use super::level::{Octave, deviation};
 use super::template::Template;
 use crate::sight::start::Sight;
 
@@ -84,7 +84,7 @@ impl Peaks {
     }
 
     /// Adds those of a map.
-    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Level, limits: Limits) {
+    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Octave, limits: Limits) {
         let (width, height) = (level.width, level.height);
         if width < 3 || height < 3 {
             return;

@@ -62,7 +62,7 @@ fn a_map_is_the_sum_of_products_about_each_pixel_beyond_the_border_too() {
     let mut noise = Noise(7);
     let values = (0..width * height).map(|_| 50.0 + noise.normal()).collect();
     let grey = Grey { values, size: [width, height, 1, 1], saturation: 1e9, step: 0.0 };
-    let level = Level::of(&Picture::of(&grey, &[]), 0);
+    let level = Octave::of(&Mended::of(&grey, &[]), 0);
     let templates: Vec<&Template> =
         bank.templates(&model, &[], [0.0, 3.0], height).into_iter().filter(|template| template.level == 0).collect();
     assert_eq!(templates.len(), 2);
