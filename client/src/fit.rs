@@ -188,6 +188,10 @@ fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> Str
         Some(confidence) => text += &format!("  confidence {confidence:.2}"),
         None => {}
     }
+    if let Some(strongest) = &line.strongest {
+        let wire::Strength { score, threshold, place: [x, y], .. } = strongest;
+        text += &format!("  strongest {score:.1} of {threshold:.1} σ at {x:.0}, {y:.0}");
+    }
     text + "  " + line.ending.name()
 }
 

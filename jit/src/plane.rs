@@ -157,12 +157,21 @@ impl<'a> PlaneView<'a> {
     /// `count` pixels of 8 bit of a row, from `place` on; `None` for other formats, or where they are not packed or not all
     /// inside.
     pub fn bytes_of_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
+        if self.format == PixelFormat::U8 { self.packed_row(place, count) } else { None }
+    }
+
+    /// The same of 16 bit, two bytes each.
+    pub fn words_of_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
+        if self.format == PixelFormat::U16 { self.packed_row(place, count) } else { None }
+    }
+
+    fn packed_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
         let inside = (0..4).all(|axis| place[axis] < self.size[axis]) && place[0] + count <= self.size[0];
-        if self.format != PixelFormat::U8 || !self.is_packed() || !inside {
+        if !self.is_packed() || !inside {
             return None;
         }
         let first: usize = place.iter().zip(self.strides).map(|(at, stride)| at * stride).sum();
-        self.bytes.get(first..first + count)
+        self.bytes.get(first..first + count * self.format.bytes_per_pixel())
     }
 
     /// The value of pixel (x, y) of the first slice, exactly. Panics outside the plane, as a slice does.

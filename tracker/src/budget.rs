@@ -31,12 +31,19 @@ pub(crate) struct FrameBudget<'a> {
     watch: Watch<'a>,
     left: AtomicU64,
     stopped: OnceLock<Stop>,
+    /// What this is a part of.
+    whole: Option<&'a FrameBudget<'a>>,
 }
 
 impl<'a> FrameBudget<'a> {
     /// `work` units, while `watch` goes on.
     pub fn new(work: u64, watch: Watch<'a>) -> FrameBudget<'a> {
-        FrameBudget { watch, left: AtomicU64::new(work), stopped: OnceLock::new() }
+        FrameBudget { watch, left: AtomicU64::new(work), stopped: OnceLock::new(), whole: None }
+    }
+
+    /// `work` units of another one, as long as that has some.
+    pub fn part(work: u64, whole: Option<&'a FrameBudget<'a>>) -> FrameBudget<'a> {
+        FrameBudget { whole, ..FrameBudget::new(work, &|| None) }
     }
 
     /// Takes units before they are worked.
@@ -47,6 +54,7 @@ impl<'a> FrameBudget<'a> {
         if let Some(stop) = self.stopped() {
             return Err(stop);
         }
+        self.whole.map_or(Ok(()), |whole| whole.spend(units))?;
         let enough = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(units));
         let stop = if enough.is_err() { Some(Stop::Budget) } else { (self.watch)() };
         match stop {
@@ -57,7 +65,7 @@ impl<'a> FrameBudget<'a> {
 
     /// Why it ended, when it did.
     pub fn stopped(&self) -> Option<Stop> {
-        self.stopped.get().copied()
+        self.stopped.get().copied().or_else(|| self.whole?.stopped())
     }
 }
 
@@ -73,6 +81,16 @@ mod tests {
         }
         let budget = FrameBudget::new(5, &|| None);
         assert_eq!((budget.spend(6), budget.spend(1)), (Err(Stop::Budget), Err(Stop::Budget)));
+    }
+
+    #[test]
+    fn a_part_ends_alone_and_with_the_whole() {
+        let whole = FrameBudget::new(30, &|| None);
+        let part = FrameBudget::part(10, Some(&whole));
+        assert_eq!((part.spend(10), part.spend(1)), (Ok(()), Err(Stop::Budget)));
+        assert_eq!((whole.spend(19), whole.stopped()), (Ok(()), None), "11 units were asked for");
+        let part = FrameBudget::part(10, Some(&whole));
+        assert_eq!((part.spend(1), part.stopped()), (Err(Stop::Budget), Some(Stop::Budget)));
     }
 
     #[test]

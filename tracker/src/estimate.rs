@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::budget::Stop;
 use crate::exposure::ExposureAdvice;
 use crate::pose::Pose;
+use crate::sight::detect::Strength;
 
 /// Whether the target is followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -142,7 +143,7 @@ pub enum Rejection {
     OutsideWindow,
     /// A semi-axis of the outline is longer than the window, or A is not positive definite: nothing of the kind was seen.
     Oversized,
-    /// The brightness is less than five standard deviations from nothing.
+    /// No brighter than noise alone may be.
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
@@ -239,6 +240,8 @@ pub struct Estimate {
     pub substitute: Option<Substitute>,
     /// How pixels were sampled, where the model leaves that open.
     pub sampled: Option<Sampled>,
+    /// Where nothing was found: the strongest thing that the document's own image is like.
+    pub strongest: Option<Strength>,
     /// Where the target is, when lens and target are known and the model shows its spots.
     pub pose: Option<Pose>,
 }

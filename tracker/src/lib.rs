@@ -34,6 +34,7 @@ pub use options::{CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptio
 pub use pose::{Alternative, Pose, PoseMismatch, Target, TargetError, TargetSpot, geometry};
 pub use report::{Bound, CheckReport, StageCost};
 pub use sight::contour::{Contour, contours};
+pub use sight::detect::Strength;
 pub use sight::mixing::{Mixing, MixingError, MixingMeasurement};
 pub use solve::compiled::Compiled;
 pub use solve::prepare::{Preparation, Preparing};

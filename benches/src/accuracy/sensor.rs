@@ -40,6 +40,11 @@ impl Random {
         StandardNormal.sample(&mut self.0)
     }
 
+    /// Another number of a distribution.
+    pub fn draw(&mut self, distribution: &impl Distribution<f64>) -> f64 {
+        distribution.sample(&mut self.0)
+    }
+
     /// What the camera makes of this light (DN, unclipped).
     pub fn exposed(&mut self, light: &[f64]) -> Vec<u8> {
         light.iter().map(|&mean| self.pixel(mean)).collect()

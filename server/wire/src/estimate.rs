@@ -2,7 +2,7 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Sampled, Substitute, TrackState};
+pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Sampled, Strength, Substitute, TrackState};
 use serde::{Deserialize, Serialize};
 
 use crate::Named;
@@ -92,6 +92,9 @@ pub struct EstimateView {
     /// How pixels were sampled, when the model leaves that open.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub sampled: Option<Sampled>,
+    /// Where nothing was found: the strongest thing that the model's own image is like.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub strongest: Option<Strength>,
     /// Bits of the vectors that its kernels are made for, where no session says so.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub vector_width: Option<usize>,
@@ -169,6 +172,7 @@ impl EstimateView {
             substitute: result.substitute,
             at_bounds: if result.state == TrackState::Tracking { result.at_bounds(model) } else { Vec::new() },
             sampled: result.sampled,
+            strongest: result.strongest.filter(|strongest| strongest.score.is_finite()),
             vector_width: None,
             truth: None,
             timing_us: None,

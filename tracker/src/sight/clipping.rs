@@ -49,9 +49,12 @@ fn each(plane: &PlaneView, window: Window, mut see: impl FnMut(u32)) {
     let [width, height, depth, length] = window.size();
     for row in 0..height * depth * length {
         let place = [x, y + row % height, z + row / height % depth, w + row / height / depth];
-        match plane.bytes_of_row(place, width) {
-            Some(bytes) => bytes.iter().for_each(|byte| see(u32::from(*byte))),
-            None => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]) as u32)),
+        match (plane.bytes_of_row(place, width), plane.words_of_row(place, width)) {
+            (Some(bytes), _) => bytes.iter().for_each(|byte| see(u32::from(*byte))),
+            (_, Some(words)) => {
+                words.chunks_exact(2).for_each(|word| see(u32::from(u16::from_ne_bytes([word[0], word[1]]))));
+            }
+            (None, None) => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]) as u32)),
         }
     }
 }

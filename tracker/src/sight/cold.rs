@@ -4,6 +4,7 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
 use crate::pose;
 use crate::sight::colours::{Colours, Whereabouts};
+use crate::sight::detect::{Bank, Sought, Strength};
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::halved::find_halved;
 use crate::sight::mask::Mask;
@@ -35,8 +36,11 @@ pub(crate) enum Grain {
 pub(crate) struct Starts {
     /// Full parameter vectors.
     pub starts: Vec<Vec<f64>>,
-    /// Tighter outlines: to be tried when none of the others leads to a believable fit, and where numbers are listed.
-    pub tighter: Vec<Vec<f64>>,
+    /// Other outlines, tighter ones of what stands out, wider ones of what is faint: to be tried when none of the others leads
+    /// to a believable fit, and where numbers are listed.
+    pub others: Vec<Vec<f64>>,
+    /// The square of its height over its area; absent where nothing was seen.
+    pub energy: Option<f64>,
 }
 
 /// From this many saturated pixels on, what is seen of the amplitude is too little, …
@@ -49,6 +53,10 @@ const OTHERS: usize = 5;
 /// what lies beyond, a fit that begins with too large an outline takes the surroundings for its rim and grows without end;
 /// one that begins inside the target does not.
 const TIGHTER: f64 = 2.5;
+/// The outline of something faint is so many times as large for its other start.
+const WIDER: f64 = 1.5;
+/// In so large a share of frames noise alone may be taken for something.
+pub(crate) const FALSE_ALARMS: f64 = 0.01;
 
 impl Cold {
     /// `given` numbers first, then the model's own numbers, then what its estimators see: of up to `sights_max` things for
@@ -62,15 +70,7 @@ impl Cold {
         masks: Vec<Mask>,
         grain: Grain,
     ) -> Option<Cold> {
-        let estimators: Vec<Option<Estimator>> = model
-            .parameters()
-            .iter()
-            .zip(given)
-            .map(|(parameter, given)| match (given, parameter.start) {
-                (None, Start::Estimator(estimator)) => Some(estimator),
-                _ => None,
-            })
-            .collect();
+        let estimators = estimators(model, given);
         view.spend(view.window.pixels()).ok()?;
         let mixture = Mixture::observed(model, constants);
         let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
@@ -86,7 +86,8 @@ impl Cold {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
             let found = find(&grey, &wanted);
             let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
-            let (sights, variance) = (vec![Starts { starts, tighter: Vec::new() }], Some(found.noise.powi(2)));
+            let (sights, variance) =
+                (vec![Starts { starts, others: Vec::new(), energy: None }], Some(found.noise.powi(2)));
             return Some(Cold { sights, saturated, variance, is_placed: false });
         }
         let targets = model.roles().len().max(1);
@@ -122,6 +123,64 @@ impl Cold {
     }
 }
 
+/// What of a picture stands out by the document's own image, as starting values.
+pub(crate) struct Spotted {
+    /// The strongest first; where the target was said to be, the nearest.
+    pub sights: Vec<Starts>,
+    /// The strongest thing, whether it stands out or not.
+    pub strongest: Option<Strength>,
+    /// Variance of a pixel about the local ground.
+    pub variance: f64,
+    /// Saturated pixels of the window.
+    pub saturated: usize,
+}
+
+impl Spotted {
+    /// Looks with a bank of templates; `size_px`: half the target's width, when it is known.
+    pub fn look(
+        model: &Model,
+        view: &View,
+        constants: &[f64],
+        given: &[Option<f64>],
+        bank: &Bank,
+        size_px: Option<f64>,
+        masks: &[Mask],
+    ) -> Option<Spotted> {
+        let estimators = estimators(model, given);
+        view.spend(view.window.pixels()).ok()?;
+        let mixture = Mixture::observed(model, constants);
+        let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
+        let origin = view.window.first().map(|at| at as f64);
+        let Wanted { sign, near, .. } = wanted(model, given, origin);
+        let mut detections =
+            bank.detect(model, constants, &grey, &Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS });
+        // What is overexposed stands out by itself, and its rim is like anything.
+        detections.sights.retain(|sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS);
+        if let Some(near) = near {
+            let distance = |sight: &Sight| (sight.centre[0] - near[0]).hypot(sight.centre[1] - near[1]);
+            detections.sights.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+        }
+        let of = |sight: Sight| starts(model, given, &[sight], &estimators, origin);
+        // Where a fit that begins with a small outline vanishes in the noise, a wider one has more light to begin with.
+        let start = |sight: &Sight| Starts { others: of(sight.widened(WIDER)).starts, ..of(sight.clone()) };
+        Some(Spotted {
+            sights: detections.sights.iter().map(start).collect(),
+            strongest: detections.strongest.map(|strength| strength.placed(origin)),
+            variance: detections.noise.powi(2),
+            saturated: grey.saturated(),
+        })
+    }
+}
+
+/// For each parameter what a picture is asked for, where no number is given.
+fn estimators(model: &Model, given: &[Option<f64>]) -> Vec<Option<Estimator>> {
+    let estimator = |(parameter, given): (&isophote_symbolic::Parameter, &Option<f64>)| match (given, parameter.start) {
+        (None, Start::Estimator(estimator)) => Some(estimator),
+        _ => None,
+    };
+    model.parameters().iter().zip(given).map(estimator).collect()
+}
+
 /// The starting values for the targets seen, one for each of the model's roles.
 fn starts(
     model: &Model,
@@ -154,7 +213,13 @@ fn starts(
     let sized = |e: &Option<Estimator>| matches!(e, Some(Estimator::Extent(0, 0) | Estimator::Size(0)));
     let is_sized = estimators.iter().any(sized);
     let tighter = if is_sized { listed(model, given, start(1.0, TIGHTER)) } else { Vec::new() };
-    Starts { starts, tighter }
+    let energy = match targets {
+        [target] => {
+            Some(target.amplitude.powi(2) * target.size.iter().map(|size| 2.0 * size.max(0.5)).product::<f64>())
+        }
+        _ => None,
+    };
+    Starts { starts, others: tighter, energy }
 }
 
 /// The start itself, and one for each other combination of the numbers that the document lists; a number that is given

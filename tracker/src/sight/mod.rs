@@ -9,6 +9,7 @@ pub(crate) mod cold;
 pub(crate) mod colours;
 pub(crate) mod component;
 pub(crate) mod contour;
+pub(crate) mod detect;
 pub(crate) mod grey;
 pub(crate) mod halved;
 pub(crate) mod mask;

@@ -110,6 +110,16 @@ impl Sight {
     }
 }
 
+impl Sight {
+    /// The same with an outline of so many times its size.
+    pub fn widened(&self, by: f64) -> Sight {
+        let mut wide = self.clone();
+        wide.size.iter_mut().for_each(|size| *size *= by);
+        wide.extent.iter_mut().flatten().for_each(|entry| *entry /= by * by);
+        wide
+    }
+}
+
 /// Finds targets.
 pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Found {
     let background = Background::fit(grey);

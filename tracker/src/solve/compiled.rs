@@ -4,11 +4,12 @@
 //! never knows a frame.
 
 use std::ops::Deref;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, Precision};
 
+use crate::sight::detect::Bank;
 use crate::solve::alternatives::Alternatives;
 use crate::solve::residuals::Predictions;
 use crate::solve::sampling::Sampling;
@@ -23,7 +24,15 @@ pub struct Compiled {
     alternatives: Arc<Shelf<Alternatives>>,
     sampling: Arc<Shelf<Sampling>>,
     predictions: Arc<OnceLock<Option<Predictions>>>,
+    /// What targets look like, for the constants of so many sessions, the latest last.
+    banks: Arc<Mutex<Banks>>,
 }
+
+/// Constants, and what targets look like with them.
+type Banks = Vec<(Vec<f64>, Arc<Bank>)>;
+
+/// Sessions' constants that templates are kept for.
+const BANKS_MAX: usize = 8;
 
 impl Compiled {
     /// Derives all programs of the model's stages, with a cache of its own. Kernels follow when a pixel layout is known.
@@ -55,12 +64,19 @@ impl Compiled {
             alternatives: self.alternatives.clone(),
             sampling: self.sampling.clone(),
             predictions: self.predictions.clone(),
+            banks: self.banks.clone(),
         }
     }
 
     /// With nothing derived beside these.
     pub(crate) fn of_kernels(kernels: StageKernels) -> Compiled {
-        Compiled { kernels, alternatives: Arc::default(), sampling: Arc::default(), predictions: Arc::default() }
+        Compiled {
+            kernels,
+            alternatives: Arc::default(),
+            sampling: Arc::default(),
+            predictions: Arc::default(),
+            banks: Arc::default(),
+        }
     }
 
     /// Alternatives to the model, derived as long as `keeps_going` says so; those that are there need not be.
@@ -78,6 +94,20 @@ impl Compiled {
     pub(crate) fn predictions(&self) -> Option<&Predictions> {
         let make = || Predictions::new(self.model(), self.precision(), self.kernels.cache()).ok().flatten();
         self.predictions.get_or_init(make).as_ref()
+    }
+
+    /// What searches look for with these constants; `None` where a document cannot say what its target looks like.
+    pub(crate) fn bank(&self, constants: &[f64]) -> Option<Arc<Bank>> {
+        let mut banks = self.banks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, bank)) = banks.iter().find(|(known, _)| known == constants) {
+            return Some(bank.clone());
+        }
+        let bank = Arc::new(Bank::of(self.model())?);
+        if banks.len() == BANKS_MAX {
+            banks.remove(0);
+        }
+        banks.push((constants.to_vec(), bank.clone()));
+        Some(bank)
     }
 
     /// The kernels of a model that leaves its quadrature open.

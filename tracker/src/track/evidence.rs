@@ -127,6 +127,12 @@ impl Evidence {
         self.log_odds() + LARGER * self.significance
     }
 
+    /// The highest rank that anything with such a log-likelihood ratio can have.
+    pub(crate) fn most(log_likelihood_ratio: f64) -> f64 {
+        let significance = log_likelihood_ratio.max(1.0).ln();
+        Evidence { contrast: Self::CONTRAST_MAX, significance, ..Evidence::default() }.rank()
+    }
+
     /// The log odds.
     pub fn log_odds(&self) -> f64 {
         let seen = [self.contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];

@@ -13,6 +13,7 @@ mod clock;
 mod coordinate;
 mod course;
 pub(crate) mod evidence;
+mod faint;
 mod levels;
 mod memory;
 pub(crate) mod motion;
@@ -256,6 +257,8 @@ fn inside(solver: &Solver, look: &Look, predicted: &Predicted) -> bool {
 #[cfg(test)]
 mod tests;
 
+#[cfg(test)]
+mod faint_tests;
 #[cfg(test)]
 mod jitter_tests;
 #[cfg(test)]

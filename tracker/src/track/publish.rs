@@ -76,6 +76,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
         stages,
         substitute: substitute.filter(|_| good),
         sampled,
+        strongest: attempt.strongest.filter(|_| !good),
         pose,
     }
 }

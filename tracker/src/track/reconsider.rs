@@ -7,6 +7,7 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
+use crate::estimate::Rejection;
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
@@ -40,7 +41,10 @@ impl Solver {
         usual: Option<f64>,
         starts: StartsFrom,
     ) -> Result<Attempt, CompileFailure> {
-        if self.is_fine(&attempt, usual) || look.unfinished().is_some() {
+        // Where ground alone explains what there is, nothing is hidden either.
+        let is_blank = attempt.rejection == Some(Rejection::Faint)
+            && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0));
+        if is_blank || self.is_fine(&attempt, usual) || look.unfinished().is_some() {
             return Ok(attempt);
         }
         let view = self.view(look, self.window(look, start, margin));
@@ -79,7 +83,7 @@ impl Solver {
         fit.stages = stages;
         let rejection = self.rejection(&fit, &view, look.window);
         Ok(match rejection {
-            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None },
+            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None, strongest: None },
             Some(_) => attempt,
         })
     }

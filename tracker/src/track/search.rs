@@ -7,8 +7,9 @@ use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
 use super::window::{Margin, shape};
-use crate::estimate::Ending;
-use crate::sight::cold::{Cold, Grain, Starts};
+use crate::estimate::{Ending, Rejection};
+use crate::sight::cold::{Cold, Grain, Spotted, Starts};
+use crate::sight::mask::Mask;
 use crate::solve::alternatives;
 use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
@@ -25,8 +26,32 @@ const HALVED_PIXELS: usize = 100_000;
 const HALVED_PX: f64 = 6.0;
 /// Of several things one that is the target with less than this probability is not taken.
 pub(super) const UNLIKE: f64 = 0.003;
+/// What is the target with this probability at least need not be looked for any further.
+const LIKELY: f64 = 0.5;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
+
+/// Fits of things that stand out, of what the document's image finds, and of what may hide a target may use every pixel of the
+/// picture so many times each; the likeliest things come first. What is left is not looked at. …
+const PASSES: u64 = 4;
+/// … and so many pixels of passes at least: in a small picture a target is most of it.
+const WORK_MIN: u64 = 2_000_000;
+/// So many things are fitted however long that takes.
+const SIGHTS_MIN: usize = 2;
+/// A thing's energy is at most so many times that of a box of its size and height.
+const ENERGY: f64 = 4.0;
+
+/// A fit of something that was seen with a size is of that when its area is the same but for this factor.
+const ALIKE: f64 = 6.0;
+
+/// How much of what there is has to be fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scope {
+    /// The likeliest thing, and no other one that could not be likelier.
+    Likeliest,
+    /// Everything.
+    All,
+}
 
 /// A fit of something that may be the target.
 #[derive(Clone, Debug)]
@@ -59,6 +84,10 @@ pub(crate) struct Search {
     pub avoided: Vec<Vec<f64>>,
     /// The most massive thing that no fit explains well.
     doubtful: Option<Doubtful>,
+    scope: Scope,
+    /// Things that were fitted, and how many pixels that took in all passes.
+    fitted: usize,
+    work: u64,
 }
 
 /// A fit that leaves too much unexplained.
@@ -104,6 +133,16 @@ impl Candidate {
         })
     }
 
+    /// True when a fit ended inside the outline that it began with, is not of quite another size, and met no saturated pixels,
+    /// of which anything can be said.
+    fn stays(&self, solver: &Solver, start: &[f64]) -> bool {
+        let Some(fit) = &self.attempt.fit else { return false };
+        let sizes = solver.looks(&fit.parameters).0.zip(solver.looks(start).0);
+        let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
+        let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
+        is_alike && is_clear && self.coincides(solver, start)
+    }
+
     fn rank(&self) -> f64 {
         self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
     }
@@ -119,9 +158,21 @@ impl Search {
         given: &[Option<f64>],
         avoided: Vec<Vec<f64>>,
         size_px: Option<f64>,
+        scope: Scope,
     ) -> Result<Search, CompileFailure> {
-        let (candidates, claimed, failure) = (Vec::new(), Vec::new(), Attempt::none(Ending::NoTarget));
-        let mut search = Search { candidates, claimed, is_placed: false, failure, avoided, doubtful: None };
+        // Where looks are known, the likeliest is not the largest.
+        let is_known = size_px.is_some() || solver.given_looks() != (None, None) || solver.options.targets > 1;
+        let mut search = Search {
+            candidates: Vec::new(),
+            claimed: Vec::new(),
+            is_placed: false,
+            failure: Attempt::none(Ending::NoTarget),
+            avoided,
+            doubtful: None,
+            scope: if is_known { Scope::All } else { scope },
+            fitted: 0,
+            work: 0,
+        };
         let [width, height, ..] = look.window.size();
         let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
         if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
@@ -131,8 +182,12 @@ impl Search {
             return Ok(search);
         }
         let is_small = size_px.is_some_and(|size| size < HALVED_PX);
-        if !coarse || is_small || (search.candidates.is_empty() && size_px.is_none()) {
+        let detects = solver.bank.is_some();
+        if !coarse || (!detects && (is_small || (search.candidates.is_empty() && size_px.is_none()))) {
             search.look(solver, look, given, Grain::Full)?;
+        }
+        if search.is_wanting(solver) && look.unfinished().is_none() {
+            search.spot(solver, look, given, size_px)?;
         }
         let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None);
         if let Some(Doubtful { attempt, start, ground, is_placed }) = search.doubtful.take()
@@ -140,7 +195,10 @@ impl Search {
         {
             let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
             let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
-            let attempt = solver.reconsidered(look, attempt, &start, margin, None, starts)?;
+            let budget = look.budget(allowance(look));
+            let bounded = look.bounded(&budget);
+            let attempt = solver.reconsidered(&bounded, attempt, &start, margin, None, starts)?;
+            bounded.wanted().cloned().into_iter().for_each(|preparation| look.want(preparation));
             if attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
                 search.candidates.push(Candidate::of(solver, attempt, ground));
             }
@@ -169,7 +227,10 @@ impl Search {
         let ground = cold.variance.map(|variance| Ground { variance, limit, own: None });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
-            let attempt = best(solver, look, starts, control)?;
+            if self.is_spent(look) || self.is_beaten(starts, cold.variance) {
+                break;
+            }
+            let attempt = self.try_all(solver, look, starts, control)?;
             if self.doubtful.is_none() && !solver.is_fine(&attempt, None) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
                 self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });
@@ -185,6 +246,54 @@ impl Search {
                 }
             } else if self.failure.fit.is_none() {
                 self.failure = attempt;
+            }
+        }
+        Ok(())
+    }
+
+    /// Nothing was found that is likely to be the target, or more than one thing is looked for.
+    fn is_wanting(&self, solver: &Solver) -> bool {
+        let is_likely = |candidate: &Candidate| candidate.confidence().is_none_or(|confidence| confidence >= LIKELY);
+        !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(is_likely))
+    }
+
+    /// Fits what the document's own image finds, however faint.
+    fn spot(
+        &mut self,
+        solver: &Solver,
+        look: &Look,
+        given: &[Option<f64>],
+        size_px: Option<f64>,
+    ) -> Result<(), CompileFailure> {
+        let Some(bank) = &solver.bank else { return Ok(()) };
+        let masks: Vec<Mask> = self.avoided.iter().filter_map(|parameters| solver.mask(look, parameters)).collect();
+        let view = solver.view(look, look.window);
+        let (model, constants) = (solver.model(), &solver.constants);
+        let Some(spotted) = Spotted::look(model, &view, constants, given, bank, size_px, &masks) else { return Ok(()) };
+        self.failure.strongest = spotted.strongest;
+        (self.fitted, self.work) = (0, 0);
+        let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
+        let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
+        let ground = Some(Ground { variance: spotted.variance, limit });
+        for starts in &spotted.sights {
+            let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
+            if self.candidates.iter().any(is_known) {
+                continue;
+            }
+            if self.is_spent(look) {
+                break;
+            }
+            let attempt = self.try_all(solver, look, starts, control)?;
+            let mut candidate = Candidate::of(solver, attempt, ground);
+            // That there is something has been decided: a fit that stays there need not decide again.
+            if candidate.attempt.rejection == Some(Rejection::Faint) && candidate.stays(solver, &starts.starts[0]) {
+                candidate = Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground);
+            }
+            if candidate.attempt.is_good() {
+                let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
+                self.candidates.extend((!is_avoided).then_some(candidate));
+            } else if self.failure.fit.is_none() {
+                self.failure = Attempt { strongest: spotted.strongest, ..candidate.attempt };
             }
         }
         Ok(())
@@ -240,27 +349,55 @@ impl Search {
     pub fn claim(&mut self, index: usize) {
         self.claimed[index] = true;
     }
+
+    /// Fits have used their share of the picture.
+    fn is_spent(&self, look: &Look) -> bool {
+        self.fitted >= SIGHTS_MIN && self.work > allowance(look)
+    }
+
+    /// Whatever a fit says of it, something else is likelier: the light that it has is the most that a model can explain.
+    fn is_beaten(&self, starts: &Starts, variance: Option<f64>) -> bool {
+        let Some((energy, variance)) = starts.energy.zip(variance).filter(|_| self.scope == Scope::Likeliest) else {
+            return false;
+        };
+        let most = Evidence::most(0.5 * ENERGY * energy / variance.max(f64::MIN_POSITIVE));
+        self.candidates.iter().any(|candidate| candidate.rank() >= most)
+    }
+
+    /// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest.
+    fn try_all(
+        &mut self,
+        solver: &Solver,
+        look: &Look,
+        starts: &Starts,
+        control: Control,
+    ) -> Result<Attempt, CompileFailure> {
+        let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+        self.fitted += 1;
+        let mut best: Option<Attempt> = None;
+        let mut others = Vec::new();
+        // From the wrong one of several listed numbers fits end somewhere, and are good.
+        let is_listed = starts.others.len() > 1;
+        for (number, start) in starts.starts.iter().chain(&starts.others).enumerate() {
+            let is_last_resort = number >= starts.starts.len() && !is_listed;
+            if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
+                break;
+            }
+            let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
+            let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
+            self.work += stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
+            let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
+            if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
+                others.extend(best.replace(attempt));
+            } else {
+                others.push(attempt);
+            }
+        }
+        solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
+    }
 }
 
-/// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest.
-fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Result<Attempt, CompileFailure> {
-    let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-    let mut best: Option<Attempt> = None;
-    let mut others = Vec::new();
-    // From the wrong one of several listed numbers fits end somewhere, and are good.
-    let is_listed = starts.tighter.len() > 1;
-    for (number, start) in starts.starts.iter().chain(&starts.tighter).enumerate() {
-        let is_last_resort = number >= starts.starts.len() && !is_listed;
-        if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
-            break;
-        }
-        let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
-        let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
-        if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
-            others.extend(best.replace(attempt));
-        } else {
-            others.push(attempt);
-        }
-    }
-    solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
+/// Pixels of passes for one kind of things.
+fn allowance(look: &Look) -> u64 {
+    (PASSES * look.window.pixels() as u64).max(WORK_MIN)
 }

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use isophote_jit::{PlaneView, Window};
 use isophote_symbolic::{Model, Quadrature};
 
+use super::faint;
 use super::rival::Rival;
 use super::search::Candidate;
 use super::structure::Structure;
@@ -16,6 +17,7 @@ use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
+use crate::sight::detect::{Bank, Strength};
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
@@ -27,8 +29,6 @@ use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use isophote_frame::Frame;
 
-/// A brightness of less than this many standard deviations is nothing.
-const SIGNIFICANT: f64 = 5.0;
 /// About a domain, for what its walk through the model may have missed.
 const DOMAIN_MARGIN: Margin = Margin { share: 0.05, px: [2.0; 4] };
 /// A fit whose domain leaves its window is repeated in a larger one, so many times.
@@ -41,6 +41,8 @@ pub(crate) struct Solver {
     pub constants: Vec<f64>,
     /// Lens and target, when the model's parameters are a pose.
     pub geometry: Option<Geometry>,
+    /// What its target looks like, for searches.
+    pub bank: Option<Arc<Bank>>,
     reach: Reach,
 }
 
@@ -62,6 +64,26 @@ impl<'a> Look<'a> {
     /// The same within a bound.
     pub fn within(self, budget: &'a FrameBudget<'a>) -> Look<'a> {
         Look { budget: Some(budget), ..self }
+    }
+
+    /// The same for a part of its work; what that goes on without is its own.
+    pub fn bounded<'b>(&self, budget: &'b FrameBudget<'b>) -> Look<'b>
+    where
+        'a: 'b,
+    {
+        let limits = self.limits.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        Look {
+            planes: self.planes.clone(),
+            limits: Mutex::new(limits),
+            budget: Some(budget),
+            wanted: OnceLock::new(),
+            ..*self
+        }
+    }
+
+    /// Units for a part of its work.
+    pub fn budget(&self, work: u64) -> FrameBudget<'_> {
+        FrameBudget::part(work, self.budget)
     }
 
     /// Takes units of its budget.
@@ -93,12 +115,14 @@ pub(crate) struct Attempt {
     pub rejection: Option<Rejection>,
     /// Of poses: the runner-up.
     pub rival: Option<Rival>,
+    /// Of a search: the strongest thing that the document's own image found.
+    pub strongest: Option<Strength>,
 }
 
 impl Attempt {
     /// Nothing was fitted.
     pub fn none(ending: Ending) -> Attempt {
-        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None }
+        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None, strongest: None }
     }
 
     pub fn is_good(&self) -> bool {
@@ -117,7 +141,8 @@ impl Solver {
         let constants = options.constants_of(compiled.model());
         let reach = Reach::of(compiled.model(), &constants);
         let geometry = Geometry::of(compiled.model(), &constants);
-        Solver { compiled, options, constants, geometry, reach }
+        let bank = compiled.bank(&constants);
+        Solver { compiled, options, constants, geometry, bank, reach }
     }
 
     pub fn model(&self) -> &Model {
@@ -187,7 +212,7 @@ impl Solver {
             fitted = Fit { stages, ..again };
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
-        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None })
+        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None, strongest: None })
     }
 
     /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to.
@@ -319,19 +344,14 @@ impl Solver {
                     return Some(Rejection::Oversized);
                 }
             }
-            let brightness = roles.brightness.and_then(|parameter| {
-                let index = self.compiled.last_parameters().iter().position(|&p| p == parameter)?;
-                let worth = fit.worth.as_ref()?;
-                let variance = worth.covariance.as_ref().map_or(worth.variance_alone[index], |c| c[(index, index)]);
-                // Whole pixel values are rounded: a blank frame is not known better than that.
-                let floor = if view.holds_whole_values() && !model.has_noise() { QUANTISATION } else { 0.0 };
-                let reduced = worth.reduced.unwrap_or(0.0);
-                let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
-                Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
-            });
+            // Whole pixel values are rounded: a blank frame is not known better than that.
+            let floor = if view.holds_whole_values() && !model.has_noise() { QUANTISATION } else { 0.0 };
+            let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced).unwrap_or(0.0);
+            let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
+            let brightness = faint::is_bright(self.compiled.last_parameters(), fit, roles, blank, view.window.pixels());
             known |= brightness.is_some();
-            shining |= brightness.is_some_and(|significance| significance >= SIGNIFICANT);
-            if !self.fits_pose() && brightness.is_some_and(|significance| significance < SIGNIFICANT) {
+            shining |= brightness == Some(true);
+            if !self.fits_pose() && brightness == Some(false) {
                 return Some(Rejection::Faint);
             }
         }

@@ -19,7 +19,7 @@ use crate::solve::prepare::Preparation;
 use crate::solve::stage_kernels::CompileFailure;
 use crate::track::clock::FrameClock;
 use crate::track::publish::{Told, estimate};
-use crate::track::search::{Candidate, Search, Sighting};
+use crate::track::search::{Candidate, Scope, Search, Sighting};
 use crate::track::shared::{Carried, SharedParameters};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
@@ -92,7 +92,7 @@ impl Tracker {
     pub fn sightings(&self, frame: &Frame) -> Vec<Sighting> {
         let Some(look) = self.solver.look(frame) else { return Vec::new() };
         let given = self.solver.options.start_of(self.solver.model());
-        let search = Search::run(&self.solver, &look, &given, Vec::new(), None);
+        let search = Search::run(&self.solver, &look, &given, Vec::new(), None, Scope::All);
         search.map(|search| search.sightings(&self.solver)).unwrap_or_default()
     }
 
@@ -189,7 +189,8 @@ impl Tracker {
                     let track = &self.tracks[number];
                     if search.is_none() && look.unfinished().is_none() {
                         let size_px = track.memory.size_px(solver);
-                        search = Some(Search::run(solver, look, &self.given(track, time_s), kept.clone(), size_px)?);
+                        let given = self.given(track, time_s);
+                        search = Some(Search::run(solver, look, &given, kept.clone(), size_px, Scope::Likeliest)?);
                     }
                     match (look.unfinished(), &mut search) {
                         (None, Some(search)) => track.settle(solver, look, doubtful, search, time_s),

@@ -1,5 +1,6 @@
 //! Cold starts in whole frames: how often the target is found, how long that takes, and whether the confidence is right.
 
+pub mod faint;
 pub mod scene;
 
 use std::fmt::Write as _;

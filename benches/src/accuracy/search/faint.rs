@@ -1,0 +1,138 @@
+//! Faint stars in whole frames: how often one is found, how often noise is taken for one, and how long a search takes.
+//!
+//! What comes in: shipped documents, seeded frames of 1024 × 1024 px in electrons (16 bit, one DN each), with or without one
+//! star anywhere. Its signal-to-noise ratio is F/√(F + 4πσ²(sky + read²)), F being its electrons.
+
+use std::sync::Arc;
+
+use isophote_jit::PixelFormat;
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::{Compiled, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Frame, Plane};
+use rand_distr::Poisson;
+
+use super::scene::{Scene, height};
+use crate::accuracy::sensor::Random;
+
+/// Pixels a side.
+pub const SIDE: usize = 1024;
+/// Electrons a pixel.
+pub const SKY_E: f64 = 100.0;
+/// Electrons.
+pub const READ_E: f64 = 5.0;
+/// So that no pixel is below 0.
+const PEDESTAL: f64 = 100.0;
+
+/// What became of frames.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Found {
+    /// Frames.
+    pub frames: usize,
+    /// Tracking, within two σ and half a pixel of the star.
+    pub right: usize,
+    /// Tracking, elsewhere.
+    pub wrong: usize,
+    /// Median of the processor time of a frame, ms.
+    pub median_ms: f64,
+}
+
+/// Milliseconds for which this thread has had a processor: other programs do not count.
+fn cpu_ms() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+    text.split_whitespace().next().unwrap().parse::<f64>().unwrap() * 1e-6
+}
+
+/// A shipped document, ready.
+pub fn compiled(name: &str) -> Arc<Compiled> {
+    Arc::new(Compiled::new(Arc::new(Model::from_toml(&crate::text(name)).unwrap()), Precision::F32).unwrap())
+}
+
+/// A frame with a star of σ px and that signal-to-noise ratio, and where it is; without one where the ratio is 0.
+pub fn frame(name: &str, number: usize, sigma: f64, ratio: f64) -> (Frame, [f64; 2]) {
+    let mut random = Random::of(name, number);
+    let area = 4.0 * std::f64::consts::PI * sigma * sigma;
+    let squared = ratio * ratio;
+    let flux = 0.5 * squared + (0.25 * squared * squared + squared * area * (SKY_E + READ_E * READ_E)).sqrt();
+    let margin = 0.03 * SIDE as f64;
+    let centre = [0, 1].map(|_| random.uniform(margin, SIDE as f64 - margin));
+    // The share of a star's light between two edges of pixels.
+    let below = |edge: f64| 0.5 * libm::erfc(-edge / (sigma * std::f64::consts::SQRT_2));
+    let share = |at: usize, centre: f64| below(at as f64 + 0.5 - centre) - below(at as f64 - 0.5 - centre);
+    let shares = centre.map(|centre| (0..SIDE).map(|at| share(at, centre)).collect::<Vec<f64>>());
+    let sky = Poisson::new(SKY_E).unwrap();
+    let mut bytes = Vec::with_capacity(2 * SIDE * SIDE);
+    for y in 0..SIDE {
+        for x in 0..SIDE {
+            let star = flux * shares[0][x] * shares[1][y];
+            let photons = random.draw(&sky) + if star > 1e-6 { random.draw(&Poisson::new(star).unwrap()) } else { 0.0 };
+            let value = (PEDESTAL + photons + READ_E * random.normal()).round().clamp(0.0, 65535.0);
+            bytes.extend((value as u16).to_ne_bytes());
+        }
+    }
+    (Frame::new(&[SIDE, SIDE], vec![Plane::owned(PixelFormat::U16, bytes, SIDE)]).unwrap(), centre)
+}
+
+/// Cold starts of a fresh tracker in so many frames.
+pub fn measure(compiled: &Arc<Compiled>, name: &str, frames: usize, sigma: f64, ratio: f64) -> Found {
+    let mut found = Found { frames, ..Found::default() };
+    let mut times = Vec::with_capacity(frames);
+    let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+    for number in 0..frames {
+        let (frame, centre) = frame(name, number, sigma, ratio);
+        let start = cpu_ms();
+        let estimate = tracker.track(&frame);
+        times.push(cpu_ms() - start);
+        if estimate.state == TrackState::Tracking {
+            let off = (estimate.parameters[0] - centre[0]).hypot(estimate.parameters[1] - centre[1]);
+            let is_right = ratio > 0.0 && off < 2.0 * sigma + 0.5;
+            found.right += usize::from(is_right);
+            found.wrong += usize::from(!is_right);
+            // Nothing is known of the next frame's.
+            tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    found.median_ms = times[times.len() / 2];
+    found
+}
+
+/// Milliseconds of a cold start, 640 × 480 px: a spot alone, a spot among ten other things, ten things of other shapes. The
+/// median and the most of each.
+pub fn times_ms(compiled: &Arc<Compiled>, frames: usize) -> [[f64; 2]; 3] {
+    let scene = |seed: usize, clutter: usize| Scene::new(3_000_000 + seed as u64, height(0.0), clutter);
+    let kinds: [&dyn Fn(usize) -> Scene; 3] =
+        [&|seed| scene(seed, 0), &|seed| scene(seed, 10), &|seed| scene(seed, 10).without_target()];
+    kinds.map(|scene| {
+        let cold = |seed: usize| {
+            let frame = scene(seed).frame();
+            let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+            let start = cpu_ms();
+            tracker.track(&frame);
+            cpu_ms() - start
+        };
+        cold(0); // compiles kernels
+        let mut times: Vec<f64> = (0..frames).map(cold).collect();
+        times.sort_by(f64::total_cmp);
+        [times[times.len() / 2], times[times.len() - 1]]
+    })
+}
+
+/// Milliseconds of a frame of nothing but noise, 640 × 480 px, for a session that follows a spot and has lost it: the median
+/// and the most.
+pub fn blackout_ms(compiled: &Arc<Compiled>, frames: usize) -> [f64; 2] {
+    let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+    let seen = Scene::new(7, height(0.0), 0).frame();
+    for _ in 0..5 {
+        tracker.track(&seen);
+    }
+    let mut times = Vec::new();
+    for seed in 0..frames {
+        let dark = Scene::new(100 + seed as u64, height(0.0), 0).without_target().frame();
+        let start = cpu_ms();
+        let estimate = tracker.track(&dark);
+        times.push(cpu_ms() - start);
+        assert_ne!(estimate.state, TrackState::Tracking);
+    }
+    times.sort_by(f64::total_cmp);
+    [times[times.len() / 2], times[times.len() - 1]]
+}

@@ -1,0 +1,234 @@
+//! `Mended` and `Octave`: a picture with fewer and fewer pixels, and what stands above its ground at one of them.
+//!
+//! What comes in: pixel values. What goes out: the same without single bad pixels; at each level the difference from the local
+//! ground, how large its noise is and how skewed. It never knows what is looked for.
+
+use crate::sight::background::Background;
+use crate::sight::grey::Grey;
+use crate::sight::mask::Mask;
+
+/// The ground is the median of a block of so many pixels a side, …
+const BLOCK_PX: usize = 32;
+/// … of every so many of which one is looked at, along x and y.
+const EVERY: usize = 2;
+/// A pixel that differs from all about it by so many standard deviations …
+const BAD: f32 = 6.0;
+/// … is a bad one where no more than one of its eight neighbours does by this share of that. Of the image of a point that is
+/// spread by 0.7 px and more, several do.
+const NEIGHBOUR: f32 = 0.2;
+/// Beyond so many standard deviations is no noise.
+const NOISE: f64 = 5.0;
+/// Noise is looked at in about so many pixels.
+const SAMPLES: usize = 60_000;
+
+/// One picture.
+#[derive(Clone, Debug)]
+pub(super) struct Mended {
+    pub values: Vec<f32>,
+    pub width: usize,
+    pub height: usize,
+    /// What rounding leaves of noise at least: standard deviation of a pixel.
+    rounding: f64,
+}
+
+/// A picture less its ground.
+#[derive(Clone, Debug)]
+pub(super) struct Octave {
+    /// How often it was halved.
+    pub number: usize,
+    /// Differences from the ground.
+    pub values: Vec<f32>,
+    pub width: usize,
+    pub height: usize,
+    /// Standard deviation of a pixel, and what rounding leaves of it at least.
+    pub noise: f64,
+    pub rounding: f64,
+    pub skewness: f64,
+    ground: Ground,
+}
+
+/// The ground at the middle of each block, row by row.
+#[derive(Clone, Debug)]
+struct Ground {
+    values: Vec<f32>,
+    across: usize,
+    down: usize,
+}
+
+impl Mended {
+    /// The pixels themselves: bad ones and taken places are ground.
+    pub fn of(grey: &Grey, masks: &[Mask]) -> Mended {
+        let [width, height, ..] = grey.size;
+        let mut values: Vec<f32> = grey.values.iter().map(|value| *value as f32).collect();
+        if !masks.is_empty() {
+            // What a mask clears is 0: it marks where the plane through the border is to stand.
+            let background = Background::fit(grey);
+            let mut marks = vec![1.0; values.len()];
+            masks.iter().for_each(|mask| mask.clear(&mut marks, grey.size));
+            for (i, value) in values.iter_mut().enumerate().filter(|(i, _)| marks[*i] == 0.0) {
+                *value = background.at(grey.place(i)) as f32;
+            }
+        }
+        let mut picture = Mended { values, width, height, rounding: grey.step / 12.0_f64.sqrt() };
+        picture.mend();
+        picture
+    }
+
+    /// Half the pixels along x and y, each the mean of four.
+    pub fn halved(&self) -> Mended {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let mut values = Vec::with_capacity(width * height);
+        for rows in self.values.chunks_exact(2 * self.width).take(height) {
+            let (upper, lower) = rows.split_at(self.width);
+            let cells = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+            values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
+        }
+        Mended { values, width, height, rounding: 0.5 * self.rounding }
+    }
+
+    /// Puts the median of its neighbours in the place of a pixel that is bad.
+    fn mend(&mut self) {
+        let width = self.width;
+        if width < 3 || self.height < 3 {
+            return;
+        }
+        let stride = (self.values.len() / SAMPLES).max(1);
+        let steps = self.values.windows(2).step_by(stride).map(|two| two[1] - two[0]);
+        let noise = (deviation(steps) / 2.0_f64.sqrt()).max(self.rounding) as f32;
+        let mut mended = Vec::new();
+        let off = BAD * noise;
+        for (y, row) in self.values.chunks_exact(width).enumerate() {
+            let mut look = |x: usize| mended.extend(self.bad(x, y, off).map(|ground| (y * width + x, ground)));
+            look(0);
+            look(width - 1);
+            for (x, three) in row.windows(3).enumerate() {
+                // A bad pixel has at most one bad neighbour.
+                if (three[1] - three[0]).abs() > off || (three[1] - three[2]).abs() > off {
+                    look(x + 1);
+                }
+            }
+        }
+        mended.into_iter().for_each(|(i, ground)| self.values[i] = ground);
+    }
+
+    /// The median of the neighbours of a bad pixel; `None` for a good one.
+    fn bad(&self, x: usize, y: usize, off: f32) -> Option<f32> {
+        let value = self.values[y * self.width + x];
+        let mut near = [0.0; 8];
+        let mut count = 0;
+        for row in y.saturating_sub(1)..(y + 2).min(self.height) {
+            for column in x.saturating_sub(1)..(x + 2).min(self.width) {
+                if (row, column) != (y, x) {
+                    near[count] = self.values[row * self.width + column];
+                    count += 1;
+                }
+            }
+        }
+        let near = &mut near[..count];
+        near.sort_by(f32::total_cmp);
+        let middle = 0.5 * (near[count / 2] + near[(count - 1) / 2]);
+        let height = (value - middle).abs();
+        let second = (near[count - 2] - middle).max(middle - near[1]);
+        (height > off && second < NEIGHBOUR * height).then_some(middle)
+    }
+}
+
+impl Octave {
+    /// What stands above the ground in a picture that was halved so often.
+    pub fn of(picture: &Mended, number: usize) -> Octave {
+        let (width, height) = (picture.width, picture.height);
+        let ground = Ground::of(picture);
+        let mut values = picture.values.clone();
+        let columns: Vec<_> = (0..width).map(|x| Ground::among(x as f32, width, ground.across)).collect();
+        for (y, row) in values.chunks_exact_mut(width.max(1)).enumerate() {
+            ground.take_from(row, y, height, &columns);
+        }
+        let stride = values.len() / SAMPLES + 1;
+        let sample = || values.iter().step_by(stride).copied();
+        let noise = deviation(sample()).max(picture.rounding);
+        let near = || sample().map(|value| f64::from(value) / noise).filter(|value| value.abs() < NOISE);
+        let (count, cubes) = near().fold((0.0, 0.0), |(count, cubes), value| (count + 1.0, cubes + value.powi(3)));
+        let skewness = if noise > 0.0 && count > 0.0 { cubes / count } else { 0.0 };
+        Octave { number, values, width, height, noise, rounding: picture.rounding, skewness, ground }
+    }
+
+    /// Pixels of the frame along one of its own.
+    pub fn pitch(&self) -> f64 {
+        (1_u64 << self.number) as f64
+    }
+
+    /// Where one of its pixels is in the frame.
+    pub fn in_frame(&self, place: [f64; 2]) -> [f64; 2] {
+        place.map(|at| (at + 0.5) * self.pitch() - 0.5)
+    }
+
+    /// The ground at one of its pixels.
+    pub fn ground(&self, place: [f64; 2]) -> f64 {
+        f64::from(self.ground.at(place[0] as f32, place[1] as f32, self.width, self.height))
+    }
+}
+
+impl Ground {
+    fn of(picture: &Mended) -> Ground {
+        let (across, down) = (picture.width.div_ceil(BLOCK_PX).max(1), picture.height.div_ceil(BLOCK_PX).max(1));
+        let mut values = Vec::with_capacity(across * down);
+        let mut block = Vec::with_capacity(BLOCK_PX * BLOCK_PX);
+        let side = |number: usize, count: usize, length: usize| number * length / count..(number + 1) * length / count;
+        for row in 0..down {
+            for column in 0..across {
+                block.clear();
+                for y in side(row, down, picture.height).step_by(EVERY) {
+                    let columns = side(column, across, picture.width);
+                    let line = &picture.values[y * picture.width..][columns];
+                    block.extend(line.iter().step_by(EVERY));
+                }
+                values.push(middle(&mut block));
+            }
+        }
+        Ground { values, across, down }
+    }
+
+    /// The two blocks between whose middles pixel `at` of `length` is, and how far on the way from the first to the second. A
+    /// slope goes on beyond the last middles.
+    fn among(at: f32, length: usize, count: usize) -> (usize, usize, f32) {
+        let place = (at + 0.5) * count as f32 / length as f32 - 0.5;
+        let first = (place.max(0.0) as usize).min(count.saturating_sub(2));
+        (first, (first + 1).min(count - 1), place - first as f32)
+    }
+
+    fn at(&self, x: f32, y: f32, width: usize, height: usize) -> f32 {
+        let ((left, right, u), (upper, lower, v)) =
+            (Ground::among(x, width, self.across), Ground::among(y, height, self.down));
+        let row = |row: usize| {
+            let (a, b) = (self.values[row * self.across + left], self.values[row * self.across + right]);
+            a + u * (b - a)
+        };
+        let (above, below) = (row(upper), row(lower));
+        above + v * (below - above)
+    }
+
+    fn take_from(&self, row: &mut [f32], y: usize, height: usize, columns: &[(usize, usize, f32)]) {
+        let (upper, lower, v) = Ground::among(y as f32, height, self.down);
+        let (above, below) = (&self.values[upper * self.across..][..self.across], &self.values[lower * self.across..]);
+        let knots: Vec<f32> = above.iter().zip(below).map(|(a, b)| a + v * (b - a)).collect();
+        for (value, (left, right, u)) in row.iter_mut().zip(columns) {
+            *value -= knots[*left] + u * (knots[*right] - knots[*left]);
+        }
+    }
+}
+
+/// The median, of values that are reordered; 0 of none.
+pub(super) fn middle(values: &mut [f32]) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+/// The standard deviation of what is normal about 0 but for a few: from the median of the magnitudes.
+pub(super) fn deviation(values: impl Iterator<Item = f32>) -> f64 {
+    const OF_MEDIAN: f64 = 1.4826;
+    let mut magnitudes: Vec<f32> = values.map(f32::abs).collect();
+    OF_MEDIAN * f64::from(middle(&mut magnitudes))
+}

@@ -1,0 +1,199 @@
+//! Peaks: where a filtered picture is highest, in standard deviations of its noise.
+//!
+//! What comes in: maps of [`super::filter`], thresholds. What goes out: [`Peak`]s, each thing once, at the size that suits it
+//! best. It never knows how a map was made.
+
+use super::Strength;
+use super::alarm::Limits;
+use super::level::{Octave, deviation};
+use super::template::Template;
+use crate::sight::start::Sight;
+
+/// The noise is told for cells of about so many pixels a side, …
+const CELL_PX: usize = 128;
+/// … and is that of the whole map where it differs from that by no more than so many of its own standard deviations.
+const ALIKE: f64 = 3.0;
+/// A median of magnitudes of n values varies by this over √n.
+const MEDIAN_SPREAD: f64 = 1.17;
+/// Values of a cell that are looked at, about.
+const CELL_SAMPLES: usize = 2048;
+/// A pixel beside the top is lower: maxima of pixels are looked at from so far below the threshold on.
+const BELOW: f64 = 0.8;
+/// Peaks of one map that are kept at most.
+const PEAKS_MAX: usize = 256;
+
+/// A place where a target may be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Peak {
+    pub strength: Strength,
+    /// Signed brightness.
+    amplitude: f64,
+    ground: f64,
+}
+
+/// All of a picture.
+#[derive(Debug, Default)]
+pub(super) struct Peaks {
+    found: Vec<Peak>,
+    strongest: Option<Peak>,
+}
+
+impl Peak {
+    /// What a fit starts from.
+    pub fn sight(&self) -> Sight {
+        let Strength { place: [x, y], size_px, .. } = self.strength;
+        let mut extent = [[0.0; 4]; 4];
+        (extent[0][0], extent[1][1]) = (size_px.powi(-2), size_px.powi(-2));
+        Sight {
+            centre: [x, y, 0.0, 0.0],
+            extent,
+            size: [size_px, size_px, 0.0, 0.0],
+            background: self.ground,
+            amplitude: self.amplitude,
+            saturated: 0,
+        }
+    }
+
+    /// By how much it exceeds what noise does.
+    fn excess(&self) -> f64 {
+        self.strength.score - self.strength.threshold
+    }
+
+    /// True when one of the two may be a part of the other.
+    fn is_near(&self, other: &Peak, apart: f64) -> bool {
+        let ([x, y], [u, v]) = (self.strength.place, other.strength.place);
+        (x - u).hypot(y - v) < apart * self.strength.size_px.max(other.strength.size_px)
+    }
+}
+
+impl Peaks {
+    /// The strongest, up to so many, `apart` sizes from each other at least; and the strongest of all, above its threshold or
+    /// not.
+    pub fn strongest(mut self, count_max: usize, apart: f64) -> (Vec<Peak>, Option<Peak>) {
+        self.found.sort_by(|a, b| b.strength.score.total_cmp(&a.strength.score));
+        let mut kept: Vec<Peak> = Vec::new();
+        for peak in self.found {
+            if kept.len() == count_max {
+                break;
+            }
+            if !kept.iter().any(|other| other.is_near(&peak, apart)) {
+                kept.push(peak);
+            }
+        }
+        (kept, self.strongest)
+    }
+
+    /// Adds those of a map.
+    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Octave, limits: Limits) {
+        let (width, height) = (level.width, level.height);
+        if width < 3 || height < 3 {
+            return;
+        }
+        let cells = Cells::of(map, width, height, level.rounding);
+        let already = self.found.len();
+        for (sign, limit) in [(1.0_f32, Some(limits.upright)), (-1.0, limits.reversed)] {
+            let Some(limit) = limit else { continue };
+            let mut highest = f64::NEG_INFINITY;
+            for (row, column) in (0..cells.down).flat_map(|row| (0..cells.across).map(move |column| (row, column))) {
+                let noise = cells.noise[row * cells.across + column];
+                if !(noise > 0.0 && noise.is_finite()) {
+                    continue;
+                }
+                let bar = |highest: f64| (highest.min(limit - BELOW) * noise) as f32;
+                let mut least = bar(highest);
+                for y in cells.rows(row, height) {
+                    let columns = cells.columns(column, width);
+                    for (x, value) in columns.clone().zip(&map[y * width..][columns]) {
+                        if sign * value < least {
+                            continue;
+                        }
+                        let Some((place, top)) = summit(map, [x, y], [width, height], sign) else { continue };
+                        let score = top / noise;
+                        highest = highest.max(f64::from(sign * value) / noise);
+                        least = bar(highest);
+                        let size_px = template.size_px;
+                        let strength = Strength { score, threshold: limit, place: level.in_frame(place), size_px };
+                        let amplitude = f64::from(sign) * top * template.height;
+                        let peak = Peak { strength, amplitude, ground: level.ground(place) };
+                        if self.strongest.is_none_or(|best| score - limit > best.excess()) {
+                            self.strongest = Some(peak);
+                        }
+                        if score >= limit {
+                            self.found.push(peak);
+                        }
+                    }
+                }
+            }
+        }
+        if self.found.len() > already + PEAKS_MAX {
+            self.found[already..].sort_by(|a, b| b.strength.score.total_cmp(&a.strength.score));
+            self.found.truncate(already + PEAKS_MAX);
+        }
+    }
+}
+
+/// The noise of a map, by cells.
+struct Cells {
+    across: usize,
+    down: usize,
+    noise: Vec<f64>,
+}
+
+impl Cells {
+    /// Of a kernel of unit norm; `rounding` is the least that whole pixel values leave.
+    fn of(map: &[f32], width: usize, height: usize, rounding: f64) -> Cells {
+        let (across, down) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
+        let mut cells = Cells { across, down, noise: Vec::new() };
+        // Every so many pixels: along a row neighbours say the same.
+        let every = |count: usize, target: usize| (count as f64 / target as f64).sqrt().ceil().max(1.0) as usize;
+        let mut deviations = Vec::with_capacity(across * down);
+        let mut samples = 0;
+        for (row, column) in (0..down).flat_map(|row| (0..across).map(move |column| (row, column))) {
+            let (rows, columns) = (cells.rows(row, height), cells.columns(column, width));
+            let step = every(rows.len() * columns.len(), CELL_SAMPLES);
+            let of_row = |y: usize| map[y * width..][columns.clone()].iter().step_by(step).copied();
+            samples = rows.clone().step_by(step).len() * columns.clone().step_by(step).len();
+            deviations.push(deviation(rows.step_by(step).flat_map(of_row)));
+        }
+        let mut sorted = deviations.clone();
+        sorted.sort_by(f64::total_cmp);
+        let whole = sorted[sorted.len() / 2];
+        // Neighbours agree, so there are fewer independent ones.
+        let spread = ALIKE * MEDIAN_SPREAD / (0.25 * samples as f64).sqrt().max(1.0);
+        let settled = |own: f64| if (own / whole - 1.0).abs() <= spread { whole } else { own };
+        cells.noise = deviations.into_iter().map(|own| settled(own).max(rounding)).collect();
+        cells
+    }
+
+    fn rows(&self, row: usize, height: usize) -> std::ops::Range<usize> {
+        row * height / self.down..(row + 1) * height / self.down
+    }
+
+    fn columns(&self, column: usize, width: usize) -> std::ops::Range<usize> {
+        column * width / self.across..(column + 1) * width / self.across
+    }
+}
+
+/// The top of a parabola through a pixel and its neighbours, where none of these is higher: place and value. At the border the
+/// pixel itself.
+fn summit(map: &[f32], [x, y]: [usize; 2], [width, height]: [usize; 2], sign: f32) -> Option<([f64; 2], f64)> {
+    let at = |x: usize, y: usize| f64::from(sign * map[y * width + x]);
+    let here = at(x, y);
+    for row in y.saturating_sub(1)..(y + 2).min(height) {
+        for column in x.saturating_sub(1)..(x + 2).min(width) {
+            let is_before = (row, column) < (y, x);
+            let there = at(column, row);
+            if there > here || (is_before && there == here) {
+                return None;
+            }
+        }
+    }
+    let along = |before: f64, after: f64| -> (f64, f64) {
+        let (slope, bend) = (0.5 * (after - before), before + after - 2.0 * here);
+        if bend < 0.0 { (-slope / bend, -0.5 * slope * slope / bend) } else { (0.0, 0.0) }
+    };
+    let is_inside = |at: usize, count: usize| at > 0 && at + 1 < count;
+    let (dx, along_x) = if is_inside(x, width) { along(at(x - 1, y), at(x + 1, y)) } else { (0.0, 0.0) };
+    let (dy, along_y) = if is_inside(y, height) { along(at(x, y - 1), at(x, y + 1)) } else { (0.0, 0.0) };
+    Some(([x as f64 + dx, y as f64 + dy], here + along_x + along_y))
+}
