@@ -146,6 +146,8 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
+    /// Of a pose: it leaves more unexplained than the document's other fits, or than its noise allows.
+    Misfit,
 }
 
 /// What is different about a fit that was chosen over the plain one.

@@ -15,6 +15,7 @@ mod found;
 pub mod geometry;
 mod joint;
 mod measured;
+mod mirrored;
 mod mismatch;
 mod p3p;
 mod profile;

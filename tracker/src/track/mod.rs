@@ -9,6 +9,7 @@
 //!                                                                                         coast, or lose
 //! ```
 
+mod branch;
 mod clock;
 mod coordinate;
 mod course;
@@ -94,6 +95,7 @@ impl Track {
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
+        let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
@@ -153,7 +155,8 @@ impl Track {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
             let sure = candidate.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min);
             let guess = !self.is_confirmed() && search.is_guess(&candidate);
-            (sure && !guess && suits(&candidate)).then_some(candidate)
+            let believed = solver.is_believed(&candidate.attempt, &self.memory.past);
+            (sure && believed && !guess && suits(&candidate)).then_some(candidate)
         });
         let good = doubtful.as_ref().is_some_and(|candidate| candidate.attempt.is_good());
         match (doubtful.filter(|_| good), found) {

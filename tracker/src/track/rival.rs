@@ -46,7 +46,7 @@ impl Solver {
     ) -> Result<Attempt, CompileFailure> {
         let Some(geometry) = &self.geometry else { return Ok(best) };
         let view = self.view(look, look.window);
-        let mut rival: Option<Rival> = None;
+        let mut rival: Option<Rival> = best.rival.take();
         for other in others.into_iter().filter(Attempt::is_good) {
             let Some(delta) = self.delta(&view, geometry, &best, &other)? else { continue };
             let loser = if delta < 0.0 { std::mem::replace(&mut best, other) } else { other };
@@ -68,7 +68,11 @@ impl Solver {
         rival: Option<&Rival>,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
-        let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
+        // What is hidden from one is hidden from the other: such a picture decides nothing.
+        let is_veiled = warm.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
+        let Some(rival) = rival.filter(|_| warm.is_good() && !is_veiled && warm.rival.is_none()) else {
+            return Ok(warm);
+        };
         let Some(geometry) = &self.geometry else { return Ok(warm) };
         let mut other = self.attempt(look, &rival.parameters, Begin::Nearby(None), control, Margin::NONE)?;
         let view = self.view(look, look.window);

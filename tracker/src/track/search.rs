@@ -256,5 +256,6 @@ fn best(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Resu
             others.push(attempt);
         }
     }
-    solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
+    let best = solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
+    solver.branched_cold(look, best, control)
 }

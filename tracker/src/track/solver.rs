@@ -25,7 +25,7 @@ use crate::solve::stage_kernels::{CompileFailure, Control};
 use isophote_frame::Frame;
 
 /// A brightness of less than this many standard deviations is nothing.
-const SIGNIFICANT: f64 = 5.0;
+pub(super) const SIGNIFICANT: f64 = 5.0;
 /// About a domain, for what its walk through the model may have missed.
 const DOMAIN_MARGIN: Margin = Margin { share: 0.05, px: [2.0; 4] };
 /// A fit whose domain leaves its window is repeated in a larger one, so many times.
@@ -90,12 +90,14 @@ pub(crate) struct Attempt {
     pub rejection: Option<Rejection>,
     /// Of poses: the runner-up.
     pub rival: Option<Rival>,
+    /// Of poses: the mirrored ones were tried.
+    pub is_other_tried: bool,
 }
 
 impl Attempt {
     /// Nothing was fitted.
     pub fn none(ending: Ending) -> Attempt {
-        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None }
+        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None, is_other_tried: false }
     }
 
     pub fn is_good(&self) -> bool {
@@ -184,7 +186,7 @@ impl Solver {
             fitted = Fit { stages, ..again };
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
-        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None })
+        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None, is_other_tried: false })
     }
 
     /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to.
@@ -285,6 +287,10 @@ impl Solver {
     pub(super) fn rejection(&self, fit: &Fit, view: &View, whole: Window) -> Option<Rejection> {
         let model = self.model();
         if !fit.ending.is_fit() {
+            return Some(Rejection::Ending);
+        }
+        // One spot of several leaves the spin open: there is a pose for each of its values.
+        if self.fits_pose() && fit.worth.as_ref().is_some_and(|worth| worth.covariance.is_none()) {
             return Some(Rejection::Ending);
         }
         if !model.constraints_hold(&fit.parameters, &self.constants) {

@@ -43,6 +43,8 @@ pub(crate) struct Residual {
     pub predicted: f64,
     /// (observed − predicted)/σ; of a saturated pixel what the prediction lacks to the limit, at least 0.
     pub whitened: f64,
+    /// σ.
+    pub deviation: f64,
     pub saturated: bool,
 }
 
@@ -105,7 +107,7 @@ impl Predictions {
                 let difference = if saturated { (limit - predicted).max(0.0) } else { value - predicted };
                 let whitened = difference / deviation;
                 // NaN: outside of the domain, or no number in the picture.
-                (!whitened.is_nan()).then_some(Residual { pixel, predicted, whitened, saturated })
+                (!whitened.is_nan()).then_some(Residual { pixel, predicted, whitened, deviation, saturated })
             };
             Some(Seen { residuals: pixels.filter_map(residual).collect(), limit })
         };

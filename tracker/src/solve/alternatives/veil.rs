@@ -1,0 +1,270 @@
+//! What hides a part of a pose's picture: a hand before a spot, glare beside it. Pixels that the pose does not explain are left
+//! out, and the rest is fitted again.
+//!
+//! What comes in: a picture, and poses to begin with. What goes out: the fit that explains most of all spots' pixels, and the
+//! share that it left out. It never knows earlier frames.
+//!
+//! What is hidden shows once the pose is nearly known, and the pose once it is known what is hidden. So several beginnings are
+//! tried: the pose that was expected, the one that the plain fit came to, and, as the other spots are enough for a pose, that
+//! fit once without each of the spots. Each goes on by itself: find what is hidden, fit the rest.
+
+use isophote_symbolic::{Model, ParameterId};
+
+use super::blind::{BlindMask, Painted};
+use super::residuals::{Over, Residual};
+use super::{Alternatives, Variation};
+use crate::estimate::Substitute;
+use crate::pose::{Five, Geometry};
+use crate::sight::view::View;
+use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::stage_kernels::{CompileFailure, Control};
+
+/// A picture of a pose.
+pub(crate) struct Veil<'a> {
+    pub view: &'a View<'a>,
+    pub constants: &'a [f64],
+    pub geometry: &'a Geometry,
+}
+
+/// How many times their deviation residuals are taken to have, round by round.
+const SCALES: [f64; 4] = [3.0, 1.5, 1.0, 1.0];
+/// Residuals, and means of them over a neighbourhood, beyond so many standard deviations are of something else.
+const OUTLIER: f64 = 5.0;
+/// Half the width of a neighbourhood, px.
+const NEAR_PX: usize = 2;
+/// What a pixel costs at most.
+const COST: f64 = 16.0;
+/// At least this share of the spots' pixels must be left.
+const LEFT: f64 = 0.4;
+/// A spot ends at this s.
+const RIM: f64 = 1.2;
+/// What of the picture is looked at, as a multiple of s.
+const REACH: f64 = 2.6;
+/// A brightness is guessed from pixels at least this bright, as a share of the brightest.
+const BRIGHT: f64 = 0.2;
+/// Quantiles of what single pixels say about it.
+const QUANTILES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
+/// A spot of this share of the brightest one's brightness is dark.
+const DARK: f64 = 0.05;
+/// Another brightness must explain so many times as many pixels.
+const BETTER: f64 = 1.1;
+
+impl Alternatives {
+    /// The fit that explains most, of all beginnings; `None` where hardly anything is left of any.
+    pub fn unveiled(&self, veil: &Veil, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
+        let Some(own) = &self.own else { return Ok(None) };
+        let Some(view) = veil.part(starts) else { return Ok(None) };
+        let part = Veil { view: &view, ..*veil };
+        let mut found: Vec<Fit> = Vec::new();
+        for start in starts {
+            found.extend(part.cleared(own, start.clone(), None)?);
+        }
+        let spots = veil.geometry.target.spots.len();
+        for (start, spot) in starts.iter().rev().take(1).flat_map(|start| (0..spots).map(move |spot| (start, spot))) {
+            if spots > 1 {
+                found.extend(part.cleared(own, start.clone(), Some(spot))?);
+            }
+        }
+        // All are compared over the same pixels: those of the spots of any.
+        let size = view.window.pixels();
+        let mut region = vec![false; size];
+        for fit in &found {
+            for (pixel, _) in part.nearest(&fit.parameters, RIM) {
+                region[pixel] = true;
+            }
+        }
+        let costs = found.into_iter().filter_map(|fit| {
+            let seen = own.predictions.residuals(&view, &fit.parameters, veil.constants, Over::Everything)?;
+            let inside = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| region[residual.pixel]);
+            let cost: f64 = inside.map(|residual| residual.whitened.powi(2).min(COST)).sum();
+            Some((cost, fit))
+        });
+        Ok(costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, fit)| fit))
+    }
+}
+
+impl<'a> Veil<'a> {
+    /// The part of the picture that spots of any of these poses are in.
+    fn part(&self, starts: &[Vec<f64>]) -> Option<View<'a>> {
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for ellipse in starts.iter().flat_map(|start| self.geometry.outlines(start)).flatten() {
+            let determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3];
+            for (axis, a) in [ellipse[4], ellipse[2]].into_iter().enumerate() {
+                let half = (REACH * a / determinant).sqrt() + 4.0;
+                low[axis] = low[axis].min(ellipse[axis] - half);
+                high[axis] = high[axis].max(ellipse[axis] + half);
+            }
+        }
+        let window = self.view.window;
+        let span = |first: usize, count: usize, low: f64, high: f64| {
+            let (begin, end) = (first as f64, (first + count) as f64 - 1.0);
+            let (low, high) = (low.floor().max(begin), high.ceil().min(end));
+            (low <= high).then(|| (low as usize, (high - low) as usize + 1))
+        };
+        let (x, width) = span(window.x, window.width, low[0], high[0])?;
+        let (y, height) = span(window.y, window.height, low[1], high[1])?;
+        Some(self.view.narrowed(isophote_jit::Window { x, y, width, height, ..window }))
+    }
+
+    /// Pixels within a contour of a spot, with the nearest spot's number.
+    fn nearest(&self, parameters: &[f64], rim: f64) -> Vec<(usize, usize)> {
+        let outlines = self.geometry.outlines(parameters);
+        let [width, height, ..] = self.view.window.size();
+        let [x0, y0, ..] = self.view.window.first();
+        let mut found = Vec::new();
+        for pixel in 0..width * height {
+            let at = [(x0 + pixel % width) as f64, (y0 + pixel / width) as f64];
+            let s = |e: &Five| {
+                let (dx, dy) = (at[0] - e[0], at[1] - e[1]);
+                e[2] * dx * dx + 2.0 * e[3] * dx * dy + e[4] * dy * dy
+            };
+            let nearest = outlines.iter().enumerate().filter_map(|(spot, e)| Some((spot, s(e.as_ref()?))));
+            let nearest = nearest.min_by(|a, b| a.1.total_cmp(&b.1));
+            found.extend(nearest.filter(|(_, s)| *s <= rim).map(|(spot, _)| (pixel, spot)));
+        }
+        found
+    }
+
+    /// Goes on from a start, at first without one of the spots; `None` where that leads to no fit, or leaves hardly anything.
+    fn cleared(
+        &self,
+        own: &Variation,
+        mut parameters: Vec<f64>,
+        without: Option<usize>,
+    ) -> Result<Option<Fit>, CompileFailure> {
+        let mut last: Option<(Fit, Vec<bool>)> = None;
+        let model = own.compiled.model().clone();
+        for (round, scale) in SCALES.into_iter().enumerate() {
+            let mut hidden = vec![false; self.view.window.pixels()];
+            match without.filter(|_| round == 0) {
+                Some(spot) => {
+                    let own = self.nearest(&parameters, REACH).into_iter().filter(|(_, nearest)| *nearest == spot);
+                    own.for_each(|(pixel, _)| hidden[pixel] = true);
+                }
+                None => {
+                    light_up(&model, &mut parameters);
+                    let Some(residuals) = self.residuals(own, &parameters) else { return Ok(None) };
+                    self.guess_brightness(&model, &residuals, &mut parameters);
+                    let Some(residuals) = self.residuals(own, &parameters) else { return Ok(None) };
+                    self.hide(&residuals, scale, &mut hidden);
+                }
+            }
+            if let Some((_, before)) = &last
+                && *before == hidden
+            {
+                break;
+            }
+            let mask = BlindMask { pixels: hidden };
+            let painted = Painted::new(self.view, &mask);
+            let Some(view) = painted.view(self.view, own.compiled.precision()) else { return Ok(None) };
+            let fitted = fit(&own.compiled, &view, self.constants, &parameters, Begin::Anywhere, Control::Blind)?;
+            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
+                return Ok(None);
+            }
+            parameters.clone_from(&fitted.parameters);
+            last = Some((fitted, mask.pixels));
+        }
+        let Some((mut fit, mask)) = last else { return Ok(None) };
+        let inside = self.nearest(&fit.parameters, 1.0);
+        let blind = inside.iter().filter(|(pixel, _)| mask[*pixel]).count();
+        let hidden = blind as f64 / inside.len().max(1) as f64;
+        if 1.0 - hidden < LEFT {
+            return Ok(None);
+        }
+        fit.unused = self.unused(&inside, &mask);
+        fit.choice = Some(Substitute { degree: 0, robust: false, hidden });
+        Ok(Some(fit))
+    }
+
+    /// Spots of which hardly anything is left.
+    fn unused(&self, inside: &[(usize, usize)], mask: &[bool]) -> Vec<usize> {
+        let is_unused = |spot: &usize| {
+            let own = inside.iter().filter(|(_, nearest)| nearest == spot);
+            let left = own.clone().filter(|(pixel, _)| !mask[*pixel]).count();
+            4 * left < own.count()
+        };
+        (0..self.geometry.target.spots.len()).filter(is_unused).collect()
+    }
+
+    fn residuals(&self, own: &Variation, parameters: &[f64]) -> Option<Vec<Residual>> {
+        let seen = own.predictions.residuals(self.view, parameters, self.constants, Over::Domain)?;
+        Some(seen.into_iter().flat_map(|seen| seen.residuals).collect())
+    }
+
+    /// The brightness of each spot, where another one explains more of its pixels: most of a spot may be hidden, and a spot that was
+    /// left out has none yet.
+    fn guess_brightness(&self, model: &Model, residuals: &[Residual], parameters: &mut [f64]) {
+        let Some(ground) = model.roles().iter().find_map(|roles| roles.background) else { return };
+        let ground = parameters[ground.index()];
+        let mut spot_of = vec![usize::MAX; self.view.window.pixels()];
+        for (pixel, spot) in self.nearest(parameters, 1.0) {
+            spot_of[pixel] = spot;
+        }
+        for (number, spot) in self.geometry.target.spots.iter().enumerate() {
+            let named = |roles: &&isophote_symbolic::Roles| roles.name.as_ref() == Some(&spot.name);
+            let brightness: Option<ParameterId> = model.roles().iter().find(named).and_then(|roles| roles.brightness);
+            let Some(brightness) = brightness.map(ParameterId::index) else { continue };
+            let now = parameters[brightness];
+            let own: Vec<(f64, f64, f64)> = residuals
+                .iter()
+                .filter(|residual| spot_of[residual.pixel] == number && !residual.saturated)
+                .map(|residual| (residual, (residual.predicted - ground) / now))
+                .filter(|(residual, share)| *share > BRIGHT && residual.deviation.is_finite())
+                .map(|(residual, share)| {
+                    let light = residual.predicted - ground + residual.whitened * residual.deviation;
+                    (light, share, residual.deviation)
+                })
+                .collect();
+            let explained =
+                |v: f64| own.iter().filter(|(light, share, sigma)| (light - v * share).abs() < 3.0 * sigma).count();
+            let mut ratios: Vec<f64> = own.iter().map(|(light, share, _)| light / share).collect();
+            ratios.sort_by(f64::total_cmp);
+            let guesses = QUANTILES.iter().filter_map(|q| ratios.get((q * ratios.len() as f64) as usize));
+            let best = guesses.copied().max_by_key(|guess| explained(*guess));
+            if let Some(best) = best.filter(|best| explained(*best) as f64 > BETTER * explained(now) as f64) {
+                parameters[brightness] = best.max(0.0);
+            }
+        }
+    }
+
+    /// Marks what is not of the pose: single residuals that are too large, and neighbourhoods whose mean is.
+    fn hide(&self, residuals: &[Residual], scale: f64, hidden: &mut [bool]) {
+        let [width, height, ..] = self.view.window.size();
+        let mut known: Vec<Option<f64>> = vec![None; hidden.len()];
+        residuals.iter().for_each(|residual| known[residual.pixel] = Some(residual.whitened / scale));
+        let mut far = vec![false; hidden.len()];
+        for residual in residuals {
+            let (x, y) = (residual.pixel % width, residual.pixel / width);
+            let (mut sum, mut count) = (0.0, 0.0);
+            for j in y.saturating_sub(NEAR_PX)..(y + NEAR_PX + 1).min(height) {
+                for i in x.saturating_sub(NEAR_PX)..(x + NEAR_PX + 1).min(width) {
+                    if let Some(z) = known[j * width + i] {
+                        (sum, count) = (sum + z, count + 1.0);
+                    }
+                }
+            }
+            let own = residual.whitened / scale;
+            far[residual.pixel] = own.abs() > OUTLIER || sum.abs() > OUTLIER * f64::sqrt(count);
+        }
+        // Its edge covers pixels in part.
+        for pixel in (0..far.len()).filter(|pixel| far[*pixel]) {
+            let (x, y) = (pixel % width, pixel / width);
+            for j in y.saturating_sub(1)..(y + 2).min(height) {
+                for i in x.saturating_sub(1)..(x + 2).min(width) {
+                    hidden[j * width + i] = true;
+                }
+            }
+        }
+    }
+}
+
+/// Gives spots that are dark the brightness of the brightest, so that it can be told what each pixel says about it.
+fn light_up(model: &Model, parameters: &mut [f64]) {
+    let lights: Vec<usize> = model.roles().iter().filter_map(|roles| Some(roles.brightness?.index())).collect();
+    let brightest = lights.iter().map(|index| parameters[*index].abs()).fold(0.0, f64::max);
+    for index in lights {
+        if parameters[index].abs() < DARK * brightest {
+            parameters[index] = brightest;
+        }
+    }
+}
