@@ -298,8 +298,8 @@ impl Solver {
         }
         let (first, size) = (whole.first(), whole.size());
         let dimensions = model.coordinates().len();
-        // A pose has spots to spare: it is believed while one of them shines.
-        let (mut shining, mut known) = (false, false);
+        // A pose has spots to spare: it is believed while two of them shine.
+        let (mut shining, mut known) = (0, 0);
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
                 let place = fit.parameters[parameter.index()] - first as f64;
@@ -324,13 +324,15 @@ impl Solver {
                 let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
                 Some(fit.parameters[parameter.index()].abs() / (variance * blank).sqrt())
             });
-            known |= brightness.is_some();
-            shining |= brightness.is_some_and(|significance| significance >= SIGNIFICANT);
+            known += usize::from(brightness.is_some());
+            shining += usize::from(brightness.is_some_and(|significance| significance >= SIGNIFICANT));
             if !self.fits_pose() && brightness.is_some_and(|significance| significance < SIGNIFICANT) {
                 return Some(Rejection::Faint);
             }
         }
-        (self.fits_pose() && known && !shining).then_some(Rejection::Faint)
+        // One spot alone leaves the spin open, and does not say which of them it is.
+        let needed = if self.geometry.as_ref().is_some_and(Geometry::has_spin) { known.min(2) } else { known.min(1) };
+        (self.fits_pose() && shining < needed).then_some(Rejection::Faint)
     }
 
     /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.

@@ -30,8 +30,8 @@ pub(crate) struct Veil<'a> {
 const SCALES: [f64; 4] = [3.0, 1.5, 1.0, 1.0];
 /// Residuals, and means of them over a neighbourhood, beyond so many standard deviations are of something else.
 const OUTLIER: f64 = 5.0;
-/// Half the width of a neighbourhood, px.
-const NEAR_PX: usize = 2;
+/// Half the widths of neighbourhoods, px: what is hidden begins sharply, glare dies away slowly.
+const NEAR_PX: [usize; 3] = [0, 2, 7];
 /// What a pixel costs at most.
 const COST: f64 = 16.0;
 /// At least this share of the spots' pixels must be left.
@@ -227,24 +227,34 @@ impl<'a> Veil<'a> {
         }
     }
 
-    /// Marks what is not of the pose: single residuals that are too large, and neighbourhoods whose mean is.
+    /// Marks what is not of the pose: pixels and neighbourhoods whose mean residual is too large.
     fn hide(&self, residuals: &[Residual], scale: f64, hidden: &mut [bool]) {
         let [width, height, ..] = self.view.window.size();
-        let mut known: Vec<Option<f64>> = vec![None; hidden.len()];
-        residuals.iter().for_each(|residual| known[residual.pixel] = Some(residual.whitened / scale));
-        let mut far = vec![false; hidden.len()];
+        // Sums of all to the left and above, so that those of a neighbourhood are four of them.
+        let (mut sums, mut counts) = (vec![0.0; (width + 1) * (height + 1)], vec![0.0; (width + 1) * (height + 1)]);
         for residual in residuals {
-            let (x, y) = (residual.pixel % width, residual.pixel / width);
-            let (mut sum, mut count) = (0.0, 0.0);
-            for j in y.saturating_sub(NEAR_PX)..(y + NEAR_PX + 1).min(height) {
-                for i in x.saturating_sub(NEAR_PX)..(x + NEAR_PX + 1).min(width) {
-                    if let Some(z) = known[j * width + i] {
-                        (sum, count) = (sum + z, count + 1.0);
-                    }
+            let at = (residual.pixel / width + 1) * (width + 1) + residual.pixel % width + 1;
+            (sums[at], counts[at]) = (residual.whitened / scale, 1.0);
+        }
+        for table in [&mut sums, &mut counts] {
+            for y in 1..=height {
+                let mut row = 0.0;
+                for x in 1..=width {
+                    row += table[y * (width + 1) + x];
+                    table[y * (width + 1) + x] = row + table[(y - 1) * (width + 1) + x];
                 }
             }
-            let own = residual.whitened / scale;
-            far[residual.pixel] = own.abs() > OUTLIER || sum.abs() > OUTLIER * f64::sqrt(count);
+        }
+        let mut far = vec![false; hidden.len()];
+        for (residual, near) in residuals.iter().flat_map(|residual| NEAR_PX.map(|near| (residual, near))) {
+            let (x, y) = (residual.pixel % width, residual.pixel / width);
+            let (left, right) = (x.saturating_sub(near), (x + near + 1).min(width));
+            let (top, bottom) = (y.saturating_sub(near), (y + near + 1).min(height));
+            let of = |table: &[f64]| {
+                let at = |x: usize, y: usize| table[y * (width + 1) + x];
+                at(right, bottom) - at(left, bottom) - at(right, top) + at(left, top)
+            };
+            far[residual.pixel] |= of(&sums).abs() > OUTLIER * of(&counts).sqrt();
         }
         // Its edge covers pixels in part.
         for pixel in (0..far.len()).filter(|pixel| far[*pixel]) {
