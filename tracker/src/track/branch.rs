@@ -15,7 +15,7 @@ use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::estimate::Rejection;
 use crate::pose::Geometry;
-use crate::solve::alternatives::{MISFIT, Veil};
+use crate::solve::alternatives::{MISFIT, Names, Veil};
 use crate::solve::fit::{Begin, Fit};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::stage_kernels::{CompileFailure, Control};
@@ -133,12 +133,12 @@ impl Solver {
 
     /// Whether the target may have come to the other side since that was tried, or be there.
     fn is_other_side(&self, geometry: &Geometry, attempt: &Attempt, memory: &Memory) -> bool {
-        let Some(fit) = attempt.fit.as_ref().filter(|_| memory.rival.is_none()) else { return false };
+        let Some(fit) = &attempt.fit else { return false };
         let here = geometry.to_mirrored(&fit.parameters);
         if here < FLAT {
             return false;
         }
-        let grown = memory.past.tried.is_none_or(|tried| here > GROWN * tried.max(FLAT));
+        let grown = memory.rival.is_none() && memory.past.tried.is_none_or(|tried| here > GROWN * tried.max(FLAT));
         let last = memory.last_start().unwrap_or_else(|| fit.parameters.clone());
         let turned = geometry.apart(&last, &fit.parameters);
         let mut others = geometry.mirrored(&fit.parameters).into_iter();
@@ -202,8 +202,9 @@ impl Solver {
             return Ok(self.judged(attempt, past));
         };
         let ends = attempt.fit.iter().map(|fit| fit.parameters.clone());
+        let names = if starts.is_empty() { Names::Guessed } else { Names::Known };
+        let veil = Veil { view: &view, constants: &self.constants, geometry, names };
         let starts: Vec<Vec<f64>> = starts.iter().cloned().chain(ends).collect();
-        let veil = Veil { view: &view, constants: &self.constants, geometry };
         let found = alternatives.unveiled(&veil, &starts);
         let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
         let clear = found.map(|fit| {
@@ -245,6 +246,11 @@ impl Solver {
             Some(square).filter(|square| square.is_finite())
         };
         self.model().roles().iter().filter_map(of_spot).sum::<f64>() / worth.pixels.max(1) as f64
+    }
+
+    /// A pose of a picture of which a part was left out: far from where it was expected it is none.
+    pub fn is_veiled_pose(&self, attempt: &Attempt) -> bool {
+        self.fits_pose() && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
     }
 
     /// A fit that the search found, by what is known of the document.

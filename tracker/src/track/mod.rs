@@ -96,7 +96,7 @@ impl Track {
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
-        let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
+        let attempt = solver.against_rival(look, attempt, &self.memory, control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
         // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.
@@ -149,7 +149,7 @@ impl Track {
             let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE) && !looks_alike;
             !self.is_confirmed()
                 || (self.is_near(solver, candidate, time_s) && !unlike)
-                || (solver.options.targets == 1 && looks_alike)
+                || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt))
         };
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);

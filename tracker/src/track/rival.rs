@@ -3,6 +3,7 @@
 //! What comes in: fits of a model whose parameters are a pose. What goes out: the likelier one, with the other as its
 //! [`Rival`]. The differences of their log-likelihoods add up from frame to frame, so that noise does not make the pose flip.
 
+use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
@@ -20,6 +21,8 @@ pub(crate) struct Rival {
 
 /// A rival that is worse by this is followed no more: it had a chance of one in three hundred thousand.
 const DECIDED: f64 = 25.0;
+/// A target that turned by this share of the angle between both poses may have gone from the one to the other.
+const CROSSING: f64 = 0.25;
 /// Poses whose axes differ by less are one, rad.
 const SAME: f64 = 3e-3;
 
@@ -65,9 +68,10 @@ impl Solver {
         &self,
         look: &Look,
         mut warm: Attempt,
-        rival: Option<&Rival>,
+        memory: &Memory,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
+        let rival = memory.rival.as_ref();
         // What is hidden from one is hidden from the other: such a picture decides nothing.
         let is_veiled = warm.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
         let Some(rival) = rival.filter(|_| warm.is_good() && !is_veiled && warm.rival.is_none()) else {
@@ -81,7 +85,14 @@ impl Solver {
             return Ok(Attempt { rival: Some(rival.clone()), ..warm }); // the picture has not decided
         }
         let Some(delta) = delta else { return Ok(warm) };
-        let total = rival.delta + delta;
+        // A target that turns by as much as lies between the two may have become the other: what was decided before counts for
+        // another pair.
+        let sides = warm.fit.as_ref().zip(other.fit.as_ref()).zip(memory.last_start());
+        let has_crossed = sides.is_some_and(|((warm, other), last)| {
+            let moved = [warm, other].map(|fit| geometry.apart(&last, &fit.parameters));
+            moved[0].min(moved[1]) > CROSSING * geometry.apart(&warm.parameters, &other.parameters)
+        });
+        let total = if has_crossed { delta } else { rival.delta + delta };
         if total < 0.0 {
             std::mem::swap(&mut warm, &mut other);
         }

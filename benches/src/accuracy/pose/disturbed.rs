@@ -110,8 +110,14 @@ impl Told {
             if std::env::var_os("SHOW").is_some() {
                 eprintln!(
                     "wrong {:.2} mm {:.2} deg chi {:?} sub {:?} out {:?} alt {:?} pix {} par {:?}",
-                    off.fixed_rows::<3>(0).norm(), angle.to_degrees(), estimate.reduced_chi_square, estimate.substitute,
-                    estimate.pose.as_ref().map(|p| p.left_out.clone()), estimate.pose.as_ref().map(|p| p.alternatives.len()), estimate.pixels, estimate.parameters,
+                    off.fixed_rows::<3>(0).norm(),
+                    angle.to_degrees(),
+                    estimate.reduced_chi_square,
+                    estimate.substitute,
+                    estimate.pose.as_ref().map(|p| p.left_out.clone()),
+                    estimate.pose.as_ref().map(|p| p.alternatives.len()),
+                    estimate.pixels,
+                    estimate.parameters,
                 );
             }
             return false;

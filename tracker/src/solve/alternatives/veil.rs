@@ -12,9 +12,9 @@ use isophote_symbolic::{Model, ParameterId};
 
 use super::blind::{BlindMask, Painted};
 use super::residuals::{Over, Residual};
-use super::{Alternatives, Variation};
+use super::{Alternatives, MISFIT, Variation};
 use crate::estimate::Substitute;
-use crate::pose::{Five, Geometry};
+use crate::pose::{self, Five, Geometry};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::stage_kernels::{CompileFailure, Control};
@@ -24,6 +24,33 @@ pub(crate) struct Veil<'a> {
     pub view: &'a View<'a>,
     pub constants: &'a [f64],
     pub geometry: &'a Geometry,
+    pub names: Names,
+}
+
+/// Whether it is known which spot is which.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Names {
+    /// The target was seen before.
+    Known,
+    /// It was found in this picture.
+    Guessed,
+}
+
+/// What is left out at first.
+#[derive(Clone, Copy)]
+enum First<'a> {
+    /// What the start does not explain.
+    Unexplained,
+    /// A spot.
+    Spot(usize),
+    /// These pixels.
+    Mask(&'a [bool]),
+}
+
+/// A fit, and the pixels that it left out.
+struct Cleared {
+    fit: Fit,
+    hidden: Vec<bool>,
 }
 
 /// How many times their deviation residuals are taken to have, round by round.
@@ -36,6 +63,8 @@ const NEAR_PX: [usize; 3] = [0, 2, 7];
 const COST: f64 = 16.0;
 /// At least this share of the spots' pixels must be left.
 const LEFT: f64 = 0.4;
+/// A fit that leaves out less than this share, and explains the rest, needs no others beside it.
+const SURE: f64 = 0.35;
 /// A spot ends at this s.
 const RIM: f64 = 1.2;
 /// What of the picture is looked at, as a multiple of s.
@@ -53,37 +82,74 @@ impl Alternatives {
     /// The fit that explains most, of all beginnings; `None` where hardly anything is left of any.
     pub fn unveiled(&self, veil: &Veil, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
         let Some(own) = &self.own else { return Ok(None) };
+        // A single spot has nothing beside it that would say what is hidden of it.
+        if veil.names == Names::Guessed && veil.geometry.target.spots.len() < 2 {
+            return Ok(None);
+        }
         let Some(view) = veil.part(starts) else { return Ok(None) };
         let part = Veil { view: &view, ..*veil };
-        let mut found: Vec<Fit> = Vec::new();
+        let mut found: Vec<Cleared> = Vec::new();
         for start in starts {
-            found.extend(part.cleared(own, start.clone(), None)?);
+            found.extend(part.cleared(own, start.clone(), First::Unexplained)?);
+            // What was expected explains the rest: nothing is to be found out about the spots.
+            if veil.names == Names::Known && found.iter().any(Cleared::is_sure) {
+                break;
+            }
         }
         let spots = veil.geometry.target.spots.len();
-        for (start, spot) in starts.iter().rev().take(1).flat_map(|start| (0..spots).map(move |spot| (start, spot))) {
-            if spots > 1 {
-                found.extend(part.cleared(own, start.clone(), Some(spot))?);
+        if let Some(start) = starts.last().filter(|_| spots > 1 && !found.iter().any(Cleared::is_sure)) {
+            for spot in 0..spots {
+                found.extend(part.cleared(own, start.clone(), First::Spot(spot))?);
             }
         }
-        // All are compared over the same pixels: those of the spots of any.
-        let size = view.window.pixels();
-        let mut region = vec![false; size];
-        for fit in &found {
-            for (pixel, _) in part.nearest(&fit.parameters, RIM) {
-                region[pixel] = true;
-            }
+        let Some(best) = part.best(own, found) else { return Ok(None) };
+        if veil.names == Names::Known || spots < 2 {
+            return Ok(Some(best.fit));
         }
-        let costs = found.into_iter().filter_map(|fit| {
-            let seen = own.predictions.residuals(&view, &fit.parameters, veil.constants, Over::Everything)?;
-            let inside = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| region[residual.pixel]);
-            let cost: f64 = inside.map(|residual| residual.whitened.powi(2).min(COST)).sum();
-            Some((cost, fit))
-        });
-        Ok(costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, fit)| fit))
+        // Which spot is which was found out with the hidden pixels: now that these are known, the others are tried.
+        let spend = |units: u64| view.budget.map_or(Ok(()), |budget| budget.spend(units));
+        let outlines: Vec<Five> = veil.geometry.outlines(&best.fit.parameters).into_iter().flatten().collect();
+        let mut found = Vec::new();
+        for other in pose::namings(veil.geometry, &outlines, &spend) {
+            let mut start = best.fit.parameters.clone();
+            veil.geometry.put(&other.pose, &mut start);
+            found.extend(part.cleared(own, start, First::Mask(&best.hidden))?);
+        }
+        found.push(best);
+        Ok(part.best(own, found).map(|best| best.fit))
+    }
+}
+
+impl Cleared {
+    /// What is left is explained.
+    fn is_fine(&self) -> bool {
+        self.fit.worth.as_ref().and_then(|worth| worth.reduced).is_some_and(|reduced| reduced <= MISFIT)
+    }
+
+    /// And hardly anything is hidden.
+    fn is_sure(&self) -> bool {
+        self.is_fine() && self.fit.choice.is_some_and(|choice| choice.hidden < SURE)
     }
 }
 
 impl<'a> Veil<'a> {
+    /// The one that explains most of the pixels that the spots of any of them have.
+    fn best(&self, own: &Variation, found: Vec<Cleared>) -> Option<Cleared> {
+        let mut region = vec![false; self.view.window.pixels()];
+        for one in &found {
+            for (pixel, _) in self.nearest(&one.fit.parameters, RIM) {
+                region[pixel] = true;
+            }
+        }
+        let costs = found.into_iter().filter_map(|one| {
+            let seen = own.predictions.residuals(self.view, &one.fit.parameters, self.constants, Over::Everything)?;
+            let inside = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| region[residual.pixel]);
+            let cost: f64 = inside.map(|residual| residual.whitened.powi(2).min(COST)).sum();
+            Some((cost, one))
+        });
+        costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
+    }
+
     /// The part of the picture that spots of any of these poses are in.
     fn part(&self, starts: &[Vec<f64>]) -> Option<View<'a>> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -125,23 +191,27 @@ impl<'a> Veil<'a> {
         found
     }
 
-    /// Goes on from a start, at first without one of the spots; `None` where that leads to no fit, or leaves hardly anything.
+    /// Goes on from a start; `None` where that leads to no fit, or leaves hardly anything.
     fn cleared(
         &self,
         own: &Variation,
         mut parameters: Vec<f64>,
-        without: Option<usize>,
-    ) -> Result<Option<Fit>, CompileFailure> {
+        first: First,
+    ) -> Result<Option<Cleared>, CompileFailure> {
         let mut last: Option<(Fit, Vec<bool>)> = None;
         let model = own.compiled.model().clone();
         for (round, scale) in SCALES.into_iter().enumerate() {
             let mut hidden = vec![false; self.view.window.pixels()];
-            match without.filter(|_| round == 0) {
-                Some(spot) => {
+            match if round == 0 { first } else { First::Unexplained } {
+                First::Mask(known) => {
+                    light_up(&model, &mut parameters);
+                    hidden.copy_from_slice(known);
+                }
+                First::Spot(spot) => {
                     let own = self.nearest(&parameters, REACH).into_iter().filter(|(_, nearest)| *nearest == spot);
                     own.for_each(|(pixel, _)| hidden[pixel] = true);
                 }
-                None => {
+                First::Unexplained => {
                     light_up(&model, &mut parameters);
                     let Some(residuals) = self.residuals(own, &parameters) else { return Ok(None) };
                     self.guess_brightness(&model, &residuals, &mut parameters);
@@ -167,13 +237,18 @@ impl<'a> Veil<'a> {
         let Some((mut fit, mask)) = last else { return Ok(None) };
         let inside = self.nearest(&fit.parameters, 1.0);
         let blind = inside.iter().filter(|(pixel, _)| mask[*pixel]).count();
-        let hidden = blind as f64 / inside.len().max(1) as f64;
-        if 1.0 - hidden < LEFT {
+        let share = blind as f64 / inside.len().max(1) as f64;
+        if 1.0 - share < LEFT {
             return Ok(None);
         }
         fit.unused = self.unused(&inside, &mask);
-        fit.choice = Some(Substitute { degree: 0, robust: false, hidden });
-        Ok(Some(fit))
+        // One spot of several leaves the spin open.
+        let spots = self.geometry.target.spots.len();
+        if spots > 1 && spots < fit.unused.len() + 2 {
+            return Ok(None);
+        }
+        fit.choice = Some(Substitute { degree: 0, robust: false, hidden: share });
+        Ok(Some(Cleared { fit, hidden: mask }))
     }
 
     /// Spots of which hardly anything is left.
@@ -227,41 +302,43 @@ impl<'a> Veil<'a> {
         }
     }
 
-    /// Marks what is not of the pose: pixels and neighbourhoods whose mean residual is too large.
+    /// Marks what is not of the pose: pixels whose residual is too large, then neighbourhoods whose mean is, of what is left.
     fn hide(&self, residuals: &[Residual], scale: f64, hidden: &mut [bool]) {
         let [width, height, ..] = self.view.window.size();
-        // Sums of all to the left and above, so that those of a neighbourhood are four of them.
-        let (mut sums, mut counts) = (vec![0.0; (width + 1) * (height + 1)], vec![0.0; (width + 1) * (height + 1)]);
-        for residual in residuals {
-            let at = (residual.pixel / width + 1) * (width + 1) + residual.pixel % width + 1;
-            (sums[at], counts[at]) = (residual.whitened / scale, 1.0);
-        }
-        for table in [&mut sums, &mut counts] {
-            for y in 1..=height {
-                let mut row = 0.0;
-                for x in 1..=width {
-                    row += table[y * (width + 1) + x];
-                    table[y * (width + 1) + x] = row + table[(y - 1) * (width + 1) + x];
+        for near in NEAR_PX {
+            // Sums of all to the left and above, so that those of a neighbourhood are four of them.
+            let (mut sums, mut counts) = (vec![0.0; (width + 1) * (height + 1)], vec![0.0; (width + 1) * (height + 1)]);
+            for residual in residuals.iter().filter(|residual| !hidden[residual.pixel]) {
+                let at = (residual.pixel / width + 1) * (width + 1) + residual.pixel % width + 1;
+                (sums[at], counts[at]) = (residual.whitened / scale, 1.0);
+            }
+            for table in [&mut sums, &mut counts] {
+                for y in 1..=height {
+                    let mut row = 0.0;
+                    for x in 1..=width {
+                        row += table[y * (width + 1) + x];
+                        table[y * (width + 1) + x] = row + table[(y - 1) * (width + 1) + x];
+                    }
                 }
             }
-        }
-        let mut far = vec![false; hidden.len()];
-        for (residual, near) in residuals.iter().flat_map(|residual| NEAR_PX.map(|near| (residual, near))) {
-            let (x, y) = (residual.pixel % width, residual.pixel / width);
-            let (left, right) = (x.saturating_sub(near), (x + near + 1).min(width));
-            let (top, bottom) = (y.saturating_sub(near), (y + near + 1).min(height));
-            let of = |table: &[f64]| {
-                let at = |x: usize, y: usize| table[y * (width + 1) + x];
-                at(right, bottom) - at(left, bottom) - at(right, top) + at(left, top)
+            let is_far = |residual: &&Residual| {
+                let (x, y) = (residual.pixel % width, residual.pixel / width);
+                let (left, right) = (x.saturating_sub(near), (x + near + 1).min(width));
+                let (top, bottom) = (y.saturating_sub(near), (y + near + 1).min(height));
+                let of = |table: &[f64]| {
+                    let at = |x: usize, y: usize| table[y * (width + 1) + x];
+                    at(right, bottom) - at(left, bottom) - at(right, top) + at(left, top)
+                };
+                of(&sums).abs() > OUTLIER * of(&counts).sqrt()
             };
-            far[residual.pixel] |= of(&sums).abs() > OUTLIER * of(&counts).sqrt();
-        }
-        // Its edge covers pixels in part.
-        for pixel in (0..far.len()).filter(|pixel| far[*pixel]) {
-            let (x, y) = (pixel % width, pixel / width);
-            for j in y.saturating_sub(1)..(y + 2).min(height) {
-                for i in x.saturating_sub(1)..(x + 2).min(width) {
-                    hidden[j * width + i] = true;
+            let seen = residuals.iter().filter(|residual| !hidden[residual.pixel]);
+            let far: Vec<usize> = seen.filter(is_far).map(|residual| residual.pixel).collect();
+            // Its edge covers pixels in part.
+            for (x, y) in far.into_iter().map(|pixel| (pixel % width, pixel / width)) {
+                for j in y.saturating_sub(1)..(y + 2).min(height) {
+                    for i in x.saturating_sub(1)..(x + 2).min(width) {
+                        hidden[j * width + i] = true;
+                    }
                 }
             }
         }
