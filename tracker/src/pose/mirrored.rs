@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 
 use super::direct::Geometry;
-use super::rigid::Rigid;
+use super::rigid::{Rigid, upright};
 use super::target::TargetSpot;
 
 /// Poses of targets of many spots are mirrored about the first so many of them.
@@ -29,6 +29,19 @@ impl Geometry {
             other
         };
         std::iter::once(&middle).chain(each).map(put).collect()
+    }
+
+    /// The same picture of one round spot seen from its front, where a pose is that of its back.
+    pub fn facing(&self, parameters: &[f64]) -> Option<Vec<f64>> {
+        let pose = self.pose(parameters);
+        let about = self.target.spots.first().filter(|_| !self.has_spin())?.centre();
+        let (at, normal) = (pose.apply(about), pose.rotation.column(2).into_owned());
+        (normal.dot(&at) < 0.0).then(|| {
+            let rotation = upright(&-normal);
+            let mut faced = parameters.to_vec();
+            self.put(&Rigid { rotation, translation: at - rotation * about }, &mut faced);
+            faced
+        })
     }
 
     /// The angle between two poses, rad; of one round spot that between its normals.
@@ -107,6 +120,12 @@ mod tests {
         let normals = [&parameters, other].map(|one| geometry.pose(one).rotation.column(2).into_owned());
         assert!((normals[0] + normals[1] - sight * 2.0 * sight.dot(&normals[0])).norm() < 1e-9);
         assert!((geometry.pose(other).translation - truth.translation).norm() < 1e-9);
+        assert_eq!(geometry.facing(&parameters), None);
+        let mut behind = parameters.clone();
+        let turned = truth.rotation * Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI).into_inner();
+        geometry.put(&Rigid { rotation: turned, ..truth }, &mut behind);
+        let faced = geometry.facing(&behind).unwrap_or_else(|| panic!("seen from behind"));
+        assert!(geometry.apart(&faced, &parameters) < 1e-6, "{faced:?}");
         let facing = pose([0.0; 3], [0.0, 0.0, 800.0]).moved(&Vector6::zeros());
         geometry.put(&facing, &mut parameters);
         assert!(geometry.to_mirrored(&parameters) < 1e-9);

@@ -140,7 +140,9 @@ impl Solver {
         }
         let grown = memory.rival.is_none() && memory.past.tried.is_none_or(|tried| here > GROWN * tried.max(FLAT));
         let last = memory.last_start().unwrap_or_else(|| fit.parameters.clone());
-        let turned = geometry.apart(&last, &fit.parameters);
+        // A target that turned and seems to have stopped may be on the other side, and turning.
+        let before = memory.past.step.map_or(0.0, |step| step.norm());
+        let turned = geometry.apart(&last, &fit.parameters).max(before);
         let mut others = geometry.mirrored(&fit.parameters).into_iter();
         let other = others.next().map_or(f64::INFINITY, |other| geometry.apart(&last, &other));
         grown || (turned > TURNED_LEAST && other < TURNED * turned)
@@ -161,12 +163,15 @@ impl Solver {
             if look.unfinished().is_some() || !before.iter().all(|value| value.is_finite()) {
                 return Ok(best);
             }
-            others.extend(geometry.mirrored(&before));
+            let facing = geometry.facing(&before);
+            let is_behind = facing.is_some();
+            others.extend(geometry.mirrored(facing.as_ref().unwrap_or(&before)));
+            others.extend(facing);
             let mut tried = Vec::new();
             for start in others.drain(..) {
                 tried.push(self.attempt(look, &start, Begin::Anywhere, control, margin)?);
             }
-            if !best.is_good()
+            if (!best.is_good() || is_behind)
                 && let Some(good) = tried.iter().position(Attempt::is_good)
             {
                 best = tried.swap_remove(good);

@@ -75,7 +75,7 @@ fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
 }
 
 /// For each pixel whether any of those within `radius` along both axes holds.
-fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
+pub(super) fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
     neighbourhood(truth, width, height, radius, 1)
 }
 

@@ -10,7 +10,7 @@
 
 use isophote_symbolic::{Model, ParameterId};
 
-use super::blind::{BlindMask, Painted};
+use super::blind::{BlindMask, Painted, dilated};
 use super::residuals::{Over, Residual};
 use super::{Alternatives, MISFIT, Variation};
 use crate::estimate::Substitute;
@@ -61,8 +61,14 @@ const OUTLIER: f64 = 5.0;
 const NEAR_PX: [usize; 3] = [0, 2, 7];
 /// What a pixel costs at most.
 const COST: f64 = 16.0;
-/// At least this share of the spots' pixels must be left.
-const LEFT: f64 = 0.4;
+/// At least this share of the spots' pixels must be left, of several spots and of one.
+const LEFT: [f64; 2] = [0.4, 0.62];
+/// Around what is hidden so many px are looked at together, …
+const RING_PX: usize = 3;
+/// … so many times, …
+const RINGS: usize = 12;
+/// … and belong to it while their mean is off by so many standard deviations.
+const RING_OUTLIER: f64 = 3.0;
 /// A fit that leaves out less than this share, and explains the rest, needs no others beside it.
 const SURE: f64 = 0.35;
 /// A spot ends at this s.
@@ -238,7 +244,7 @@ impl<'a> Veil<'a> {
         let inside = self.nearest(&fit.parameters, 1.0);
         let blind = inside.iter().filter(|(pixel, _)| mask[*pixel]).count();
         let share = blind as f64 / inside.len().max(1) as f64;
-        if 1.0 - share < LEFT {
+        if 1.0 - share < LEFT[usize::from(self.geometry.target.spots.len() == 1)] {
             return Ok(None);
         }
         fit.unused = self.unused(&inside, &mask);
@@ -334,13 +340,18 @@ impl<'a> Veil<'a> {
             let seen = residuals.iter().filter(|residual| !hidden[residual.pixel]);
             let far: Vec<usize> = seen.filter(is_far).map(|residual| residual.pixel).collect();
             // Its edge covers pixels in part.
-            for (x, y) in far.into_iter().map(|pixel| (pixel % width, pixel / width)) {
-                for j in y.saturating_sub(1)..(y + 2).min(height) {
-                    for i in x.saturating_sub(1)..(x + 2).min(width) {
-                        hidden[j * width + i] = true;
-                    }
-                }
+            far.into_iter().for_each(|pixel| hidden[pixel] = true);
+            hidden.copy_from_slice(&dilated(hidden, width, height, 1));
+        }
+        // Glare dies away slowly: together the pixels around it show what none of them does.
+        for _ in 0..RINGS {
+            let wider = dilated(hidden, width, height, RING_PX);
+            let ring = residuals.iter().filter(|residual| wider[residual.pixel] && !hidden[residual.pixel]);
+            let (sum, count) = ring.fold((0.0, 0.0), |(sum, count), ring| (sum + ring.whitened / scale, count + 1.0));
+            if sum.abs() <= RING_OUTLIER * f64::sqrt(count) {
+                break;
             }
+            hidden.copy_from_slice(&wider);
         }
     }
 }
