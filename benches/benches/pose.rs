@@ -22,7 +22,8 @@ const FRAMES_A_SEQUENCE: usize = FRAMES / SEQUENCES;
 
 fn disturbed_poses(frames: usize, wanted: Option<&str>) -> String {
     let documents = disturbed::Documents::new();
-    let mut text = disturbed::HEAD.to_string();
+    let sources = ["tracker", "jit", "symbolic", "models", "benches"];
+    let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), disturbed::HEAD);
     for (number, condition) in CONDITIONS.into_iter().enumerate() {
         if wanted.is_some_and(|wanted| !condition.name.contains(wanted)) {
             continue;
@@ -35,7 +36,7 @@ fn disturbed_poses(frames: usize, wanted: Option<&str>) -> String {
         eprintln!("{row} {:.1} s", begin.elapsed().as_secs_f64());
         text = text + "\n" + &row;
     }
-    text
+    text + "\n"
 }
 
 fn main() {
@@ -44,7 +45,11 @@ fn main() {
     let mut words = std::env::args().skip_while(|argument| argument != "--disturbed").skip(1);
     if std::env::args().any(|argument| argument == "--disturbed") {
         let wanted = words.next().filter(|word| !word.starts_with('-'));
-        println!("{}", disturbed_poses(frames, wanted.as_deref()));
+        let text = disturbed_poses(frames, wanted.as_deref());
+        println!("{text}");
+        if std::env::var("UPDATE_EXPECT").is_ok() && wanted.is_none() {
+            page::write_to("pose-accuracy.md", "disturbed", &text);
+        }
         return;
     }
     let documents = Documents::new();
@@ -64,6 +69,7 @@ fn main() {
     println!("{text}\n{}", thesis::table());
     if std::env::var("UPDATE_EXPECT").is_ok() {
         page::write_to("pose-accuracy.md", "table", &text);
+        page::write_to("pose-accuracy.md", "disturbed", &disturbed_poses(frames, None));
         page::write_to("pose.md", "thesis", &thesis::table());
     }
 }

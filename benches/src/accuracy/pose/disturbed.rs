@@ -107,19 +107,6 @@ impl Told {
         let angle = if single { normals[0].angle(&normals[1]) } else { truth.angle_to(&found) };
         if angle.to_degrees() > WRONG_DEGREES || off.fixed_rows::<3>(0).norm() > WRONG_MM {
             self.wrong += 1;
-            if std::env::var_os("SHOW").is_some() {
-                eprintln!(
-                    "wrong {:.2} mm {:.2} deg chi {:?} sub {:?} out {:?} alt {:?} pix {} par {:?}",
-                    off.fixed_rows::<3>(0).norm(),
-                    angle.to_degrees(),
-                    estimate.reduced_chi_square,
-                    estimate.substitute,
-                    estimate.pose.as_ref().map(|p| p.left_out.clone()),
-                    estimate.pose.as_ref().map(|p| p.alternatives.len()),
-                    estimate.pixels,
-                    estimate.parameters,
-                );
-            }
             return false;
         }
         let Some(covariance) = covariance else {

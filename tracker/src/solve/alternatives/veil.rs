@@ -71,6 +71,10 @@ const RINGS: usize = 12;
 const RING_OUTLIER: f64 = 3.0;
 /// A fit that leaves out less than this share, and explains the rest, needs no others beside it.
 const SURE: f64 = 0.35;
+/// Poses farther apart are two, rad, …
+const OTHER: f64 = 0.1;
+/// … and which of them it is stays open where the one costs less than this more than the other.
+const UNDECIDED: f64 = 50.0;
 /// A spot ends at this s.
 const RIM: f64 = 1.2;
 /// What of the picture is looked at, as a multiple of s.
@@ -122,7 +126,7 @@ impl Alternatives {
             found.extend(part.cleared(own, start, First::Mask(&best.hidden))?);
         }
         found.push(best);
-        Ok(part.best(own, found).map(|best| best.fit))
+        Ok(part.only(own, found).map(|only| only.fit))
     }
 }
 
@@ -141,6 +145,23 @@ impl Cleared {
 impl<'a> Veil<'a> {
     /// The one that explains most of the pixels that the spots of any of them have.
     fn best(&self, own: &Variation, found: Vec<Cleared>) -> Option<Cleared> {
+        let best = self.by_cost(own, found).into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        best.map(|(_, best)| best)
+    }
+
+    /// The same, where no other pose explains nearly as much.
+    fn only(&self, own: &Variation, found: Vec<Cleared>) -> Option<Cleared> {
+        let mut found = self.by_cost(own, found);
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut found = found.into_iter();
+        let (least, best) = found.next()?;
+        let is_other = |one: &Cleared| self.geometry.apart(&one.fit.parameters, &best.fit.parameters) > OTHER;
+        let is_sure = !found.any(|(cost, one)| cost < least + UNDECIDED && is_other(&one));
+        is_sure.then_some(best)
+    }
+
+    /// What each costs over the pixels that the spots of any of them have.
+    fn by_cost(&self, own: &Variation, found: Vec<Cleared>) -> Vec<(f64, Cleared)> {
         let mut region = vec![false; self.view.window.pixels()];
         for one in &found {
             for (pixel, _) in self.nearest(&one.fit.parameters, RIM) {
@@ -153,7 +174,7 @@ impl<'a> Veil<'a> {
             let cost: f64 = inside.map(|residual| residual.whitened.powi(2).min(COST)).sum();
             Some((cost, one))
         });
-        costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
+        costs.collect()
     }
 
     /// The part of the picture that spots of any of these poses are in.
