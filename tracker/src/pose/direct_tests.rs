@@ -38,14 +38,11 @@ fn frame(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64) -> Fram
     veiled(pose, spots, lens, seed, &|_, value| value)
 }
 
-/// The same through a veil: what a pixel at that place reads in the place of its value.
-fn veiled(
-    pose: &Rigid,
-    spots: &[[f64; 3]],
-    lens: &Intrinsics,
-    seed: u64,
-    veil: &dyn Fn([f64; 2], f64) -> f64,
-) -> Frame {
+/// What a pixel at a place reads in the place of its value.
+type Veil<'a> = &'a dyn Fn([f64; 2], f64) -> f64;
+
+/// The same through a veil.
+fn veiled(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64, veil: Veil) -> Frame {
     let mut values = vec![20.0; SIZE[0] * SIZE[1]];
     for spot in spots {
         let centre = pose.apply(Vector3::from(*spot));
@@ -336,7 +333,7 @@ fn what_is_hidden_moves_no_pose() {
         let is_near = |number: usize| (place[0] - spot(number)[0]).hypot(place[1] - spot(number)[1]) < 30.0;
         if is_near(0) || is_near(1) { 20.0 } else { value }
     };
-    let veils: [(&dyn Fn([f64; 2], f64) -> f64, Option<&[&str]>); 4] =
+    let veils: [(Veil, Option<&[&str]>); 4] =
         [(&half, Some(&[])), (&whole, Some(&["red"])), (&glare, Some(&["green"])), (&two, None)];
     let compiled = model("three-spots-pose");
     for (number, (veil, left_out)) in veils.into_iter().enumerate() {
