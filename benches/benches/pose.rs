@@ -21,7 +21,7 @@ const SEQUENCES: usize = 20;
 const FRAMES_A_SEQUENCE: usize = FRAMES / SEQUENCES;
 
 fn disturbed_poses(frames: usize, wanted: Option<&str>) -> String {
-    let documents = disturbed::Documents::new();
+    let documents = disturbed::DisturbedDocuments::new();
     let sources = ["tracker", "jit", "symbolic", "models", "benches"];
     let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), disturbed::HEAD);
     for (number, condition) in CONDITIONS.into_iter().enumerate() {

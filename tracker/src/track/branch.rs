@@ -8,94 +8,30 @@
 //! fit ─► may be the other side? ─► mirrored poses ─► leaves too much unexplained? ─► hidden pixels left out ─► believed?
 //! ```
 
-use super::MARGIN_PX;
-use super::MARGIN_SHARE;
 use super::memory::Memory;
+use super::past::{Past, TURNED_LEAST};
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::estimate::Rejection;
 use crate::pose::Geometry;
-use crate::solve::alternatives::{MISFIT, Names, Veil};
-use crate::solve::fit::{Begin, Fit};
+use crate::solve::alternatives::{MISFIT, SpotNames, Veil};
+use crate::solve::fit::Begin;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
-/// χ²/ν may be larger than the usual one by so many of its standard deviations, √(2/ν).
-const SCATTER: f64 = 6.0;
 /// Of the light of a target a document without a past may leave this share unexplained, beyond the noise: a mirrored tilt and a
 /// covered spot leave more.
 const UNEXPLAINED: f64 = 0.02;
-/// The usual χ²/ν is an average over so many fits.
-const FITS: f64 = 8.0;
 /// The other side is tried again when the angle to it has grown by this factor …
 const GROWN: f64 = 1.5;
 /// … from at least this, rad: what is less tilted than that looks alike from both sides.
 const FLAT: f64 = 0.03;
-/// A target that turns by so much more than its other side is off may have come to that, …
+/// A target that turns by so much more than its other side is off may have come to that.
 const TURNED: f64 = 2.0;
-/// … by more than this, rad.
-const TURNED_LEAST: f64 = 0.02;
+/// The window of a fit is larger than the domain by this share, and by so many px.
+const MARGIN: (f64, f64) = (0.1, 3.0);
 /// Mirrored poses are tried so many times in a row, each time from the one that won.
 const ROUNDS: usize = 2;
-/// A turn goes on as it did where two in a row differ by less than this share.
-const STEADY: f64 = 0.5;
-
-/// What is remembered of a pose beside its parameters.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Past {
-    /// χ²/ν of fits that were believed, in the mean.
-    usual: Option<f64>,
-    /// The angle to the mirrored pose when that one was tried, rad.
-    tried: Option<f64>,
-    /// Parameters with the orientation where it should be by now, if it turns evenly.
-    turned: Option<Vec<f64>>,
-    /// The last move.
-    step: Option<nalgebra::Vector3<f64>>,
-}
-
-impl Past {
-    /// Takes over a fit that was believed.
-    pub fn saw(&mut self, solver: &Solver, last: Option<&[f64]>, attempt: &Attempt) {
-        let (Some(geometry), Some(fit)) = (&solver.geometry, &attempt.fit) else { return };
-        if let Some(reduced) = attempt.reduced().filter(|_| fit.choice.is_none()) {
-            let usual = self.usual.unwrap_or(reduced);
-            self.usual = Some(usual + (reduced - usual) / FITS);
-        }
-        let here = geometry.to_mirrored(&fit.parameters);
-        self.tried = match attempt.is_other_tried {
-            true => Some(here),
-            false => self.tried.map(|tried| tried.min(here)),
-        };
-        let last = last.filter(|last| last.len() == fit.parameters.len() && last.iter().all(|value| value.is_finite()));
-        let step = last.map(|last| geometry.turn(last, &fit.parameters));
-        let is_even = |(now, before): (nalgebra::Vector3<f64>, nalgebra::Vector3<f64>)| {
-            now.norm() > TURNED_LEAST && (now - before).norm() < STEADY * now.norm()
-        };
-        let even = step.zip(self.step).filter(|pair| is_even(*pair));
-        self.turned = even.map(|(now, _)| geometry.turned(&fit.parameters, &now));
-        self.step = step;
-    }
-
-    /// The target is nowhere: what is known of the document stays.
-    pub fn lose(&mut self) {
-        *self = Past { usual: self.usual, ..Past::default() };
-    }
-
-    /// Where a fit of this frame may begin as well.
-    pub fn turned(&self) -> Option<&Vec<f64>> {
-        self.turned.as_ref()
-    }
-
-    /// χ²/ν that asks for nothing.
-    fn limit(&self, fit: &Fit) -> f64 {
-        let freedom = fit.worth.as_ref().map_or(1, |worth| worth.pixels.max(1)) as f64;
-        match self.usual {
-            Some(usual) => usual.max(1.0) * (1.0 + SCATTER * (2.0 / freedom).sqrt()).min(MISFIT),
-            None => MISFIT,
-        }
-    }
-}
-
 impl Solver {
     /// Of a fit around a prediction what is to be believed.
     pub fn branched(
@@ -157,7 +93,7 @@ impl Solver {
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
         let Some(geometry) = &self.geometry else { return Ok(best) };
-        let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+        let margin = Margin::even(MARGIN.0, MARGIN.1);
         for _ in 0..ROUNDS {
             let Some(before) = best.fit.as_ref().map(|fit| fit.parameters.clone()) else { return Ok(best) };
             if look.unfinished().is_some() || !before.iter().all(|value| value.is_finite()) {
@@ -207,7 +143,7 @@ impl Solver {
             return Ok(self.judged(attempt, past));
         };
         let ends = attempt.fit.iter().map(|fit| fit.parameters.clone());
-        let names = if starts.is_empty() { Names::Guessed } else { Names::Known };
+        let names = if starts.is_empty() { SpotNames::Guessed } else { SpotNames::Known };
         let veil = Veil { view: &view, constants: &self.constants, geometry, names };
         let starts: Vec<Vec<f64>> = starts.iter().cloned().chain(ends).collect();
         let found = alternatives.unveiled(&veil, &starts);

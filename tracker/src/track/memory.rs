@@ -6,8 +6,8 @@
 use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
 
-use super::branch::Past;
 use super::evidence::Ground;
+use super::past::Past;
 use super::rival::Rival;
 use super::search::Candidate;
 use super::shared::SharedParameters;

@@ -17,6 +17,7 @@ pub(crate) mod evidence;
 mod levels;
 mod memory;
 pub(crate) mod motion;
+mod past;
 mod posed;
 pub(crate) mod publish;
 mod reconsider;
@@ -96,7 +97,8 @@ impl Track {
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
-        let attempt = solver.against_rival(look, attempt, &self.memory, control)?;
+        let attempt =
+            solver.against_rival(look, attempt, (self.memory.rival.as_ref(), self.memory.last_start()), control)?;
         let candidate = Candidate::of(solver, attempt, self.memory.ground);
         let candidate = self.expecting(solver, candidate, time_s);
         // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.

@@ -3,7 +3,6 @@
 //! What comes in: fits of a model whose parameters are a pose. What goes out: the likelier one, with the other as its
 //! [`Rival`]. The differences of their log-likelihoods add up from frame to frame, so that noise does not make the pose flip.
 
-use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
@@ -68,10 +67,9 @@ impl Solver {
         &self,
         look: &Look,
         mut warm: Attempt,
-        memory: &Memory,
+        (rival, last): (Option<&Rival>, Option<Vec<f64>>),
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
-        let rival = memory.rival.as_ref();
         // What is hidden from one is hidden from the other: such a picture decides nothing.
         let is_veiled = warm.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
         let Some(rival) = rival.filter(|_| warm.is_good() && !is_veiled && warm.rival.is_none()) else {
@@ -87,7 +85,7 @@ impl Solver {
         let Some(delta) = delta else { return Ok(warm) };
         // A target that turns by as much as lies between the two may have become the other: what was decided before counts for
         // another pair.
-        let sides = warm.fit.as_ref().zip(other.fit.as_ref()).zip(memory.last_start());
+        let sides = warm.fit.as_ref().zip(other.fit.as_ref()).zip(last);
         let has_crossed = sides.is_some_and(|((warm, other), last)| {
             let moved = [warm, other].map(|fit| geometry.apart(&last, &fit.parameters));
             moved[0].min(moved[1]) > CROSSING * geometry.apart(&warm.parameters, &other.parameters)

@@ -150,25 +150,25 @@ impl Told {
 pub const HEAD: &str = "| condition | frames | `tracking` | of them wrong | without covariance | position / rotation, rms over bound | NEES | frames until right |\n|---|---|---|---|---|---|---|---|";
 
 /// The shipped documents, compiled.
-pub struct Documents {
+pub struct DisturbedDocuments {
     three: Arc<Compiled>,
     one: Arc<Compiled>,
 }
 
-impl Documents {
+impl DisturbedDocuments {
     /// With kernels to come.
-    pub fn new() -> Documents {
+    pub fn new() -> DisturbedDocuments {
         let compiled = |name: &str| {
             let model = Model::from_toml(&crate::text(name)).unwrap_or_else(|faults| panic!("{faults:?}"));
             Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap())
         };
-        Documents { three: compiled("three-spots-pose"), one: compiled("spot-pose") }
+        DisturbedDocuments { three: compiled("three-spots-pose"), one: compiled("spot-pose") }
     }
 }
 
-impl Default for Documents {
-    fn default() -> Documents {
-        Documents::new()
+impl Default for DisturbedDocuments {
+    fn default() -> DisturbedDocuments {
+        DisturbedDocuments::new()
     }
 }
 
@@ -223,7 +223,7 @@ impl Veil {
 }
 
 /// Runs so many sequences of a condition, or so many frames where each is a cold start.
-pub fn run(documents: &Documents, condition: Condition, sequences: usize, seed: u64) -> Told {
+pub fn run(documents: &DisturbedDocuments, condition: Condition, sequences: usize, seed: u64) -> Told {
     let mut target = target(0.0);
     if condition.spots == 1 {
         target = Target {

@@ -20,7 +20,7 @@ use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{BlindMask, Known, Painted};
 use self::residuals::{Over, Predictions};
-pub(crate) use self::veil::{Names, Veil};
+pub(crate) use self::veil::{SpotNames, Veil};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};

@@ -24,12 +24,12 @@ pub(crate) struct Veil<'a> {
     pub view: &'a View<'a>,
     pub constants: &'a [f64],
     pub geometry: &'a Geometry,
-    pub names: Names,
+    pub names: SpotNames,
 }
 
 /// Whether it is known which spot is which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Names {
+pub(crate) enum SpotNames {
     /// The target was seen before.
     Known,
     /// It was found in this picture.
@@ -93,7 +93,7 @@ impl Alternatives {
     pub fn unveiled(&self, veil: &Veil, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
         let Some(own) = &self.own else { return Ok(None) };
         // A single spot has nothing beside it that would say what is hidden of it.
-        if veil.names == Names::Guessed && veil.geometry.target.spots.len() < 2 {
+        if veil.names == SpotNames::Guessed && veil.geometry.target.spots.len() < 2 {
             return Ok(None);
         }
         let Some(view) = veil.part(starts) else { return Ok(None) };
@@ -102,7 +102,7 @@ impl Alternatives {
         for start in starts {
             found.extend(part.cleared(own, start.clone(), First::Unexplained)?);
             // What was expected explains the rest: nothing is to be found out about the spots.
-            if veil.names == Names::Known && found.iter().any(Cleared::is_sure) {
+            if veil.names == SpotNames::Known && found.iter().any(Cleared::is_sure) {
                 break;
             }
         }
@@ -113,7 +113,7 @@ impl Alternatives {
             }
         }
         let Some(best) = part.best(own, found) else { return Ok(None) };
-        if veil.names == Names::Known || spots < 2 {
+        if veil.names == SpotNames::Known || spots < 2 {
             return Ok(Some(best.fit));
         }
         // Which spot is which was found out with the hidden pixels: now that these are known, the others are tried.
