@@ -217,8 +217,10 @@ fn pose_columns(pose: &Pose) -> String {
     let degrees = if sine > 0.0 { 2.0 * sine.atan2(w).to_degrees() / sine } else { 0.0 };
     let turned = [x, y, z].map(|c| format!("{:.3}", c * degrees)).join(" ");
     let others = pose.alternatives.len();
-    let also = if others > 0 { format!(" (or {others} other)") } else { String::new() };
-    format!("{text} turned {turned} °{also}")
+    let also = if others > 0 { format!(" (ambiguous: or {others} other)") } else { String::new() };
+    let left_out = pose.left_out.join(", ");
+    let without = if left_out.is_empty() { String::new() } else { format!(" (without {left_out})") };
+    format!("{text} turned {turned} °{also}{without}")
 }
 
 /// The folder of pictures.

@@ -149,6 +149,8 @@ pub enum Rejection {
     OutsideBounds,
     /// The probability that it is the target is less than `confidence_min`.
     Unlikely,
+    /// Of a pose: it leaves more unexplained than the document's other fits, or than its noise allows.
+    Misfit,
 }
 
 /// What is different about a fit that was chosen over the plain one.
@@ -263,7 +265,8 @@ impl Estimate {
             let (id, value) = (ParameterId(*index as u32), self.parameters[*index]);
             let near = NEAR * self.deviation(id).unwrap_or(0.0);
             let bounds = parameter.min.iter().chain(&parameter.max);
-            self.order.contains(&id) && bounds.clone().any(|bound| (value - bound).abs() <= near.max(NEAREST * bound.abs()))
+            self.order.contains(&id)
+                && bounds.clone().any(|bound| (value - bound).abs() <= near.max(NEAREST * bound.abs()))
         };
         let parameters = model.parameters().iter().enumerate().filter(|(index, _)| *index < self.parameters.len());
         parameters.filter(is_held).map(|(_, parameter)| parameter.name.clone()).collect()

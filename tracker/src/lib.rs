@@ -30,7 +30,9 @@ pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsErr
 pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use isophote_frame::{Buffer, Frame, FrameError, Lease, Plane};
-pub use options::{CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions};
+pub use options::{
+    CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions,
+};
 pub use pose::{Alternative, Pose, PoseMismatch, Target, TargetError, TargetSpot, geometry};
 pub use report::{Bound, CheckReport, StageCost};
 pub use sight::contour::{Contour, contours};

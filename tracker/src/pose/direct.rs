@@ -87,6 +87,29 @@ impl Geometry {
         self.position.iter().enumerate().for_each(|(i, id)| parameters[id.index()] = pose.translation[i]);
     }
 
+    /// The picture of each spot's contour s = 1; `None` for one that is not in front of the camera.
+    pub fn outlines(&self, parameters: &[f64]) -> Vec<Option<Five>> {
+        let pose = self.pose(parameters);
+        self.target.spots.iter().map(|spot| outline(&self.lens, &pose, spot)).collect()
+    }
+
+    /// The rotation that leads from one pose to another, about camera axes, rad.
+    pub fn turn(&self, from: &[f64], to: &[f64]) -> Vector3<f64> {
+        self.pose(from).to(&self.pose(to)).fixed_rows::<3>(3).into_owned()
+    }
+
+    /// Parameters of the same place, turned.
+    pub fn turned(&self, parameters: &[f64], by: &Vector3<f64>) -> Vec<f64> {
+        let mut turned = parameters.to_vec();
+        self.put(&self.pose(parameters).moved(&Vector6::new(0.0, 0.0, 0.0, by.x, by.y, by.z)), &mut turned);
+        turned
+    }
+
+    /// True where the rotation has three degrees of freedom.
+    pub fn has_spin(&self) -> bool {
+        self.orientation.len() > 2
+    }
+
     /// The rotation about an axis across the line of sight that has the same normal.
     fn unspun(&self, pose: &Rigid) -> Rigid {
         let rotation = upright(&pose.rotation.column(2).into_owned());
@@ -105,9 +128,7 @@ impl Geometry {
     /// The pixels that the domain can hold: a window around each spot, those that touch made one. The whole `window` where a
     /// spot cannot be projected, or the domain reaches far beyond the spots.
     pub fn windows(&self, model: &Model, parameters: &[f64], constants: &[f64], window: Window) -> Vec<Window> {
-        let pose = self.pose(parameters);
-        let outlines: Option<Vec<Five>> =
-            self.target.spots.iter().map(|spot| outline(&self.lens, &pose, spot)).collect();
+        let outlines: Option<Vec<Five>> = self.outlines(parameters).into_iter().collect();
         let Some(outlines) = outlines else { return vec![window] };
         let Some(reach) = reach(model, parameters, constants, &outlines) else { return vec![window] };
         let mut boxes: Vec<[f64; 4]> = Vec::new();
@@ -137,6 +158,7 @@ impl Geometry {
             covariance,
             degrees_of_freedom: if self.orientation.len() == 2 { 5 } else { 6 },
             chi_square: None,
+            left_out: Vec::new(),
             alternatives: Vec::new(),
         }
     }

@@ -35,6 +35,14 @@ fn pose(turn: [f64; 3], at: [f64; 3]) -> Rigid {
 
 /// Spots of radius 30 mm and brightness 200 over a background of 20, noise of 1; k1 = −0.5, k2 = −0.3.
 fn frame(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64) -> Frame {
+    veiled(pose, spots, lens, seed, &|_, value| value)
+}
+
+/// What a pixel at a place reads in the place of its value.
+type Veil<'a> = &'a dyn Fn([f64; 2], f64) -> f64;
+
+/// The same through a veil.
+fn veiled(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64, veil: Veil) -> Frame {
     let mut values = vec![20.0; SIZE[0] * SIZE[1]];
     for spot in spots {
         let centre = pose.apply(Vector3::from(*spot));
@@ -57,7 +65,12 @@ fn frame(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64) -> Fram
         }
     }
     let mut noise = Noise(0x9E37_79B9_7F4A_7C15 ^ seed);
-    let bytes = values.iter().map(|v| (v + noise.normal()).round().clamp(0.0, 255.0) as u8).collect();
+    let at = |i: usize| [(i % SIZE[0]) as f64, (i / SIZE[0]) as f64];
+    let bytes = values
+        .iter()
+        .enumerate()
+        .map(|(i, v)| (veil(at(i), *v) + noise.normal()).round().clamp(0.0, 255.0) as u8)
+        .collect();
     Frame::new(&SIZE, vec![Plane::owned(PixelFormat::U8, bytes, SIZE[0])]).unwrap()
 }
 
@@ -273,4 +286,73 @@ fn two_tilts_that_look_alike_are_both_told() {
     let truth = pose([0.5, -0.4, 0.0], [40.0, 20.0, 400.0]);
     let mut tracker = Tracker::new(compiled, options(&lens)).unwrap();
     assert!(tracker.track(&frame(&truth, &[[0.0; 3]], &lens, 7)).pose.unwrap().alternatives.is_empty());
+}
+
+/// A session that says where the target is, but for the side that it is tilted to: the first frame finds the other.
+#[test]
+fn a_mirrored_tilt_is_left_at_once() {
+    let lens = lens(Distortion::None, &[]);
+    for (name, spots) in [("three-spots-pose", &FLAT[..]), ("spot-pose", &[[0.0; 3]][..])] {
+        let compiled = model(name);
+        let truth = pose([0.5, -0.4, 0.0], [40.0, 20.0, 800.0]);
+        let constants: Vec<f64> = compiled.model().constants().iter().map(|c| c.value).collect();
+        let geometry = Geometry::of(compiled.model(), &constants).unwrap();
+        let mut parameters = vec![0.0; compiled.model().parameters().len()];
+        geometry.put(&truth, &mut parameters);
+        let mirrored = geometry.mirrored(&parameters).swap_remove(0);
+        let named = geometry.position.iter().chain(&geometry.orientation);
+        let start = named.map(|id| (compiled.model().parameters()[id.index()].name.clone(), mirrored[id.index()]));
+        let begun = TrackerOptions { start: start.collect(), ..options(&lens) };
+        let estimate = Tracker::new(compiled, begun).unwrap().track(&frame(&truth, spots, &lens, 40));
+        let found = estimate.pose.unwrap_or_else(|| panic!("{name}: {:?}", estimate.rejection));
+        let normal = Rigid::of_quaternion(found.position_mm, found.orientation_xyzw).rotation.column(2).into_owned();
+        assert!(normal.angle(&truth.rotation.column(2).into_owned()) < 0.02, "{name}: {normal}");
+    }
+}
+
+/// Half of a spot, glare beside it, and two spots, while the target is tracked: what is hidden is left out and named, or there is
+/// no pose.
+#[test]
+fn what_is_hidden_moves_no_pose() {
+    let lens = lens(Distortion::None, &[]);
+    let at = |step: f64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(Vector6::repeat(0.004) * step));
+    let spot = |number: usize| lens.project(at(3.0).apply(Vector3::from(FLAT[number])).into()).unwrap();
+    let half = |[x, y]: [f64; 2], value: f64| {
+        let is_near = (x - spot(0)[0]).hypot(y - spot(0)[1]) < 30.0 && x > spot(0)[0];
+        if is_near && value > 20.0 { 20.0 } else { value }
+    };
+    let whole = |[x, y]: [f64; 2], value: f64| {
+        let is_near = (x - spot(0)[0]).hypot(y - spot(0)[1]) < 30.0;
+        if is_near { 90.0 } else { value }
+    };
+    let glare = |[x, y]: [f64; 2], value: f64| {
+        let away = (x - spot(1)[0] - 20.0).hypot(y - spot(1)[1] - 15.0);
+        value + 140.0 * (-0.5 * (away / 12.0).powi(2)).exp()
+    };
+    let two = |place: [f64; 2], value: f64| {
+        let is_near = |number: usize| (place[0] - spot(number)[0]).hypot(place[1] - spot(number)[1]) < 30.0;
+        if is_near(0) || is_near(1) { 20.0 } else { value }
+    };
+    let veils: [(Veil, Option<&[&str]>); 4] =
+        [(&half, Some(&[])), (&whole, Some(&["red"])), (&glare, Some(&["green"])), (&two, None)];
+    let compiled = model("three-spots-pose");
+    for (number, (veil, left_out)) in veils.into_iter().enumerate() {
+        let mut tracker = Tracker::new(compiled.clone(), options(&lens)).unwrap();
+        for step in 0..3_u32 {
+            assert_close(
+                &tracker.track(&frame(&at(f64::from(step)), &FLAT, &lens, 50 + u64::from(step))).pose.unwrap(),
+                &at(f64::from(step)),
+            );
+        }
+        let estimate = tracker.track(&veiled(&at(3.0), &FLAT, &lens, 60, veil));
+        let Some(left_out) = left_out else {
+            assert_eq!(estimate.state, TrackState::Coasting, "{number}");
+            continue;
+        };
+        assert_eq!(estimate.state, TrackState::Tracking, "{number}: {:?}", estimate.rejection);
+        let found = estimate.pose.unwrap();
+        assert_eq!(found.left_out, left_out, "{number}");
+        assert!(estimate.substitute.is_some_and(|substitute| substitute.hidden > 0.0));
+        assert_close(&found, &at(3.0));
+    }
 }

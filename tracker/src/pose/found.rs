@@ -19,6 +19,10 @@ pub struct Pose {
     /// pose was fitted to the pixels: the estimate's own χ² says it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub chi_square: Option<f64>,
+    /// Names of spots that say nothing of a pose that was fitted to the pixels: hidden, dark, outside of the frame, or such
+    /// that they do not agree with the others.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub left_out: Vec<String>,
     /// Other poses that the data hardly tell from this one, the best first.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub alternatives: Vec<Alternative>,

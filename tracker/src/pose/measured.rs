@@ -72,6 +72,7 @@ fn published(minima: &[Minimum], spots: usize) -> Option<Pose> {
         covariance: covariance.map(|c| row_major(&Matrix6::from_column_slice(c.as_slice()))),
         degrees_of_freedom: if spots == 1 { 5 } else { 6 },
         chi_square: Some(best.chi_square),
+        left_out: Vec::new(),
         alternatives: near.filter(|other| other.delta_chi_square < DELTA_CHI_SQUARE_MAX).collect(),
     })
 }

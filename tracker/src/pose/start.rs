@@ -22,6 +22,8 @@ pub(crate) struct PoseStart {
 
 /// Poses handed on.
 const STARTS_MAX: usize = 8;
+/// … or, when it is sought which spot is which, …
+const NAMINGS_MAX: usize = 16;
 /// … whose χ² is larger by at most this.
 const WORSE_MAX: f64 = 60.0;
 /// Outlines beyond the target's spots that are considered: distractors.
@@ -36,6 +38,15 @@ const SHAPE: f64 = 0.05;
 /// Poses that suit the outlines, the likeliest first. Outlines are in the order of their mass, in frame coordinates. None
 /// when `spend` ends the search.
 pub(crate) fn starts(geometry: &Geometry, outlines: &[Five], spend: Spend) -> Vec<PoseStart> {
+    suiting(geometry, outlines, STARTS_MAX, spend)
+}
+
+/// The same of outlines that are a target's spots: more of them, so that no way to name these is missing.
+pub(crate) fn namings(geometry: &Geometry, outlines: &[Five], spend: Spend) -> Vec<PoseStart> {
+    suiting(geometry, outlines, NAMINGS_MAX, spend)
+}
+
+fn suiting(geometry: &Geometry, outlines: &[Five], most: usize, spend: Spend) -> Vec<PoseStart> {
     let spots = &geometry.target.spots;
     let count = spots.len().min(outlines.len());
     let mut found: Vec<(Minimum, Vec<Option<usize>>)> = Vec::new();
@@ -55,7 +66,7 @@ pub(crate) fn starts(geometry: &Geometry, outlines: &[Five], spend: Spend) -> Ve
     found.sort_by(|a, b| a.0.chi_square.total_cmp(&b.0.chi_square));
     let best = found.first().map_or(0.0, |(minimum, _)| minimum.chi_square);
     found.retain(|(minimum, _)| minimum.chi_square <= best + WORSE_MAX);
-    found.truncate(STARTS_MAX);
+    found.truncate(most);
     found.into_iter().map(|(minimum, outlines)| PoseStart { pose: minimum.pose, outlines }).collect()
 }
 

@@ -31,6 +31,8 @@ pub(crate) struct Fit {
     pub choice: Option<Substitute>,
     /// How pixels were sampled, where the model leaves that open.
     pub chosen: Option<Chosen>,
+    /// Of a pose: numbers of the spots that were left out.
+    pub unused: Vec<usize>,
 }
 
 /// What the end point is worth, by a last pass that leaves saturated pixels out.
@@ -101,6 +103,7 @@ pub(super) fn fit_controlled(
         worth: None,
         choice: None,
         chosen: None,
+        unused: Vec::new(),
     };
     for index in 0..model.stages().len() {
         let passes = Passes::of(compiled, view, &parts, constants);
@@ -173,7 +176,8 @@ pub(super) fn followed(
     let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
-    let fit = Fit { parameters, ending, stages: vec![stage], worth: Some(worth), choice: None, chosen: None };
+    let stages = vec![stage];
+    let fit = Fit { parameters, ending, stages, worth: Some(worth), choice: None, chosen: None, unused: Vec::new() };
     Ok(Arrival::There(Box::new(fit)))
 }
 
@@ -306,11 +310,44 @@ impl<'a> Passes<'a> {
         }
         let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
         let variance = if report.is_some() { Some(1.0) } else { reduced };
-        let covariance =
-            variance.and_then(|variance| Some(inverse_fisher(&quadratic, self.compiled.precision())? * variance));
+        let known = beforehand(self.compiled.model(), self.compiled.last_parameters(), end);
+        let covariance = variance.and_then(|variance| {
+            let informed = known.map_or_else(|| quadratic.clone(), |known| informed(&quadratic, &known, variance));
+            Some(inverse_fisher(&informed, self.compiled.precision())? * variance)
+        });
         let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
         Ok(Worth { objective, reduced, pixels: pass.pixels, saturated, covariance, variance_alone })
     }
+}
+
+/// What is known of a pose's other parameters before anything is seen, as standard deviations: a brightness is not so many
+/// times that of the brightest spot, and what is between bounds is. A spot of which nothing is seen would leave the pose without
+/// covariance otherwise. `None` for models of no pose.
+fn beforehand(model: &Model, order: &[ParameterId], parameters: &[f64]) -> Option<DVector<f64>> {
+    const BRIGHTER: f64 = 100.0;
+    let pose: Vec<ParameterId> =
+        model.roles().iter().flat_map(|roles| roles.position.iter().chain(&roles.orientation)).copied().collect();
+    if pose.is_empty() {
+        return None;
+    }
+    let lights: Vec<ParameterId> = model.roles().iter().filter_map(|roles| roles.brightness).collect();
+    let brightest = lights.iter().map(|id| parameters[id.index()].abs()).fold(1.0, f64::max);
+    let known = |id: &ParameterId| match (model.parameters()[id.index()].min, model.parameters()[id.index()].max) {
+        _ if pose.contains(id) => f64::INFINITY,
+        _ if lights.contains(id) => BRIGHTER * brightest,
+        (Some(min), Some(max)) => max - min,
+        _ => f64::INFINITY,
+    };
+    Some(DVector::from_iterator(order.len(), order.iter().map(known)))
+}
+
+/// With that knowledge taken in. F is in units of ½ of a residual of `variance`.
+fn informed(quadratic: &Quadratic, known: &DVector<f64>, variance: f64) -> Quadratic {
+    let mut informed = quadratic.clone();
+    for (row, deviation) in known.iter().enumerate() {
+        informed.hessian[(row, row)] += 2.0 * variance / (deviation * deviation);
+    }
+    informed
 }
 
 /// The inverse Fisher information at unit variance, `2 H⁻¹` with H = 2 JᵀWJ: F has no factor ½. `None` when singular.

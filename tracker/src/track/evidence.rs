@@ -118,8 +118,7 @@ impl Evidence {
             }
         };
         let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
-        Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(),
-..Evidence::default() })
+        Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(), ..Evidence::default() })
     }
 
     /// By which one of several things is taken.

@@ -22,7 +22,7 @@ const FRAMES: f64 = 100.0;
 const MOST: f64 = 40.0;
 
 /// A brightness that is known by itself to so many standard deviations is one, whatever else is unknown.
-const SIGNIFICANT: f64 = 5.0;
+pub(super) const SIGNIFICANT: f64 = 5.0;
 
 /// True when a target of the model is brighter than noise; `None` where its brightness is not fitted. `blank`: by how much less
 /// its variance is than that of the rounding of pixels. The fit was in a window of so many pixels.

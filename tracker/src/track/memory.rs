@@ -7,6 +7,7 @@ use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
 
 use super::evidence::Ground;
+use super::past::Past;
 use super::rival::Rival;
 use super::search::Candidate;
 use super::shared::SharedParameters;
@@ -41,6 +42,8 @@ pub(crate) struct Memory {
     pub ground: Option<Ground>,
     /// The other pose that may be the true one.
     pub rival: Option<Rival>,
+    /// Of a pose: what else is remembered of it.
+    pub past: Past,
     /// How pixels were sampled when it was seen last.
     pub chosen: Option<Chosen>,
     motion: Option<Mover>,
@@ -209,6 +212,8 @@ impl Memory {
             (None, Some(measured)) => Some(Mover::begin(&measured, time_s, solver.options.motion.density())),
             (_, None) => None,
         };
+        let last = self.last_start();
+        self.past.saw(solver, last.as_deref(), &candidate.attempt);
         let mut next = fit.parameters.clone();
         if let Some(geometry) = &solver.geometry {
             geometry.fold(&mut next);
@@ -227,6 +232,7 @@ impl Memory {
     /// Nobody knows where it is.
     pub fn lose(&mut self) {
         (self.warm, self.reduced, self.motion, self.rival) = (None, None, None, None);
+        self.past.lose();
     }
 
     /// The last good parameters are known, at least those that say where it is.

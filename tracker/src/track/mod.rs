@@ -9,6 +9,7 @@
 //!                                                                                         coast, or lose
 //! ```
 
+mod branch;
 mod clock;
 mod coordinate;
 mod course;
@@ -17,6 +18,7 @@ mod faint;
 mod levels;
 mod memory;
 pub(crate) mod motion;
+mod past;
 mod posed;
 pub(crate) mod publish;
 mod reconsider;
@@ -97,7 +99,9 @@ impl Track {
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
-        let attempt = solver.against_rival(look, attempt, self.memory.rival.as_ref(), control)?;
+        let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
+        let attempt =
+            solver.against_rival(look, attempt, (self.memory.rival.as_ref(), self.memory.last_start()), control)?;
         let ground = self.memory.ground.map(|ground| ground.looked_at(solver, look, &attempt));
         let candidate = Candidate::of(solver, attempt, ground);
         let candidate = self.expecting(solver, candidate, time_s);
@@ -152,12 +156,13 @@ impl Track {
             let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE) && !looks_alike;
             !self.is_confirmed()
                 || (self.is_near(solver, candidate, time_s) && !unlike)
-                || (solver.options.targets == 1 && looks_alike)
+                || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt))
         };
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
             let guess = !self.is_confirmed() && search.is_guess(&candidate);
-            (solver.is_sure(&candidate) && !guess && suits(&candidate)).then_some(candidate)
+            let believed = solver.is_sure(&candidate) && solver.is_believed(&candidate.attempt, &self.memory.past);
+            (believed && !guess && suits(&candidate)).then_some(candidate)
         });
         let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && solver.is_sure(warm));
         match (doubtful.filter(|_| good), found) {

@@ -5,9 +5,11 @@
 use isophote_symbolic::Roles;
 use nalgebra::DMatrix;
 
+use super::faint::SIGNIFICANT;
 use super::solver::{Attempt, Solver};
 use crate::budget::Spend;
-use crate::pose::{Fitted, Pose, of_ellipses};
+use crate::pose::{Fitted, Geometry, Pose, TargetSpot, of_ellipses};
+use crate::solve::fit::Fit;
 
 impl Solver {
     /// True when the model's parameters are a pose.
@@ -23,7 +25,7 @@ impl Solver {
         if let Some(geometry) = &self.geometry {
             let alternatives = attempt.rival.iter().filter_map(|rival| rival.alternative(geometry)).collect();
             let pose = self.pose_of(&fit.parameters, covariance)?;
-            return Some(Pose { alternatives, ..pose });
+            return Some(Pose { alternatives, left_out: self.left_out(geometry, fit), ..pose });
         }
         let (lens, target) = (self.options.camera.intrinsics.as_ref()?, self.options.target.as_ref()?);
         let fitted = Fitted {
@@ -34,6 +36,22 @@ impl Solver {
             saturation,
         };
         of_ellipses(self.model(), lens, target, &fitted, spend)
+    }
+
+    /// Spots that were left out of a fit, or that do not shine.
+    fn left_out(&self, geometry: &Geometry, fit: &Fit) -> Vec<String> {
+        let order = self.compiled.last_parameters();
+        let shines = |spot: &TargetSpot| {
+            let named = |roles: &&Roles| roles.name.as_ref() == Some(&spot.name);
+            let brightness = self.model().roles().iter().find(named).and_then(|roles| roles.brightness);
+            let row = brightness.and_then(|brightness| order.iter().position(|&one| one == brightness));
+            let (Some(row), Some(worth)) = (row, &fit.worth) else { return true };
+            let variance = worth.covariance.as_ref().map_or(worth.variance_alone[row], |c| c[(row, row)]);
+            fit.parameters[order[row].index()].abs() >= SIGNIFICANT * variance.sqrt()
+        };
+        let spots = geometry.target.spots.iter().enumerate();
+        let left_out = spots.filter(|(number, spot)| fit.unused.contains(number) || !shines(spot));
+        left_out.map(|(_, spot)| spot.name.clone()).collect()
     }
 
     /// The pose that parameters are; `None` where they are none.

@@ -7,7 +7,7 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::estimate::Rejection;
+use crate::estimate::{Ending, Rejection};
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
@@ -21,8 +21,8 @@ const ASTRAY: f64 = 4.0;
 const SIZES: f64 = 4.0;
 
 impl Solver {
-    /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. A pose is taken as it is:
-    /// one whose spot is covered goes on from the others.
+    /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. Poses have rules of their
+    /// own: see [`super::branch`].
     pub fn is_fine(&self, attempt: &Attempt, usual: Option<f64>) -> bool {
         !self.model().has_noise()
             || self.fits_pose()
@@ -83,7 +83,7 @@ impl Solver {
         fit.stages = stages;
         let rejection = self.rejection(&fit, &view, look.window);
         Ok(match rejection {
-            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, rival: None, strongest: None },
+            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, ..Attempt::none(Ending::NoTarget) },
             Some(_) => attempt,
         })
     }

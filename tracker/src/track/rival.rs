@@ -20,6 +20,8 @@ pub(crate) struct Rival {
 
 /// A rival that is worse by this is followed no more: it had a chance of one in three hundred thousand.
 const DECIDED: f64 = 25.0;
+/// A target that turned by this share of the angle between both poses may have gone from the one to the other.
+const CROSSING: f64 = 0.25;
 /// Poses whose axes differ by less are one, rad.
 const SAME: f64 = 3e-3;
 
@@ -46,7 +48,7 @@ impl Solver {
     ) -> Result<Attempt, CompileFailure> {
         let Some(geometry) = &self.geometry else { return Ok(best) };
         let view = self.view(look, look.window);
-        let mut rival: Option<Rival> = None;
+        let mut rival: Option<Rival> = best.rival.take();
         for other in others.into_iter().filter(Attempt::is_good) {
             let Some(delta) = self.delta(&view, geometry, &best, &other)? else { continue };
             let loser = if delta < 0.0 { std::mem::replace(&mut best, other) } else { other };
@@ -65,10 +67,14 @@ impl Solver {
         &self,
         look: &Look,
         mut warm: Attempt,
-        rival: Option<&Rival>,
+        (rival, last): (Option<&Rival>, Option<Vec<f64>>),
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
-        let Some(rival) = rival.filter(|_| warm.is_good()) else { return Ok(warm) };
+        // What is hidden from one is hidden from the other: such a picture decides nothing.
+        let is_veiled = warm.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
+        let Some(rival) = rival.filter(|_| warm.is_good() && !is_veiled && warm.rival.is_none()) else {
+            return Ok(warm);
+        };
         let Some(geometry) = &self.geometry else { return Ok(warm) };
         let mut other = self.attempt(look, &rival.parameters, Begin::Nearby(None), control, Margin::NONE)?;
         let view = self.view(look, look.window);
@@ -77,7 +83,14 @@ impl Solver {
             return Ok(Attempt { rival: Some(rival.clone()), ..warm }); // the picture has not decided
         }
         let Some(delta) = delta else { return Ok(warm) };
-        let total = rival.delta + delta;
+        // A target that turns by as much as lies between the two may have become the other: what was decided before counts for
+        // another pair.
+        let sides = warm.fit.as_ref().zip(other.fit.as_ref()).zip(last);
+        let has_crossed = sides.is_some_and(|((warm, other), last)| {
+            let moved = [warm, other].map(|fit| geometry.apart(&last, &fit.parameters));
+            moved[0].min(moved[1]) > CROSSING * geometry.apart(&warm.parameters, &other.parameters)
+        });
+        let total = if has_crossed { delta } else { rival.delta + delta };
         if total < 0.0 {
             std::mem::swap(&mut warm, &mut other);
         }

@@ -274,7 +274,7 @@ impl Search {
         (self.fitted, self.work) = (0, 0);
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = Some(Ground { variance: spotted.variance, limit });
+        let ground = Some(Ground { variance: spotted.variance, limit, own: None });
         for starts in &spotted.sights {
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
             if self.candidates.iter().any(is_known) {
@@ -284,6 +284,7 @@ impl Search {
                 break;
             }
             let attempt = self.try_all(solver, look, starts, control)?;
+            let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
             let mut candidate = Candidate::of(solver, attempt, ground);
             // That there is something has been decided: a fit that stays there need not decide again.
             if candidate.attempt.rejection == Some(Rejection::Faint) && candidate.stays(solver, &starts.starts[0]) {
@@ -393,7 +394,8 @@ impl Search {
                 others.push(attempt);
             }
         }
-        solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)
+        let best = solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
+        solver.branched_cold(look, best, control)
     }
 }
 

@@ -117,12 +117,15 @@ pub(crate) struct Attempt {
     pub rival: Option<Rival>,
     /// Of a search: the strongest thing that the document's own image found.
     pub strongest: Option<Strength>,
+    /// Of poses: the mirrored ones were tried.
+    pub is_other_tried: bool,
 }
 
 impl Attempt {
     /// Nothing was fitted.
     pub fn none(ending: Ending) -> Attempt {
-        Attempt { fit: None, ending, rejection: Some(Rejection::Ending), rival: None, strongest: None }
+        let rejection = Some(Rejection::Ending);
+        Attempt { fit: None, ending, rejection, rival: None, strongest: None, is_other_tried: false }
     }
 
     pub fn is_good(&self) -> bool {
@@ -212,7 +215,7 @@ impl Solver {
             fitted = Fit { stages, ..again };
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
-        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, rival: None, strongest: None })
+        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, ..Attempt::none(Ending::NoTarget) })
     }
 
     /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to.
@@ -323,13 +326,17 @@ impl Solver {
         if !fit.ending.is_fit() {
             return Some(Rejection::Ending);
         }
+        // One spot of several leaves the spin open: there is a pose for each of its values.
+        if self.fits_pose() && fit.worth.as_ref().is_some_and(|worth| worth.covariance.is_none()) {
+            return Some(Rejection::Ending);
+        }
         if !model.constraints_hold(&fit.parameters, &self.constants) {
             return Some(Rejection::OutsideBounds);
         }
         let (first, size) = (whole.first(), whole.size());
         let dimensions = model.coordinates().len();
-        // A pose has spots to spare: it is believed while one of them shines.
-        let (mut shining, mut known) = (false, false);
+        // A pose has spots to spare: it is believed while two of them shine.
+        let (mut shining, mut known) = (0, 0);
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
                 let place = fit.parameters[parameter.index()] - first as f64;
@@ -349,13 +356,15 @@ impl Solver {
             let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced).unwrap_or(0.0);
             let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
             let brightness = faint::is_bright(self.compiled.last_parameters(), fit, roles, blank, view.window.pixels());
-            known |= brightness.is_some();
-            shining |= brightness == Some(true);
+            known += usize::from(brightness.is_some());
+            shining += usize::from(brightness == Some(true));
             if !self.fits_pose() && brightness == Some(false) {
                 return Some(Rejection::Faint);
             }
         }
-        (self.fits_pose() && known && !shining).then_some(Rejection::Faint)
+        // One spot alone leaves the spin open, and does not say which of them it is.
+        let needed = if self.geometry.as_ref().is_some_and(Geometry::has_spin) { known.min(2) } else { known.min(1) };
+        (self.fits_pose() && shining < needed).then_some(Rejection::Faint)
     }
 
     /// True when a thing is the target with at least the probability that the session asks for, as far as that is known.

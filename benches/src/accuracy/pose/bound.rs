@@ -4,10 +4,20 @@ use isophote_tracker::Target;
 use isophote_tracker::geometry::Rigid;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
-use super::scene::{BACKGROUND, LIMIT, patch, place, variance};
+use super::scene::{BACKGROUND, LIMIT, WIDTH, patch, place, variance};
 
 /// Covariance of (δt, δω) with each spot's brightness and one background unknown; the PSF known.
 pub fn bound(pose: &Rigid, target: &Target, brightness: f64) -> Option<Matrix6<f64>> {
+    bound_of(pose, target, brightness, &|_| true)
+}
+
+/// The same of the pixels that are left, by their numbers in the frame.
+pub fn bound_of(
+    pose: &Rigid,
+    target: &Target,
+    brightness: f64,
+    is_left: &dyn Fn(usize) -> bool,
+) -> Option<Matrix6<f64>> {
     let (spots, unknowns) = (&target.spots, 7 + target.spots.len());
     let mut information = DMatrix::zeros(unknowns, unknowns);
     for (index, spot) in spots.iter().enumerate() {
@@ -25,7 +35,8 @@ pub fn bound(pose: &Rigid, target: &Target, brightness: f64) -> Option<Matrix6<f
             .collect();
         for (pixel, share) in here.iter().enumerate() {
             let mean = BACKGROUND + brightness * share;
-            if mean > LIMIT - 0.5 {
+            let number = (at[1] + pixel / at[2]) * WIDTH + at[0] + pixel % at[2];
+            if mean > LIMIT - 0.5 || !is_left(number) {
                 continue;
             }
             let mut row = DVector::zeros(unknowns);
@@ -33,6 +44,12 @@ pub fn bound(pose: &Rigid, target: &Target, brightness: f64) -> Option<Matrix6<f
             row[6] = 1.0;
             row[7 + index] = *share;
             information.ger(1.0 / variance(mean), &row, &row, 1.0);
+        }
+    }
+    // A spot of which nothing is left says nothing: its brightness goes with it.
+    for index in 7..unknowns {
+        if information[(index, index)] == 0.0 {
+            information[(index, index)] = 1.0;
         }
     }
     let scale = information.diagonal().map(|d: f64| d.sqrt().recip());

@@ -1,5 +1,6 @@
 //! One cell of the table: many frames of one condition, and what each method makes of them.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -160,13 +161,18 @@ fn options(target: &Target) -> TrackerOptions {
 }
 
 /// With the notes' profile.
-fn direct(compiled: &Arc<Compiled>, target: &Target) -> Tracker {
-    let mut options = options(target);
+pub(super) fn direct(compiled: &Arc<Compiled>, target: &Target) -> Tracker {
+    direct_from(compiled, target, BTreeMap::new())
+}
+
+/// The same with numbers to start from.
+pub(super) fn direct_from(compiled: &Arc<Compiled>, target: &Target, start: BTreeMap<String, f64>) -> Tracker {
+    let mut options = TrackerOptions { start, ..options(target) };
     options.constants = [("k1".to_string(), -1.5), ("k2".to_string(), 0.0)].into();
     Tracker::new(compiled.clone(), options).unwrap()
 }
 
-fn rigid(pose: &Pose) -> (Rigid, Option<Matrix6<f64>>) {
+pub(super) fn rigid(pose: &Pose) -> (Rigid, Option<Matrix6<f64>>) {
     let [x, y, z, w] = pose.orientation_xyzw;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix().into_inner();
     let covariance = pose.covariance.as_ref().map(|c| Matrix6::from_row_slice(c));

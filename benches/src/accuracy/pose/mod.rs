@@ -5,6 +5,7 @@
 
 pub mod bound;
 pub mod cell;
+pub mod disturbed;
 pub mod methods;
 pub mod scene;
 pub mod table;

@@ -77,6 +77,7 @@ impl Random {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
+    /// What a pixel reads.
     fn read_out(&mut self, mean: f64) -> u8 {
         let electrons: f64 = Poisson::new(mean * ELECTRONS_PER_DN).unwrap().sample(&mut self.0);
         let noise: f64 = StandardNormal.sample(&mut self.0);
@@ -136,6 +137,11 @@ pub fn patch(pose: &Rigid, spot: &TargetSpot, [x, y, width, height]: [usize; 4],
 
 /// An 8-bit frame with these spots; `None` when one is not all in it.
 pub fn frame(pose: &Rigid, spots: &[TargetSpot], brightness: f64, random: &mut Random) -> Option<Frame> {
+    Some(read_out(&means(pose, spots, brightness)?, random))
+}
+
+/// What its pixels would read without noise; `None` when a spot is not all in it.
+pub fn means(pose: &Rigid, spots: &[TargetSpot], brightness: f64) -> Option<Vec<f64>> {
     let mut means = vec![BACKGROUND; WIDTH * HEIGHT];
     for spot in spots {
         let patch = patch(pose, spot, place(pose, spot)?, 8);
@@ -143,8 +149,13 @@ pub fn frame(pose: &Rigid, spots: &[TargetSpot], brightness: f64, random: &mut R
             means[(patch.y + i / patch.width) * WIDTH + patch.x + i % patch.width] += brightness * share;
         }
     }
-    let bytes = means.into_iter().map(|mean| random.read_out(mean)).collect();
-    Some(Frame::new(&[WIDTH, HEIGHT], vec![Plane::owned(PixelFormat::U8, bytes, WIDTH)]).unwrap())
+    Some(means)
+}
+
+/// A frame with the camera's noise.
+pub fn read_out(means: &[f64], random: &mut Random) -> Frame {
+    let bytes = means.iter().map(|mean| random.read_out(*mean)).collect();
+    Frame::new(&[WIDTH, HEIGHT], vec![Plane::owned(PixelFormat::U8, bytes, WIDTH)]).unwrap()
 }
 
 /// The brightness at which a share of the spot's area is saturated; 200 for none.

@@ -7,8 +7,8 @@
 use isophote_jit::{PixelFormat, PlaneView};
 use isophote_symbolic::Precision;
 
-use crate::solve::residuals::Seen;
 use crate::sight::view::View;
+use crate::solve::residuals::Seen;
 
 /// A saturated pixel is the target's where this share of the way from the background to the limit is predicted, while
 /// parameters are those of a start …
@@ -75,7 +75,7 @@ fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
 }
 
 /// For each pixel whether any of those within `radius` along both axes holds.
-fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
+pub(super) fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
     neighbourhood(truth, width, height, radius, 1)
 }
 

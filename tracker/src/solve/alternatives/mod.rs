@@ -10,6 +10,7 @@
 mod blind;
 #[cfg(test)]
 mod tests;
+mod veil;
 
 use std::sync::Arc;
 
@@ -17,6 +18,7 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{BlindMask, Known, Painted};
+pub(crate) use self::veil::{SpotNames, Veil};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};
@@ -105,6 +107,13 @@ impl Alternatives {
         let robust = Variant { loss: Loss::Tukey(OUTLIER), saturated: Saturated::Dropped, ..plain };
         if !keeps_going() {
             return None;
+        }
+        // A pose is fitted by the model itself, to what is not hidden.
+        if model.roles().iter().any(|roles| !roles.position.is_empty()) {
+            let predictions = Predictions::new(model, precision, cache).ok().flatten();
+            let compiled = Arc::new(compiled.share());
+            alternatives.own = predictions.map(|predictions| Variation { compiled, predictions });
+            return Some(alternatives);
         }
         alternatives.own = variant(plain);
         for degree in DEGREES {

@@ -1,0 +1,347 @@
+//! Poses that something disturbs while they are tracked, and cold starts far away: how many are wrong and say `tracking`.
+//!
+//! What comes in: a seed. What goes out: rows of the table of disturbed poses.
+
+use std::sync::Arc;
+
+use isophote_symbolic::{Model, Precision};
+use isophote_tracker::geometry::{Rigid, bounds};
+use isophote_tracker::{Compiled, Estimate, Target, TargetSpot, TrackState, Tracker};
+use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
+
+use super::bound::bound_of;
+use super::cell::{direct, rigid};
+use super::scene::{HEIGHT, RADIUS_MM, Random, WIDTH, brightness, lens, means, random_pose, read_out, target};
+
+/// What is done to a sequence.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Disturbance {
+    /// The tracker begins with the mirrored tilt.
+    Mirrored,
+    /// It turns by 10° a frame.
+    Turning,
+    /// Light of so many DN falls beside the first spot.
+    Glare(f64),
+    /// So many quarters of the first spot are covered.
+    Quarters(u32),
+    /// So many whole spots are covered.
+    Spots(usize),
+    /// Nothing: each frame is a cold start.
+    Cold { saturated: f64 },
+    /// Each frame is a cold start, so many quarters of the first spot being covered.
+    ColdQuarters(u32),
+}
+
+/// A row.
+#[derive(Clone, Copy, Debug)]
+pub struct Condition {
+    pub name: &'static str,
+    pub spots: usize,
+    pub disturbance: Disturbance,
+    pub distance_mm: (f64, f64),
+}
+
+const fn row(name: &'static str, spots: usize, disturbance: Disturbance) -> Condition {
+    Condition { name, spots, disturbance, distance_mm: (900.0, 1100.0) }
+}
+
+const fn far(name: &'static str, spots: usize, saturated: f64, distance_mm: (f64, f64)) -> Condition {
+    Condition { name, spots, disturbance: Disturbance::Cold { saturated }, distance_mm }
+}
+
+/// All of them.
+pub const CONDITIONS: [Condition; 17] = [
+    row("three spots, begun with the mirrored tilt", 3, Disturbance::Mirrored),
+    row("one spot, begun with the mirrored tilt", 1, Disturbance::Mirrored),
+    row("three spots, turning by 10° a frame", 3, Disturbance::Turning),
+    row("one spot, turning by 10° a frame", 1, Disturbance::Turning),
+    row("three spots, glare of 140 DN", 3, Disturbance::Glare(140.0)),
+    row("three spots, glare of 600 DN", 3, Disturbance::Glare(600.0)),
+    row("one spot, glare of 140 DN", 1, Disturbance::Glare(140.0)),
+    row("three spots, a quarter of one covered", 3, Disturbance::Quarters(1)),
+    row("three spots, half of one covered", 3, Disturbance::Quarters(2)),
+    row("one spot, a quarter covered", 1, Disturbance::Quarters(1)),
+    row("one spot, half covered", 1, Disturbance::Quarters(2)),
+    row("three spots, one covered", 3, Disturbance::Spots(1)),
+    row("three spots, two covered", 3, Disturbance::Spots(2)),
+    row("three spots, cold, half of one covered", 3, Disturbance::ColdQuarters(2)),
+    far("three spots, cold at 1.5–3 m, S0", 3, 0.0, (1500.0, 3000.0)),
+    far("three spots, cold at 1.5–3 m, S60", 3, 0.6, (1500.0, 3000.0)),
+    far("one spot, cold at 0.5–1 m, S0", 1, 0.0, (500.0, 1000.0)),
+];
+
+/// Frames before a disturbance, while it lasts, and after it.
+const PHASES: [usize; 3] = [6, 6, 6];
+/// Frames of a target that turns.
+const TURNING: usize = 30;
+/// A pose is wrong beyond this angle, …
+const WRONG_DEGREES: f64 = 5.0;
+/// … or beyond this distance, mm.
+const WRONG_MM: f64 = 20.0;
+
+/// What the frames of a condition came to.
+#[derive(Clone, Debug, Default)]
+pub struct Told {
+    pub frames: usize,
+    pub tracking: usize,
+    /// Of those that say `tracking` …
+    pub wrong: usize,
+    /// … and have no covariance.
+    pub silent: usize,
+    squares: [f64; 2],
+    bounds: [f64; 2],
+    nees: f64,
+    nees_of: usize,
+    /// Wrong or not tracking after the disturbance has gone: the most in a row.
+    pub late: usize,
+}
+
+impl Told {
+    fn add(&mut self, truth: &Rigid, estimate: &Estimate, bound: Option<Matrix6<f64>>, single: bool) -> bool {
+        self.frames += 1;
+        let pose = estimate.pose.as_ref().filter(|_| estimate.state == TrackState::Tracking);
+        let Some((found, covariance)) = pose.map(rigid) else { return false };
+        self.tracking += 1;
+        let off = truth.to(&found);
+        let normals = [truth.rotation.column(2).into_owned(), found.rotation.column(2).into_owned()];
+        let angle = if single { normals[0].angle(&normals[1]) } else { truth.angle_to(&found) };
+        if angle.to_degrees() > WRONG_DEGREES || off.fixed_rows::<3>(0).norm() > WRONG_MM {
+            self.wrong += 1;
+            return false;
+        }
+        let Some(covariance) = covariance else {
+            self.silent += 1;
+            return true;
+        };
+        if let Some(inverse) = covariance.try_inverse().filter(|_| !single) {
+            self.nees += off.dot(&(inverse * off));
+            self.nees_of += 1;
+        }
+        if let Some(bound) = bound.filter(|_| !single) {
+            for k in 0..2 {
+                self.squares[k] += off.fixed_rows::<3>(3 * k).norm_squared();
+                self.bounds[k] += bound.fixed_view::<3, 3>(3 * k, 3 * k).trace();
+            }
+        }
+        true
+    }
+
+    /// A row of the table.
+    pub fn text(&self, name: &str) -> String {
+        let ratio = |k: usize| match self.bounds[k] > 0.0 {
+            true => format!("{:.2}", (self.squares[k] / self.bounds[k]).sqrt()),
+            false => "–".into(),
+        };
+        let nees = if self.nees_of > 0 { format!("{:.1}", self.nees / self.nees_of as f64) } else { "–".into() };
+        format!(
+            "| {name} | {} | {} | {} | {} | {} / {} | {nees} | {} |",
+            self.frames,
+            self.tracking,
+            self.wrong,
+            self.silent,
+            ratio(0),
+            ratio(1),
+            self.late
+        )
+    }
+}
+
+/// The head of the table.
+pub const HEAD: &str = "| condition | frames | `tracking` | of them wrong | without covariance | position / rotation, rms over bound | NEES | frames until right |\n|---|---|---|---|---|---|---|---|";
+
+/// The shipped documents, compiled.
+pub struct DisturbedDocuments {
+    three: Arc<Compiled>,
+    one: Arc<Compiled>,
+}
+
+impl DisturbedDocuments {
+    /// With kernels to come.
+    pub fn new() -> DisturbedDocuments {
+        let compiled = |name: &str| {
+            let model = Model::from_toml(&crate::text(name)).unwrap_or_else(|faults| panic!("{faults:?}"));
+            Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap())
+        };
+        DisturbedDocuments { three: compiled("three-spots-pose"), one: compiled("spot-pose") }
+    }
+}
+
+impl Default for DisturbedDocuments {
+    fn default() -> DisturbedDocuments {
+        DisturbedDocuments::new()
+    }
+}
+
+/// Pixels that something covers, and light that is added.
+struct Veil {
+    covered: Vec<bool>,
+    added: Vec<f64>,
+}
+
+impl Veil {
+    fn of(disturbance: Disturbance, pose: &Rigid, spots: &[TargetSpot], side: f64) -> Option<Veil> {
+        let mut veil = Veil { covered: vec![false; WIDTH * HEIGHT], added: vec![0.0; WIDTH * HEIGHT] };
+        let [x, y, w, h] = bounds(&lens(), pose, &spots[0])?;
+        let pixels = (0..WIDTH * HEIGHT).map(|i| (i, (i % WIDTH) as f64 - x, (i / WIDTH) as f64 - y));
+        match disturbance {
+            Disturbance::Quarters(quarters) | Disturbance::ColdQuarters(quarters) => {
+                for (i, dx, dy) in pixels.filter(|(_, dx, dy)| dx.abs() < 2.0 * w && dy.abs() < 2.0 * h) {
+                    let turn = (dy.atan2(dx) - side).rem_euclid(std::f64::consts::TAU);
+                    veil.covered[i] = turn < f64::from(quarters) * std::f64::consts::FRAC_PI_2;
+                }
+            }
+            Disturbance::Spots(count) => {
+                for spot in &spots[..count] {
+                    let [x, y, w, h] = bounds(&lens(), pose, spot)?;
+                    for i in 0..WIDTH * HEIGHT {
+                        let (dx, dy) = ((i % WIDTH) as f64 - x, (i / WIDTH) as f64 - y);
+                        veil.covered[i] |= dx.abs() < 1.2 * w + 2.0 && dy.abs() < 1.2 * h + 2.0;
+                    }
+                }
+            }
+            Disturbance::Glare(height) => {
+                let (gx, gy) = (1.2 * w * side.cos(), 1.2 * h * side.sin());
+                for (i, dx, dy) in pixels {
+                    let square = (dx - gx).powi(2) + (dy - gy).powi(2);
+                    veil.added[i] = height * (-0.5 * square / 15.0_f64.powi(2)).exp();
+                }
+            }
+            _ => {}
+        }
+        Some(veil)
+    }
+
+    fn over(&self, means: &mut [f64]) {
+        for (i, mean) in means.iter_mut().enumerate() {
+            *mean = if self.covered[i] { super::scene::BACKGROUND } else { *mean + self.added[i] };
+        }
+    }
+
+    fn is_left(&self, i: usize) -> bool {
+        !self.covered[i] && self.added[i] < 0.05
+    }
+}
+
+/// Runs so many sequences of a condition, or so many frames where each is a cold start.
+pub fn run(documents: &DisturbedDocuments, condition: Condition, sequences: usize, seed: u64) -> Told {
+    let mut target = target(0.0);
+    if condition.spots == 1 {
+        target = Target {
+            spots: vec![TargetSpot { name: "spot".into(), position_mm: [0.0; 3], radius_mm: RADIUS_MM }],
+            ..Target::default()
+        };
+    }
+    let compiled = if condition.spots == 1 { &documents.one } else { &documents.three };
+    let (mut told, mut done, mut number) = (Told::default(), 0, 0_u64);
+    while done < sequences {
+        number += 1;
+        let mut random = Random::of(seed.wrapping_add(number));
+        let frames = match condition.disturbance {
+            Disturbance::Cold { .. } => cold(compiled, &target, condition, &mut random, &mut told),
+            Disturbance::ColdQuarters(_) => cold(compiled, &target, condition, &mut random, &mut told),
+            _ => sequence(compiled, &target, condition, &mut random, &mut told),
+        };
+        done += usize::from(frames.is_some());
+    }
+    told
+}
+
+fn cold(
+    compiled: &Arc<Compiled>,
+    target: &Target,
+    condition: Condition,
+    random: &mut Random,
+    told: &mut Told,
+) -> Option<()> {
+    let distance = random.between(condition.distance_mm.0, condition.distance_mm.1);
+    let saturated = if let Disturbance::Cold { saturated } = condition.disturbance { saturated } else { 0.0 };
+    let (truth, light) = (random_pose(random, distance, (10.0, 50.0)), brightness(saturated));
+    let mut means = means(&truth, &target.spots, light)?;
+    let veil = Veil::of(condition.disturbance, &truth, &target.spots, random.between(0.0, 6.0))?;
+    veil.over(&mut means);
+    let estimate = direct(compiled, target).track(&read_out(&means, random));
+    let bound = bound_of(&truth, target, light, &|i| veil.is_left(i));
+    told.add(&truth, &estimate, bound, condition.spots == 1);
+    Some(())
+}
+
+fn sequence(
+    compiled: &Arc<Compiled>,
+    target: &Target,
+    condition: Condition,
+    random: &mut Random,
+    told: &mut Told,
+) -> Option<()> {
+    let (single, light) = (condition.spots == 1, brightness(0.0));
+    let distance = random.between(condition.distance_mm.0, condition.distance_mm.1);
+    let first = random_pose(random, distance, (10.0, 50.0));
+    let drift = Vector6::from_fn(|k, _| random.between(-1.0, 1.0) * if k < 3 { 1.0 } else { 0.004 });
+    let (axis, spun) = (random.between(0.0, std::f64::consts::TAU), random.between(-3.0, 3.0));
+    let side = random.between(0.0, std::f64::consts::TAU);
+    let at = |frame: usize| match condition.disturbance {
+        Disturbance::Turning => {
+            // To and fro, by 45° to either side.
+            let step = (frame % 18) as f64;
+            let degrees = if step < 9.0 { -45.0 + 10.0 * step } else { 45.0 - 10.0 * (step - 9.0) };
+            let tilt = Rotation3::new(Vector3::new(axis.cos(), axis.sin(), 0.0) * degrees.to_radians());
+            let rotation = (tilt * Rotation3::from_axis_angle(&Vector3::z_axis(), spun)).into_inner();
+            Rigid { rotation, ..first }.moved(&(drift.component_mul(&ONLY_SHIFT) * frame as f64))
+        }
+        _ => first.moved(&(drift * frame as f64)),
+    };
+    let count = if condition.disturbance == Disturbance::Turning { TURNING } else { PHASES.iter().sum() };
+    let mut pictures = Vec::new();
+    for frame in 0..count {
+        let (truth, is_on) = (at(frame), (PHASES[0]..PHASES[0] + PHASES[1]).contains(&frame));
+        let mut means = means(&truth, &target.spots, light)?;
+        let veil = is_on.then(|| Veil::of(condition.disturbance, &truth, &target.spots, side)).flatten();
+        veil.iter().for_each(|veil| veil.over(&mut means));
+        let mut picture = read_out(&means, random);
+        picture.sequence = frame as u64;
+        pictures.push((truth, picture, veil));
+    }
+    let mut tracker = match condition.disturbance {
+        Disturbance::Mirrored => begun(compiled, target, &mirrored(&first), light),
+        _ => direct(compiled, target),
+    };
+    let is_whole = matches!(condition.disturbance, Disturbance::Mirrored | Disturbance::Turning);
+    let (mut rest, mut late) = (Told::default(), 0);
+    for (frame, (truth, picture, veil)) in pictures.iter().enumerate() {
+        let estimate = tracker.track(picture);
+        let counted = if is_whole || veil.is_some() { &mut *told } else { &mut rest };
+        let is_left = |i: usize| veil.as_ref().is_none_or(|veil| veil.is_left(i));
+        let bound = (is_whole || veil.is_some()).then(|| bound_of(truth, target, light, &is_left)).flatten();
+        let right = counted.add(truth, &estimate, bound, single);
+        if is_whole || frame >= PHASES[0] + PHASES[1] {
+            late = if right { 0 } else { late + 1 };
+            told.late = told.late.max(late);
+        }
+    }
+    Some(())
+}
+
+const ONLY_SHIFT: Vector6<f64> = Vector6::new(1.0, 1.0, 1.0, 0.0, 0.0, 0.0);
+
+/// The other pose that has the same picture under parallel light: reflected along the line of sight.
+fn mirrored(pose: &Rigid) -> Rigid {
+    let sight = pose.translation.normalize();
+    let mut rotation = pose.rotation - sight * (sight.transpose() * pose.rotation) * 2.0;
+    rotation.column_mut(2).neg_mut();
+    Rigid { rotation, ..*pose }
+}
+
+/// A tracker whose session says where the target is: at `pose`.
+fn begun(compiled: &Arc<Compiled>, target: &Target, pose: &Rigid, light: f64) -> Tracker {
+    let m = pose.rodrigues();
+    let mut start: std::collections::BTreeMap<String, f64> = [("m1", m.x), ("m2", m.y)]
+        .into_iter()
+        .chain(["tx", "ty", "tz"].into_iter().zip(pose.translation.iter().copied()))
+        .map(|(name, value)| (name.to_string(), value))
+        .collect();
+    let lights: &[&str] = if target.spots.len() == 1 { &["v1"] } else { &["vr", "vg", "vb"] };
+    start.extend(lights.iter().map(|name| ((*name).to_string(), light)));
+    if target.spots.len() > 1 {
+        start.insert("m3".into(), m.z);
+    }
+    super::cell::direct_from(compiled, target, start)
+}

@@ -1,0 +1,201 @@
+//! Branches of a pose: what is tried when a fit may have ended on the wrong side, or leaves more unexplained than it should.
+//!
+//! What comes in: a fit of a model whose parameters are a pose, and what is remembered of the target. What goes out: the likeliest
+//! of that fit, those from mirrored poses, and those that leave hidden pixels out; or that none of them is believed. It never
+//! knows how a search or a track begins.
+//!
+//! ```text
+//! fit ─► may be the other side? ─► mirrored poses ─► leaves too much unexplained? ─► hidden pixels left out ─► believed?
+//! ```
+
+use super::memory::Memory;
+use super::past::{Past, TURNED_LEAST};
+use super::solver::{Attempt, Look, Solver};
+use super::window::Margin;
+use crate::estimate::{Ending, Rejection};
+use crate::pose::Geometry;
+use crate::solve::alternatives::{MISFIT, SpotNames, Veil};
+use crate::solve::fit::Begin;
+use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::stage_kernels::{CompileFailure, Control};
+
+/// Of the light of a target a document without a past may leave this share unexplained, beyond the noise: a mirrored tilt and a
+/// covered spot leave more.
+const UNEXPLAINED: f64 = 0.02;
+/// The other side is tried again when the angle to it has grown by this factor …
+const GROWN: f64 = 1.5;
+/// … from at least this, rad: what is less tilted than that looks alike from both sides.
+const FLAT: f64 = 0.03;
+/// A target that turns by so much more than its other side is off may have come to that.
+const TURNED: f64 = 2.0;
+/// The window of a fit is larger than the domain by this share, and by so many px.
+const MARGIN: (f64, f64) = (0.1, 3.0);
+/// Mirrored poses are tried so many times in a row, each time from the one that won.
+const ROUNDS: usize = 2;
+impl Solver {
+    /// Of a fit around a prediction what is to be believed.
+    pub fn branched(
+        &self,
+        look: &Look,
+        mut attempt: Attempt,
+        start: &[f64],
+        memory: &Memory,
+        control: Control,
+    ) -> Result<Attempt, CompileFailure> {
+        let Some(geometry) = &self.geometry else { return Ok(attempt) };
+        let (past, turned) = (&memory.past, memory.past.turned().cloned());
+        if !self.is_usual(&attempt, past) || self.is_other_side(geometry, &attempt, memory) {
+            let others = geometry.mirrored(start).into_iter().take(1).chain(turned.clone());
+            attempt = self.against_mirrored(look, attempt, others.collect(), control)?;
+        }
+        let starts: Vec<Vec<f64>> = std::iter::once(start.to_vec()).chain(turned).collect();
+        self.unveiled(look, attempt, &starts, past)
+    }
+
+    /// Of a cold fit.
+    pub fn branched_cold(&self, look: &Look, attempt: Attempt, control: Control) -> Result<Attempt, CompileFailure> {
+        if self.geometry.is_none() {
+            return Ok(attempt);
+        }
+        let attempt = self.against_mirrored(look, attempt, Vec::new(), control)?;
+        self.unveiled(look, attempt, &[], &Past::default())
+    }
+
+    /// A good fit that leaves no more unexplained than others of the same document did.
+    fn is_usual(&self, attempt: &Attempt, past: &Past) -> bool {
+        let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good()) else { return false };
+        !self.model().has_noise() || attempt.reduced().is_none_or(|reduced| reduced <= past.limit(fit))
+    }
+
+    /// Whether the target may have come to the other side since that was tried, or be there.
+    fn is_other_side(&self, geometry: &Geometry, attempt: &Attempt, memory: &Memory) -> bool {
+        let Some(fit) = &attempt.fit else { return false };
+        let here = geometry.to_mirrored(&fit.parameters);
+        if here < FLAT {
+            return false;
+        }
+        let grown = memory.rival.is_none() && memory.past.tried.is_none_or(|tried| here > GROWN * tried.max(FLAT));
+        let last = memory.last_start().unwrap_or_else(|| fit.parameters.clone());
+        // A target that turned and seems to have stopped may be on the other side, and turning.
+        let before = memory.past.step.map_or(0.0, |step| step.norm());
+        let turned = geometry.apart(&last, &fit.parameters).max(before);
+        let mut others = geometry.mirrored(&fit.parameters).into_iter();
+        let other = others.next().map_or(f64::INFINITY, |other| geometry.apart(&last, &other));
+        grown || (turned > TURNED_LEAST && other < TURNED * turned)
+    }
+
+    /// The likeliest of a fit, those from `others`, and those from mirrored poses, as long as one of these wins.
+    fn against_mirrored(
+        &self,
+        look: &Look,
+        mut best: Attempt,
+        mut others: Vec<Vec<f64>>,
+        control: Control,
+    ) -> Result<Attempt, CompileFailure> {
+        let Some(geometry) = &self.geometry else { return Ok(best) };
+        let margin = Margin::even(MARGIN.0, MARGIN.1);
+        for _ in 0..ROUNDS {
+            let Some(before) = best.fit.as_ref().map(|fit| fit.parameters.clone()) else { return Ok(best) };
+            if look.unfinished().is_some() || !before.iter().all(|value| value.is_finite()) {
+                return Ok(best);
+            }
+            let facing = geometry.facing(&before);
+            let is_behind = facing.is_some();
+            others.extend(geometry.mirrored(facing.as_ref().unwrap_or(&before)));
+            others.extend(facing);
+            let mut tried = Vec::new();
+            for start in others.drain(..) {
+                tried.push(self.attempt(look, &start, Begin::Anywhere, control, margin)?);
+            }
+            if (!best.is_good() || is_behind)
+                && let Some(good) = tried.iter().position(Attempt::is_good)
+            {
+                best = tried.swap_remove(good);
+            }
+            best = self.likeliest_pose(look, best, tried)?;
+            if best.fit.as_ref().is_none_or(|fit| geometry.apart(&before, &fit.parameters) < FLAT) {
+                break;
+            }
+        }
+        best.is_other_tried = look.unfinished().is_none();
+        Ok(best)
+    }
+
+    /// The attempt, when it leaves no more unexplained than usual, else one that leaves hidden pixels out, else none.
+    fn unveiled(
+        &self,
+        look: &Look,
+        attempt: Attempt,
+        starts: &[Vec<f64>],
+        past: &Past,
+    ) -> Result<Attempt, CompileFailure> {
+        let Some(geometry) = &self.geometry else { return Ok(attempt) };
+        if self.is_usual(&attempt, past) || !self.model().has_noise() || look.unfinished().is_some() {
+            return Ok(attempt);
+        }
+        let view = self.view(look, look.window);
+        let alternatives = match self.options.preparing {
+            Preparing::AtOnce => self.compiled.alternatives(&|| true),
+            Preparing::Beside => self.compiled.alternatives_shelf().ready(&view.layout),
+        };
+        let Some(alternatives) = alternatives else {
+            look.want(Preparation::new(&self.compiled, &view, Lacking::Alternatives));
+            return Ok(self.judged(attempt, past));
+        };
+        let ends = attempt.fit.iter().map(|fit| fit.parameters.clone());
+        let names = if starts.is_empty() { SpotNames::Guessed } else { SpotNames::Known };
+        let veil = Veil { view: &view, constants: &self.constants, geometry, names };
+        let starts: Vec<Vec<f64>> = starts.iter().cloned().chain(ends).collect();
+        let found = alternatives.unveiled(&veil, &starts);
+        let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
+        let clear = found.map(|fit| {
+            let rejection = self.rejection(&fit, &view, look.window);
+            Attempt { ending: fit.ending, fit: Some(fit), rejection, ..Attempt::none(Ending::NoTarget) }
+        });
+        // What is left must be explained as well as all was before.
+        match clear.filter(|clear| self.is_usual(clear, past)) {
+            Some(clear) => Ok(clear),
+            None => Ok(self.judged(attempt, past)),
+        }
+    }
+
+    /// The attempt, not believed where it leaves more unexplained than the document ever did.
+    fn judged(&self, attempt: Attempt, past: &Past) -> Attempt {
+        let Some(reduced) = attempt.reduced().filter(|_| attempt.is_good() && self.model().has_noise()) else {
+            return attempt;
+        };
+        let most = match past.usual {
+            Some(usual) if usual <= MISFIT => MISFIT * usual.max(1.0),
+            usual => (1.0 + UNEXPLAINED * self.light(&attempt)).max(usual.map_or(0.0, |usual| MISFIT * usual)),
+        };
+        match reduced <= most {
+            true => attempt,
+            false => Attempt { rejection: Some(Rejection::Misfit), ..attempt },
+        }
+    }
+
+    /// By how much χ²/ν would be larger without the target's light.
+    fn light(&self, attempt: &Attempt) -> f64 {
+        let Some((fit, worth)) = attempt.fit.as_ref().and_then(|fit| Some((fit, fit.worth.as_ref()?))) else {
+            return 0.0;
+        };
+        let order = self.compiled.last_parameters();
+        let of_spot = |roles: &isophote_symbolic::Roles| {
+            let brightness = roles.brightness?;
+            let row = order.iter().position(|&parameter| parameter == brightness)?;
+            let square = fit.parameters[brightness.index()].powi(2) / worth.variance_alone[row];
+            Some(square).filter(|square| square.is_finite())
+        };
+        self.model().roles().iter().filter_map(of_spot).sum::<f64>() / worth.pixels.max(1) as f64
+    }
+
+    /// A pose of a picture of which a part was left out: far from where it was expected it is none.
+    pub fn is_veiled_pose(&self, attempt: &Attempt) -> bool {
+        self.fits_pose() && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
+    }
+
+    /// A fit that the search found, by what is known of the document.
+    pub fn is_believed(&self, attempt: &Attempt, past: &Past) -> bool {
+        !self.fits_pose() || self.judged(attempt.clone(), past).is_good()
+    }
+}
