@@ -11,9 +11,8 @@ use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, PoseMismatch, Target, TargetError};
 use crate::solve::prepare::Preparing;
 
-/// What is the target with less than this probability is not taken for it where nothing else is said. A thing of another shape
-/// that hangs together as a target does leaves 3 % of its light unexplained there; rough models of real targets leave 1 %.
-pub const CONFIDENCE_MIN: f64 = 0.01;
+/// What is the target with less than this probability is not taken for it where nothing else is said.
+pub const CONFIDENCE_MIN: f64 = 0.003;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]

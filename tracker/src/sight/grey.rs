@@ -67,13 +67,19 @@ impl Grey {
     /// Reads a window that lies inside the planes; `saturation` is one limit a plane. A pixel that is saturated in any
     /// plane reads as the largest value that there is.
     pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
+        let mut grey = Grey::as_it_is(planes, window, saturation, mixture);
+        fill(planes, &mut grey.values);
+        grey
+    }
+
+    /// The same with NaN where a pixel is unknown.
+    pub fn as_it_is(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
         let limit = mixture.limit(saturation);
         let mut values = Vec::with_capacity(window.pixels());
         let size = window.size();
         for row in 0..size[1..].iter().product() {
             read_row(planes, window, row, saturation, mixture, &mut values);
         }
-        fill(planes, &mut values);
         Grey { values, size, saturation: limit, step: step(planes, mixture) }
     }
 

@@ -97,7 +97,7 @@ impl Predictions {
             let predicted = plane(kernel, &bindings, view.window)?;
             let variance = plane(&entry.variance, &bindings, view.window)?;
             let observed =
-                Grey::read(&view.planes, view.window, saturation, &Mixture::linear(&entry.model, constants)?);
+                Grey::as_it_is(&view.planes, view.window, saturation, &Mixture::linear(&entry.model, constants)?);
             let limit = observed.saturation;
             let pixels = observed.values.iter().zip(predicted).zip(variance).enumerate();
             let residual = |(pixel, ((&value, predicted), variance)): (usize, ((&f64, f32), f32))| {

@@ -44,6 +44,8 @@ const HIDDEN: f64 = 2.5;
 const GROWN: f64 = 1.35;
 /// A height of so many times what pixels hold can still be told.
 const HEIGHT_MAX: f64 = 3.0;
+/// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
+const BEYOND_MAX: f64 = 2.5;
 /// χ²/ν may be larger than 1 by so many of its standard deviations, √(2/ν).
 const SCATTER: f64 = 3.0;
 
@@ -176,7 +178,7 @@ fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
         let seen = limit - value(roles.background)?;
         Some(2.0 * (value(roles.brightness)? / (HEIGHT_MAX * seen.max(1.0))).max(1.0).ln())
     };
-    solver.model().roles().iter().filter_map(excess).fold(0.0, f64::max)
+    solver.model().roles().iter().filter_map(excess).fold(0.0, f64::max).min(BEYOND_MAX)
 }
 
 /// `F₀/F − 1`, the least of all targets of the model.

@@ -69,7 +69,10 @@ impl Mended {
                 *value = background.at(grey.place(i)) as f32;
             }
         }
-        let mut picture = Mended { values, width, height, rounding: grey.step / 12.0_f64.sqrt() };
+        // Fractions are rounded, too.
+        let largest = values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()));
+        let rounding = (grey.step / 12.0_f64.sqrt()).max(f64::from(f32::EPSILON * largest));
+        let mut picture = Mended { values, width, height, rounding };
         picture.mend();
         picture
     }
