@@ -158,11 +158,11 @@ impl Track {
                 || (self.is_near(solver, candidate, time_s) && !unlike)
                 || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt))
         };
+        let is_guess = |candidate: &Candidate| !self.is_confirmed() && search.is_guess(candidate);
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
-            let guess = !self.is_confirmed() && search.is_guess(&candidate);
             let believed = solver.is_sure(&candidate) && solver.is_believed(&candidate.attempt, &self.memory.past);
-            (believed && !guess && suits(&candidate)).then_some(candidate)
+            (believed && !is_guess(&candidate) && suits(&candidate)).then_some(candidate)
         });
         let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && solver.is_sure(warm));
         match (doubtful.filter(|_| good), found) {
@@ -182,7 +182,7 @@ impl Track {
                 Finding::Seen(Box::new(found.candidate))
             }
             (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
-            _ => match search.doubted().filter(|candidate| !solver.is_sure(candidate)) {
+            _ => match search.doubted().filter(|candidate| !solver.is_sure(candidate) || is_guess(candidate)) {
                 Some(Candidate { attempt, evidence, .. }) => {
                     let attempt = Attempt { rejection: Some(Rejection::Unlikely), ..attempt };
                     let confidence = evidence.map(|evidence| evidence.confidence());

@@ -26,6 +26,8 @@ const HALVED_PIXELS: usize = 100_000;
 const HALVED_PX: f64 = 6.0;
 /// Of several things one that is the target with less than this probability is not taken.
 pub(super) const UNLIKE: f64 = 0.003;
+/// Where nothing is known but looks, one of several things must be the target with this probability.
+const GUESS: f64 = 0.3;
 /// What is the target with this probability at least need not be looked for any further.
 const LIKELY: f64 = 0.5;
 /// Without a shape: fits that end this near to each other are of one thing, px.
@@ -319,8 +321,11 @@ impl Search {
     /// True when one of several things must be taken on looks alone, and this one does not look like the target. A single
     /// thing is taken even so: a rough model is better than none.
     pub fn is_guess(&self, candidate: &Candidate) -> bool {
-        let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
-        unlike && !self.is_placed && self.candidates.len() > 1
+        let unlike = candidate.confidence().is_none_or(|confidence| confidence < GUESS);
+        unlike
+            && self.candidates.iter().any(|candidate| candidate.evidence.is_some())
+            && !self.is_placed
+            && self.candidates.len() > 1
     }
 
     /// The likeliest that nobody has claimed, whether it is taken or not.
