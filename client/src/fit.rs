@@ -183,7 +183,7 @@ fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> Str
     }
     match line.confidence.filter(|confidence| *confidence < DOUBTFUL) {
         Some(confidence) if line.rejection == Some(wire::Rejection::Unlikely) => {
-            text += &format!("  not taken: confidence {confidence:.1e} is below --confidence-min");
+            text += &format!("  not taken: confidence {confidence:.1e} (--confidence-min 0 takes it)");
         }
         Some(confidence) => text += &format!("  confidence {confidence:.2}"),
         None => {}

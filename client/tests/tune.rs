@@ -92,7 +92,9 @@ fn the_model_that_made_the_frames_is_the_most_right() {
     let (frames, plot) = (frames.to_str().unwrap(), plot.to_str().unwrap());
     let rows = lines(&output(&["compare", &spot, &gaussian, "--frames", frames, "--json", "--plot", plot]));
     let number = |row: usize, key: &str| rows[row][key].as_f64().unwrap();
-    assert!(rows.iter().all(|row| row["tracked"] == 12 && row["failures"] == 0), "{rows:?}");
+    assert!(rows[0]["tracked"] == 12 && rows[0]["failures"] == 0, "{rows:?}");
+    // What is no Gaussian need not be taken for one.
+    assert!(number(1, "tracked") >= 10.0 && number(1, "tracked") + number(1, "failures") == 12.0, "{rows:?}");
     assert!(number(0, "rmse_px") < 0.1 && number(0, "rmse_px") < number(1, "rmse_px"), "{rows:?}");
     assert!(number(0, "reduced_chi_square") < number(1, "reduced_chi_square"));
     assert!(number(0, "second_difference_px") < 0.3 && number(0, "time_us") <= number(0, "time_us_95"));

@@ -85,11 +85,16 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
         let start = model.parameters().iter().map(|parameter| truth[&parameter.name]).collect();
         scenes.push(TrialFrame { frame: captured.frame, start });
     }
-    Ok(TrialFrames { scenes, options: TrackerOptions { camera, ..TrackerOptions::default() }, lost: 0 })
+    Ok(TrialFrames { scenes, options: options(camera), lost: 0 })
+}
+
+/// What is fitted is looked at as it is, however rough the model.
+fn options(camera: Camera) -> TrackerOptions {
+    TrackerOptions { camera, confidence_min: 0.0, ..TrackerOptions::default() }
 }
 
 fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) -> Result<TrialFrames, Failure> {
-    let options = TrackerOptions { camera, ..TrackerOptions::default() };
+    let options = options(camera);
     let mut run = OfflineRun::open(document, model, path, None, (options, Arc::default()))?;
     let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
     let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);

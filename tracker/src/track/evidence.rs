@@ -40,7 +40,7 @@ const IMPERFECT: f64 = 0.002;
 const EXCESS: f64 = 0.02;
 /// e-folds for a substitute that leaves all pixels out.
 const HIDDEN: f64 = 2.5;
-/// A target's pixels are looked at one by one again when χ²/ν has grown by this factor since.
+/// A target's pixels are looked at one by one again when χ²/ν has changed by this factor since.
 const GROWN: f64 = 1.35;
 /// A height of so many times what pixels hold can still be told.
 const HEIGHT_MAX: f64 = 3.0;
@@ -147,10 +147,11 @@ impl Evidence {
 }
 
 impl Ground {
-    /// With the pixels of a fit looked at one by one, unless they were and χ²/ν is as it was then.
+    /// With the pixels of a fit looked at one by one, unless they were and χ²/ν is about as it was then.
     pub fn looked_at(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some((fit, reduced)) = attempt.fit.as_ref().zip(attempt.reduced()) else { return self };
-        if fit.choice.is_some() || self.own.is_some_and(|own| reduced <= GROWN * own.reduced) {
+        let is_as_it_was = |own: Own| reduced <= GROWN * own.reduced && own.reduced <= GROWN * reduced;
+        if fit.choice.is_some() || self.own.is_some_and(is_as_it_was) {
             return self;
         }
         let light = light(solver, fit, self.limit);

@@ -158,7 +158,9 @@ impl Track {
                 || (self.is_near(solver, candidate, time_s) && !unlike)
                 || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt))
         };
-        let is_guess = |candidate: &Candidate| !self.is_confirmed() && search.is_guess(candidate);
+        let is_guess = |candidate: &Candidate| {
+            !self.is_confirmed() && self.memory.looked().is_none() && search.is_guess(solver, candidate)
+        };
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
             let believed = solver.is_sure(&candidate) && solver.is_believed(&candidate.attempt, &self.memory.past);
@@ -182,9 +184,14 @@ impl Track {
                 Finding::Seen(Box::new(found.candidate))
             }
             (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
-            _ => match search.doubted().filter(|candidate| !solver.is_sure(candidate) || is_guess(candidate)) {
+            _ => match search
+                .doubted()
+                .map(|candidate| self.expecting(solver, candidate, time_s))
+                .filter(|candidate| !solver.is_sure(candidate) || is_guess(candidate))
+            {
                 Some(Candidate { attempt, evidence, .. }) => {
-                    let attempt = Attempt { rejection: Some(Rejection::Unlikely), ..attempt };
+                    let strongest = search.failure.strongest;
+                    let attempt = Attempt { rejection: Some(Rejection::Unlikely), strongest, ..attempt };
                     let confidence = evidence.map(|evidence| evidence.confidence());
                     match self.missing(solver, look, attempt, time_s) {
                         Finding::Missing(attempt, _) => Finding::Missing(attempt, confidence),

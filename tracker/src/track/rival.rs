@@ -72,9 +72,10 @@ impl Solver {
     ) -> Result<Attempt, CompileFailure> {
         // What is hidden from one is hidden from the other: such a picture decides nothing.
         let is_veiled = warm.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
-        let Some(rival) = rival.filter(|_| warm.is_good() && !is_veiled && warm.rival.is_none()) else {
-            return Ok(warm);
-        };
+        let Some(rival) = rival.filter(|_| warm.is_good() && warm.rival.is_none()) else { return Ok(warm) };
+        if is_veiled {
+            return Ok(Attempt { rival: Some(rival.clone()), ..warm });
+        }
         let Some(geometry) = &self.geometry else { return Ok(warm) };
         let mut other = self.attempt(look, &rival.parameters, Begin::Nearby(None), control, Margin::NONE)?;
         let view = self.view(look, look.window);

@@ -24,7 +24,7 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
-/// Of several things one that is the target with less than this probability is not taken.
+/// What is the target with less than this probability, and looks otherwise than it did, is not taken.
 pub(super) const UNLIKE: f64 = 0.003;
 /// Where nothing is known but looks, one of several things must be the target with this probability.
 const GUESS: f64 = 0.3;
@@ -191,6 +191,10 @@ impl Search {
         if search.is_wanting(solver) && look.unfinished().is_none() {
             search.spot(solver, look, given, size_px)?;
         }
+        // What is small and saturated stands out by itself, and is lost where four pixels are looked at as one.
+        if coarse && detects && is_small && search.candidates.is_empty() && look.unfinished().is_none() {
+            search.look(solver, look, given, Grain::Full)?;
+        }
         let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None);
         if let Some(Doubtful { attempt, start, ground, is_placed }) = search.doubtful.take()
             && !search.candidates.iter().any(is_fine)
@@ -320,7 +324,12 @@ impl Search {
 
     /// True when one of several things must be taken on looks alone, and this one does not look like the target. A single
     /// thing is taken even so: a rough model is better than none.
-    pub fn is_guess(&self, candidate: &Candidate) -> bool {
+    /// Whoever says how the target looks, takes several or wants whatever there is does not guess.
+    pub fn is_guess(&self, solver: &Solver, candidate: &Candidate) -> bool {
+        let options = &solver.options;
+        if options.confidence_min == 0.0 || options.targets > 1 || solver.given_looks() != (None, None) {
+            return false;
+        }
         let unlike = candidate.confidence().is_none_or(|confidence| confidence < GUESS);
         unlike
             && self.candidates.iter().any(|candidate| candidate.evidence.is_some())

@@ -280,7 +280,7 @@ impl Solver {
         let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
         let predictions = self.compiled.predictions()?;
         let seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
-        Structure::of(&seen, view.window.width)
+        Structure::of(&seen, [view.window.width, view.window.height], self.model().coordinates().len())
     }
 
     /// The same in a frame of that size; `None` where nothing of the domain is inside.

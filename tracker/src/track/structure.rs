@@ -4,7 +4,8 @@
 //!
 //! Noise of neighbouring pixels is independent, so the mean product of neighbouring residuals is what the model leaves
 //! unexplained: no formula for the noise is needed. How far it hangs together follows from products of residuals that are
-//! farther apart, as if these fell with the distance as `exp(−d²/4s²)`: then 4πs² pixels have one residual in common. The
+//! farther apart, as if these fell with the distance as `exp(−d²/4s²)`: then 4πs² pixels have one residual in common (in
+//! two dimensions). The
 //! fewer such cells a target has, the more of what it is taken for may be the work of one of them.
 
 use crate::solve::residuals::Seen;
@@ -48,8 +49,9 @@ impl Products {
 }
 
 impl Structure {
-    /// Of all observed values together; `None` where there are hardly any neighbours. `width`: pixels of a row.
-    pub fn of(seen: &[Seen], width: usize) -> Option<Structure> {
+    /// Of all observed values together; `None` where there are hardly any neighbours. Of a picture with rows of so many pixels,
+    /// slices of so many rows, and so many dimensions.
+    pub fn of(seen: &[Seen], [width, height]: [usize; 2], dimensions: usize) -> Option<Structure> {
         let (mut near, mut far) = (Products::default(), Products::default());
         let (mut count, mut squares) = (0_usize, 0.0);
         let (mut light, mut light_squares) = (0.0, 0.0);
@@ -67,7 +69,8 @@ impl Structure {
                 let pixel = residual.pixel;
                 let beside = |by: usize| {
                     let right = plane.get(pixel + by).filter(|_| pixel % width + by < width);
-                    [right, plane.get(pixel + by * width)]
+                    let below = plane.get(pixel + by * width).filter(|_| pixel / width % height + by < height);
+                    [right, below]
                 };
                 near.add(residual.whitened, beside(1));
                 far.add(residual.whitened, beside(FAR));
@@ -86,7 +89,7 @@ impl Structure {
         let fall = (far.mean() / common).clamp(FALL[0], FALL[1]);
         // 4s² of exp(−1/4s²) and exp(−FAR²/4s²).
         let spread = (FAR * FAR - 1) as f64 / -fall.ln();
-        let cell = (std::f64::consts::PI * spread).clamp(1.0, n) / n;
+        let cell = (std::f64::consts::PI * spread).powf(0.5 * dimensions as f64).clamp(1.0, n) / n;
         Some(Structure { unexplained: common * (1.0 / spread).exp() / light, cell })
     }
 
@@ -113,7 +116,7 @@ mod tests {
             saturated: false,
         });
         let seen = Seen { residuals: residuals.collect(), limit: f64::INFINITY };
-        Structure::of(&[seen], SIDE).unwrap_or_else(|| panic!("there are neighbours"))
+        Structure::of(&[seen], [SIDE; 2], 2).unwrap_or_else(|| panic!("there are neighbours"))
     }
 
     /// In [−1, 1).

@@ -47,7 +47,8 @@ impl Bank {
         if let [only] = &self.rendered[..] {
             let levels = 0..SIZES / OF_LEVEL;
             let render = || levels.into_iter().find_map(|level| Template::render(model, constants, SIZE_MIN_PX, level));
-            return only.get_or_init(render).iter().filter(|template| fits(template.size_px)).collect();
+            let is_seen = |template: &&Template| fits(template.size_px * 2.0_f64.powi(template.level as i32));
+            return only.get_or_init(render).iter().filter(is_seen).collect();
         }
         let wanted = self.rendered.iter().enumerate().filter_map(|(number, rendered)| {
             let size = SIZE_MIN_PX * 2.0_f64.powf(number as f64 / OF_LEVEL as f64);

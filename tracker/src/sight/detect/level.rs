@@ -70,7 +70,8 @@ impl Mended {
             }
         }
         // Fractions are rounded, too.
-        let largest = values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()));
+        let largest =
+            values.iter().filter(|value| value.is_finite()).fold(0.0, |largest: f32, value| largest.max(value.abs()));
         let rounding = (grey.step / 12.0_f64.sqrt()).max(f64::from(f32::EPSILON * largest));
         let mut picture = Mended { values, width, height, rounding };
         picture.mend();
@@ -81,7 +82,7 @@ impl Mended {
     pub fn halved(&self) -> Mended {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut values = Vec::with_capacity(width * height);
-        for rows in self.values.chunks_exact(2 * self.width).take(height) {
+        for rows in self.values.chunks_exact((2 * self.width).max(1)).take(height) {
             let (upper, lower) = rows.split_at(self.width);
             let cells = upper.chunks_exact(2).zip(lower.chunks_exact(2));
             values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
