@@ -33,11 +33,14 @@ const LIKELY: f64 = 0.5;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
 
-/// Fits of things that stand out, of what the document's image finds, and of what may hide a target may use every pixel of the
-/// picture so many times each; the likeliest things come first. What is left is not looked at. …
+/// Fits of things that stand out, and of what the document's image finds, may use every pixel of the picture so many times each;
+/// the likeliest things come first. What is left is not looked at. …
 const PASSES: u64 = 4;
 /// … and so many pixels of passes at least: in a small picture a target is most of it.
 const WORK_MIN: u64 = 2_000_000;
+/// What may hide a target takes more: so many pixels of passes, a few seconds, where nothing that was seen explains the picture.
+/// A capture in glare is worth it.
+const RECONSIDERED: u64 = 1 << 30;
 /// So many things are fitted however long that takes.
 const SIGHTS_MIN: usize = 2;
 /// A thing's energy is at most so many times that of a box of its size and height.
@@ -119,6 +122,10 @@ impl Candidate {
         self.evidence.as_ref().map(Evidence::confidence)
     }
 
+    fn is_likely(&self) -> bool {
+        self.confidence().is_none_or(|confidence| confidence >= LIKELY)
+    }
+
     /// True when its centre lies inside the outline of something at `other`.
     pub fn coincides(&self, solver: &Solver, other: &[f64]) -> bool {
         let Some(fit) = &self.attempt.fit else { return false };
@@ -195,13 +202,14 @@ impl Search {
         if coarse && detects && is_small && search.candidates.is_empty() && look.unfinished().is_none() {
             search.look(solver, look, given, Grain::Full)?;
         }
-        let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None);
+        // Something faint that a model explains says nothing of the massive thing that it does not explain.
+        let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None) && candidate.is_likely();
         if let Some(Doubtful { attempt, start, ground, is_placed }) = search.doubtful.take()
             && !search.candidates.iter().any(is_fine)
         {
             let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
             let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
-            let budget = look.budget(allowance(look));
+            let budget = look.budget(RECONSIDERED);
             let bounded = look.bounded(&budget);
             let attempt = solver.reconsidered(&bounded, attempt, &start, margin, None, starts)?;
             bounded.wanted().cloned().into_iter().for_each(|preparation| look.want(preparation));
@@ -259,8 +267,7 @@ impl Search {
 
     /// Nothing was found that is likely to be the target, or more than one thing is looked for.
     fn is_wanting(&self, solver: &Solver) -> bool {
-        let is_likely = |candidate: &Candidate| candidate.confidence().is_none_or(|confidence| confidence >= LIKELY);
-        !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(is_likely))
+        !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(Candidate::is_likely))
     }
 
     /// Fits what the document's own image finds, however faint.
