@@ -122,8 +122,10 @@ impl Candidate {
         self.evidence.as_ref().map(Evidence::confidence)
     }
 
+    /// The target, as far as the model can tell; what leaves parameters undetermined is not.
     fn is_likely(&self) -> bool {
-        self.confidence().is_none_or(|confidence| confidence >= LIKELY)
+        let is_determined = || self.attempt.ending != Ending::Singular;
+        self.confidence().map_or_else(is_determined, |confidence| confidence >= LIKELY)
     }
 
     /// True when its centre lies inside the outline of something at `other`.
