@@ -109,7 +109,7 @@ impl Track {
         let is_substitute = candidate.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
         let is_unlike = is_substitute && candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
         let is_kept = !is_unlike
-            && solver.is_sure(&candidate)
+            && candidate.is_sure(solver)
             && self.is_expected(solver, look, &candidate.attempt)
             && self.is_near(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
@@ -163,10 +163,10 @@ impl Track {
         };
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, candidate.clone(), time_s);
-            let believed = solver.is_sure(&candidate) && solver.is_believed(&candidate.attempt, &self.memory.past);
+            let believed = candidate.is_sure(solver) && solver.is_believed(&candidate.attempt, &self.memory.past);
             (believed && !is_guess(&candidate) && suits(&candidate)).then_some(candidate)
         });
-        let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && solver.is_sure(warm));
+        let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && warm.is_sure(solver));
         match (doubtful.filter(|_| good), found) {
             (Some(warm), Some(found)) => {
                 let (was, is) = (self.change(solver, &warm.attempt), self.change(solver, &found.candidate.attempt));
@@ -187,7 +187,7 @@ impl Track {
             _ => match search
                 .doubted()
                 .map(|candidate| self.expecting(solver, candidate, time_s))
-                .filter(|candidate| !solver.is_sure(candidate) || is_guess(candidate))
+                .filter(|candidate| !candidate.is_sure(solver) || is_guess(candidate))
             {
                 Some(Candidate { attempt, evidence, .. }) => {
                     let strongest = search.failure.strongest;

@@ -122,6 +122,11 @@ impl Candidate {
         self.evidence.as_ref().map(Evidence::confidence)
     }
 
+    /// True when it is the target with at least the probability that the session asks for, as far as that is known.
+    pub fn is_sure(&self, solver: &Solver) -> bool {
+        self.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min)
+    }
+
     /// The target, as far as the model can tell; what leaves parameters undetermined is not.
     fn is_likely(&self) -> bool {
         let is_determined = || self.attempt.ending != Ending::Singular;

@@ -10,7 +10,6 @@ use isophote_symbolic::{Model, Quadrature};
 
 use super::faint;
 use super::rival::Rival;
-use super::search::Candidate;
 use super::structure::Structure;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::budget::{FrameBudget, Stop};
@@ -365,11 +364,6 @@ impl Solver {
         // One spot alone leaves the spin open, and does not say which of them it is.
         let needed = if self.geometry.as_ref().is_some_and(Geometry::has_spin) { known.min(2) } else { known.min(1) };
         (self.fits_pose() && shining < needed).then_some(Rejection::Faint)
-    }
-
-    /// True when a thing is the target with at least the probability that the session asks for, as far as that is known.
-    pub fn is_sure(&self, candidate: &Candidate) -> bool {
-        candidate.confidence().is_none_or(|confidence| confidence >= self.options.confidence_min)
     }
 
     /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.
