@@ -12,7 +12,7 @@ use super::memory::Memory;
 use super::past::{Past, TURNED_LEAST};
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::estimate::{Ending, Rejection};
+use crate::estimate::Rejection;
 use crate::pose::Geometry;
 use crate::solve::alternatives::{MISFIT, SpotNames, Veil};
 use crate::solve::fit::Begin;
@@ -150,7 +150,7 @@ impl Solver {
         let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
         let clear = found.map(|fit| {
             let rejection = self.rejection(&fit, &view, look.window);
-            Attempt { ending: fit.ending, fit: Some(fit), rejection, ..Attempt::none(Ending::NoTarget) }
+            Attempt::of(fit, rejection)
         });
         // What is left must be explained as well as all was before.
         match clear.filter(|clear| self.is_usual(clear, past)) {

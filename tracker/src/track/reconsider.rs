@@ -7,7 +7,7 @@
 use super::search::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::estimate::{Ending, Rejection};
+use crate::estimate::Rejection;
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
@@ -83,7 +83,7 @@ impl Solver {
         fit.stages = stages;
         let rejection = self.rejection(&fit, &view, look.window);
         Ok(match rejection {
-            None => Attempt { ending: fit.ending, fit: Some(fit), rejection, ..Attempt::none(Ending::NoTarget) },
+            None => Attempt::of(fit, rejection),
             Some(_) => attempt,
         })
     }

@@ -121,6 +121,12 @@ pub(crate) struct Attempt {
 }
 
 impl Attempt {
+    /// A fit, and why it is not believed.
+    pub fn of(fit: Fit, rejection: Option<Rejection>) -> Attempt {
+        let nothing = Attempt::none(fit.ending);
+        Attempt { fit: Some(fit), rejection, ..nothing }
+    }
+
     /// Nothing was fitted.
     pub fn none(ending: Ending) -> Attempt {
         let rejection = Some(Rejection::Ending);
@@ -214,7 +220,7 @@ impl Solver {
             fitted = Fit { stages, ..again };
         }
         let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
-        Ok(Attempt { ending: fitted.ending, fit: Some(fitted), rejection, ..Attempt::none(Ending::NoTarget) })
+        Ok(Attempt::of(fitted, rejection))
     }
 
     /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to.
