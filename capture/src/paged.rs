@@ -9,6 +9,7 @@ use crate::clock::Stamp;
 use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
+use crate::regular::open_regular;
 use crate::source::SourceError;
 
 /// What a path names: a file or folder, and of a file with several topics the one behind a `#`.
@@ -100,7 +101,7 @@ impl Paged {
 
     fn open(&self) -> Result<Box<dyn Pages>, PageFault> {
         let mut begin = Vec::new();
-        std::fs::File::open(&self.path)?.take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
+        open_regular(&self.path)?.take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
         if !self.format.begins(&begin) {
             return Err(DecodeError::UnknownKind.into());
         }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use isophote_frame::Frame;
 
 use crate::clock::{Clock, Stamp};
-use crate::files::csv::Table;
+use crate::files::csv::Columns;
 use crate::files::format_of;
 use crate::limits::LIMITS;
 use crate::paged::{Address, OpenFile, Paged};
@@ -111,7 +111,7 @@ impl Recording {
     /// The columns that the first file's header names; `None` when it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
         match &self.frames[0] {
-            StackNode::Table(path) => Ok(Some(Table::parse(path, &read(path)?)?.names)),
+            StackNode::Table(path) => Ok(Some(Columns::parse(path, &read(path)?)?.names)),
             _ => Ok(None),
         }
     }
@@ -125,7 +125,7 @@ impl Recording {
     fn load(&mut self, node: &StackNode) -> Result<Frame, SourceError> {
         let path = node.path();
         if let StackNode::Table(path) = node {
-            let table = Table::parse(path, &read(path)?)?;
+            let table = Columns::parse(path, &read(path)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
         let frame = node.load(&mut self.file)?;
@@ -160,7 +160,7 @@ impl FrameSource for Recording {
     fn size(&self) -> Option<Vec<usize>> {
         let node = &self.frames[0];
         if let StackNode::Table(path) = node {
-            return Some(vec![Table::parse(path, &read(path).ok()?).ok()?.columns[0].len()]);
+            return Some(vec![Columns::parse(path, &read(path).ok()?).ok()?.columns[0].len()]);
         }
         Some([&picture_size(node.first())?[..], &node.outer().ok()?].concat())
     }

@@ -16,6 +16,7 @@ use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
 use crate::picture::{DecodeError, StoredPicture};
+use crate::regular::read_regular;
 use crate::source::SourceError;
 
 /// Pictures, and how they lie on each other.
@@ -290,5 +291,5 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SourceError> {
         let reason = format!("{bytes} bytes; at most {} are read", LIMITS.file_bytes);
         return Err(SourceError::TooLarge { path: path.into(), reason });
     }
-    std::fs::read(path).map_err(unreadable)
+    read_regular(path, LIMITS.file_bytes).map_err(unreadable)
 }

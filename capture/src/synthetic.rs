@@ -182,7 +182,7 @@ impl Synthetic {
                     }
                     read_out.row(means, &mut row);
                     if let Some(shine) = &seen.shine {
-                        shine.blind(y, &mut row, saturation);
+                        shine.misread(y, &mut row, saturation);
                     }
                     match format {
                         PixelFormat::U16 => bytes.extend(row.iter().flat_map(|pixel| pixel.to_le_bytes())),

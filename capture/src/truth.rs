@@ -5,6 +5,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::limits::LIMITS;
+use crate::regular::read_regular;
 use crate::source::SourceError;
 
 /// The file's name in a recording's folder.
@@ -29,17 +31,25 @@ pub(crate) struct Truth {
 /// What is known of frames, by file name. A folder without the file has no truth, which is no fault.
 pub(crate) fn read(folder: &Path) -> Result<BTreeMap<String, Truth>, SourceError> {
     let path = folder.join(FILE);
-    let text = match std::fs::read_to_string(&path) {
-        Ok(text) => text,
+    let bytes = match read_regular(&path, LIMITS.file_bytes) {
+        Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(BTreeMap::new()),
         Err(reason) => return Err(SourceError::Unreadable { path, reason }),
     };
+    let Ok(text) = String::from_utf8(bytes) else {
+        let reason = std::io::Error::other("it is not UTF-8 text");
+        return Err(SourceError::Unreadable { path, reason });
+    };
     let mut truth = BTreeMap::new();
     for (i, text) in text.lines().enumerate().filter(|(_, text)| !text.trim().is_empty()) {
+        // Not in the decoder's words, which quote the file: who may name a path need not be who may read it.
         let line: Line = serde_json::from_str(text).map_err(|error| SourceError::Line {
             path: path.clone(),
             line: i as u64 + 1,
-            reason: format!("not a line of truth ({error}); `isophote render` writes such files"),
+            reason: format!(
+                "not a line of truth (wrong at column {}); `isophote render` writes such files",
+                error.column()
+            ),
         })?;
         truth.insert(line.file, Truth { parameters: line.parameters, t_s: line.t });
     }

@@ -26,7 +26,7 @@ pub struct CompareArgs {
     /// A folder or file of frames, as for `isophote fit`; errors are known where truth.jsonl lies beside them
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
-    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects
+    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects, defect_map
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.003]
@@ -86,7 +86,11 @@ fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Ca
     let mut run = OfflineRun::open(document, model, &args.frames, None, (options, Arc::default()))?;
     let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    while let Some(Captured { frame, truth, .. }) = run.recording.next().map_err(Failure::other)? {
+    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
+        if places.is_empty() {
+            offline::check_size(&run.options, model, &captured)?;
+        }
+        let Captured { frame, truth, .. } = captured;
         if places.is_empty() {
             // Kernels are compiled when they are first needed: not while the clock runs.
             run.tracker()?.track(&frame);

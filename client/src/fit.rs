@@ -19,6 +19,8 @@ use crate::{model_files, offline, output, overlay};
 
 /// A confidence below this is told.
 const DOUBTFUL: f64 = 0.5;
+/// Noise that is off by more than this share of what is stated is told.
+const NOISE_ASTRAY: f64 = 0.1;
 
 /// Fit a model to every frame of a folder or file: one line a frame
 #[derive(Clone, Debug, clap::Args)]
@@ -41,7 +43,7 @@ pub struct FitArgs {
     /// Look at these pixels only, in all slices; x,y,z,w,h,d names slices as well
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, defects, intrinsics; or the
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, defects, defect_map, intrinsics; or the
     /// YAML file that OpenCV's calibration (or ROS's camera_info) writes
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
@@ -143,14 +145,7 @@ fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, options: &Tra
             model.coordinates().join(", ")
         )));
     }
-    if let Err(error) = options.check_size(model, captured.frame.size()) {
-        return Err(Failure::Usage(format!("{name}: {error}")));
-    }
-    let sides = captured.frame.sides();
-    if options.window.is_some_and(|window| window.clipped_to(sides).is_none()) {
-        return Err(Failure::Usage(format!("the window lies outside of {name}, which has {} px", size.join("×"))));
-    }
-    Ok(())
+    offline::check_size(options, model, captured)
 }
 
 fn in_document_order(model: &Model, truth: &BTreeMap<String, f64>) -> wire::Named {
@@ -170,10 +165,16 @@ fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> Str
         if let Some(chi_square) = line.reduced_chi_square {
             text += &format!("  χ² {chi_square:.3}");
         }
+        if let Some(ratio) = line.noise_ratio.filter(|ratio| (ratio - 1.0).abs() > NOISE_ASTRAY) {
+            text += &format!("  noise {ratio:.2} times what is stated");
+        }
         if let Some(pose) = &line.pose {
             text += &pose_columns(pose);
         }
         text += &format!("  saturated {:.1} %", 100.0 * line.saturated);
+        if let Some(count) = line.left_out.filter(|count| *count > 0) {
+            text += &format!("  {count} defects left out");
+        }
         if let Some(substitute) = &line.substitute {
             text += &substitute_column(substitute);
         }

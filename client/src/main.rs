@@ -17,7 +17,9 @@ mod models;
 mod offline;
 mod output;
 mod overlay;
+mod profile;
 mod render;
+mod samples;
 mod scatter;
 #[cfg(feature = "serve")]
 mod serve;
@@ -74,6 +76,8 @@ enum CameraCommand {
 #[derive(Subcommand)]
 enum CalibrateCommand {
     Colours(calibrate::ColoursArgs),
+    Pixels(calibrate::PixelsArgs),
+    Profile(profile::ProfileArgs),
 }
 
 #[derive(Subcommand)]
@@ -137,5 +141,7 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
         Command::Tune(args) => tune::run(args, out),
         Command::Compare(args) => compare::run(args, out),
         Command::Calibrate(CalibrateCommand::Colours(args)) => calibrate::colours(args, out),
+        Command::Calibrate(CalibrateCommand::Pixels(args)) => calibrate::pixels(args, out),
+        Command::Calibrate(CalibrateCommand::Profile(args)) => profile::run(args, out),
     }
 }

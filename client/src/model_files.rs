@@ -10,7 +10,8 @@ use isophote_wire::explain;
 use isophote_wire::{ModelReport, StageReport};
 
 use crate::failure::Failure;
-use crate::offline;
+use crate::samples::DocumentSyntax;
+use crate::{offline, samples};
 
 /// Parse, differentiate, compile and report; nothing is fitted
 #[derive(Clone, Debug, clap::Args)]
@@ -147,8 +148,9 @@ fn proof(proof: &Proof) -> String {
     format!("\n  {exact}{}{}{form}", error("f64", proof.error), error("f32 gradient", proof.f32_error))
 }
 
-/// Reads and checks a document: `.json` is JSON, everything else TOML.
-pub fn read(path: &Path) -> Result<Arc<Model>, Failure> {
+/// The text of a document with the samples of the files that it names, and whether it is JSON: `.json` is, everything else
+/// is TOML.
+pub fn text(path: &Path) -> Result<(String, bool), Failure> {
     let unreadable =
         |reason: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be read: {reason}", path.display()));
     let bytes = std::fs::metadata(path).map_err(|error| unreadable(&error))?.len();
@@ -164,6 +166,14 @@ pub fn read(path: &Path) -> Result<Arc<Model>, Failure> {
         Failure::Model(format!("error: {}: not UTF-8 text; save the document as UTF-8", path.display()))
     })?;
     let is_json = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let syntax = if is_json { DocumentSyntax::Json } else { DocumentSyntax::Toml };
+    Ok((samples::put_in(&text, syntax, folder)?, is_json))
+}
+
+/// Reads and checks a document.
+pub fn read(path: &Path) -> Result<Arc<Model>, Failure> {
+    let (text, is_json) = text(path)?;
     let checked = if is_json { Model::from_json(&text) } else { Model::from_toml(&text) };
     checked.map(Arc::new).map_err(|diagnostics| Failure::model(&path.display().to_string(), &diagnostics))
 }

@@ -44,9 +44,7 @@ pub struct ListModelsArgs {
 /// Sends a document.
 pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let file = args.model.display().to_string();
-    let text = std::fs::read_to_string(&args.model)
-        .map_err(|error| Failure::Other(format!("{file}: cannot be read: {error}")))?;
-    let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    let (text, is_json) = crate::model_files::text(&args.model)?;
     let name = match &args.name {
         Some(name) => name.clone(),
         None => crate::model_files::read(&args.model)?.name().to_string(),

@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use isophote_capture::Recording;
+use isophote_capture::{Captured, Recording};
 use isophote_jit::KernelCache;
 use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
@@ -72,6 +72,13 @@ fn compile_with(
 /// The document at that path does not compile.
 pub fn refused(document: &Path, failure: &CompileFailure) -> Failure {
     Failure::model(&document.display().to_string(), &explain::diagnostics(failure))
+}
+
+/// Whether window, map of defects and lens are those of such a frame; without that, no frame would be looked at.
+pub fn check_size(options: &TrackerOptions, model: &Model, captured: &Captured) -> Result<(), Failure> {
+    let name = captured.file.as_deref().unwrap_or("the frame");
+    let checked = options.check_size(model, captured.frame.size());
+    checked.map_err(|error| Failure::Usage(format!("{name}: {error}")))
 }
 
 /// The camera of that document. JSON begins with a brace; everything else is taken for a calibration file.

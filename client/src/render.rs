@@ -57,7 +57,7 @@ pub struct RenderArgs {
     /// Amplifies what was read, light and noise alike, but not the rounding; a number or a formula of t
     #[arg(long, value_name = "GAIN", default_value = "1")]
     pub gain: Moving,
-    /// Glare, occluders, blindness and defocus: JSON, as `light` of a synthetic source
+    /// Glare, occluders, blindness, defocus and hot pixels: JSON, as `light` of a synthetic source
     #[arg(long, value_name = "FILE")]
     pub light: Option<PathBuf>,
     /// Pixel values are clipped here [default: the largest of the bits, 255 for 8]

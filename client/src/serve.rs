@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use isophote_server::{Options, Server, StartError};
+use isophote_server::{Options, Server, Signals, StartError, Stopped};
 
 use crate::arguments::VectorWidthArgument;
 use crate::failure::Failure;
@@ -25,7 +25,7 @@ pub struct ServeArgs {
     pub vector_width: VectorWidthArgument,
 }
 
-/// Serves until SIGINT or SIGTERM. The line on standard error is for people and programs: it names the real port.
+/// Serves until SIGINT or SIGTERM; a second one ends it at once. The line on standard error is for people and programs: it names the real port.
 pub fn run(args: &ServeArgs) -> Result<(), Failure> {
     let width = args.vector_width.width()?;
     let options = Options { listen: args.listen, data: args.data.clone(), demo: args.demo, width };
@@ -33,6 +33,10 @@ pub fn run(args: &ServeArgs) -> Result<(), Failure> {
         StartError::NotLoopback(_) => Failure::Usage(error.to_string()),
         other => Failure::Other(other.to_string()),
     })?;
+    let signals = Signals::handle().map_err(|error| Failure::Other(format!("signals cannot be handled: {error}")))?;
     eprintln!("isophote: listening on http://{}", server.address());
-    server.run_until_signal().map_err(|error| Failure::Other(error.to_string()))
+    match server.run_until(signals) {
+        Stopped::InOrder => Ok(()),
+        Stopped::AtOnce => Err(Failure::Other("ended before everything had stopped".into())),
+    }
 }

@@ -169,7 +169,7 @@ fn what_does_not_fit_is_said_with_the_remedy() {
         (
             &["fit", text(&blob), "--frames", text(&tiff), "--window", "0,0,12,4,4,4"],
             2,
-            &["outside of 000000.tiff", "24×24×12"],
+            &["000000.tiff", "outside", "24×24×12"],
         ),
         (
             &["fit", text(&blob), "--frames", text(&tiff), "--window", "0,0,0"],

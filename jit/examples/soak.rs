@@ -86,8 +86,13 @@ fn run_largest() {
     for pixels in [1000, 2000, 4000, 6000, LIMITS.instructions] {
         let lengths = [LIMITS.nodes - 2 * LIMITS.instructions, LIMITS.instructions / 4, pixels]
             .map(|n| n * pixels / LIMITS.instructions);
-        let variety =
-            Variety { fma: has_fma(), calls: false, lengths: [lengths[0], lengths[1], pixels], sums: pixels / 4 };
+        let variety = Variety {
+            fma: has_fma(),
+            calls: false,
+            tables: false,
+            lengths: [lengths[0], lengths[1], pixels],
+            sums: pixels / 4,
+        };
         let program = generate::program(&mut Random(pixels as u64), variety, false);
         let options = KernelOptions {
             width: VectorWidth::Bits128,
@@ -194,7 +199,8 @@ fn run_triples() {
             let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
             let (fma, calls) = (has_fma() && random.below(2) == 0, random.below(3) == 0);
             let is_picture = random.below(8) == 0;
-            let program = generate::program(&mut random, Variety { fma, calls, lengths, sums: 9 }, is_picture);
+            let program =
+                generate::program(&mut random, Variety { fma, calls, tables: false, lengths, sums: 9 }, is_picture);
             let precision = *random.pick(&[Precision::F32, Precision::F64]);
             let lanes = width.lanes(precision);
             let mut stage = Stage::new(&mut random, &program, lanes);

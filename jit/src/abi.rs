@@ -32,6 +32,8 @@ pub(crate) struct Args {
     pub functions: *const Functions,
     /// One a channel.
     pub planes: *const PlaneArgs,
+    /// The numbers of `Program::tables`.
+    pub tables: *const f64,
     /// `Sink::Plane`: the output plane, packed, as large as the window.
     pub target: *mut f32,
     /// The window, px.
@@ -180,6 +182,7 @@ macro_rules! every {
             $f::<18 $(, $fused)?>,
             $f::<19 $(, $fused)?>,
             $f::<20 $(, $fused)?>,
+            $f::<21 $(, $fused)?>,
         ]
     };
 }

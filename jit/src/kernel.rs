@@ -46,6 +46,7 @@ impl Kernel {
         let shape = CallShape {
             inputs: program.inputs().len(),
             outputs: program.sink().outputs().len(),
+            tables: program.tables().clone(),
             formats: options.formats.clone(),
             packed: options.packed,
             renders: matches!(program.sink(), Sink::Plane(_)),

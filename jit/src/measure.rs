@@ -108,6 +108,7 @@ fn typical() -> Option<Program> {
         coordinates: 2,
         channels: 1,
         inputs: vec![Input::Parameter(ParameterId(0))],
+        tables: Default::default(),
         instructions,
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators, totals, outputs },

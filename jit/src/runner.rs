@@ -7,6 +7,7 @@ use std::ptr;
 use cranelift_codegen::ir::{AbiParam, types};
 use cranelift_jit::{JITBuilder, JITModule};
 use cranelift_module::{Module, default_libcall_names};
+use isophote_symbolic::Tables;
 use smallvec::SmallVec;
 
 use crate::abi::{Args, FUNCTIONS, PlaneArgs};
@@ -19,6 +20,7 @@ use crate::plane::{Padded, PixelFormat, Region, Window};
 pub(crate) struct CallShape {
     pub inputs: usize,
     pub outputs: usize,
+    pub tables: Tables,
     pub formats: Vec<PixelFormat>,
     pub packed: bool,
     pub renders: bool,
@@ -137,6 +139,7 @@ impl Code {
             outputs: outputs.as_mut_ptr(),
             functions: ptr::from_ref(&FUNCTIONS),
             planes: planes.as_ptr(),
+            tables: self.shape.tables.numbers().as_ptr(),
             target: target.as_mut_ptr(),
             x: window.x as i64,
             y: window.y as i64,
@@ -153,7 +156,7 @@ impl Code {
             pixels: 0,
             saturated: 0,
         };
-        // SAFETY: the code was made from a checked program of this `CallShape`, and audited or, where we can, verified byte by byte: it reads `inputs`, writes
+        // SAFETY: the code was made from a checked program of this `CallShape`, and audited or, where we can, verified byte by byte: it reads `inputs` and `tables`, writes
         // `outputs`, and reads or writes pixels of `window` only. No group reads or writes more, because no row is shorter
         // than a group: narrow ones are padded copies. The assertions above say that the slices are that long; each
         // `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies inside

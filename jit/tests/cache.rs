@@ -24,6 +24,7 @@ fn constant(number: f64) -> Program {
         coordinates: 2,
         channels: 1,
         inputs: Vec::new(),
+        tables: Default::default(),
         instructions: vec![
             at(Level::Pass, Opcode::number(number).of([])),
             at(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([])),
@@ -142,5 +143,26 @@ fn who_waits_for_a_compilation_that_fails_goes_on() {
         });
         assert!(ends.iter().all(|end| *end == Err(CompileError::Formats { channels: 1, formats: 0 })), "{ends:?}");
         assert_eq!((cache.counts().kernels, cache.counts().misses), (0, 4));
+    }
+}
+
+#[test]
+fn tables_count_by_their_samples_and_are_looked_up_by_narrow_code() {
+    let text = |last: &str| {
+        format!(
+            "name = \"t\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[tables.psf]\nfirst = 0\nstep = 1\n\
+             values = [1, 2, 1, {last}]\n[parameters]\na = {{ start = 1.0 }}\n[model]\nintensity = 'table(\"psf\", x - a)'\n"
+        )
+    };
+    let program = |last: &str| programs(&document(&text(last)), PLAIN).swap_remove(0).1;
+    let cache = KernelCache::of_width(VectorWidth::Bits256);
+    let of = |last: &str| cache.get_or_compile(&program(last), &options(Precision::F32)).unwrap();
+    assert!(Arc::ptr_eq(&of("0"), &of("0.0")) && !Arc::ptr_eq(&of("0"), &of("1e-9")));
+    let wide = KernelOptions { width: VectorWidth::Bits256, ..options(Precision::F32) };
+    let refused = cache.get_or_compile(&program("0"), &wide).unwrap_err();
+    if isophote_jit::Processor::Host.has(VectorWidth::Bits256) {
+        assert_eq!(refused, CompileError::NarrowOnly);
+        let kernel = cache.get_or_compile_wide(&program("0"), &wide).unwrap();
+        assert_eq!(kernel.options().width, VectorWidth::Bits128);
     }
 }

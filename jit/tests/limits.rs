@@ -30,7 +30,16 @@ fn wide(rows: usize, channels: u32) -> Program {
     let total = push(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([]));
     let sink = Sink::Sums { accumulators: vec![sum], totals: vec![row], outputs: vec![total] };
     let (inputs, pixel_set) = (Vec::new(), PixelSet { bounds: None, mask: None, saturated: None });
-    let parts = ProgramParts { coordinates: 2, channels, inputs, instructions, pixel_set, sink, fused: false };
+    let parts = ProgramParts {
+        coordinates: 2,
+        channels,
+        inputs,
+        tables: Default::default(),
+        instructions,
+        pixel_set,
+        sink,
+        fused: false,
+    };
     Program::from_parts(parts).unwrap()
 }
 

@@ -3,30 +3,36 @@
 //! stages on several threads ([`isophote_machine::Threads`]), for the milliseconds that it takes.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 use tokio::sync::oneshot;
 
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::thread::NamedThread;
 
 type Job = Box<dyn FnOnce() + Send>;
 
 /// The handle; `stop` ends the thread.
 pub struct Compiler {
     jobs: Mutex<Option<SyncSender<Job>>>,
-    thread: Mutex<Option<JoinHandle<()>>>,
+    thread: NamedThread,
+    is_stopping: Arc<AtomicBool>,
 }
 
 impl Compiler {
     /// Starts the thread.
     pub fn start() -> std::io::Result<Compiler> {
         let (sender, receiver): (_, Receiver<Job>) = sync_channel(LIMITS.compile_jobs);
-        let work = move || receiver.into_iter().for_each(|job| job());
-        let thread = std::thread::Builder::new().name("compile".into()).spawn(work)?;
-        Ok(Compiler { jobs: Mutex::new(Some(sender)), thread: Mutex::new(Some(thread)) })
+        let is_stopping = Arc::new(AtomicBool::new(false));
+        let is_over = is_stopping.clone();
+        // Dropped, a job tells who waits for it that the service stops.
+        let work = move || receiver.into_iter().take_while(|_| !is_over.load(Ordering::SeqCst)).for_each(|job| job());
+        let thread = NamedThread::start("compile".into(), work)?;
+        Ok(Compiler { jobs: Mutex::new(Some(sender)), thread, is_stopping })
     }
 
     /// Runs `work` on the compile thread after everything that was handed in before. A panic of `work` is a 500, not
@@ -52,12 +58,10 @@ impl Compiler {
         answer.await.map_err(|_| Problem::stopping())?
     }
 
-    /// Ends the thread after the jobs in the queue.
-    pub fn stop(&self) {
+    /// Ends the thread after the job that it is at, and waits for that until then.
+    pub fn stop(&self, until: Instant) {
+        self.is_stopping.store(true, Ordering::SeqCst);
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(thread) = thread {
-            drop(thread.join()); // jobs' panics are caught
-        }
+        self.thread.wait(until);
     }
 }

@@ -19,7 +19,7 @@ pub fn start(service: &Service) -> Result<(), Problem> {
     let source: SourceDocument = serde_json::from_str(SOURCE).map_err(read)?;
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
-    service.put_source(&name, source)?;
-    service.put_session(&name, session)?;
+    service.put_source(&name, source, None)?;
+    service.put_session(&name, session, None)?;
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! What every request passes before a route sees it: loopback is reachable from any web page the user has open, so the
 //! `Host` must be this machine's (else DNS rebinding, 421) and an `Origin` must be our own (else a foreign page, 403).
 
+use std::net::Ipv4Addr;
 use std::panic::AssertUnwindSafe;
 
 use axum::extract::Request;
@@ -27,7 +28,7 @@ fn check(authority: Option<&str>, headers: &HeaderMap) -> Result<(), Problem> {
     let text = |name| headers.get(name).map(|value: &HeaderValue| value.to_str().unwrap_or_default());
     let host = authority.or(text(header::HOST)).unwrap_or_default();
     if headers.get_all(header::HOST).iter().count() > 1 || !is_loopback(host) {
-        let detail = "the Host of a request must be localhost, 127.0.0.1 or [::1]";
+        let detail = "the Host of a request must be localhost, an address of 127.0.0.0/8, or [::1]";
         return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, "foreign-host", detail));
     }
     match text(header::ORIGIN) {
@@ -53,7 +54,8 @@ fn is_loopback(host: &str) -> bool {
     };
     let is_port = port.is_empty() || port.strip_prefix(':').is_some_and(|digits| digits.parse::<u16>().is_ok());
     let is_bracketed = host.starts_with('[');
-    is_port && if is_bracketed { name == "::1" } else { name == "127.0.0.1" || name.eq_ignore_ascii_case("localhost") }
+    let is_ours = |name: &str| name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback());
+    is_port && if is_bracketed { name == "::1" } else { is_ours(name) || name.eq_ignore_ascii_case("localhost") }
 }
 
 #[cfg(test)]
@@ -68,6 +70,8 @@ mod tests {
             ("LocalHost:7240", None, 200),
             ("127.0.0.1:1", None, 200),
             ("[::1]:7240", None, 200),
+            ("127.0.0.2:7240", Some("http://127.0.0.2:7240"), 200),
+            ("127.255.1.2", None, 200),
             ("[::1]", Some("http://[::1]"), 200),
             ("localhost:7240", Some("http://localhost:7240"), 200),
             ("localhost:7240", Some("http://localhost:3000"), 403),
@@ -83,6 +87,10 @@ mod tests {
             ("localhost:7240@evil.example", None, 421),
             ("localhost:x", None, 421),
             ("::1", None, 421),
+            ("128.0.0.1", None, 421),
+            ("127.1", None, 421),
+            ("0127.0.0.1", None, 421),
+            ("127.0.0.1.", None, 421),
             ("[::2]", None, 421),
             ("[localhost]", None, 421),
             ("0.0.0.0", None, 421),

@@ -1,8 +1,9 @@
-//! From one fit thread to many subscribers. Publishing never waits: a slow subscriber loses messages and is told how many.
+//! From one fit thread to many subscribers. Publishing never waits: estimates are written once into a ring of bounded bytes, in
+//! which each subscriber has a place of its own; who falls out of it goes on with the oldest and is told how many were lost.
 //! Each target is a stream of its own: what is newest, and what was dropped, is told for each.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use isophote_wire::EstimateView;
 use tokio::sync::Notify;
@@ -17,7 +18,7 @@ pub enum Mode {
     /// The newest estimate of each target, whenever it has credit.
     #[default]
     Latest,
-    /// Every estimate, up to the queue's bound; then the oldest go.
+    /// Every estimate, as long as the ring has it.
     All,
     /// No estimate, only the end. No client can ask for it.
     #[serde(skip)]
@@ -41,26 +42,53 @@ pub enum End {
 #[derive(Default)]
 pub struct Hub {
     state: Mutex<State>,
+    changed: Notify,
 }
 
 #[derive(Default)]
 struct State {
-    subscribers: Vec<Arc<Subscriber>>,
+    /// In order, the last of them with the number before `next`; empty while nobody wants all.
+    ring: VecDeque<Arc<WrittenEstimate>>,
+    ring_bytes: usize,
+    /// The number of the next estimate.
+    next: u64,
+    subscribers: usize,
+    /// Those in mode `all`.
+    subscribers_of_all: usize,
     /// By target.
-    last: BTreeMap<String, Arc<EstimateView>>,
+    last: BTreeMap<String, Last>,
     end: Option<End>,
 }
 
-struct Subscriber {
-    mode: Mode,
-    queue: Mutex<Queue>,
-    wake: Notify,
+struct Last {
+    number: u64,
+    estimate: Arc<EstimateView>,
+    /// Written by the first who needs it.
+    written: Arc<OnceLock<Arc<WrittenEstimate>>>,
 }
 
-#[derive(Default)]
-struct Queue {
-    waiting: VecDeque<Arc<EstimateView>>,
-    end: Option<End>,
+/// An estimate as JSON, but for the one number that is another for each subscriber.
+#[derive(Debug, PartialEq)]
+struct WrittenEstimate {
+    frame: u64,
+    target: String,
+    before: String,
+    after: String,
+}
+
+impl WrittenEstimate {
+    fn of(estimate: &EstimateView) -> Arc<WrittenEstimate> {
+        // In a string of the user's the quotes would be escaped, and objects with names of the user's come later.
+        const KEY: &str = "\"dropped\":";
+        let mut before = serde_json::to_string(estimate).unwrap_or_default();
+        let at = before.find(KEY).map_or(before.len(), |at| at + KEY.len());
+        let after = before.split_off(at).trim_start_matches(|c: char| c.is_ascii_digit()).to_string();
+        Arc::new(WrittenEstimate { frame: estimate.frame, target: estimate.target.clone(), before, after })
+    }
+
+    fn bytes(&self) -> usize {
+        size_of::<WrittenEstimate>() + self.target.len() + self.before.capacity() + self.after.capacity()
+    }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -70,26 +98,37 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Hub {
     /// Hands an estimate to every subscriber.
     pub fn publish(&self, estimate: Arc<EstimateView>) {
-        let mut state = lock(&self.state);
-        state.last.insert(estimate.target.clone(), estimate.clone());
-        for subscriber in &state.subscribers {
-            subscriber.push(estimate.clone());
+        let is_wanted = lock(&self.state).subscribers_of_all > 0;
+        let written = Arc::new(OnceLock::new());
+        if is_wanted {
+            written.get_or_init(|| WrittenEstimate::of(&estimate));
         }
+        let mut state = lock(&self.state);
+        let number = state.next;
+        state.next += 1;
+        if state.subscribers_of_all > 0 {
+            let one = written.get_or_init(|| WrittenEstimate::of(&estimate)).clone();
+            state.ring_bytes += one.bytes();
+            state.ring.push_back(one);
+            while state.ring_bytes > LIMITS.ring_bytes && state.ring.len() > 1 {
+                let oldest = state.ring.pop_front();
+                state.ring_bytes -= oldest.map_or(0, |oldest| oldest.bytes());
+            }
+        }
+        state.last.insert(estimate.target.clone(), Last { number, estimate, written });
+        drop(state);
+        self.changed.notify_waiters();
     }
 
     /// Tells every subscriber, also those to come, that nothing more will come.
     pub fn end(&self, end: End) {
-        let mut state = lock(&self.state);
-        for subscriber in &state.subscribers {
-            lock(&subscriber.queue).end = Some(end.clone());
-            subscriber.wake.notify_one();
-        }
-        state.end = Some(end);
+        lock(&self.state).end = Some(end);
+        self.changed.notify_waiters();
     }
 
     /// The last estimate, of the first target where there are several.
     pub fn last(&self) -> Option<Arc<EstimateView>> {
-        lock(&self.state).last.first_key_value().map(|(_, estimate)| estimate.clone())
+        lock(&self.state).last.first_key_value().map(|(_, last)| last.estimate.clone())
     }
 
     /// Forgets targets that the session does not follow any more.
@@ -100,101 +139,136 @@ impl Hub {
     /// A new subscriber. In mode `latest` it begins with the last estimate, in mode `all` with the next one.
     pub fn subscribe(self: &Arc<Hub>, mode: Mode) -> Result<Subscription, Problem> {
         let mut state = lock(&self.state);
-        if state.subscribers.len() >= LIMITS.subscribers {
+        if state.subscribers >= LIMITS.subscribers {
             return Err(Problem::over_limit("subscribers of one session", LIMITS.subscribers));
         }
-        let mut queue = Queue { waiting: VecDeque::new(), end: state.end.clone() };
-        if mode == Mode::Latest {
-            queue.waiting.extend(state.last.values().cloned());
-        }
-        let subscriber = Arc::new(Subscriber { mode, queue: Mutex::new(queue), wake: Notify::new() });
-        state.subscribers.push(subscriber.clone());
-        Ok(Subscription { hub: self.clone(), subscriber, last_frames: BTreeMap::new() })
+        state.subscribers += 1;
+        state.subscribers_of_all += usize::from(mode == Mode::All);
+        let next = if mode == Mode::All { state.next } else { 0 };
+        drop(state);
+        Ok(Subscription { hub: self.clone(), mode, next, last_frames: BTreeMap::new() })
     }
 }
 
-impl Subscriber {
-    fn push(&self, estimate: Arc<EstimateView>) {
-        if self.mode == Mode::End {
-            return;
+impl State {
+    /// The estimate that a subscriber gets who is at the number `from`, and its number.
+    fn at(&self, mode: Mode, from: u64) -> Option<(u64, Found)> {
+        match mode {
+            Mode::End => None,
+            Mode::All => {
+                let oldest = self.next - self.ring.len() as u64;
+                let number = from.max(oldest);
+                Some((number, Found::Written(self.ring.get((number - oldest) as usize)?.clone())))
+            }
+            Mode::Latest => {
+                let newer = self.last.values().filter(|last| last.number >= from);
+                let last = newer.min_by_key(|last| last.number)?;
+                Some((last.number, Found::Last(last.estimate.clone(), last.written.clone())))
+            }
         }
-        let mut queue = lock(&self.queue);
-        if self.mode == Mode::Latest {
-            queue.waiting.retain(|waiting| waiting.target != estimate.target);
-        } else if queue.waiting.len() == LIMITS.queue {
-            queue.waiting.pop_front();
-        }
-        queue.waiting.push_back(estimate);
-        drop(queue);
-        self.wake.notify_one();
     }
+}
+
+/// What is written, or will be outside of the lock.
+enum Found {
+    Written(Arc<WrittenEstimate>),
+    Last(Arc<EstimateView>, Arc<OnceLock<Arc<WrittenEstimate>>>),
 }
 
 /// What a subscriber is handed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Next {
-    /// An estimate, `dropped` filled in.
-    Estimate(Box<EstimateView>),
+    /// An estimate.
+    Estimate(SentEstimate),
     /// There are no more.
     End(End),
+}
+
+/// An estimate for one subscriber.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SentEstimate {
+    written: Arc<WrittenEstimate>,
+    dropped: u64,
+}
+
+impl SentEstimate {
+    /// The number of its frame.
+    pub fn frame(&self) -> u64 {
+        self.written.frame
+    }
+
+    /// As JSON, `dropped` filled in.
+    pub fn json(&self) -> String {
+        let WrittenEstimate { before, after, .. } = &*self.written;
+        format!("{before}{}{after}", self.dropped)
+    }
 }
 
 /// One subscriber; dropping it unsubscribes.
 pub struct Subscription {
     hub: Arc<Hub>,
-    subscriber: Arc<Subscriber>,
+    mode: Mode,
+    /// It had all that it gets of those before this number.
+    next: u64,
     /// By target.
     last_frames: BTreeMap<String, u64>,
 }
 
 impl Subscription {
-    /// What was asked for.
-    pub fn mode(&self) -> Mode {
-        self.subscriber.mode
-    }
-
     /// The next estimate, as soon as there is one. Nothing is lost when the future is dropped.
     pub async fn next(&mut self) -> Next {
+        let hub = self.hub.clone();
         loop {
+            let changed = hub.changed.notified(); // before looking: what comes after that is not missed
             if let Some(next) = self.take() {
                 return next;
             }
-            self.subscriber.wake.notified().await;
+            changed.await;
         }
     }
 
     /// The end, for a subscriber without credit or in mode `End`: at once when the service stops, else when nothing waits any more.
     pub async fn end(&mut self) -> Next {
         loop {
+            let changed = self.hub.changed.notified();
             {
-                let queue = lock(&self.subscriber.queue);
-                match &queue.end {
-                    Some(end) if queue.waiting.is_empty() || *end == End::ServiceStops => {
-                        return Next::End(end.clone());
-                    }
+                let state = lock(&self.hub.state);
+                let is_done = || state.at(self.mode, self.next).is_none();
+                match &state.end {
+                    Some(end) if *end == End::ServiceStops || is_done() => return Next::End(end.clone()),
                     _ => {}
                 }
             }
-            self.subscriber.wake.notified().await;
+            changed.await;
         }
     }
 
     fn take(&mut self) -> Option<Next> {
-        let mut queue = lock(&self.subscriber.queue);
-        let Some(estimate) = queue.waiting.pop_front() else {
-            return queue.end.clone().map(Next::End);
+        let state = lock(&self.hub.state);
+        let Some((number, found)) = state.at(self.mode, self.next) else {
+            return state.end.clone().map(Next::End);
         };
-        drop(queue);
-        let mut estimate = Box::new(EstimateView::clone(&estimate));
-        let last = self.last_frames.insert(estimate.target.clone(), estimate.frame);
-        estimate.dropped = last.map_or(0, |last| estimate.frame.saturating_sub(last).saturating_sub(1));
-        Some(Next::Estimate(estimate))
+        drop(state);
+        self.next = number + 1;
+        let written = match found {
+            Found::Written(written) => written,
+            Found::Last(estimate, written) => written.get_or_init(|| WrittenEstimate::of(&estimate)).clone(),
+        };
+        let last = self.last_frames.insert(written.target.clone(), written.frame);
+        let dropped = last.map_or(0, |last| written.frame.saturating_sub(last).saturating_sub(1));
+        Some(Next::Estimate(SentEstimate { written, dropped }))
     }
 }
 
 impl Drop for Subscription {
     fn drop(&mut self) {
-        lock(&self.hub.state).subscribers.retain(|one| !Arc::ptr_eq(one, &self.subscriber));
+        let mut state = lock(&self.hub.state);
+        state.subscribers -= 1;
+        state.subscribers_of_all -= usize::from(self.mode == Mode::All);
+        if state.subscribers_of_all == 0 {
+            state.ring = VecDeque::new();
+            state.ring_bytes = 0;
+        }
     }
 }
 
@@ -218,7 +292,8 @@ mod tests {
     /// Frame and `dropped` of everything that waits.
     fn drain(subscription: &mut Subscription) -> Vec<(u64, u64)> {
         let mut taken = Vec::new();
-        while let Some(Next::Estimate(estimate)) = subscription.take() {
+        while let Some(Next::Estimate(told)) = subscription.take() {
+            let estimate: EstimateView = serde_json::from_str(&told.json()).unwrap();
             taken.push((estimate.frame, estimate.dropped));
         }
         taken
@@ -266,17 +341,56 @@ mod tests {
     }
 
     #[test]
-    fn the_queue_is_bounded_and_says_what_it_lost() {
+    fn the_ring_is_bounded_and_says_what_was_lost() {
+        let hub = Arc::new(Hub::default());
+        let (mut first, mut second) = (hub.subscribe(Mode::All).unwrap(), hub.subscribe(Mode::All).unwrap());
+        hub.publish(estimate(0));
+        assert_eq!(drain(&mut first), [(0, 0)]);
+        let bytes = |hub: &Hub| lock(&hub.state).ring.iter().map(|one| one.bytes()).sum::<usize>();
+        let each = bytes(&hub);
+        // Its numbers have more digits later: then fewer fit.
+        let last = (LIMITS.ring_bytes / each) as u64 + 1000;
+        (1..=last).for_each(|frame| hub.publish(estimate(frame)));
+        assert!((LIMITS.ring_bytes - 2 * each..=LIMITS.ring_bytes).contains(&bytes(&hub)));
+        assert_eq!(bytes(&hub), lock(&hub.state).ring_bytes);
+        let taken = drain(&mut first);
+        assert!(taken[0].0 > 1000 && taken[0].1 == taken[0].0 - 1, "{:?}", taken[0]);
+        assert!(taken[1..].iter().all(|(_, dropped)| *dropped == 0));
+        assert_eq!((taken.len() as u64, taken.last()), (last + 1 - taken[0].0, Some(&(last, 0))));
+        // Who never had one has lost none that it was told of.
+        assert_eq!(drain(&mut second)[0], (taken[0].0, 0));
+        // Where nobody wants all, nothing is kept.
+        drop((first, second));
+        hub.publish(estimate(last + 1));
+        assert_eq!((bytes(&hub), lock(&hub.state).ring_bytes), (0, 0));
+        assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()), [(last + 1, 0)]);
+    }
+
+    /// Names and strings of the user's are not taken for the number.
+    #[test]
+    fn dropped_stands_where_it_belongs() {
+        let mut estimate = EstimateView::clone(&estimate(7));
+        estimate.session = Some("\"dropped\":1".into());
+        estimate.file = Some("dropped".into());
+        estimate.parameters = [("dropped", 5.0)].into_iter().collect();
+        let told = SentEstimate { written: WrittenEstimate::of(&estimate), dropped: 12 };
+        estimate.dropped = 12;
+        assert_eq!(serde_json::from_str::<EstimateView>(&told.json()).unwrap(), estimate);
+    }
+
+    /// An estimate that comes between looking and waiting wakes who waits.
+    #[tokio::test]
+    async fn who_waits_is_woken() {
         let hub = Arc::new(Hub::default());
         let mut all = hub.subscribe(Mode::All).unwrap();
-        hub.publish(estimate(0));
-        assert_eq!(drain(&mut all), [(0, 0)]);
-        let last = LIMITS.queue as u64 + 3;
-        (1..=last).for_each(|frame| hub.publish(estimate(frame)));
-        let taken = drain(&mut all);
-        assert_eq!(taken.len(), LIMITS.queue);
-        assert_eq!((taken[0], taken[1]), ((4, 3), (5, 0)));
-        assert_eq!(taken.last(), Some(&(last, 0)));
+        let publishing = hub.clone();
+        let publisher = std::thread::Builder::new().name("publish".into());
+        let publisher =
+            publisher.spawn(move || (0..2000).for_each(|frame| publishing.publish(estimate(frame)))).unwrap();
+        for frame in 0..2000 {
+            assert!(matches!(all.next().await, Next::Estimate(told) if told.frame() == frame));
+        }
+        publisher.join().unwrap();
     }
 
     #[test]

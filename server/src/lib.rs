@@ -4,13 +4,13 @@
 //! or NDJSON, and answers in JSON (`isophote_wire`). It contains no mathematics: what a frame says, the tracker says.
 //!
 //! ```text
-//! source thread ──latest wins──► fit thread ──► Hub ──queue a subscriber──► WebSocket, SSE, NDJSON
+//! source thread ──latest wins──► fit thread ──► Hub ──one ring, a place a subscriber──► WebSocket, SSE, NDJSON
 //!  FrameSource      Inbox         Tracker        ▲
 //!                     ▲ swap, between two frames │
 //! HTTP ─► routes ─► compile thread ──────────────┘ Registry, Sessions, Sources
 //! ```
 //! Only `routes`, `streams`, `guard` and `listener` know HTTP; only they are async. Sources, sessions and the compiler are
-//! named threads, joined when the service stops.
+//! named threads, waited for when the service stops, and never for long.
 
 mod compiler;
 mod demo;
@@ -25,8 +25,10 @@ mod registry;
 mod routes;
 mod service;
 mod session;
+mod socket;
 mod source;
 mod store;
 mod streams;
+mod thread;
 
-pub use listener::{Options, Server, StartError};
+pub use listener::{Options, Server, Signals, StartError, Stopped};

@@ -5,7 +5,7 @@ use std::time::Duration;
 /// Bounds of the service; those on a document are in [`isophote_symbolic::LIMITS`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServiceLimits {
-    /// Bytes of a document's body.
+    /// Bytes of a document's body: a model's tables and a camera's map of defects are long.
     pub document_bytes: usize,
     /// Bytes of a frame's body.
     pub frame_bytes: usize,
@@ -19,8 +19,8 @@ pub struct ServiceLimits {
     pub sessions: usize,
     /// Subscribers of one session.
     pub subscribers: usize,
-    /// Estimates that wait for one subscriber in mode `all`.
-    pub queue: usize,
+    /// Bytes of the estimates of one session that its subscribers in mode `all` may still get.
+    pub ring_bytes: usize,
     /// Messages that a subscriber may have open.
     pub credit: u32,
     /// Jobs that wait for the compile thread.
@@ -35,30 +35,43 @@ pub struct ServiceLimits {
     pub rate_hz_least: f64,
     /// Pixels of a frame or window.
     pub window_pixels: usize,
-    /// Sockets.
+    /// Sockets, those of WebSockets among them.
     pub sockets: usize,
+    /// Further ones, which are told that there are too many, or that the service lives.
+    pub sockets_told: usize,
+    /// For one of these.
+    pub told_time: Duration,
+    /// Bytes that are sent and that a client has not taken yet; the system doubles it.
+    pub socket_bytes: u32,
+    /// Bytes of pushed frames on their way, of all clients together; half of it for messages of WebSockets that are half received.
+    pub flight_bytes: usize,
     /// Until a request's head is complete.
     pub header_time: Duration,
     /// Until a request's body is complete.
     pub body_time: Duration,
     /// Bytes of a message from a subscriber.
     pub message_bytes: usize,
-    /// Until a subscriber in mode `latest` takes a message.
+    /// Without a byte taken of what is to be sent, whatever it is.
     pub send_time: Duration,
-    /// Until a subscriber in mode `all` takes a message: it asked for every frame, and its queue holds them meanwhile.
-    pub send_time_all: Duration,
     /// Between pings.
     pub ping_time: Duration,
     /// Without any sign of life from a subscriber.
     pub silence_time: Duration,
+    /// Signals that come together count as one.
+    pub signal_time: Duration,
     /// For streams to end when the service stops.
     pub drain_time: Duration,
     /// What a client may say of a frame's time, s: 300 years.
     pub frame_time_s: f64,
     /// For a pushed frame's estimate.
     pub push_time: Duration,
-    /// For a session's last fit, when it is stopped.
-    pub fit_time: Duration,
+    /// For a thread to end when it was told to: a session's last fit, a source's last frame, and all of them when the service
+    /// stops.
+    pub end_time: Duration,
+    /// For a recording to be opened.
+    pub open_time: Duration,
+    /// Recordings that are opened at a time.
+    pub openings: usize,
     /// For one frame's fits; then the estimate says that there was too much to do. The search for a pose of six alike spots is
     /// the longest that there is.
     pub frame_time: Duration,
@@ -68,14 +81,14 @@ pub struct ServiceLimits {
 
 /// The bounds in force.
 pub const LIMITS: ServiceLimits = ServiceLimits {
-    document_bytes: 128 * 1024,
+    document_bytes: 2 * 1024 * 1024,
     frame_bytes: 64 * 1024 * 1024,
     drain_bytes: 16 * 1024 * 1024,
     models: 256,
     sources: 64,
     sessions: 64,
     subscribers: 32,
-    queue: 16_384,
+    ring_bytes: 16 * 1024 * 1024,
     credit: 65_536,
     compile_jobs: 64,
     pushed_frames: 8,
@@ -84,20 +97,29 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     rate_hz_least: 1e-3,
     window_pixels: 16 * 1024 * 1024,
     sockets: 1024,
+    sockets_told: 64,
+    told_time: Duration::from_secs(2),
+    socket_bytes: 128 * 1024,
+    flight_bytes: 256 * 1024 * 1024,
     header_time: Duration::from_secs(10),
-    body_time: Duration::from_secs(30),
+    body_time: Duration::from_secs(10),
     message_bytes: 4096,
-    send_time: Duration::from_secs(10),
-    send_time_all: Duration::from_secs(60),
+    send_time: Duration::from_secs(2),
     ping_time: Duration::from_secs(15),
     silence_time: Duration::from_secs(60),
-    drain_time: Duration::from_secs(5),
+    signal_time: Duration::from_millis(200),
+    drain_time: Duration::from_secs(2),
     frame_time_s: 1e10,
     push_time: Duration::from_secs(20),
-    fit_time: Duration::from_millis(500),
+    end_time: Duration::from_millis(1000),
+    open_time: Duration::from_secs(30),
+    openings: 4,
     frame_time: Duration::from_secs(15),
     swap_time: Duration::from_millis(100),
 };
+
+// SIGTERM: streams and answers, the runtime's threads (half a second), all others; 5 s with a second to spare.
+const _: () = assert!(LIMITS.drain_time.as_millis() + 500 + LIMITS.end_time.as_millis() <= 4000);
 
 // Whoever pushed a frame hears what became of its fit.
 const _: () = assert!(LIMITS.frame_time.as_nanos() < LIMITS.push_time.as_nanos());

@@ -7,20 +7,22 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use isophote_jit::VectorWidth;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::net::{TcpListener, TcpSocket};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::routes::{App, router};
+use crate::routes::{App, full, router};
 use crate::service::{OpenError, Service};
+use crate::socket::{ClientSocket, raise_bound_on_files};
 use crate::{demo, guard};
 
 /// How the service is started.
@@ -84,7 +86,7 @@ impl Server {
             .build()
             .map_err(StartError::Runtime)?;
         let listen = |reason| StartError::Listen { address: options.listen, reason };
-        let listener = runtime.block_on(TcpListener::bind(options.listen)).map_err(listen)?;
+        let listener = runtime.block_on(async { bound(options.listen) }).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
         if options.demo {
             let demo_service = service.clone();
@@ -97,7 +99,7 @@ impl Server {
             .name("listener".into())
             .spawn(move || {
                 runtime.block_on(serve(listener, serving.clone(), stopped));
-                runtime.shutdown_timeout(Duration::from_secs(1));
+                runtime.shutdown_timeout(Duration::from_millis(500));
             })
             .map_err(StartError::Runtime)?;
         Ok(Server { address, service, stop, thread: Some(thread) })
@@ -108,20 +110,18 @@ impl Server {
         self.address
     }
 
-    /// Blocks until SIGINT or SIGTERM, then stops.
-    pub fn run_until_signal(self) -> std::io::Result<()> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
-        let signalled = runtime.block_on(async {
-            use tokio::signal::unix::{SignalKind, signal};
-            let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-            tokio::select! {
-                _ = interrupt.recv() => {}
-                _ = terminate.recv() => {}
-            }
-            Ok(())
-        });
-        self.stop();
-        signalled
+    /// Blocks until a signal, then stops; a second signal ends the wait for that at once.
+    pub fn run_until(self, mut signals: Signals) -> Stopped {
+        signals.wait();
+        let (done, mut stopped) = oneshot::channel();
+        let stop = move || {
+            self.stop();
+            done.send(()).ok(); // a second signal may have come before
+        };
+        match std::thread::Builder::new().name("stop".into()).spawn(stop) {
+            Ok(_) => signals.wait_unless(&mut stopped),
+            Err(_) => Stopped::AtOnce, // what it was to stop was dropped with it, and stopped by that
+        }
     }
 
     /// Ends streams (WebSockets with 1001) and connections, then all threads; returns when they are gone.
@@ -146,31 +146,121 @@ impl Drop for Server {
     }
 }
 
+/// SIGINT and SIGTERM, from now on.
+pub struct Signals {
+    runtime: tokio::runtime::Runtime,
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+/// How it came to an end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stopped {
+    /// All that ran has ended.
+    InOrder,
+    /// A second signal came before.
+    AtOnce,
+}
+
+impl Signals {
+    /// Whoever says that the service runs has these before: a signal then stops it in order.
+    pub fn handle() -> std::io::Result<Signals> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+        let (interrupt, terminate) = {
+            let _entered = runtime.enter();
+            (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?)
+        };
+        Ok(Signals { runtime, interrupt, terminate })
+    }
+
+    fn wait(&mut self) {
+        let Signals { runtime, interrupt, terminate } = self;
+        runtime.block_on(next(interrupt, terminate));
+    }
+
+    fn wait_unless(&mut self, stopped: &mut oneshot::Receiver<()>) -> Stopped {
+        let Signals { runtime, interrupt, terminate } = self;
+        let first = Instant::now();
+        // Those who forward a signal to a child whose terminal sends it as well send one twice.
+        let is_another = async {
+            loop {
+                next(interrupt, terminate).await;
+                if first.elapsed() >= LIMITS.signal_time {
+                    break;
+                }
+            }
+        };
+        runtime.block_on(async {
+            tokio::select! {
+                _ = stopped => Stopped::InOrder,
+                () = is_another => Stopped::AtOnce,
+            }
+        })
+    }
+}
+
+async fn next(interrupt: &mut Signal, terminate: &mut Signal) {
+    tokio::select! {
+        _ = interrupt.recv() => {}
+        _ = terminate.recv() => {}
+    }
+}
+
+/// Its connections have small buffers: a client that takes nothing is noticed, and many of them take little.
+fn bound(address: SocketAddr) -> std::io::Result<TcpListener> {
+    raise_bound_on_files();
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    socket.set_reuseaddr(true)?; // else the port stays taken for a minute after a service that ended
+    socket.set_send_buffer_size(LIMITS.socket_bytes)?;
+    socket.bind(address)?;
+    socket.listen(LIMITS.sockets as u32)
+}
+
 async fn serve(listener: TcpListener, service: Arc<Service>, mut stopped: watch::Receiver<bool>) {
     let (held, mut all_held) = mpsc::channel(1);
-    let router = router(App { service, stream: held.clone() }).layer(axum::middleware::from_fn(guard::guard));
+    let router = router(App {
+        service,
+        stream: held.clone(),
+        openings: Arc::new(Semaphore::new(LIMITS.openings)),
+        frames: Arc::default(),
+    })
+    .layer(axum::middleware::from_fn(guard::guard));
+    let full = full().layer(axum::middleware::from_fn(guard::guard));
     let sockets = Arc::new(Semaphore::new(LIMITS.sockets));
+    let told = Arc::new(Semaphore::new(LIMITS.sockets_told));
     let stops = stopped.clone();
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             _ = stopped.wait_for(|stopped| *stopped) => break,
         };
-        match (accepted, sockets.clone().try_acquire_owned()) {
-            (Ok((socket, _)), Ok(permit)) => {
-                let connection = serve_socket(socket, router.clone(), stops.clone());
-                let held = held.clone();
-                tokio::spawn(async move {
-                    connection.await;
-                    drop((permit, held));
-                });
-            }
-            (Ok(_), Err(_)) => {} // over the limit: closed at once
+        let Ok((socket, _)) = accepted else {
             // out of descriptors, or the peer has gone already: the next one may do better
-            (Err(_), _) => tokio::time::sleep(Duration::from_millis(10)).await,
+            tokio::time::sleep(Duration::from_millis(10)).await;
+            continue;
+        };
+        let held = held.clone();
+        if let Ok(place) = sockets.clone().try_acquire_owned() {
+            let connection = serve_socket(ClientSocket::new(socket, place), router.clone(), stops.clone());
+            tokio::spawn(async move {
+                connection.await;
+                drop(held);
+            });
+            continue;
         }
+        // Where even these are many, the next ones wait to be accepted.
+        let place = tokio::select! {
+            place = told.clone().acquire_owned() => place,
+            _ = stopped.wait_for(|stopped| *stopped) => break,
+        };
+        let Ok(place) = place else { break };
+        let connection = serve_socket(ClientSocket::new(socket, place), full.clone(), stops.clone());
+        tokio::spawn(async move {
+            drop(tokio::time::timeout(LIMITS.told_time, connection).await); // who is not told by then is left
+            drop(held);
+        });
     }
-    drop((listener, router, held));
+    drop((listener, router, full, held));
     let all_ended = async { while all_held.recv().await.is_some() {} };
     if tokio::time::timeout(LIMITS.drain_time, all_ended).await.is_err() {
         eprintln!("isophote: some clients did not hang up in time");
@@ -178,10 +268,7 @@ async fn serve(listener: TcpListener, service: Arc<Service>, mut stopped: watch:
 }
 
 /// One connection, until the client leaves or the service stops: then after the answer that is under way.
-async fn serve_socket(socket: TcpStream, router: Router, mut stops: watch::Receiver<bool>) {
-    if let Err(error) = socket.set_nodelay(true) {
-        eprintln!("isophote: no TCP_NODELAY: {error}");
-    }
+async fn serve_socket(socket: ClientSocket, router: Router, mut stops: watch::Receiver<bool>) {
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(LIMITS.header_time)

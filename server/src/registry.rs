@@ -1,6 +1,6 @@
 //! The models that the service knows, by name. Changed only on the compile thread, read from anywhere.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
@@ -154,6 +154,8 @@ pub struct Registry {
     /// The kernels of all models and sessions.
     cache: Arc<KernelCache>,
     models: RwLock<BTreeMap<Name, Arc<ModelEntry>>>,
+    /// The names of shipped models, which are there at a start unless they were removed.
+    shipped: BTreeSet<Name>,
     store: Option<Store>,
 }
 
@@ -204,7 +206,12 @@ impl Registry {
             }
         }
         let store = data.map(Store::open).transpose()?;
-        for (name, stored) in store.as_ref().map(Store::load).transpose()?.unwrap_or_default() {
+        let shipped = models.keys().cloned().collect();
+        let loaded = store.as_ref().map(Store::load).transpose()?.unwrap_or_default();
+        for name in loaded.removed {
+            models.remove(&name);
+        }
+        for (name, stored) in loaded.models {
             match stored.media.model(&stored.text) {
                 Ok(model) => {
                     let entry =
@@ -214,7 +221,7 @@ impl Registry {
                 Err(faults) => report(&format!("the stored model `{name}`"), &faults),
             }
         }
-        Ok(Registry { cache, models: RwLock::new(models), store })
+        Ok(Registry { cache, models: RwLock::new(models), shipped, store })
     }
 
     /// The kernels of all models and sessions.
@@ -267,7 +274,9 @@ impl Registry {
         let present = self.get(name.as_str())?;
         expected.check(name, Some(&present))?;
         if let Some(store) = &self.store {
-            store.remove(name).map_err(StoreError::problem)?;
+            let is_shipped = self.shipped.contains(name);
+            let removed = if is_shipped { store.remove_shipped(name) } else { store.remove(name) };
+            removed.map_err(StoreError::problem)?;
         }
         self.write().remove(name);
         Ok(())

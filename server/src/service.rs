@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Instant;
 
 use isophote_jit::VectorWidth;
 use isophote_machine::monotonic_ns;
@@ -19,8 +20,9 @@ use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry, Registry};
 use crate::session::{Session, SourceOf, Swapped};
-use crate::source::{self, Source};
+use crate::source::{self, Opened, Source};
 use crate::store::StoreError;
+use crate::thread;
 
 /// The service without its network.
 pub struct Service {
@@ -144,8 +146,8 @@ impl Service {
         self.registry.remove(name, expected)
     }
 
-    /// `PUT /v1/sources/{name}`. Only from the compile thread.
-    pub fn put_source(&self, name: &Name, document: SourceDocument) -> Result<Put, Problem> {
+    /// `PUT /v1/sources/{name}`, opened already where that takes its time. Only from the compile thread.
+    pub fn put_source(&self, name: &Name, document: SourceDocument, opened: Option<Opened>) -> Result<Put, Problem> {
         self.refuse_when_draining()?;
         let before = self.source(name.as_str()).ok();
         match &before {
@@ -157,7 +159,8 @@ impl Service {
         }
         // A camera that its last session has left may not be closed yet.
         let held = before.as_ref().map(|before| before.pause());
-        let opened = source::open(&document, "", |model| Ok(self.registry.get(model)?.model.clone()), None)?;
+        let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
+        let opened = opened.map_or_else(|| source::open(&document, "", find, None), Ok)?;
         let source = Source::start(name.as_str(), document, opened)?;
         insert(&self.sources, name, source);
         match before {
@@ -179,8 +182,14 @@ impl Service {
         Ok(())
     }
 
-    /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops. Only from the compile thread.
-    pub fn put_session(&self, name: &Name, document: SessionDocument) -> Result<Put, Problem> {
+    /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
+    /// opened already. Only from the compile thread.
+    pub fn put_session(
+        &self,
+        name: &Name,
+        document: SessionDocument,
+        opened: Option<Opened>,
+    ) -> Result<(Put, Option<oneshot::Receiver<()>>), Problem> {
         self.refuse_when_draining()?;
         let before = self.session(name.as_str()).ok();
         if before.is_none() && self.sessions().len() >= LIMITS.sessions {
@@ -192,18 +201,22 @@ impl Service {
             matches!(&document.source, SourceReference::Own(source) if matches!(**source, SourceDocument::Camera(_)));
         let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
         let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
-        let session = self.session_of(name, document, &entry)?;
+        let session = self.session_of(name, document, &entry, opened)?;
         insert(&self.sessions, name, session);
-        match before {
-            Some(before) => before.stop(End::SessionStopped),
-            None => return Ok(Put::Created),
-        }
+        let Some(before) = before else { return Ok((Put::Created, None)) };
+        let ended = ending(name, before);
         drop(held);
-        Ok(Put::Replaced)
+        Ok((Put::Replaced, Some(ended)))
     }
 
-    fn session_of(&self, name: &Name, document: SessionDocument, entry: &ModelEntry) -> Result<Session, Problem> {
-        let source = self.source_of(name, &document.source, entry)?;
+    fn session_of(
+        &self,
+        name: &Name,
+        document: SessionDocument,
+        entry: &ModelEntry,
+        opened: Option<Opened>,
+    ) -> Result<Session, Problem> {
+        let source = self.source_of(name, &document.source, entry, opened)?;
         Session::start(name.as_str(), document, source.clone(), entry).inspect_err(|_| {
             if source.is_own {
                 source.source.stop();
@@ -211,24 +224,29 @@ impl Service {
         })
     }
 
-    fn source_of(&self, name: &Name, reference: &SourceReference, entry: &ModelEntry) -> Result<SourceOf, Problem> {
+    fn source_of(
+        &self,
+        name: &Name,
+        reference: &SourceReference,
+        entry: &ModelEntry,
+        opened: Option<Opened>,
+    ) -> Result<SourceOf, Problem> {
         match reference {
             SourceReference::Named(source) => Ok(SourceOf { source: self.source(source)?, is_own: false }),
             SourceReference::Own(document) => {
                 let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
-                let opened = source::open(document, "source.", find, Some(&entry.model))?;
+                let opened = opened.map_or_else(|| source::open(document, "source.", find, Some(&entry.model)), Ok)?;
                 let source = Source::start(name.as_str(), (**document).clone(), opened)?;
                 Ok(SourceOf { source: Arc::new(source), is_own: true })
             }
         }
     }
 
-    /// `DELETE /v1/sessions/{name}`. Only from the compile thread.
-    pub fn remove_session(&self, name: &Name) -> Result<(), Problem> {
+    /// `DELETE /v1/sessions/{name}`; the receiver hears when it has ended. Only from the compile thread.
+    pub fn remove_session(&self, name: &Name) -> Result<oneshot::Receiver<()>, Problem> {
         let session = self.session(name.as_str())?;
         remove(&self.sessions, name);
-        session.stop(End::SessionStopped);
-        Ok(())
+        Ok(ending(name, session))
     }
 
     /// The first half of a hot swap: compiled and handed over. Only from the compile thread.
@@ -257,17 +275,29 @@ impl Service {
         }
     }
 
-    /// Ends all threads, in the order of the data's way back: sessions, sources, compiler.
+    /// Ends all threads and waits for them together, for so long as for one: what does not end by then ends with the process.
     pub fn stop(&self) {
         self.drain();
-        self.compiler.stop();
-        self.sessions().iter().for_each(|(_, session)| session.stop(End::ServiceStops));
-        self.sources().iter().for_each(|(_, source)| source.stop());
+        let until = Instant::now() + LIMITS.end_time;
+        self.sessions().iter().for_each(|(_, session)| session.leave());
+        self.compiler.stop(until);
+        // What began while the compiler came to its end goes as well.
+        let (sessions, sources) = (self.sessions(), self.sources());
+        sessions.iter().for_each(|(_, session)| session.leave());
+        sources.iter().for_each(|(_, source)| source.leave());
+        sessions.iter().for_each(|(_, session)| session.wait(End::ServiceStops, until));
+        sources.iter().for_each(|(_, source)| source.wait(until));
     }
 
     fn refuse_when_draining(&self) -> Result<(), Problem> {
         if self.is_ready() { Ok(()) } else { Err(Problem::stopping()) }
     }
+}
+
+/// Ends a session beside whoever has taken it out of the table: many that are at long fits end together.
+fn ending(name: &Name, session: Arc<Session>) -> oneshot::Receiver<()> {
+    session.leave();
+    thread::beside(name.as_str(), move || session.wait(End::SessionStopped, Instant::now() + LIMITS.end_time))
 }
 
 fn source_in_use(name: &Name, source: &Source) -> Problem {

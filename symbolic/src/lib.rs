@@ -22,7 +22,7 @@ mod language;
 mod program;
 mod proof;
 
-pub use isophote_elementary::{Function1, Function2};
+pub use isophote_elementary::{Axis, Function1, Function2, Lookup, Table, Tables};
 
 pub use derive::corrected::Slopes;
 pub use derive::derivatives::Derivatives;

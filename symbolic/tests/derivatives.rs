@@ -107,7 +107,42 @@ fn check(model: &Model, subset: &[ParameterId], method: Method) {
     }
 }
 
-const EXTRA: [&str; 4] = [
+const EXTRA: [&str; 6] = [
+    r#"
+name = "profile"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[tables.rings]
+first = 0.0
+step = 1.3
+values = [1.0, 0.93, 0.7, 0.45, 0.3, 0.34, 0.21, 0.1, 0.02, 0.0]
+[parameters]
+bx = { start = 16.2 }
+by = { start = 10.9 }
+c = { start = 1.31, min = 0 }
+v1 = { start = 70.0 }
+[definitions]
+s = "sqrt((x - bx)^2 + (y - by)^2 + 0.1) / c"
+[model]
+intensity = '20 + v1 * table("rings", s)'
+"#,
+    r#"
+name = "image"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[tables]
+psf = { first = [-7.0, -4.0], step = [2.0, 2.5], values = [[0.0, 0.1, 0.3, 0.2, 0.1, 0.05], [0.1, 0.5, 0.9, 0.6, 0.2, 0.1], [0.1, 0.6, 1.0, 0.4, 0.1, 0.0], [0.0, 0.1, 0.2, 0.1, 0.05, 0.0]] }
+[parameters]
+bx = { start = 16.2 }
+by = { start = 10.9 }
+phi0 = { start = 0.31 }
+v1 = { start = 70.0 }
+[definitions]
+u = "cos(phi0)*(x - bx) - sin(phi0)*(y - by)"
+v = "sin(phi0)*(x - bx) + cos(phi0)*(y - by)"
+[model]
+intensity = "20 + v1 * table(psf, u, v)"
+"#,
     r#"
 name = "functions"
 coordinates = ["x", "y"]

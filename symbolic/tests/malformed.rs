@@ -137,11 +137,18 @@ fn near_misses_name_what_was_meant() {
 #[test]
 fn a_document_ends_at_its_limit() {
     let model = "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"y\"]\nparameters = { v = { start = 1.0 } }\nmodel = { intensity = \"v\" }\n#";
-    let document = |bytes: usize| model.to_string() + &"-".repeat(bytes - model.len());
+    let document = |bytes: usize| model.to_string() + &"1".repeat(bytes - model.len());
     assert!(Model::from_toml(&document(LIMITS.document_bytes - 1)).is_ok());
     assert!(Model::from_toml(&document(LIMITS.document_bytes)).is_ok());
     let diagnostics = Model::from_toml(&document(LIMITS.document_bytes + 1)).map(|_| ()).unwrap_err();
     assert_eq!(diagnostics[0].code, "limit", "{diagnostics:?}");
+    // What is no number has a limit of its own.
+    let wordy = |words: usize, word: &str| model.to_string() + &word.repeat(words);
+    for word in ["x", "-", "[", "e"] {
+        assert!(Model::from_toml(&wordy(LIMITS.text_bytes - model.len(), word)).is_ok(), "{word}");
+        let diagnostics = Model::from_toml(&wordy(LIMITS.text_bytes + 1, word)).map(|_| ()).unwrap_err();
+        assert_eq!(diagnostics[0].code, "limit", "{word}: {diagnostics:?}");
+    }
 }
 
 /// The comparison of this file catches a planted fault.

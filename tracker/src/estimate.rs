@@ -215,6 +215,9 @@ pub struct Estimate {
     pub objective: Option<f64>,
     /// χ² over pixels minus free parameters; with `noise` near 1 for a good model.
     pub reduced_chi_square: Option<f64>,
+    /// The standard deviation of pixels over that which `noise` states, as the last frames show it: `covariance` is in units of
+    /// it. Absent in the first frames, and where the model has no `noise`.
+    pub noise_ratio: Option<f64>,
     /// ln L of the frame's pixels in the domain.
     pub log_likelihood: Option<f64>,
     /// The probability that the thing tracked is the target; absent where the model does not say what is bright, or is that of a
@@ -226,6 +229,8 @@ pub struct Estimate {
     pub ahead: Vec<Ahead>,
     /// Pixels that the last pass used.
     pub pixels: u64,
+    /// Pixels of the domain that the camera's map of defects left out; `None` without a map.
+    pub left_out: Option<u64>,
     /// The share of the domain's pixels that are saturated.
     pub saturated: f64,
     /// Steps tried, one number a stage.

@@ -26,7 +26,7 @@ mod track;
 pub mod tune;
 
 pub use budget::{Stop, WORK_MAX, Watch};
-pub use camera::{CalibrationError, Camera, Distortion, Intrinsics, IntrinsicsError};
+pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};
 pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use isophote_frame::{Buffer, Frame, FrameError, Lease, Plane};
@@ -36,8 +36,10 @@ pub use options::{
 pub use pose::{Alternative, Pose, PoseMismatch, Target, TargetError, TargetSpot, geometry};
 pub use report::{Bound, CheckReport, StageCost};
 pub use sight::contour::{Contour, contours};
+pub use sight::defective::{DefectFault, DefectMeasurement, DefectOptions, DefectScene, FoundDefects, PixelKinds};
 pub use sight::detect::Strength;
 pub use sight::mixing::{Mixing, MixingError, MixingMeasurement};
+pub use sight::radial::{MeasuredProfile, ProfileMeasurement};
 pub use solve::compiled::Compiled;
 pub use solve::prepare::{Preparation, Preparing};
 pub use solve::stage_kernels::{CompileFailure, StageKernels};

@@ -6,7 +6,7 @@ use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
 use crate::budget::WORK_MAX;
-use crate::camera::{Camera, Distortion, IntrinsicsError};
+use crate::camera::{Camera, DefectMapError, Distortion, IntrinsicsError};
 use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, PoseMismatch, Target, TargetError};
 use crate::solve::prepare::Preparing;
@@ -96,6 +96,9 @@ pub struct PredictOptions {
 /// Steps of a prediction.
 pub const PREDICT_STEPS_MAX: usize = 256;
 
+/// How far ahead a prediction may look, s: beyond, nothing that was learned of the motion says anything.
+pub const PREDICT_HORIZON_S_MAX: f64 = 3600.0;
+
 /// Targets that one tracker may follow.
 pub const TARGETS_MAX: usize = 64;
 
@@ -137,6 +140,9 @@ pub enum TrackError {
     /// The lens cannot be.
     #[error(transparent)]
     Intrinsics(#[from] IntrinsicsError),
+    /// The map of defects cannot be, or is that of other pictures.
+    #[error(transparent)]
+    DefectMap(#[from] DefectMapError),
     /// The target cannot be.
     #[error(transparent)]
     Target(#[from] TargetError),
@@ -169,6 +175,18 @@ pub enum TrackError {
         value: f64,
         /// What would be right.
         range: String,
+    },
+    /// No pixel is in the window and in the frames.
+    #[error(
+        "the window lies outside of the frames: it begins at {}, they have {} px",
+        joined(first, ","),
+        joined(size, "×")
+    )]
+    Window {
+        /// Its first pixel.
+        first: Vec<usize>,
+        /// Of the frames.
+        size: Vec<usize>,
     },
     /// Kernels and options disagree.
     #[error("the options say {wanted:?}, the kernels are for {compiled:?}")]
@@ -231,8 +249,8 @@ impl TrackerOptions {
             return Err(TrackError::Range { name: "targets", value: self.targets as f64, range });
         }
         if let Some(PredictOptions { horizon_s, steps }) = self.predict {
-            if !(horizon_s > 0.0 && horizon_s.is_finite()) {
-                let range = "a positive number".to_string();
+            if !(horizon_s > 0.0 && horizon_s <= PREDICT_HORIZON_S_MAX) {
+                let range = format!("above 0 and at most {PREDICT_HORIZON_S_MAX}");
                 return Err(TrackError::Range { name: "predict.horizon_s", value: horizon_s, range });
             }
             if !(1..=PREDICT_STEPS_MAX).contains(&steps) {
@@ -261,6 +279,10 @@ impl TrackerOptions {
             target.check()?;
             PoseMismatch::check_target(model, target)?;
         }
+        self.check_camera(model)?;
+        if let Some(map) = &self.camera.defect_map {
+            map.check()?;
+        }
         let is_share = |share: &f64| (0.0..1.0).contains(share);
         let of_model =
             model.defects().map(|constant| ("constants.defects", self.constants_of(model)[constant.index()]));
@@ -280,16 +302,49 @@ impl TrackerOptions {
         self.check_lens(model)
     }
 
-    /// Checks that poses can follow from frames of that size, px, inner first.
+    /// Checks that the window has something of frames of that size, px, inner first, that the map of defects is of theirs, and
+    /// that poses can follow from them.
     ///
     /// # Errors
-    /// When the lens is that of other pictures.
+    /// When the window lies beside them, or the map or the lens is that of other pictures.
     pub fn check_size(&self, model: &Model, size: &[usize]) -> Result<(), TrackError> {
+        if let Some(map) = &self.camera.defect_map {
+            map.check_size(size)?;
+        }
+        if let Some(window) = &self.window {
+            let first = [window.x, window.y, window.slices.first[0], window.slices.first[1]];
+            if first.iter().zip(size).any(|(first, side)| first >= side) {
+                let first = first[..size.len().min(4)].to_vec();
+                return Err(TrackError::Window { first, size: size.to_vec() });
+            }
+        }
         let is_pose = self.target.is_some() || model.roles().iter().any(|roles| !roles.position.is_empty());
         match &self.camera.intrinsics {
             Some(lens) if is_pose => Ok(PoseMismatch::check_size(lens, size)?),
             _ => Ok(()),
         }
+    }
+
+    /// What a sensor can be, and what stands for it in a model's constants.
+    fn check_camera(&self, model: &Model) -> Result<(), TrackError> {
+        let camera = &self.camera;
+        // Elsewhere they may be anything.
+        let constant = |name: &str| self.constants.get(name).copied().filter(|_| model.has_noise());
+        let positive = "a positive number";
+        let not_negative = "0 or a positive number";
+        let rows: [(&str, Option<f64>, f64, &str); 6] = [
+            ("camera.black", Some(camera.black), f64::MIN, "a finite number"),
+            ("camera.saturation", camera.saturation, camera.black.next_up(), "a number above `black`"),
+            ("camera.electrons_per_dn", camera.electrons_per_dn, f64::MIN_POSITIVE, positive),
+            ("camera.read_noise_e", camera.read_noise_e, 0.0, not_negative),
+            ("constants.gain", constant("gain"), 0.0, not_negative),
+            ("constants.read_noise", constant("read_noise"), 0.0, not_negative),
+        ];
+        let is_wrong = |value: f64, least: f64| !(least..=f64::MAX).contains(&value);
+        let wrong = rows.into_iter().find_map(|(name, value, least, range)| {
+            value.filter(|value| is_wrong(*value, least)).map(|value| (name, value, range.to_string()))
+        });
+        wrong.map_or(Ok(()), |(name, value, range)| Err(TrackError::Range { name, value, range }))
     }
 
     /// A model that has the lens in its formulas must have all of it.
@@ -325,4 +380,9 @@ impl TrackerOptions {
     pub(crate) fn start_of(&self, model: &Model) -> Vec<Option<f64>> {
         model.parameters().iter().map(|parameter| self.start.get(&parameter.name).copied()).collect()
     }
+}
+
+/// Numbers with something between them.
+fn joined(numbers: &[usize], between: &str) -> String {
+    numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(between)
 }

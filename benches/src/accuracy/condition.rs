@@ -47,6 +47,19 @@ pub struct Condition {
     pub blur_px: f64,
     /// Share of pixels that read 255 DN whatever the light.
     pub hot: f64,
+    /// Share of pixels that read 40 to 200 DN more than the light.
+    pub warm: f64,
+    /// What the tracker is told of such pixels.
+    pub defects: Defects,
+}
+
+/// What is known of pixels that do not read the light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Defects {
+    /// Nothing.
+    Unknown,
+    /// The camera's document has a map of them.
+    Mapped,
 }
 
 /// 96 × 96 px, a spot of 20 × 14 px, nothing saturated.
@@ -63,12 +76,16 @@ const PLAIN: Condition = Condition {
     motion_px: 0.0,
     blur_px: 0.0,
     hot: 0.0,
+    warm: 0.0,
+    defects: Defects::Unknown,
 };
+const WARM: Condition = Condition { warm: 5e-3, ..PLAIN };
+const MAPPED: Condition = Condition { defects: Defects::Mapped, ..PLAIN };
 const SMALL: Condition = Condition { side_px: 25, semi_axes_px: [4.5, 3.3], ..PLAIN };
 const LOBE: Glare = Glare::Lobe { height: 140.0, centre: [8.0, 12.0], width: 35.0 };
 
 /// All conditions, in the order of the tables. Where light matters less than what hides it, 10 or 30 % are saturated.
-pub const CONDITIONS: [Condition; 18] = [
+pub const CONDITIONS: [Condition; 25] = [
     PLAIN,
     Condition { name: "S10", saturated: 0.1, ..PLAIN },
     Condition { name: "S30", saturated: 0.3, ..PLAIN },
@@ -87,6 +104,13 @@ pub const CONDITIONS: [Condition; 18] = [
     Condition { name: "hot5_S0", hot: 5e-3, ..PLAIN },
     Condition { name: "hot05_S30", saturated: 0.3, hot: 5e-4, ..PLAIN },
     Condition { name: "hot5_S30", saturated: 0.3, hot: 5e-3, ..PLAIN },
+    Condition { name: "warm05_S0", warm: 5e-4, ..WARM },
+    Condition { name: "warm5_S0", ..WARM },
+    Condition { name: "warm05_map", warm: 5e-4, ..MAPPED },
+    Condition { name: "warm5_map", warm: 5e-3, ..MAPPED },
+    Condition { name: "warm5_S30_map", saturated: 0.3, warm: 5e-3, ..MAPPED },
+    Condition { name: "hot05_map", hot: 5e-4, ..MAPPED },
+    Condition { name: "hot5_map", hot: 5e-3, ..MAPPED },
 ];
 
 /// The condition of that name.
@@ -151,7 +175,7 @@ const fn row(condition: &'static str, document: &'static str, goal: [Option<f64>
 const CLEAR: [Option<f64>; 2] = [Some(1.06), Some(1.06)];
 
 /// The table: which document is fitted in which condition, and what is to be reached.
-pub const ROWS: [Row; 22] = [
+pub const ROWS: [Row; 29] = [
     row("S0", "spot-plane", CLEAR),
     row("S10", "spot-plane", CLEAR),
     row("S30", "spot-plane", CLEAR),
@@ -174,4 +198,11 @@ pub const ROWS: [Row; 22] = [
     row("hot5_S0", "spot-plane", CLEAR),
     row("hot05_S30", "spot-plane", CLEAR),
     row("hot5_S30", "spot-plane", CLEAR),
+    row("warm05_S0", "spot-plane", [None, None]),
+    row("warm5_S0", "spot-plane", [None, None]),
+    row("warm05_map", "spot-plane", CLEAR),
+    row("warm5_map", "spot-plane", CLEAR),
+    row("warm5_S30_map", "spot-plane", CLEAR),
+    row("hot05_map", "spot-plane", CLEAR),
+    row("hot5_map", "spot-plane", CLEAR),
 ];

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use isophote_tracker::Frame;
+use isophote_tracker::{DefectMap, Frame};
 
 use super::bound::variances;
-use super::condition::{Glare, Task};
+use super::condition::{Condition, Defects, Glare, Task};
 use super::document::{Document, frame};
 use super::scene::{Beside, Scene};
 use super::sensor::{FULL, Random};
@@ -63,16 +63,27 @@ fn beside(task: &Task) -> Beside {
     }
 }
 
-/// One drawing, its frame and where its random numbers go on.
-pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Random) {
+/// One drawing, its frame, what its camera knows of its pixels, and where the random numbers go on.
+pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Option<DefectMap>, Random) {
     let mut random = Random::of(task.condition.name, number);
     let scene = Scene::draw(task.condition, &mut random);
+    let Condition { hot, warm, defects, side_px, .. } = task.condition;
     let mut pixels = random.exposed(&scene.seen().0);
-    if task.condition.hot > 0.0 {
-        let mut hot = Random::of("hot pixels", number);
-        pixels.iter_mut().filter(|_| hot.uniform(0.0, 1.0) < task.condition.hot).for_each(|pixel| *pixel = FULL as u8);
+    let side = side_px as u32;
+    let mut map = DefectMap { width: side, height: side, ..DefectMap::default() };
+    if hot + warm > 0.0 {
+        let mut random = Random::of("hot pixels", number);
+        for (place, pixel) in pixels.iter_mut().enumerate() {
+            let drawn = random.uniform(0.0, 1.0);
+            if drawn >= hot + warm {
+                continue;
+            }
+            let more = if drawn < hot { FULL } else { random.uniform(40.0, 200.0) };
+            *pixel = (f64::from(*pixel) + more).min(FULL) as u8;
+            map.pixels.push([place as u32 % side, place as u32 / side]);
+        }
     }
-    (scene, frame(pixels, task.condition.side_px), random)
+    (scene, frame(pixels, side_px), (defects == Defects::Mapped).then_some(map), random)
 }
 
 /// A task over that many frames.
@@ -83,10 +94,10 @@ pub fn measure(task: &Task, document: &Document, frames: usize) -> Measured {
         (variances[0] + variances[1]) / 2.0
     });
     let outcomes: Vec<[Outcome; 2]> = each(frames, |number| {
-        let (scene, image, mut random) = shot(task, number);
+        let (scene, image, map, mut random) = shot(task, number);
         let known = (task.known)(&scene);
         let prior = [scene.prior(&mut random), known.clone()].concat();
-        [ask(document, &image, &scene, &known), ask(document, &image, &scene, &prior)]
+        [known, prior].map(|start| ask(document, (&image, map.clone()), &scene, &start))
     });
     let column = |start: usize| outcomes.iter().map(|both| both[start].clone()).collect::<Vec<Outcome>>();
     Measured {

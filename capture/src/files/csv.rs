@@ -1,4 +1,5 @@
-//! A CSV file in, one 1-D frame of f64 planes out, one plane a column; the header names the channels.
+//! A CSV file in, one 1-D frame of f64 planes out, one plane a column; the header names the channels. Faults are told by line and
+//! column and never quote the file: who may name a path to a service need not be who may read it.
 
 use std::path::Path;
 
@@ -14,16 +15,16 @@ pub(crate) const FORMAT: Format =
 
 /// The columns of a CSV file.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Table {
+pub(crate) struct Columns {
     /// From the header, in order.
     pub names: Vec<String>,
     /// One vector a column; all of one length, not empty.
     pub columns: Vec<Vec<f64>>,
 }
 
-impl Table {
+impl Columns {
     /// Parses `text`; `path` is only for messages. Lines that start with `#` and blank lines are skipped.
-    pub fn parse(path: &Path, text: &[u8]) -> Result<Table, SourceError> {
+    pub fn parse(path: &Path, text: &[u8]) -> Result<Columns, SourceError> {
         let fault = |line: u64, reason: String| SourceError::Line { path: path.into(), line, reason };
         let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text);
         let csv_fault = |error: csv::Error| {
@@ -45,18 +46,17 @@ impl Table {
         for record in reader.records() {
             let record = record.map_err(csv_fault)?;
             let line = record.position().map_or(0, |p| line_of(text, p));
-            for ((field, column), name) in record.iter().zip(&mut columns).zip(&names) {
-                let number = field.parse::<f64>();
-                let Ok(number) = number else {
-                    return Err(fault(line, format!("`{}` in column `{name}` is not a number", shortened(field))));
+            for (column, field) in record.iter().enumerate() {
+                let Ok(number) = field.parse::<f64>() else {
+                    return Err(fault(line, format!("what stands in column {} is not a number", column + 1)));
                 };
-                column.push(number);
+                columns[column].push(number);
             }
         }
         if columns[0].is_empty() {
             return Err(fault(1, "there is a header but no line of numbers below it".into()));
         }
-        Ok(Table { names, columns })
+        Ok(Columns { names, columns })
     }
 
     /// The frame whose planes are the columns that `channels` names, in that order.
@@ -65,9 +65,9 @@ impl Table {
         let mut planes = Vec::new();
         for channel in channels {
             let Some(index) = self.names.iter().position(|name| name == channel) else {
-                let names = self.names.join(", ");
+                let columns = self.names.len();
                 return Err(fault(format!(
-                    "no column is named `{channel}`, which the model reads; the header names {names}"
+                    "none of the {columns} columns is named `{channel}`, which the model reads"
                 )));
             };
             let column = &self.columns[index];
@@ -99,21 +99,13 @@ fn check_names(names: &[String]) -> Result<(), String> {
             return Err(format!("column {} has no name; the first line must name the channels, e.g. `x,y`", i + 1));
         }
         if name.parse::<f64>().is_ok() {
-            return Err(format!(
-                "`{}` is a number; the first line must name the channels, e.g. `x,y`",
-                shortened(name)
-            ));
+            return Err(format!("column {} is a number; the first line must name the channels, e.g. `x,y`", i + 1));
         }
-        if names[..i].contains(name) {
-            return Err(format!("two columns are named `{}`", shortened(name)));
+        if let Some(before) = names[..i].iter().position(|one| one == name) {
+            return Err(format!("columns {} and {} have the same name", before + 1, i + 1));
         }
     }
     Ok(())
-}
-
-/// At most 40 characters of the file's text for a message.
-fn shortened(text: &str) -> String {
-    text.chars().take(40).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
 #[cfg(test)]
@@ -124,7 +116,7 @@ mod tests {
     #[test]
     fn columns_are_read_in_any_spelling_of_numbers() {
         let table =
-            Table::parse(Path::new("t.csv"), b"\xef\xbb\xbf# measured\n x ,\"y\"\n1, -2.5e3\r\n\n 2,+.5\n3,\"nan\"")
+            Columns::parse(Path::new("t.csv"), b"\xef\xbb\xbf# measured\n x ,\"y\"\n1, -2.5e3\r\n\n 2,+.5\n3,\"nan\"")
                 .unwrap();
         assert_eq!(table.names, ["x", "y"]);
         assert_eq!(table.columns[0], [1.0, 2.0, 3.0]);
@@ -136,8 +128,8 @@ mod tests {
     fn faults_name_file_line_and_remedy() {
         let cases: [(&[u8], &str); 9] = [
             (b"", "t.csv:1: the file is empty; its first line must name the channels, e.g. `x,y`"),
-            (b"1,2\n3,4\n", "t.csv:1: `1` is a number; the first line must name the channels, e.g. `x,y`"),
-            (b"x,x\n1,2\n", "t.csv:1: two columns are named `x`"),
+            (b"1,2\n3,4\n", "t.csv:1: column 1 is a number; the first line must name the channels, e.g. `x,y`"),
+            (b"x,x\n1,2\n", "t.csv:1: columns 1 and 2 have the same name"),
             (b"x,,y\n1,2,3\n", "t.csv:1: column 2 has no name; the first line must name the channels, e.g. `x,y`"),
             (b"x,y\n", "t.csv:1: there is a header but no line of numbers below it"),
             (b"x,y\n1,2\n3\n", "t.csv:3: 1 fields where the header names 2 channels; give each line 2 numbers"),
@@ -145,22 +137,22 @@ mod tests {
                 b"x,y\n1,2\n# so\n3,4,5\n",
                 "t.csv:4: 3 fields where the header names 2 channels; give each line 2 numbers",
             ),
-            (b"x,y\n1,two\n", "t.csv:2: `two` in column `y` is not a number"),
+            (b"x,y\n1,two\n", "t.csv:2: what stands in column 2 is not a number"),
             (b"x,y\n1,\xff\n", "t.csv:2: not UTF-8 text; save the file as UTF-8"),
         ];
         for (text, expected) in cases {
-            let error = Table::parse(Path::new("t.csv"), text).unwrap_err();
+            let error = Columns::parse(Path::new("t.csv"), text).unwrap_err();
             assert_eq!(error.to_string(), expected);
         }
     }
 
     #[test]
     fn channels_choose_columns_by_name() {
-        let table = Table::parse(Path::new("t.csv"), b"x,y,z\n1,2,3\n4,5,6\n").unwrap();
+        let table = Columns::parse(Path::new("t.csv"), b"x,y,z\n1,2,3\n4,5,6\n").unwrap();
         let frame = table.frame(Path::new("t.csv"), &["z".into(), "x".into()]).unwrap();
         assert_eq!(frame.size(), [2]);
         assert_eq!((frame.plane_view(0).pixel(1, 0), frame.plane_view(1).pixel(1, 0)), (6.0, 4.0));
         let error = table.frame(Path::new("t.csv"), &["w".into()]).unwrap_err();
-        assert_eq!(error.to_string(), "t.csv: no column is named `w`, which the model reads; the header names x, y, z");
+        assert_eq!(error.to_string(), "t.csv: none of the 3 columns is named `w`, which the model reads");
     }
 }

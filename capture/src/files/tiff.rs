@@ -16,6 +16,7 @@ use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::encode::EncodeError;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture, check_size};
+use crate::regular::open_regular;
 
 pub(crate) const FORMAT: Format = Format {
     name: "TIFF",
@@ -58,7 +59,7 @@ impl Tiff {
 }
 
 fn decoder(path: &Path) -> Result<Decoder<BufReader<File>>, PageFault> {
-    let file = File::open(path)?;
+    let file = open_regular(path)?;
     let mut limits = Limits::default();
     // Of one page: three channels of four bytes.
     limits.decoding_buffer_size = (LIMITS.frame_pixels * 12) as usize;

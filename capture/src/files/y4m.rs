@@ -12,6 +12,7 @@ use isophote_jit::PixelFormat;
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::clock::Stamp;
 use crate::picture::{DecodeError, StoredPicture, check_size};
+use crate::regular::open_regular;
 
 /// Bytes of the first line, and of the line before a frame.
 const LINE_BYTES: [usize; 2] = [4096, 256];
@@ -54,7 +55,7 @@ struct Video {
 impl Video {
     /// Opens a file and reads its first line.
     pub fn open(path: &Path) -> Result<Video, PageFault> {
-        let mut file = File::open(path)?;
+        let mut file = open_regular(path)?;
         let file_bytes = file.metadata()?.len();
         let line = line(&mut file, 0, LINE_BYTES[0])?;
         if !line.bytes.starts_with(MAGIC) {

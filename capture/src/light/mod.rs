@@ -4,7 +4,7 @@
 //! rows of light (DN, before noise) and rows of pixels (after it). It knows no model and draws no random numbers.
 //!
 //! ```text
-//! scene ─► defocus ─► glare ─► occluders ─► veils ─► exposure ─► Poisson ─► read noise ─► gain ─► quantisation ─► blind
+//! scene ─► defocus ─► glare ─► occluders ─► veils ─► exposure ─► Poisson ─► read noise ─► gain ─► quantisation ─► hot ─► blind
 //! ```
 
 pub(crate) mod defocus;
@@ -36,6 +36,24 @@ pub struct Light<T = Moving> {
     /// Pixels at saturation, whatever the light.
     #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
     pub blind: Vec<Blind<T>>,
+    /// Pixels that do not read the light.
+    #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
+    pub hot: Vec<Hot>,
+}
+
+/// Pixels here and there that read more than the light, or less, the same in all frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Hot {
+    /// So large a share of all pixels, on average.
+    pub share: f64,
+    /// They read at least so much more, DN; negative: less …
+    pub least: f64,
+    /// … and at most so much, all values between alike.
+    pub most: f64,
+    /// Which ones they are.
+    #[serde(default)]
+    pub seed: u64,
 }
 
 /// A Gaussian lobe: `height`·exp(−r²/2σ²), averaged over each pixel.
@@ -116,15 +134,23 @@ pub struct Blind<T = Moving> {
 
 impl<T> Default for Light<T> {
     fn default() -> Light<T> {
-        Light { defocus_px: None, glare: Vec::new(), slope: None, occluders: Vec::new(), blind: Vec::new() }
+        Light {
+            defocus_px: None,
+            glare: Vec::new(),
+            slope: None,
+            occluders: Vec::new(),
+            blind: Vec::new(),
+            hot: Vec::new(),
+        }
     }
 }
 
 impl<T> Light<T> {
     /// Nothing is wrong with it.
     pub fn is_clean(&self) -> bool {
-        let Light { defocus_px, glare, slope, occluders, blind } = self;
-        defocus_px.is_none() && glare.is_empty() && slope.is_none() && occluders.is_empty() && blind.is_empty()
+        let Light { defocus_px, glare, slope, occluders, blind, hot } = self;
+        let is_empty = glare.is_empty() && occluders.is_empty() && blind.is_empty() && hot.is_empty();
+        is_empty && defocus_px.is_none() && slope.is_none()
     }
 }
 

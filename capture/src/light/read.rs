@@ -44,11 +44,25 @@ pub(crate) type LightFault = (String, MovingFault);
 
 /// Reads the formulas and looks at the numbers.
 pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, LightFault> {
-    let lists = [("glare", light.glare.len()), ("occluders", light.occluders.len()), ("blind", light.blind.len())];
+    let lists = [
+        ("glare", light.glare.len()),
+        ("occluders", light.occluders.len()),
+        ("blind", light.blind.len()),
+        ("hot", light.hot.len()),
+    ];
     for (list, length) in lists {
         if length > LIMITS.light_items {
             let most = LIMITS.light_items;
             return Err((format!("light.{list}"), MovingFault::Range(format!("has {length} entries; {most} at most"))));
+        }
+    }
+    for (index, one) in light.hot.iter().enumerate() {
+        let is_share = (0.0..=1.0).contains(&one.share);
+        let is_range = [one.least, one.most].iter().all(|dn| dn.abs() <= LIMITS.light_dn) && one.least <= one.most;
+        if !is_share || !is_range {
+            let most = LIMITS.light_dn;
+            let reason = format!("needs a share from 0 to 1, and least up to most, each from -{most} to {most}");
+            return Err((format!("light.hot[{index}]"), MovingFault::Range(reason)));
         }
     }
     let times = light.glare.iter().map(|one| ("glare", one.from_s, one.to_s));
@@ -98,7 +112,7 @@ impl<T> Light<T> {
                 Some([make(key(0), SLOPE, x)?, make(key(1), SLOPE, y)?])
             }
         };
-        let mut light = Light { defocus_px, slope, ..Light::default() };
+        let mut light = Light { defocus_px, slope, hot: self.hot.clone(), ..Light::default() };
         for (index, one) in self.glare.iter().enumerate() {
             light.glare.push(one.each(Key { index: Some(index), ..alone("glare") }, make)?);
         }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{Light, read};
+use super::{Hot, Light, read};
 use crate::moving::Law;
 
 /// A function of the frame that is a product of one of x and one of y.
@@ -23,6 +23,7 @@ pub(crate) struct Shine {
     veils: Vec<Product>,
     /// Columns and rows.
     blind: Vec<[Range<usize>; 2]>,
+    hot: Vec<Hot>,
 }
 
 #[derive(Clone, Copy)]
@@ -61,6 +62,7 @@ impl Shine {
             covers: covers.collect(),
             veils: veils.collect(),
             blind: blind.collect(),
+            hot: light.hot,
         })
     }
 
@@ -91,11 +93,35 @@ impl Shine {
         self.veils.iter().for_each(|veil| veil.add(y, row));
     }
 
-    /// Puts the blind pixels of row `y` to saturation.
-    pub fn blind(&self, y: usize, row: &mut [u16], saturation: u16) {
+    /// What pixels of row `y` read that do not read the light: hot ones, and blind ones, which are at saturation.
+    pub fn misread(&self, y: usize, row: &mut [u16], saturation: u16) {
+        for hot in &self.hot {
+            for (x, pixel) in row.iter_mut().enumerate() {
+                if let Some(more) = hot.at(x, y) {
+                    *pixel = (f64::from(*pixel) + more).round().clamp(0.0, f64::from(saturation)) as u16;
+                }
+            }
+        }
         let here = self.blind.iter().filter(|[_, rows]| rows.contains(&y));
         here.for_each(|[columns, _]| row[columns.clone()].fill(saturation));
     }
+}
+
+impl Hot {
+    /// What a pixel reads too much, where it is one of them.
+    fn at(&self, x: usize, y: usize) -> Option<f64> {
+        let first = scrambled(scrambled(self.seed.wrapping_add(x as u64)).wrapping_add(y as u64));
+        let share = |number: u64| (number >> 11) as f64 * (1.0 / (1u64 << 53) as f64);
+        (share(first) < self.share).then(|| self.least + (self.most - self.least) * share(scrambled(first)))
+    }
+}
+
+/// SplitMix64's next number: neighbours have nothing in common.
+fn scrambled(number: u64) -> u64 {
+    let x = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
 }
 
 impl Product {
@@ -151,4 +177,28 @@ fn inside([low, high]: [f64; 2], side: usize) -> Range<usize> {
 fn veil([low, high]: [f64; 2], sigma_px: f64, side: usize, height: f64) -> Vec<f32> {
     let normal = |x: f64| 0.5 * libm::erfc(-x / (sigma_px * std::f64::consts::SQRT_2));
     (0..side).map(|i| (height * (normal(i as f64 - low) - normal(i as f64 - high))) as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hot_pixels_are_the_same_in_every_frame() {
+        let hot = Hot { share: 0.05, least: 40.0, most: 200.0, seed: 3 };
+        let light = Light { hot: vec![hot, Hot { least: -30.0, most: -30.0, seed: 4, ..hot }], ..Light::default() };
+        let frames = [0.0, 7.0].map(|t_s| {
+            let shine = Shine::at(&light, t_s, [100, 100], 255.0).unwrap_or_else(|reason| panic!("{reason}"));
+            let mut rows = vec![[20_u16; 100]; 100];
+            rows.iter_mut().enumerate().for_each(|(y, row)| shine.misread(y, row, 255));
+            rows.concat()
+        });
+        assert_eq!(frames[0], frames[1]);
+        let more = frames[0].iter().filter(|pixel| **pixel >= 60 - 30 && **pixel != 20);
+        let less = frames[0].iter().filter(|pixel| **pixel == 0).count();
+        // 500 each: 5 standard deviations of 22.
+        assert!((390..610).contains(&more.count()) && (390..610).contains(&less));
+        assert!(frames[0].iter().all(|pixel| *pixel == 0 || *pixel == 20 || (30..=220).contains(pixel)));
+        assert!(frames[0].iter().any(|pixel| *pixel > 200) && frames[0].iter().any(|pixel| (60..70).contains(pixel)));
+    }
 }

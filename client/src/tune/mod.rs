@@ -76,7 +76,7 @@ struct Tuned<'a> {
 /// `isophote tune`.
 pub fn run(args: &TuneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
-    let text = std::fs::read_to_string(&args.model).map_err(Failure::other)?;
+    let text = model_files::text(&args.model)?.0;
     let is_json = args.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let source = Document { model: &model, text: &text, is_json };
     let TrialFrames { scenes, options, lost } = scenes(args, &model)?;

@@ -54,7 +54,9 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
     let electrons_per_dn = given.electrons_per_dn.unwrap_or(FULL_WELL_E / saturation);
     let read_noise_e = given.read_noise_e.unwrap_or(READ_NOISE_E);
     let known = (Some(saturation), Some(electrons_per_dn), Some(read_noise_e));
-    let camera = Camera { saturation: known.0, electrons_per_dn: known.1, read_noise_e: known.2, ..given };
+    // Rendered frames have no defects, and a size of their own.
+    let camera =
+        Camera { saturation: known.0, electrons_per_dn: known.1, read_noise_e: known.2, defect_map: None, ..given };
     let spec = SyntheticSpec {
         bits: if saturation > SATURATION { 16 } else { 8 },
         saturation,
@@ -99,6 +101,9 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
     let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
     let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);
     while let Some(captured) = run.recording.next().map_err(Failure::other)? {
+        if number == 0 {
+            offline::check_size(&run.options, model, &captured)?;
+        }
         number += 1;
         if (number - 1) % step != 0 {
             continue;

@@ -10,6 +10,7 @@
 //! ├─ functions    inside the table; what is read there is called  read
 //! ├─ planes       inside the list of planes                       read
 //! │  └─ pixels    any distance from the plane's first pixel       read
+//! ├─ tables       any distance from the first number              read
 //! └─ target       any distance from the first pixel               read and written
 //! ```
 //! That pixels' distances stay inside the window is the lowering's proof; here it is certain that nothing else is touched.
@@ -180,6 +181,7 @@ impl Origins<'_> {
             (offset_of!(Args, outputs), Base::Outputs),
             (offset_of!(Args, functions), Base::Functions),
             (offset_of!(Args, planes), Base::Planes),
+            (offset_of!(Args, tables), Base::Tables),
             (offset_of!(Args, target), Base::Target),
         ];
         let planes = size_of::<PlaneArgs>() as i64;
@@ -294,7 +296,7 @@ impl Origins<'_> {
             Base::Inputs => extent.inputs,
             Base::Functions => size_of::<Functions>(),
             Base::Planes => extent.planes,
-            Base::Pixels => return true,
+            Base::Pixels | Base::Tables => return true,
         };
         at.0.is_some() && starts().all(|start| start >= 0 && start + bytes <= size as i64)
     }

@@ -12,6 +12,8 @@ pub(super) enum Base {
     Outputs,
     Functions,
     Planes,
+    /// Without a known distance.
+    Tables,
     /// Of a raw plane; without a known distance.
     Pixels,
     /// Of the output plane; without a known distance.
@@ -84,7 +86,7 @@ impl Origin {
     /// A distance that nobody knows is allowed among pixels only.
     pub fn behind(base: Base, distance: PossibleNumbers) -> Origin {
         match (base, distance) {
-            (Base::Pixels | Base::Target, _) => Origin::At(base, PossibleNumbers::ANY),
+            (Base::Pixels | Base::Target | Base::Tables, _) => Origin::At(base, PossibleNumbers::ANY),
             (_, PossibleNumbers::ANY) => NUMBER,
             (base, distance) => Origin::At(base, distance),
         }

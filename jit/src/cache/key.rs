@@ -3,7 +3,7 @@
 //! Spans and names are left out, numbers are taken by their bits (so that 0 and −0 differ and a NaN equals itself). A key
 //! is compared as a whole; there is no hash that two programs could share.
 
-use isophote_symbolic::{Input, Level, Op, Program, Sink};
+use isophote_symbolic::{Input, Level, Op, Program, Sink, Tables};
 
 use crate::options::KernelOptions;
 
@@ -11,6 +11,8 @@ use crate::options::KernelOptions;
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(crate) struct KernelKey {
     options: KernelOptions,
+    /// Of a program that looks something up.
+    tables: Tables,
     words: Box<[u32]>,
     instructions: Box<[(Op, Level)]>,
 }
@@ -39,7 +41,8 @@ impl KernelKey {
             Sink::Plane(value) => words.extend([u32::MAX, value.0]), // no list is that long
         }
         let instructions = program.instructions().iter().map(|x| (x.op, x.level)).collect();
-        KernelKey { options: options.clone(), words: words.into(), instructions }
+        let tables = if program.looks_up() { program.tables().clone() } else { Tables::default() };
+        KernelKey { options: options.clone(), tables, words: words.into(), instructions }
     }
 
     /// Of memory.

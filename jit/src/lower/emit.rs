@@ -21,6 +21,7 @@ pub(super) mod arg {
     pub const OUTPUTS: i32 = offset_of!(Args, outputs) as i32;
     pub const FUNCTIONS: i32 = offset_of!(Args, functions) as i32;
     pub const PLANES: i32 = offset_of!(Args, planes) as i32;
+    pub const TABLES: i32 = offset_of!(Args, tables) as i32;
     pub const TARGET: i32 = offset_of!(Args, target) as i32;
     pub const X: i32 = offset_of!(Args, x) as i32;
     pub const Y: i32 = offset_of!(Args, y) as i32;
@@ -69,7 +70,7 @@ pub(super) struct Emitter<'a, 'p> {
 }
 
 /// The record: aligned, never faults.
-const RECORD: MemFlagsData = MemFlagsData::trusted();
+pub(super) const RECORD: MemFlagsData = MemFlagsData::trusted();
 /// Pixels: inside their plane by construction, of any alignment.
 pub(super) const PIXELS: MemFlagsData = MemFlagsData::new().with_notrap();
 

@@ -172,6 +172,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
         match op.code {
             Opcode::Const(x) => vector(emit, |_| x.get()),
+            Opcode::Gather(lookup) => emit.looked_up(lookup, [operands[0], operands[1]]),
             Opcode::Call1(f) => emit.function1(f, operands[0]),
             Opcode::Call2(f) => emit.function2(f, operands[0], operands[1]),
             _ => unreachable!("the check refuses scalar instructions at the pixel level"),

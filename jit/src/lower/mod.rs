@@ -14,6 +14,7 @@
 
 mod elementary;
 mod emit;
+mod gather;
 mod group;
 mod load;
 mod rows;

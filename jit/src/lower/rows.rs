@@ -68,6 +68,7 @@ impl Emitter<'_, '_> {
         }
         match op.code {
             Opcode::Const(x) => self.pair(x.get()),
+            Opcode::Gather(lookup) => self.looked_up(lookup, [operands[0], operands[1]]),
             Opcode::Call1(f) => self.call_pair(Functions::scalar1(f), CallForm::Scalar1, &operands),
             Opcode::Call2(f) => self.call_pair(Functions::scalar2(f), CallForm::Scalar2, &operands),
             _ => unreachable!("the check refuses other instructions at the row level"),

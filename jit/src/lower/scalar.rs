@@ -96,6 +96,10 @@ impl<'p> Emitter<'_, 'p> {
             Opcode::Select => self.b.ins().select(operands[0], operands[1], operands[2]),
             Opcode::Call1(f) => self.call_scalar(Functions::scalar1(f), CallForm::Scalar1, &operands),
             Opcode::Call2(f) => self.call_scalar(Functions::scalar2(f), CallForm::Scalar2, &operands),
+            Opcode::Gather(lookup) => {
+                let places = [operands[0], operands[1]].map(|place| self.b.ins().splat(types::F64X2, place));
+                self.looked_up_one(lookup, places)
+            }
             Opcode::RowTotal(accumulator) => self.row_total(accumulator.index()),
             Opcode::PassTotal(total) => {
                 let slot = self.plan.totals[total.index()];
@@ -126,7 +130,7 @@ impl<'p> Emitter<'_, 'p> {
             Opcode::Compare(comparison) => ins.fcmp(condition(comparison), at(0), at(1)),
             Opcode::And => ins.band(at(0), at(1)),
             Opcode::Or => ins.bor(at(0), at(1)),
-            Opcode::Not | Opcode::Select | Opcode::Call1(_) | Opcode::Call2(_) => return None,
+            Opcode::Not | Opcode::Select | Opcode::Call1(_) | Opcode::Call2(_) | Opcode::Gather(_) => return None,
             Opcode::Const(_) | Opcode::Input(_) | Opcode::Outer(_) | Opcode::Offset | Opcode::Channel(_) => {
                 return None;
             }

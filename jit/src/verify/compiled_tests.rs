@@ -275,3 +275,37 @@ fn strangers_and_lost_registers_are_refused() {
     assert!(strangers == subjects(&PLANTED).len() && popped == strangers, "{strangers}, {popped}");
     assert!(constants > 1000 && calls > 100 && astray > 500, "{constants}, {calls}, {astray}");
 }
+
+/// A profile over one axis, and one over two that stands behind it.
+const TABLES: &str = r#"
+name = "tables"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[tables]
+line = { first = 0, step = 1, values = [1, 3, 2, 1, 0] }
+plane = { first = [0, 0], step = [2, 3], values = [[1, 3, 2, 1], [2, 5, 3, 1], [1, 2, 2, 0], [0, 1, 1, 0]] }
+[parameters]
+bx = { start = 10.0 }
+by = { start = 7.0 }
+[model]
+intensity = 'table("line", x - bx) + table("plane", x - bx, y - by) + table("line", by)'
+"#;
+
+#[test]
+fn tables_are_read_to_their_last_number_and_no_further() {
+    let model = Model::from_toml(TABLES).unwrap();
+    for level in LEVELS {
+        let (isa, fma) = compiler(level, Allocator::Backtracking);
+        for program in programs(&model, Lowering { fma, drop_saturated: false }) {
+            for precision in [Precision::F32, Precision::F64] {
+                let options = options(&program, precision, PixelFormat::U16, true);
+                let bytes = code(&program, &options, &*isa);
+                let reach = Permitted::of(&program, &options);
+                assert_eq!(verify(&bytes, bytes.len(), reach), Ok(()), "{level}");
+                let short = Permitted { tables: reach.tables - 1, ..reach };
+                let found = verify(&bytes, bytes.len(), short).unwrap_err();
+                assert!(found.contains("leaves its list"), "{level}: {found}");
+            }
+        }
+    }
+}

@@ -93,6 +93,8 @@ pub(super) enum Fact {
     /// What the table of functions has at an offset.
     Function(i64),
     Planes,
+    /// The numbers of the tables, at most so many bytes on.
+    Tables(i64),
     /// A pixel of a plane: from the window's first so far along each axis of which the bit is set, and so many pixels on.
     Pixel {
         channel: usize,
@@ -147,6 +149,7 @@ impl Fact {
             (Pixel { channel, axes, lane }, Pixel { channel: b, axes: more, lane: c }) if (channel, lane) == (b, c) => {
                 Pixel { channel, axes: axes | more, lane }
             }
+            (Tables(a), Tables(b)) => Tables(a.max(b)),
             (Target { .. }, Target { .. }) => Target { is_row: true },
             _ => return None,
         })
@@ -170,6 +173,7 @@ impl Fact {
         Some(match (self, by) {
             (Fact::OneOf(a), Fact::OneOf(b)) => Fact::OneOf(a.plus(&b)?),
             (Fact::Frame(at), Fact::OneOf(few)) => Fact::Frame(at.plus(&few)?),
+            (Fact::Tables(most), Fact::Below(count)) => Fact::Tables(most.checked_add(count - 1)?),
             (Fact::Pixel { channel, axes, lane: 0 }, Fact::Product(way))
                 if way.channel == channel && axes & 1 << way.axis == 0 =>
             {
@@ -194,7 +198,7 @@ impl Fact {
             Fact::OneOf(few) => {
                 Few::of(few.each().map(|number| number.saturating_mul(by))).map_or(Fact::Number, Fact::OneOf)
             }
-            Fact::Below(count) if (0..=1 << 16).contains(&count) && (1..=1 << 8).contains(&by) => {
+            Fact::Below(count) if (0..=1 << 24).contains(&count) && (1..=1 << 8).contains(&by) => {
                 Fact::Below((count - 1) * by + 1)
             }
             Fact::Limit(limit) | Fact::Within(limit) => Fact::Multiple(limit, by),

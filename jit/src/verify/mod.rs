@@ -3,7 +3,7 @@
 //! What comes in: machine code of a kernel, and how long the lists behind its argument are. What goes out: nothing, or the
 //! first instruction that is not proved to keep the rules:
 //! - every instruction is on the list: none traps, none is an import;
-//! - memory is read in the frame, in the constants, in the argument block and its lists, and in pixels of the window;
+//! - memory is read in the frame, in the constants, in the argument block, its lists and its tables, and in pixels of the window;
 //!   it is written in the frame, in the two counts, in the outputs, and in the window's rows of the output plane;
 //! - a pixel's address is the window's first plus products of strides and numbers that a comparison has bounded by the window's
 //!   size, so that no arithmetic before that matters;
@@ -40,6 +40,7 @@ pub(crate) struct Permitted<'a> {
     /// How many numbers there are.
     pub inputs: usize,
     pub outputs: usize,
+    pub tables: usize,
     /// Of each channel.
     pub formats: &'a [PixelFormat],
     /// Pixels of a row follow each other without gaps.
@@ -54,6 +55,7 @@ impl<'a> Permitted<'a> {
         Permitted {
             inputs: program.inputs().len(),
             outputs: program.sink().outputs().len(),
+            tables: program.tables().numbers().len(),
             formats: &options.formats,
             packed: options.packed,
             lanes: options.lanes().count(),

@@ -249,6 +249,10 @@ impl Check<'_> {
             Fact::Args => self.list(access, size_of::<Args>()),
             Fact::Inputs => self.list(access, size_of::<f64>() * self.reach.inputs),
             Fact::Functions => self.list(access, size_of::<Functions>()),
+            Fact::Tables(most) => {
+                let furthest = Access { bytes: most + access.bytes, ..*access };
+                self.list(&furthest, size_of::<f64>() * self.reach.tables)
+            }
             Fact::Planes => self.list(access, size_of::<PlaneArgs>() * self.reach.formats.len()),
             Fact::Pixel { channel, lane, .. } => {
                 let is_inside =
@@ -341,6 +345,7 @@ fn argument(at: i64) -> Fact {
         (offset_of!(Args, outputs), Fact::Outputs),
         (offset_of!(Args, functions), Fact::Functions),
         (offset_of!(Args, planes), Fact::Planes),
+        (offset_of!(Args, tables), Fact::Tables(0)),
         (offset_of!(Args, target), Fact::Target { is_row: false }),
         (offset_of!(Args, furthest), Fact::Limit(Limit::Furthest)),
         (last, Fact::Limit(Limit::Last(0))),

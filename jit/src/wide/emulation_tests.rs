@@ -136,7 +136,7 @@ pub(crate) fn subject(seed: u64, width: VectorWidth) -> (Program, Precision, Sta
     let mut random = Random(seed);
     let longest = *random.pick(&[4, 10, 30, 60, 150]);
     let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
-    let variety = Variety { fma: random.below(2) == 0, calls: random.below(3) == 0, lengths, sums: 9 };
+    let variety = Variety { fma: random.below(2) == 0, calls: random.below(3) == 0, tables: false, lengths, sums: 9 };
     let renders = random.below(8) == 0;
     let program = program(&mut random, variety, renders);
     let precision = *random.pick(&[Precision::F32, Precision::F64]);

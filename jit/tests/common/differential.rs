@@ -145,6 +145,7 @@ pub fn first_difference(program: &Program, options: &KernelOptions, stage: &Stag
             coordinates: program.coordinates() as u32,
             channels: program.channels() as u32,
             inputs: program.inputs().to_vec(),
+            tables: program.tables().clone(),
             instructions,
             pixel_set: PixelSet::default(),
             sink: Sink::Sums { accumulators: vec![value], totals: vec![Value(next)], outputs: vec![Value(next + 1)] },

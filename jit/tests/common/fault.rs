@@ -14,6 +14,7 @@ pub fn planted(program: &Program, random: &mut Random) -> Option<(String, Progra
         coordinates: program.coordinates() as u32,
         channels: program.channels() as u32,
         inputs: program.inputs().to_vec(),
+        tables: program.tables().clone(),
         instructions: program.instructions().to_vec(),
         pixel_set: *program.pixel_set(),
         sink: program.sink().clone(),

@@ -2,7 +2,7 @@
 //! knows neither what a program means nor how it is compiled.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use super::Random;
+use super::{Random, tables};
 use isophote_symbolic::{
     AccumulatorId, ChannelId, ConstantId, CoordinateId, Input, InputId, Instruction, Kind, Level, Op, Opcode,
     ParameterId, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
@@ -14,6 +14,8 @@ use std::mem::discriminant;
 pub struct Variety {
     pub fma: bool,
     pub calls: bool,
+    /// Looks things up, which vectors of 128 bits alone do.
+    pub tables: bool,
     /// Instructions of pass, row and pixel.
     pub lengths: [usize; 3],
     /// Sums, at most.
@@ -77,6 +79,7 @@ impl Draft<'_> {
         match code {
             Opcode::Fma if !self.variety.fma => 0,
             Opcode::Call1(_) | Opcode::Call2(_) if !self.variety.calls => 0,
+            Opcode::Gather(_) if !self.variety.tables => 0,
             Opcode::Add => 6,
             Opcode::Sub | Opcode::Mul | Opcode::Fma | Opcode::Select | Opcode::Compare(_) => 3,
             Opcode::Offset => 3,
@@ -183,5 +186,15 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
     let [coordinates, channels, ..] = sizes.map(|n| n as u32);
     let pixel_set = PixelSet { bounds, mask, saturated };
     let fused = variety.fma;
-    Program::from_parts(ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused }).unwrap()
+    Program::from_parts(ProgramParts {
+        coordinates,
+        channels,
+        inputs,
+        tables: tables(),
+        instructions,
+        pixel_set,
+        sink,
+        fused,
+    })
+    .unwrap()
 }

@@ -12,7 +12,9 @@ pub mod soak;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Processor, VectorWidth, Window, has_fma};
 use isophote_symbolic::interpreter::{self, Outcome, Pixels};
-use isophote_symbolic::{Bindings, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind};
+use isophote_symbolic::{
+    Axis, Bindings, Lowering, Method, Model, ParameterId, Precision, Program, Table, Tables, ValueKind,
+};
 
 /// SplitMix64.
 pub struct Random(pub u64);
@@ -261,4 +263,16 @@ pub fn parameters(model: &Model, [width, height]: [usize; 2], random: &mut Rando
         _ => random.between(0.2, 2.0),
     };
     model.parameters().iter().map(|p| value(&p.name)).collect()
+}
+
+/// A profile over one axis and one over two.
+pub fn tables() -> Tables {
+    let axis = |first: f64, step: f64, count: usize| Axis { first, step, count };
+    let line: Vec<f64> = (0..7).map(|i| f64::from(i * i % 5) - 1.5).collect();
+    let plane: Vec<f64> = (0..30).map(|i| f64::from(i * i % 7) + 0.25).collect();
+    let tables = [
+        Table::through(&[axis(-1.0, 0.5, 7)], &line),
+        Table::through(&[axis(-2.0, 1.0, 6), axis(0.0, 0.75, 5)], &plane),
+    ];
+    Tables::of(tables.into_iter().map(Option::unwrap).collect())
 }

@@ -8,12 +8,17 @@ use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use isophote_symbolic::Model;
+use isophote_wire::SourceDocument;
 use serde::Serialize;
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc};
 
+use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::service::{Put, Service};
+use crate::source::{self, Opened};
+use crate::streams::pushed::FrameRoom;
 
 /// The name of the WebSockets' subprotocol.
 const PROTOCOL: &str = "isophote.v1";
@@ -25,6 +30,10 @@ pub struct App {
     pub service: Arc<Service>,
     /// Held by every stream: the service has stopped when all are dropped.
     pub stream: mpsc::Sender<()>,
+    /// Places for those whose recordings are being opened.
+    pub openings: Arc<Semaphore>,
+    /// For pushed frames.
+    pub frames: Arc<FrameRoom>,
 }
 
 /// What a handler answers.
@@ -72,6 +81,31 @@ pub(super) fn upgraded(
         return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
     }
     Ok(upgrade)
+}
+
+/// Opens a recording where its disk may take its time, and nobody else waits for it. Other sources open at once, by whoever puts
+/// them.
+pub(super) async fn opened_ahead(
+    app: &App,
+    document: &SourceDocument,
+    prefix: &'static str,
+    reader: Option<Arc<Model>>,
+) -> Result<Option<Opened>, Problem> {
+    if !matches!(document, SourceDocument::Recording(_)) {
+        return Ok(None);
+    }
+    let (service, document, openings) = (app.service.clone(), document.clone(), app.openings.clone());
+    let opening = async move {
+        let place = openings.acquire_owned().await.map_err(|_| Problem::stopping())?;
+        let open = move || {
+            let _place = place;
+            let find = |model: &str| Ok(service.registry.get(model)?.model.clone());
+            source::open(&document, prefix, find, reader.as_deref())
+        };
+        tokio::task::spawn_blocking(open).await.map_err(|_| Problem::bug("opening the recording panicked"))?
+    };
+    let late = |_| Problem::late(format!("the recording was not opened within {} s", LIMITS.open_time.as_secs()));
+    tokio::time::timeout(LIMITS.open_time, opening).await.map_err(late)?.map(Some)
 }
 
 /// 201 or 200.

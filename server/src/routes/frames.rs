@@ -11,7 +11,6 @@ use isophote_wire::FrameTime;
 use super::{Answer, App, RawName, json, raw, upgraded};
 use crate::documents::{media_type, read_body};
 use crate::hub::Mode;
-use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::streams::frames;
 use crate::streams::pushed::{FrameMedia, Pushed};
@@ -25,14 +24,21 @@ pub async fn post(
     body: Body,
 ) -> Answer {
     let Query(FrameTime { time_s }) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
-    let pushed = Pushed::of(&*app.service.session(&raw(name)?)?)?;
+    let pushed = Pushed::of(&*app.service.session(&raw(name)?)?, app.frames.clone())?;
     let media = match media_type(&headers).as_str() {
         "application/octet-stream" => FrameMedia::Raw,
         "image/png" | "image/jpeg" => FrameMedia::Image,
         _ => return Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream")),
     };
-    let bytes = read_body(body, LIMITS.frame_bytes).await?;
-    let frame = pushed.decode(media, bytes, time_s).await?;
+    let room = match pushed.room_now(media) {
+        Ok(room) => room,
+        Err(problem) => {
+            drop(read_body(body, 0).await); // thrown away, so that the sender gets to read the answer
+            return Err(problem);
+        }
+    };
+    let bytes = read_body(body, pushed.bytes_of(media)).await?;
+    let frame = pushed.decode(media, bytes, time_s, room).await?;
     let estimate = pushed.push(frame)?.estimate().await?;
     json(StatusCode::OK, &*estimate)
 }
@@ -45,15 +51,16 @@ pub async fn get(
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Answer {
     let session = app.service.session(&raw(name)?)?;
-    let pushed = Pushed::of(&session)?;
+    let pushed = Pushed::of(&session, app.frames.clone())?;
     if !headers.contains_key(header::UPGRADE) {
         return Err(Problem::bad_request("frames come with POST, or over a WebSocket"));
     }
     let upgrade = upgraded(&headers, upgrade, pushed.frame_bytes())?;
+    let room = pushed.room_of_socket()?;
     let subscription = session.hub().subscribe(Mode::End)?;
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {
         frames::serve(socket, pushed, subscription).await;
-        drop(held);
+        drop((held, room));
     }))
 }

@@ -11,13 +11,16 @@ mod sessions;
 mod sources;
 
 use axum::Router;
-use axum::http::{StatusCode, Uri};
+use axum::body::Body;
+use axum::http::{StatusCode, Uri, header};
 use axum::routing::{get, post, put};
 
+use crate::documents::read_body;
+use crate::limits::LIMITS;
 use crate::problem::Problem;
 
 pub use answer::App;
-use answer::{Answer, RawName, json, new_name, old_name, put_status, raw, upgraded};
+use answer::{Answer, RawName, json, new_name, old_name, opened_ahead, put_status, raw, upgraded};
 
 /// All routes.
 pub fn router(app: App) -> Router {
@@ -50,6 +53,17 @@ pub fn router(app: App) -> Router {
             Problem::new(StatusCode::METHOD_NOT_ALLOWED, "wrong-method", "this route does not have that method")
         })
         .with_state(app)
+}
+
+/// What those get for whom there is no place: all but whether the service lives is refused, and the connection closed.
+pub fn full() -> Router {
+    let refuse = async |body: Body| {
+        drop(read_body(body, 0).await); // thrown away, so that the sender gets to read the answer
+        let detail = format!("all {} connections are taken; try again", LIMITS.sockets);
+        ([(header::CONNECTION, "close")], Problem::new(StatusCode::SERVICE_UNAVAILABLE, "full", detail))
+    };
+    let alive = async || ([(header::CONNECTION, "close")], health::livez().await);
+    Router::new().route("/livez", get(alive)).fallback(refuse)
 }
 
 async fn absent(what: &'static str) -> Problem {

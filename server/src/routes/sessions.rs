@@ -4,9 +4,9 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
-use isophote_wire::{Items, SessionDocument, SwapDocument};
+use isophote_wire::{Items, SessionDocument, SourceReference, SwapDocument};
 
-use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
+use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 
@@ -14,12 +14,22 @@ use crate::problem::Problem;
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (document, text) = read_json::<SessionDocument>(&headers, body).await?;
+    let opened = match &document.source {
+        SourceReference::Own(source) => {
+            let model = app.service.registry.get(&document.model)?.model.clone();
+            opened_ahead(&app, source, "source.", Some(model)).await.map_err(|problem| place(problem, &text))?
+        }
+        SourceReference::Named(_) => None,
+    };
     let service = app.service.clone();
     let work = move || {
-        let put = service.put_session(&name, document)?;
-        Ok((put, service.session(name.as_str())?.view()))
+        let (put, ended) = service.put_session(&name, document, opened)?;
+        Ok((put, ended, service.session(name.as_str())?.view()))
     };
-    let (put, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    let (put, ended, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    if let Some(ended) = ended {
+        drop(ended.await); // where nobody could wait for it, it ends alone
+    }
     json(put_status(put), &view)
 }
 
@@ -32,7 +42,8 @@ pub async fn get(State(app): State<App>, name: RawName) -> Answer {
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let name = old_name("session", name)?;
     let service = app.service.clone();
-    app.service.compiler.run(move || service.remove_session(&name)).await?;
+    let ended = app.service.compiler.run(move || service.remove_session(&name)).await?;
+    drop(ended.await); // where nobody could wait for it, it ends alone
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 

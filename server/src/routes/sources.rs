@@ -6,16 +6,17 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use isophote_wire::{Items, SourceDocument};
 
-use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
+use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
 use crate::documents::{place, read_json};
 
 /// `PUT /v1/sources/{name}`
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (document, text) = read_json::<SourceDocument>(&headers, body).await?;
+    let opened = opened_ahead(&app, &document, "", None).await.map_err(|problem| place(problem, &text))?;
     let service = app.service.clone();
     let work = move || {
-        let put = service.put_source(&name, document)?;
+        let put = service.put_source(&name, document, opened)?;
         Ok((put, service.source(name.as_str())?.view(name.as_str())))
     };
     let (put, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;

@@ -6,9 +6,8 @@ pub mod inbox;
 mod status;
 mod swap;
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
+use std::time::Instant;
 
 use isophote_tracker::{Compiled, PoseMismatch, TrackError, Tracker, TrackerOptions};
 use tokio::sync::oneshot;
@@ -18,6 +17,7 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::{FrameShape, Source};
+use crate::thread::NamedThread;
 use beside::PreparationThread;
 use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
@@ -58,9 +58,7 @@ pub struct Session {
     document: SessionDocument,
     source: SourceOf,
     shared: Arc<Shared>,
-    thread: Mutex<Option<JoinHandle<()>>>,
-    /// Hangs up when the thread is over.
-    running: Mutex<Receiver<()>>,
+    thread: NamedThread,
 }
 
 impl Session {
@@ -94,18 +92,10 @@ impl Session {
             beside: PreparationThread::default(),
             next_frame: None,
         };
-        let (runs, running) = std::sync::mpsc::sync_channel::<()>(0);
-        let run = move || {
-            let _runs = runs;
-            fitter.run();
-        };
-        let thread = std::thread::Builder::new()
-            .name(format!("fit {name}"))
-            .spawn(run)
+        let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
         source.source.subscribe(&shared.inbox);
-        let (thread, running) = (Mutex::new(Some(thread)), Mutex::new(running));
-        Ok(Session { name: name.to_string(), document, source, shared, thread, running })
+        Ok(Session { name: name.to_string(), document, source, shared, thread })
     }
 
     /// Its estimates.
@@ -191,20 +181,22 @@ impl Session {
         Ok((compile_ms, answer))
     }
 
-    /// Tells subscribers and ends the threads.
-    pub fn stop(&self, end: End) {
+    /// Takes no more frames, and gives up the fit that it is at.
+    pub fn leave(&self) {
         self.source.source.unsubscribe(&self.shared.inbox);
         self.shared.inbox.close();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let ended = self.running.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LIMITS.fit_time);
-        // One that is still at its last frame ends after it: nobody waits for a fit whose result nobody wants.
-        let thread = thread.filter(|_| ended != Err(RecvTimeoutError::Timeout));
-        if thread.is_some_and(|thread| thread.join().is_err()) {
-            eprintln!("isophote: the fit thread of session {} panicked", self.name);
+        if self.source.is_own {
+            self.source.source.leave();
         }
+    }
+
+    /// After [`Session::leave`]: waits for the threads and tells subscribers. One that is still at its last frame ends after it:
+    /// nobody waits for a fit whose result nobody wants.
+    pub fn wait(&self, end: End, until: Instant) {
+        self.thread.wait(until);
         self.shared.hub.end(end);
         if self.source.is_own {
-            self.source.source.stop();
+            self.source.source.wait(until);
         }
     }
 }
@@ -242,8 +234,8 @@ fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) -> Result<(
     if let Some(columns) = &shape.columns {
         let missing = model.channels().iter().find(|channel| !columns.contains(channel));
         return missing.map_or(Ok(()), |channel| {
-            let names = columns.join(", ");
-            Err(format!("no column is named `{channel}`, which the model `{}` reads; there are {names}", model.name()))
+            let (count, model) = (columns.len(), model.name());
+            Err(format!("none of the {count} columns is named `{channel}`, which the model `{model}` reads"))
         });
     }
     if let Some(planes) = shape.planes.filter(|planes| *planes != channels && !(*planes == 3 && channels == 1)) {
@@ -274,9 +266,11 @@ fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackEr
         },
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),
+        (None, None, TrackError::Window { .. }) => "window".to_string(),
         (None, None, TrackError::Target(_)) => "target".to_string(),
         (None, None, TrackError::Pose(PoseMismatch::Size { .. })) => "camera.intrinsics".to_string(),
         (None, None, TrackError::Pose(_)) => "target".to_string(),
+        (None, None, TrackError::DefectMap(_)) => "camera.defect_map".to_string(),
         (None, None, TrackError::Intrinsics(_)) => "camera.intrinsics".to_string(),
         (None, None, _) => "model".to_string(),
     };

@@ -13,7 +13,6 @@ mod tests;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 use isophote_capture::camera::CameraStatus;
@@ -23,6 +22,7 @@ use isophote_jit::PixelFormat;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
+use crate::thread::NamedThread;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
 pub use open::{Opened, camera_problem, open, pixel_format};
@@ -61,7 +61,7 @@ pub struct Source {
     /// Ends a camera's wait.
     wake: Option<Wake>,
     shared: Arc<Shared>,
-    thread: Mutex<Option<JoinHandle<()>>>,
+    thread: NamedThread,
 }
 
 struct Shared {
@@ -115,12 +115,11 @@ impl Source {
             Producer::Pushed => (None, None),
             Producer::Camera(camera) => (camera.exposure(), Some(camera.wake())),
         };
-        let worker = Worker { shared: shared.clone(), pace, schedule: Ticks::new(rate_hz), frame: 0 };
-        let thread = std::thread::Builder::new()
-            .name(format!("source {label}"))
-            .spawn(move || worker.run(opened.producer))
+        let (faults_max, schedule) = (opened.faults_max, Ticks::new(rate_hz));
+        let worker = Worker { shared: shared.clone(), pace, schedule, frame: 0, faults_max, faults: 0 };
+        let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
-        Ok(Source { document, shape: opened.shape, exposure, wake, shared, thread: Mutex::new(Some(thread)) })
+        Ok(Source { document, shape: opened.shape, exposure, wake, shared, thread })
     }
 
     /// What is known about its frames.
@@ -208,15 +207,22 @@ impl Source {
         Ok(())
     }
 
-    /// Ends the thread and waits for it. Its sessions must be closed before.
-    pub fn stop(&self) {
+    /// Ends the thread after the frame that it is at. Its sessions must be closed before.
+    pub fn leave(&self) {
         self.shared.lock().is_stopping = true;
         self.shared.changed.notify_all();
         self.wake.iter().for_each(Wake::ring);
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if thread.is_some_and(|thread| thread.join().is_err()) {
-            eprintln!("isophote: a source thread panicked");
-        }
+    }
+
+    /// Waits for the thread's end, after [`Source::leave`].
+    pub fn wait(&self, until: Instant) {
+        self.thread.wait(until);
+    }
+
+    /// Ends the thread and waits a while for it.
+    pub fn stop(&self) {
+        self.leave();
+        self.wait(Instant::now() + LIMITS.end_time);
     }
 }
 
@@ -229,6 +235,10 @@ struct Worker {
     pace: Pace,
     schedule: Ticks,
     frame: u64,
+    /// Frames that may fail one after the other.
+    faults_max: usize,
+    /// That have failed since the last that did not.
+    faults: usize,
 }
 
 impl Worker {
@@ -245,10 +255,20 @@ impl Worker {
         while self.wait_for_sessions() {
             match frames.next() {
                 Ok(Some(captured)) => {
+                    self.faults = 0;
                     if !self.wait_until_due() {
                         return;
                     }
                     self.number(captured, None);
+                }
+                // It may be whole when its turn comes again. Its number is missing, and its place in time stays.
+                Err(error) if self.faults < self.faults_max => {
+                    self.faults += 1;
+                    self.frame += 1;
+                    self.shared.lock().reason = Some(format!("a frame is left out: {error}"));
+                    if !self.wait_until_due() {
+                        return;
+                    }
                 }
                 Ok(None) => return finish(&self.shared, SourceState::Ended, "the recording has ended".into()),
                 Err(error) => return finish(&self.shared, SourceState::Failed, error.to_string()),

@@ -28,6 +28,8 @@ pub struct Opened {
     pub pace: Pace,
     /// Frames a second, 0: as fast as `pace` allows.
     pub rate_hz: f64,
+    /// Frames that may fail one after the other without an end to the source.
+    pub faults_max: usize,
 }
 
 /// Opens what a document describes. `prefix` is where it stands in the document that was sent (`source.` or nothing),
@@ -86,7 +88,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         size: source.size(),
     };
     let producer = Producer::Frames(Box::new(source));
-    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz })
+    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, faults_max: 0 })
 }
 
 fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Model>) -> Result<Opened, Problem> {
@@ -106,8 +108,10 @@ fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Mo
         columns,
         size,
     };
+    // Of a recording that is played again and again, one whole round.
+    let faults_max = if document.repeat { recording.len() } else { 0 };
     let source: Box<dyn FrameSource> = if document.repeat { Box::new(Loop(recording)) } else { Box::new(recording) };
-    Ok(Opened { producer: Producer::Frames(source), shape, pace: document.pace, rate_hz: document.rate_hz })
+    Ok(Opened { producer: Producer::Frames(source), shape, pace: document.pace, rate_hz: document.rate_hz, faults_max })
 }
 
 fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Problem> {
@@ -120,7 +124,7 @@ fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Proble
         columns: None,
         size: Some(vec![document.width, document.height]),
     };
-    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0 })
+    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0, faults_max: 0 })
 }
 
 fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Problem> {
@@ -158,7 +162,13 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         columns: None,
         size: Some(camera.size().to_vec()),
     };
-    Ok(Opened { producer: Producer::Camera(Box::new(camera)), shape, pace: Pace::Realtime, rate_hz: 0.0 })
+    Ok(Opened {
+        producer: Producer::Camera(Box::new(camera)),
+        shape,
+        pace: Pace::Realtime,
+        rate_hz: 0.0,
+        faults_max: 0,
+    })
 }
 
 /// A camera that others use is a conflict; anything else is the document's, at its key.

@@ -7,10 +7,9 @@ use axum::body::{Body, Bytes};
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
-use isophote_wire::EstimateView;
 use tokio::sync::mpsc;
 
-use crate::hub::{Next, Subscription};
+use crate::hub::{Next, SentEstimate, Subscription};
 use crate::limits::LIMITS;
 
 /// How messages are set apart.
@@ -39,10 +38,10 @@ impl Framing {
         }
     }
 
-    fn message(self, estimate: &EstimateView) -> Bytes {
-        let json = serde_json::to_string(estimate).unwrap_or_default();
+    fn message(self, estimate: &SentEstimate) -> Bytes {
+        let json = estimate.json();
         match self {
-            Framing::Events => format!("id: {}\ndata: {json}\n\n", estimate.frame).into(),
+            Framing::Events => format!("id: {}\ndata: {json}\n\n", estimate.frame()).into(),
             Framing::Lines => format!("{json}\n").into(),
         }
     }

@@ -8,22 +8,21 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::extract::ws::{Message, WebSocket};
-use isophote_tracker::Frame;
 use isophote_wire::{EstimateView, FrameTime};
 
-use super::pushed::{Pushed, WaitingFrame};
-use super::websocket::{close, refuse, send};
+use super::pushed::{DecodedFrame, Pushed, WaitingFrame};
+use super::websocket::{break_off, close, refuse, send};
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 
-type Decoding = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
+type Decoding = Pin<Box<dyn Future<Output = Result<DecodedFrame, Problem>> + Send>>;
 
 /// What happened.
 enum Turn {
     Ended(Next),
     Answered(Result<Arc<EstimateView>, Problem>),
-    Decoded(Result<Frame, Problem>),
+    Decoded(Result<DecodedFrame, Problem>),
     Received(Option<Result<Message, axum::Error>>),
     Ping,
 }
@@ -71,7 +70,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                 }
             }
             Turn::Received(None) => return,
-            Turn::Received(Some(Err(error))) => return refuse(&mut socket, &error.to_string()).await,
+            Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
             Turn::Received(Some(Ok(message))) => {
                 heard = Instant::now();
                 match message {
@@ -79,7 +78,8 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                         let (pushed, FrameTime { time_s }) = (pushed.clone(), std::mem::take(&mut next));
                         decoding = Some(Box::pin(async move {
                             let media = pushed.media(&bytes);
-                            pushed.decode(media, bytes.into(), time_s).await
+                            let room = pushed.room_for(media).await?;
+                            pushed.decode(media, bytes.into(), time_s, room).await
                         }));
                     }
                     Message::Text(text) => match serde_json::from_str(&text) {
@@ -106,7 +106,7 @@ async fn first(waiting: &mut VecDeque<Result<WaitingFrame, Problem>>) -> Result<
 }
 
 /// The frame that is being decoded; never, when none is.
-async fn decoded(decoding: &mut Option<Decoding>) -> Result<Frame, Problem> {
+async fn decoded(decoding: &mut Option<Decoding>) -> Result<DecodedFrame, Problem> {
     match decoding {
         None => std::future::pending().await,
         Some(decoding) => decoding.await,

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use axum::http::StatusCode;
 use isophote_capture::Captured;
 use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
 use isophote_wire::{EstimateView, PushedDocument, SourceDocument};
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio::time::Instant;
 
 use crate::limits::LIMITS;
@@ -29,6 +30,32 @@ pub struct Pushed {
     document: PushedDocument,
     source: Arc<Source>,
     inbox: Arc<Inbox>,
+    room: Arc<FrameRoom>,
+}
+
+/// Bytes of frames on their way, of all clients together: a permit is 1 KiB.
+pub struct FrameRoom {
+    /// Frames that are read, decoded, or wait for their fits.
+    frames: Arc<Semaphore>,
+    /// Messages of WebSockets that are half received.
+    sockets: Arc<Semaphore>,
+}
+
+impl Default for FrameRoom {
+    fn default() -> FrameRoom {
+        let half = || Arc::new(Semaphore::new(permits(LIMITS.flight_bytes / 2) as usize));
+        FrameRoom { frames: half(), sockets: half() }
+    }
+}
+
+fn permits(bytes: usize) -> u32 {
+    bytes.min(LIMITS.flight_bytes / 2).div_ceil(1024) as u32
+}
+
+/// A frame that the source may have, and the room that it takes until it is answered.
+pub struct DecodedFrame {
+    frame: Frame,
+    room: OwnedSemaphorePermit,
 }
 
 /// A frame that waits for its fit.
@@ -36,11 +63,12 @@ pub struct WaitingFrame {
     answer: oneshot::Receiver<Arc<EstimateView>>,
     /// From when it is the next to be answered: until then it waits for the frames before it.
     deadline: Option<Instant>,
+    _room: OwnedSemaphorePermit,
 }
 
 impl Pushed {
     /// 409 when the session's source takes no frames.
-    pub fn of(session: &Session) -> Result<Pushed, Problem> {
+    pub fn of(session: &Session, room: Arc<FrameRoom>) -> Result<Pushed, Problem> {
         let source = session.source().source.clone();
         let SourceDocument::Pushed(document) = source.document().clone() else {
             let kind = source.document().kind();
@@ -48,7 +76,7 @@ impl Pushed {
                 format!("the session's frames come from a source of kind {kind}; only kind pushed takes frames");
             return Err(Problem::conflict("not-applicable", message));
         };
-        Ok(Pushed { document, source, inbox: session.inbox().clone() })
+        Ok(Pushed { document, source, inbox: session.inbox().clone(), room })
     }
 
     /// Bytes that a frame of the source may have: as they are, or as an image that packing has not made smaller, of four
@@ -57,13 +85,40 @@ impl Pushed {
         frame_bytes(&self.document)
     }
 
+    /// The same of one kind.
+    pub fn bytes_of(&self, media: FrameMedia) -> usize {
+        if media == FrameMedia::Raw { raw_bytes(&self.document) } else { self.frame_bytes() }
+    }
+
+    /// Room for a frame of that kind, or 503.
+    pub fn room_now(&self, media: FrameMedia) -> Result<OwnedSemaphorePermit, Problem> {
+        self.room.frames.clone().try_acquire_many_owned(permits(self.bytes_of(media))).map_err(|_| full())
+    }
+
+    /// The same, as soon as there is some: what is behind it waits in the client's socket.
+    pub async fn room_for(&self, media: FrameMedia) -> Result<OwnedSemaphorePermit, Problem> {
+        let room = self.room.frames.clone().acquire_many_owned(permits(self.bytes_of(media)));
+        room.await.map_err(|_| Problem::stopping())
+    }
+
+    /// Room for a socket's message while it is received, or 503.
+    pub fn room_of_socket(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        self.room.sockets.clone().try_acquire_many_owned(permits(self.frame_bytes())).map_err(|_| full())
+    }
+
     /// What bytes are that come without a type.
     pub fn media(&self, bytes: &[u8]) -> FrameMedia {
         media(&self.document, bytes)
     }
 
     /// Decodes on a thread where it may take its time. `time_s` is the client's, and refused where it cannot be one.
-    pub async fn decode(&self, media: FrameMedia, bytes: Vec<u8>, time_s: Option<f64>) -> Result<Frame, Problem> {
+    pub async fn decode(
+        &self,
+        media: FrameMedia,
+        bytes: Vec<u8>,
+        time_s: Option<f64>,
+        room: OwnedSemaphorePermit,
+    ) -> Result<DecodedFrame, Problem> {
         let most = LIMITS.frame_time_s;
         if time_s.is_some_and(|time_s| !(-most..=most).contains(&time_s)) {
             return Err(Problem::bad_request(format!(
@@ -74,15 +129,16 @@ impl Pushed {
         let document = self.document.clone();
         let decoding = tokio::task::spawn_blocking(move || decode(&document, media, bytes));
         let frame = decoding.await.map_err(|_| Problem::bug("decoding panicked"))??;
-        Ok(frame.with_time_s(time_s))
+        Ok(DecodedFrame { frame: frame.with_time_s(time_s), room })
     }
 
     /// Hands a frame to the source; frames are fitted in the order of these calls.
-    pub fn push(&self, frame: Frame) -> Result<WaitingFrame, Problem> {
+    pub fn push(&self, decoded: DecodedFrame) -> Result<WaitingFrame, Problem> {
+        let DecodedFrame { frame, room } = decoded;
         let (sender, answer) = oneshot::channel();
         let reply = Reply { session: self.inbox.clone(), sender };
         self.source.push(Captured { frame, file: None, truth: None }, reply)?;
-        Ok(WaitingFrame { answer, deadline: None })
+        Ok(WaitingFrame { answer, deadline: None, _room: room })
     }
 }
 
@@ -98,6 +154,10 @@ impl WaitingFrame {
     pub fn last(mut self) -> Result<Arc<EstimateView>, Problem> {
         self.answer.try_recv().map_err(|_| Problem::session_ended())
     }
+}
+
+fn full() -> Problem {
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "full", "too many bytes of frames are on their way; try again")
 }
 
 /// Pixels that begin like a JPEG are possible; the eight bytes of a PNG are not.
@@ -190,7 +250,8 @@ mod tests {
     #[tokio::test]
     async fn time_begins_when_a_frame_is_the_next() {
         let (sender, answer) = oneshot::channel();
-        let mut waiting = WaitingFrame { answer, deadline: None };
+        let room = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
+        let mut waiting = WaitingFrame { answer, deadline: None, _room: room };
         let (begun, long) = (Instant::now(), LIMITS.push_time);
         assert!(tokio::time::timeout(std::time::Duration::from_millis(1), waiting.estimate()).await.is_err());
         let deadline = waiting.deadline.unwrap();

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use isophote_wire::CreditDocument;
 
-use crate::hub::{End, Mode, Next, Subscription};
+use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 
 /// How many more messages the client takes.
@@ -44,7 +44,6 @@ enum Turn {
 pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit: Option<u32>) {
     let mut credit = credit.map_or(Credit::Open, Credit::Counted);
     let mut heard = Instant::now();
-    let send_time = if subscription.mode() == Mode::All { LIMITS.send_time_all } else { LIMITS.send_time };
     let mut ping = tokio::time::interval(LIMITS.ping_time);
     ping.reset();
     loop {
@@ -56,8 +55,7 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
         };
         match turn {
             Turn::Send(Next::Estimate(estimate)) => {
-                let Ok(json) = serde_json::to_string(&*estimate) else { return };
-                if !send(&mut socket, Message::Text(json.into()), send_time).await {
+                if !send(&mut socket, Message::Text(estimate.json().into()), LIMITS.send_time).await {
                     return;
                 }
                 credit.spend();
@@ -65,11 +63,12 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
             Turn::Send(Next::End(end)) => return close(&mut socket, &end).await,
             Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
             Turn::Ping => {
-                if !send(&mut socket, Message::Ping(Vec::new().into()), send_time).await {
+                if !send(&mut socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await {
                     return;
                 }
             }
-            Turn::Received(None | Some(Err(_))) => return,
+            Turn::Received(None) => return,
+            Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
             Turn::Received(Some(Ok(message))) => {
                 heard = Instant::now();
                 match message {
@@ -93,6 +92,18 @@ pub(super) async fn send(socket: &mut WebSocket, message: Message, deadline: Dur
 /// Ends the stream of a client that does not keep to the protocol.
 pub(super) async fn refuse(socket: &mut WebSocket, reason: &str) {
     finish(socket, close_code::POLICY, reason).await;
+}
+
+/// Ends the stream of a client whose frames are no WebSocket's, with the code that RFC 6455 has for it.
+pub(super) async fn break_off(socket: &mut WebSocket, error: axum::Error) {
+    let text = error.to_string();
+    let code = match error.into_inner().downcast_ref::<tungstenite::Error>() {
+        Some(tungstenite::Error::Protocol(_)) => close_code::PROTOCOL,
+        Some(tungstenite::Error::Utf8(_)) => close_code::INVALID,
+        Some(tungstenite::Error::Capacity(_)) => close_code::SIZE,
+        _ => return, // it has gone
+    };
+    finish(socket, code, &text).await;
 }
 
 /// Says why nothing more will come.

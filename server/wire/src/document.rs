@@ -272,7 +272,7 @@ pub struct SyntheticDocument {
     /// Largest pixel value; 2^bits − 1 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation: Option<f64>,
-    /// Glare, occluders, blindness, defocus.
+    /// Glare, occluders, blindness, defocus, hot pixels.
     #[serde(default, skip_serializing_if = "Light::is_clean")]
     pub light: Box<Light>,
     /// The same seed gives the same frames.

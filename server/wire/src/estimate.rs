@@ -49,6 +49,9 @@ pub struct EstimateView {
     /// The sum of r²/σ² (r² without noise) over pixels less free parameters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reduced_chi_square: Option<f64>,
+    /// The noise of pixels over that which the model states, as frames show it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub noise_ratio: Option<f64>,
     /// ln L of the pixels that took part.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub log_likelihood: Option<f64>,
@@ -57,6 +60,9 @@ pub struct EstimateView {
     pub confidence: Option<f64>,
     /// Pixels that took part in the last pass.
     pub pixels: u64,
+    /// Pixels of the domain that the camera's map of defects left out, where it has one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub left_out: Option<u64>,
     /// Share of the domain's pixels that are saturated, 0 … 1.
     pub saturated: f64,
     /// Iterations of each stage.
@@ -155,9 +161,11 @@ impl EstimateView {
             covariance: result.covariance.clone().filter(|rows| rows.iter().flatten().all(|v| v.is_finite())),
             objective: result.objective.filter(|v| v.is_finite()),
             reduced_chi_square: result.reduced_chi_square.filter(|v| v.is_finite()),
+            noise_ratio: result.noise_ratio.filter(|v| v.is_finite()),
             log_likelihood: result.log_likelihood,
             confidence: result.confidence.filter(|v| v.is_finite()),
             pixels: result.pixels,
+            left_out: result.left_out,
             saturated: if result.saturated.is_finite() { result.saturated } else { 0.0 },
             iterations: result.iterations.clone(),
             converged: result.converged,

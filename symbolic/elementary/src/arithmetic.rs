@@ -118,6 +118,17 @@ pub(super) fn clamped<M: Machine>(m: &M, x: M::Number, low: f64, high: f64) -> M
     m.select(m.less(high, x), high, x)
 }
 
+/// x − ⌊x⌋; 0 where x has no fraction, NaN of NaN.
+#[inline(always)]
+pub(super) fn fraction<M: Machine>(m: &M, x: M::Number) -> M::Number {
+    let magic = m.constant(MAGIC);
+    let nearest = m.sub(m.add(x, magic), magic);
+    let lower = m.sub(nearest, m.constant(1.0));
+    let floor = m.select(m.less(x, nearest), lower, nearest);
+    let is_whole = m.less(m.constant((1_u64 << 51) as f64), m.abs(x));
+    m.select(is_whole, m.constant(0.0), m.sub(x, floor))
+}
+
 /// 2^k of a k that was rounded by adding [`MAGIC`], −1022 ≤ k ≤ 1023.
 #[inline(always)]
 pub(super) fn power_of_two<M: Machine>(m: &M, rounded: M::Number) -> M::Number {

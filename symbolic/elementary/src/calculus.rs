@@ -54,6 +54,7 @@ pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
             let next = (N::from(n) * f - x.call1(lower)) / x;
             (f, -next, N::from(n + 1.0) * next / x - f)
         }
+        Function1::Fraction => (f, one, N::from(0.0)),
         Function1::LogTail => {
             let hazard = x.call1(Function1::Hazard);
             (f, -hazard, -(hazard * (hazard - x)))

@@ -397,6 +397,11 @@ impl DoubleDouble {
             Function1::BesselRatio2 => self.bessel()[3],
             Function1::Sinc => self.sinc(),
             Function1::SincRatio => self.sinc_ratio(),
+            Function1::Fraction if self.hi.is_infinite() => Self::ZERO,
+            Function1::Fraction => {
+                let floor = self.hi.floor();
+                self - if floor == self.hi && self.lo < 0.0 { floor - 1.0 } else { floor }.into()
+            }
             Function1::LogTail | Function1::Hazard => function.value(self.to_f64()).into(),
         }
     }

@@ -35,6 +35,8 @@ pub enum Function1 {
     BesselRatio2,
     /// (sin(x)/x − cos x)/x², which is −sinc′(x)/x; no word of the language.
     SincRatio,
+    /// x − ⌊x⌋, 0 at ±∞: where in its cell a table is read; no word of the language.
+    Fraction,
 }
 
 /// Functions of two arguments.
@@ -56,11 +58,11 @@ impl Function1 {
     };
 
     /// Those, and the ones that a likelihood or a derivative needs, in the order of the numeric value.
-    pub const EVERY: [Function1; 21] = {
+    pub const EVERY: [Function1; 22] = {
         use Function1::*;
-        let mut every = [Exp; 21];
+        let mut every = [Exp; 22];
         every.split_at_mut(16).0.copy_from_slice(&Function1::ALL);
-        every.split_at_mut(16).1.copy_from_slice(&[LogTail, Hazard, BesselRatio1, BesselRatio2, SincRatio]);
+        every.split_at_mut(16).1.copy_from_slice(&[LogTail, Hazard, BesselRatio1, BesselRatio2, SincRatio, Fraction]);
         every
     };
 
@@ -88,6 +90,7 @@ impl Function1 {
             Function1::BesselRatio1 => "bessel_ratio1",
             Function1::BesselRatio2 => "bessel_ratio2",
             Function1::SincRatio => "sinc_ratio",
+            Function1::Fraction => "fraction",
         }
     }
 

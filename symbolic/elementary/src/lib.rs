@@ -4,7 +4,7 @@
 //! within 2 units in the last place of f64 (erfc 5, Bessel functions 80 of the height of their waves), or, where the caller
 //! rounds it to f32, of f32. Each function is written once, over a [`Machine`]: [`Plain`] evaluates it (that is its
 //! meaning), the JIT turns it into vector instructions, a [`Counter`] says how many. [`DoubleDouble`] and [`ulps`] say how far a value is from the exact one, [`Modular`] whether two
-//! formulas are the same; a [`Number`] is any arithmetic to work formulas out in, and [`derivatives`] are the functions' own in it.
+//! formulas are the same; [`Table`] has measured profiles; a [`Number`] is any arithmetic to work formulas out in, and [`derivatives`] are the functions' own in it.
 //! It must never know: programs, lanes, the compiler.
 
 #![forbid(unsafe_code)]
@@ -28,6 +28,7 @@ mod number;
 mod plain;
 mod power;
 mod sinc;
+mod table;
 mod tail;
 #[cfg(test)]
 mod tests;
@@ -44,6 +45,7 @@ pub use machine::{Accuracy, Machine};
 pub use modular::Modular;
 pub use number::Number;
 pub use plain::Plain;
+pub use table::{Axis, Lookup, Table, Tables};
 
 /// The value of a function of one argument.
 #[inline(always)]
@@ -70,6 +72,7 @@ pub fn call1<M: Machine>(m: &M, function: Function1, accuracy: Accuracy, x: M::N
         Function1::BesselRatio1 => bessel::ratio1(m, accuracy, x),
         Function1::BesselRatio2 => bessel::ratio2(m, accuracy, x),
         Function1::SincRatio => sinc::ratio(m, accuracy, x),
+        Function1::Fraction => arithmetic::fraction(m, x),
     }
 }
 

@@ -7,7 +7,7 @@
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::{Function1, Function2, Number};
+use crate::{Function1, Function2, Lookup, Number, Tables};
 
 const P: u64 = (1 << 61) - 1;
 
@@ -162,6 +162,11 @@ impl Number for Modular {
     #[inline]
     fn call2(self, function: Function2, other: Modular) -> Modular {
         self.opaque(64 + function as u64) + other.opaque(96 + function as u64) * self.opaque(128)
+    }
+    #[inline]
+    fn look_up(self, other: Modular, _: &Tables, lookup: Lookup) -> Modular {
+        let tag = 256 + 2 * (u64::from(lookup.table) << 8 | u64::from(lookup.coefficient));
+        self.opaque(tag) + other.opaque(tag + 1) * self.opaque(129)
     }
 }
 

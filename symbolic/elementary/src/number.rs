@@ -5,7 +5,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::{DoubleDouble, Function1, Function2};
+use crate::{DoubleDouble, Function1, Function2, Lookup, Tables};
 
 /// An arithmetic.
 pub trait Number:
@@ -30,6 +30,8 @@ pub trait Number:
     fn call1(self, function: Function1) -> Self;
     /// An elementary function of two arguments.
     fn call2(self, function: Function2, other: Self) -> Self;
+    /// A number of a table, at this and another place.
+    fn look_up(self, other: Self, tables: &Tables, lookup: Lookup) -> Self;
     /// The number as one to begin with: what it was made of is forgotten, …
     fn alone(self) -> Self {
         self
@@ -61,6 +63,10 @@ impl Number for f64 {
     fn call2(self, function: Function2, other: f64) -> f64 {
         function.value(self, other)
     }
+    #[inline]
+    fn look_up(self, other: f64, tables: &Tables, lookup: Lookup) -> f64 {
+        tables.look_up(lookup, self, other)
+    }
 }
 
 impl Number for DoubleDouble {
@@ -79,6 +85,11 @@ impl Number for DoubleDouble {
     #[inline]
     fn call2(self, function: Function2, other: Self) -> Self {
         self.call2(function, other)
+    }
+    #[inline]
+    fn look_up(self, other: Self, tables: &Tables, lookup: Lookup) -> Self {
+        let [a, b] = [self, other].map(|place| (place - place.call1(Function1::Fraction)).to_f64());
+        tables.look_up(lookup, a, b).into()
     }
     #[inline]
     fn two_over_root_pi() -> Self {

@@ -1,10 +1,10 @@
 //! Functions that a language's library lacks, written into the file where a program calls them.
 
-use isophote_symbolic::{Function1, Opcode};
+use isophote_symbolic::{Function1, Instruction, Opcode};
 
 use crate::body::Statements;
 use crate::lines::File;
-use crate::options::Language;
+use crate::options::{ExportSubject, Language};
 
 /// A function's text in both languages, and which functions of a program call it.
 struct Special {
@@ -13,7 +13,7 @@ struct Special {
     rust: &'static str,
 }
 
-const SPECIAL: [Special; 3] = [
+const SPECIAL: [Special; 4] = [
     Special {
         of: &[Function1::Erf, Function1::Erfc],
         c: "",
@@ -182,7 +182,86 @@ fn sinc_ratio(n: usize, x: f64) -> f64 {
 }
 ",
     },
+    Special {
+        of: &[Function1::Fraction],
+        c: "\
+#ifndef FRACTION
+#define FRACTION
+/* How far x is from the whole number below. */
+static double fraction(double x) {
+    return fabs(x) > 2251799813685248.0 ? 0.0 : x - floor(x);
+}
+#endif
+",
+        rust: "\
+/// How far x is from the whole number below.
+fn fraction(x: f64) -> f64 {
+    if x.abs() > 2251799813685248.0 { 0.0 } else { x - x.floor() }
+}
+",
+    },
 ];
+
+/// Writes the tables that a program reads: their numbers, and a function that finds the cell.
+fn tables(file: &mut File, source: &ExportSubject<'_>) {
+    let is_read = |i: usize| {
+        let reads = |x: &Instruction| matches!(x.op.code, Opcode::Gather(lookup) if usize::from(lookup.table) == i);
+        source.program.instructions().iter().any(reads)
+    };
+    for (i, table) in source.program.tables().all().iter().enumerate().filter(|(i, _)| is_read(*i)) {
+        let (numbers, coefficients) = (table.numbers(), table.coefficients());
+        let (name, count, axes) = (&source.name, numbers.len(), table.axes());
+        let (width, last) = (axes[0].cells(), axes[0].count - 1);
+        let rows = axes.get(1).map(|axis| axis.count - 1);
+        let is_c = source.options.language == Language::C;
+        file.line(&match is_c {
+            true => format!("static const double {name}_numbers_{i}[{count}] = {{"),
+            false => format!("static NUMBERS_{i}: [f64; {count}] = ["),
+        });
+        for line in numbers.chunks(coefficients) {
+            let line: Vec<String> = line.iter().map(|x| format!("{x:?}")).collect();
+            file.line(&format!("    {},", line.join(", ")));
+        }
+        file.line(if is_c { "};" } else { "];" });
+        let body = if is_c { TABLE_C } else { TABLE_RUST };
+        let row = match (rows, is_c) {
+            (None, _) => "0".to_string(),
+            (Some(last), true) => format!("cell_of(b, {last}.0)").replace("cell_of", &format!("{name}_cell_{i}")),
+            (Some(last), false) => format!("cell(b, {last}.0)"),
+        };
+        let marks = [
+            ("NAME", name.clone()),
+            ("NUMBER", i.to_string()),
+            ("ROW", row),
+            ("LAST", format!("{last}.0")),
+            ("WIDTH", width.to_string()),
+            ("COEFFICIENTS", coefficients.to_string()),
+        ];
+        let body = marks.iter().fold(body.to_string(), |body, (mark, text)| body.replace(&format!("@{mark}@"), text));
+        body.lines().for_each(|line| file.line(line));
+        file.line("");
+    }
+}
+
+const TABLE_C: &str = "\
+static size_t @NAME@_cell_@NUMBER@(double t, double last) {
+    return t >= 0.0 ? 1 + (size_t)(t < last ? t : last) : 0;
+}
+static double @NAME@_table_@NUMBER@(size_t coefficient, double a, double b) {
+    const size_t column = @NAME@_cell_@NUMBER@(a, @LAST@), row = @ROW@;
+    (void)b;
+    return @NAME@_numbers_@NUMBER@[(row * @WIDTH@ + column) * @COEFFICIENTS@ + coefficient];
+}
+#undef table_@NUMBER@
+#define table_@NUMBER@ @NAME@_table_@NUMBER@";
+
+const TABLE_RUST: &str = "\
+#[allow(unused_variables)]
+fn table_@NUMBER@(coefficient: usize, a: f64, b: f64) -> f64 {
+    let cell = |t: f64, last: f64| if t >= 0.0 { 1 + t.min(last) as usize } else { 0 };
+    let (column, row) = (cell(a, @LAST@), @ROW@);
+    NUMBERS_@NUMBER@[(row * @WIDTH@ + column) * @COEFFICIENTS@ + coefficient]
+}";
 
 /// Writes the functions that a program calls.
 pub(super) fn functions(file: &mut File, statements: &Statements<'_>, language: Language) {
@@ -201,4 +280,5 @@ pub(super) fn functions(file: &mut File, statements: &Statements<'_>, language: 
             file.line("");
         }
     }
+    tables(file, statements.source);
 }

@@ -1,6 +1,6 @@
 //! How each language spells numbers, functions, and what the table of operations leaves to the place.
 
-use isophote_symbolic::{Function1, Function2, Op, Opcode, Precision, Value, spelled};
+use isophote_symbolic::{Function1, Function2, Lookup, Op, Opcode, Precision, Value, spelled};
 
 use crate::options::{Language, PixelType};
 
@@ -92,6 +92,7 @@ impl Dialect {
     pub fn operation(self, op: Op, a: &dyn Fn(Value) -> String) -> String {
         match op.parts() {
             (Opcode::Call1(f), &[x]) => self.elementary(f, &a(x)),
+            (Opcode::Gather(lookup), &[x, y]) => self.looked_up(lookup, &a(x), &a(y)),
             (Opcode::Call2(f), &[x, y]) => self.elementary2(f, &a(x), &a(y)),
             (code, operands) => {
                 let row = code.row();
@@ -141,10 +142,16 @@ impl Dialect {
             (_, Function1::Sinc) => special("sinc_ratio", 0),
             (_, Function1::SincRatio) => special("sinc_ratio", 1),
             (Language::C, _) => format!("{}({x})", f.name()),
-            (Language::Rust, Function1::Erf | Function1::Erfc) => format!("{}({x})", f.name()),
+            (Language::Rust, Function1::Erf | Function1::Erfc | Function1::Fraction) => format!("{}({x})", f.name()),
             (Language::Rust, Function1::Log) => format!("({x}).ln()"),
             (Language::Rust, _) => format!("({x}).{}()", f.name()),
         })
+    }
+
+    /// By a function that is written into the file for each table.
+    fn looked_up(self, lookup: Lookup, x: &str, y: &str) -> String {
+        let (x, y) = (self.widened(x), self.widened(y));
+        self.back(format!("table_{}({}, {x}, {y})", lookup.table, lookup.coefficient))
     }
 
     fn elementary2(self, f: Function2, x: &str, y: &str) -> String {

@@ -204,6 +204,12 @@ impl<'a> Writer<'a> {
             Node::Call1(f, a) => Expression::Call(f.name(), vec![self.at(*a)]),
             Node::Call2(Function2::Pow, a, b) => Expression::Power(one(a), one(b)),
             Node::Call2(f, a, b) => Expression::Call(f.name(), vec![self.at(*a), self.at(*b)]),
+            Node::Gather(lookup, a, b) => {
+                let held = [f64::from(lookup.table), f64::from(lookup.coefficient)]
+                    .map(|x| Tree { kind: Expression::Number(x), span: None });
+                let places = if a == b { vec![self.at(*a)] } else { vec![self.at(*a), self.at(*b)] };
+                Expression::Call("cell", held.into_iter().chain(places).collect())
+            }
             Node::Compare(c, a, b) => Expression::Compare(*c, one(a), one(b)),
             Node::And(a, b) => Expression::And(one(a), one(b)),
             Node::Or(a, b) => Expression::Or(one(a), one(b)),

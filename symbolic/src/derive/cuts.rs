@@ -33,6 +33,7 @@ pub(crate) fn cut_classes(
         let function = match node {
             Node::Call1(function, _) => FxBuildHasher.hash_one(function),
             Node::Call2(function, ..) => FxBuildHasher.hash_one(function),
+            Node::Gather(lookup, ..) => FxBuildHasher.hash_one(lookup),
             Node::Compare(comparison, ..) => FxBuildHasher.hash_one(comparison),
             _ => 0,
         };
@@ -122,6 +123,7 @@ impl Finite {
             let is_finite = match node {
                 Node::Product(factors) => factors.iter().all(|(n, e)| *e > 0 || divisors.contains(n)),
                 Node::Sqrt(a) => positive.contains(a) || at_least_zero.contains(a) && !depends.contains(a),
+                Node::Call1(Function1::Fraction, _) => true,
                 Node::Call1(..) | Node::Call2(..) => false,
                 _ => true,
             };

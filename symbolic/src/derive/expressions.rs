@@ -3,6 +3,8 @@
 //! What comes in: a derivation. What goes out: for each id the operation, its operands'
 //! ids and the span of its formula. Nothing can be added to them from outside.
 
+use isophote_elementary::Tables;
+
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
 use isophote_syntax::diagnostic::Span;
@@ -18,6 +20,10 @@ impl<'a> Expressions<'a> {
     /// The operation.
     pub fn node(&self, id: NodeId) -> &'a Node {
         self.0.node(id)
+    }
+    /// What it looks up.
+    pub fn tables(&self) -> &'a Tables {
+        &self.0.tables
     }
     /// The formula that it came from.
     pub fn span(&self, id: NodeId) -> Option<Span> {

@@ -283,6 +283,7 @@ fn derivatives(graph: &mut Graph, function: Function1, a: NodeId, value: NodeId)
             let bend = graph.product(n + 1.0, [(next, 1), (a, -2)]);
             (graph.product(-1.0, [(next, 1), (a, -1)]), graph.sub(bend, value))
         }
+        Function1::Fraction => (graph.number(1.0), graph.number(0.0)),
         Function1::LogTail => {
             let hazard = graph.call1(Function1::Hazard, a);
             let excess = graph.sub(hazard, a);

@@ -283,6 +283,7 @@ impl<'g> Builder<'g> {
             coordinates: names.coordinates.len() as u32,
             channels: names.channels.len() as u32,
             inputs: self.inputs,
+            tables: self.graph.tables.clone(),
             instructions: self.instructions,
             pixel_set: set,
             sink,

@@ -50,6 +50,7 @@ impl Builder<'_> {
             Node::Abs(a) => Step::of(Opcode::Abs, [a]),
             Node::Call1(f, a) => Step::of(Opcode::Call1(f), [a]),
             Node::Call2(f, a, b) => Step::of(Opcode::Call2(f), [a, b]),
+            Node::Gather(lookup, a, b) => Step::of(Opcode::Gather(lookup), [a, b]),
             Node::Compare(c, a, b) => Step::of(Opcode::Compare(c), [a, b]),
             Node::And(a, b) => Step::of(Opcode::And, [a, b]),
             Node::Or(a, b) => Step::of(Opcode::Or, [a, b]),

@@ -1,6 +1,7 @@
 //! Calls in formulas: elementary functions, conditions, the user's own functions; [`series`] has `sum` and `product`.
 
 mod series;
+mod table;
 
 use std::rc::Rc;
 
@@ -87,6 +88,7 @@ impl Elaborator<'_> {
                 Err(Poison::Unknown)
             }
             "sum" | "product" => self.series(name, arguments, at),
+            "table" => self.table(arguments, at),
             _ => {
                 let is_declared = self.names.contains_key(name) || self.locals.iter().any(|l| l.name == name);
                 if is_declared || name == "pi" {

@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 use std::rc::Rc;
 
-use crate::language::spelling::Spelling;
 use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Span};
-use isophote_syntax::limits::LIMITS;
+use isophote_syntax::limits::{LIMITS, Limits};
+use isophote_syntax::spelling::Spelling;
 
 /// A string of the document and where each of its bytes stands there.
 #[derive(Clone, Debug)]
@@ -65,8 +65,19 @@ fn span(range: Range<usize>) -> Span {
 }
 
 fn too_long(text: &str) -> Option<Diagnostic> {
-    (text.len() > LIMITS.document_bytes).then(|| {
-        let message = format!("a document has at most {} bytes, this one {}", LIMITS.document_bytes, text.len());
+    let bytes = &text.as_bytes()[..text.len().min(LIMITS.document_bytes)];
+    let next = bytes.iter().skip(1).chain(b" ");
+    let is_of_number = |(byte, next): &(&u8, &u8)| match byte {
+        b'+' | b'-' | b'.' => next.is_ascii_digit(),
+        b'e' | b'E' => next.is_ascii_digit() || b"+-".contains(next),
+        b'[' | b']' => byte != next,
+        byte => byte.is_ascii_digit() || b" \n\r\t,".contains(byte),
+    };
+    let words = text.len() - bytes.iter().zip(next).filter(is_of_number).count();
+    (text.len() > LIMITS.document_bytes || words > LIMITS.text_bytes).then(|| {
+        let Limits { document_bytes, text_bytes, .. } = LIMITS;
+        let size = format!("{document_bytes} bytes, {text_bytes} besides its numbers");
+        let message = format!("a document has at most {size}, this one {} and {words}", text.len());
         Diagnostic::error(text, "limit", "", Span::default(), message).help("split the model, or shorten its comments")
     })
 }
@@ -340,3 +351,7 @@ pub(crate) fn to_json(entry: &Entry) -> serde_json::Value {
         Item::Other => Value::Null,
     }
 }
+
+#[cfg(test)]
+#[path = "document_tests.rs"]
+mod tests;

@@ -95,6 +95,8 @@ pub(crate) enum Binding {
     /// A parameter, constant, coordinate, channel or definition already worked out.
     Value(Matrix),
     Function(Rc<Function>),
+    /// One of the graph's tables. It stands under its name in quotes, which no other name has.
+    Table(u16),
     /// A definition that failed or stands in a cycle: its fault is already told.
     Poisoned,
 }
@@ -264,6 +266,10 @@ impl<'a> Elaborator<'a> {
         match &at.kind {
             ExprKind::Number(_) | ExprKind::Name(_) => self.expr(at),
             ExprKind::List(list) => self.list(list, at),
+            ExprKind::Text(_) => {
+                let fault = fault("syntax", at, "a text is no number");
+                Err(self.tell(fault.help("only a table has a name in quotes: `table(\"psf\", s)`")))
+            }
             ExprKind::Sum(terms) => self.sum(terms, at),
             ExprKind::Product(factors) => self.product(factors.iter(), at),
             ExprKind::Negate(inner) => {
@@ -383,7 +389,7 @@ impl<'a> Elaborator<'a> {
                 self.charge_copy(&value, at)?;
                 return value;
             }
-            Some(Binding::Poisoned) => return Err(Poison::Unknown),
+            Some(Binding::Poisoned | Binding::Table(_)) => return Err(Poison::Unknown),
             Some(Binding::Function(function)) => {
                 let count = function.arguments.len();
                 let plural = if count == 1 { "" } else { "s" };

@@ -253,7 +253,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
 fn names_used(expr: &Expr, names: &mut BTreeSet<String>) {
     let mut visit = |list: &[Expr]| list.iter().for_each(|e| names_used(e, names));
     match &expr.kind {
-        ExprKind::Number(_) => {}
+        ExprKind::Number(_) | ExprKind::Text(_) => {}
         ExprKind::Name(name) => {
             names.insert(name.clone());
         }

@@ -8,7 +8,7 @@ use std::hash::BuildHasher;
 use std::sync::Arc;
 
 use hashbrown::HashTable;
-use isophote_elementary::{Function1, Function2};
+use isophote_elementary::{Function1, Function2, Lookup, Tables};
 use rustc_hash::{FxBuildHasher, FxHashMap};
 use smallvec::SmallVec;
 
@@ -50,6 +50,8 @@ pub enum Node {
     Abs(NodeId),
     Call1(Function1, NodeId),
     Call2(Function2, NodeId, NodeId),
+    /// A number of a table's cell, constant in it.
+    Gather(Lookup, NodeId, NodeId),
     Compare(Comparison, NodeId, NodeId),
     And(NodeId, NodeId),
     Or(NodeId, NodeId),
@@ -74,6 +76,7 @@ pub(crate) struct Graph {
     work: usize,
     budget: Budget,
     positive: BTreeSet<ParameterId>,
+    pub tables: Tables,
     /// Room for the terms and the factors that a constructor collects.
     terms: Vec<(NodeId, Bits)>,
     factors: Vec<(NodeId, i32)>,
@@ -413,6 +416,10 @@ impl Graph {
         }
     }
 
+    pub fn gather(&mut self, lookup: Lookup, a: NodeId, b: NodeId) -> NodeId {
+        self.add(Node::Gather(lookup, a, b))
+    }
+
     /// base^exponent: integer powers are products, halves use the square root, all else is `pow`.
     pub fn power(&mut self, base: NodeId, exponent: NodeId) -> NodeId {
         let Some(value) = self.value_of(exponent) else { return self.call2(Function2::Pow, base, exponent) };
@@ -531,6 +538,7 @@ impl Graph {
             Node::Abs(a) => self.abs(at(a)),
             Node::Call1(f, a) => self.call1(*f, at(a)),
             Node::Call2(f, a, b) => self.call2(*f, at(a), at(b)),
+            Node::Gather(lookup, a, b) => self.gather(*lookup, at(a), at(b)),
             Node::Compare(c, a, b) => self.compare(*c, at(a), at(b)),
             Node::And(a, b) => self.and(at(a), at(b)),
             Node::Or(a, b) => self.or(at(a), at(b)),
@@ -560,6 +568,7 @@ impl Graph {
                 Node::Abs(a) => at(a).abs(),
                 Node::Call1(f, a) => f.value(at(a)),
                 Node::Call2(f, a, b) => f.value(at(a), at(b)),
+                Node::Gather(lookup, a, b) => self.tables.look_up(*lookup, at(a), at(b)),
                 Node::Compare(c, a, b) => truth(holds(*c, at(a), at(b))),
                 Node::And(a, b) => at(a) * at(b),
                 Node::Or(a, b) => at(a).max(at(b)),
@@ -643,7 +652,7 @@ pub(crate) fn operands(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
         Node::Sum(_, list) => terms = list,
         Node::Product(list) => factors = list,
         Node::Sqrt(a) | Node::Abs(a) | Node::Call1(_, a) | Node::Not(a) => few = [Some(*a), None, None],
-        Node::Call2(_, a, b) | Node::Compare(_, a, b) | Node::And(a, b) | Node::Or(a, b) => {
+        Node::Call2(_, a, b) | Node::Gather(_, a, b) | Node::Compare(_, a, b) | Node::And(a, b) | Node::Or(a, b) => {
             few = [Some(*a), Some(*b), None];
         }
         Node::Select(c, a, b) => few = [Some(*c), Some(*a), Some(*b)],

@@ -13,4 +13,3 @@ pub(crate) mod model;
 pub(crate) mod places;
 pub(crate) mod reader;
 pub(crate) mod remark;
-pub(crate) mod spelling;

@@ -5,6 +5,7 @@ pub(crate) mod formulas_of_model;
 mod likelihood_of_model;
 mod roles;
 mod stages;
+mod tables;
 
 use std::collections::BTreeMap;
 
@@ -23,9 +24,20 @@ use isophote_syntax::diagnostic::{Diagnostics, Span, quoted};
 use isophote_syntax::limits::LIMITS;
 use roles::read_roles;
 use stages::read_stages;
+use tables::read_tables;
 
-const TOP: [&str; 9] =
-    ["name", "description", "coordinates", "channels", "parameters", "roles", "definitions", "model", "constants"];
+const TOP: [&str; 10] = [
+    "name",
+    "description",
+    "coordinates",
+    "channels",
+    "parameters",
+    "roles",
+    "definitions",
+    "model",
+    "constants",
+    "tables",
+];
 const MODEL: [&str; 8] = ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature"];
 
 impl Model {
@@ -66,7 +78,8 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
 
     let defects = defects(&top, &mut constants, &names);
     let mut graph = Graph::default();
-    let bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
+    let mut bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
+    graph.tables = read_tables(&mut faults, &top, &mut bindings);
     let mut reader = FormulaReader::new(graph, bindings, &mut faults);
     // Without one of these every formula would be at fault once more.
     if coordinates.is_empty()
@@ -281,9 +294,9 @@ fn read_parameters(
             );
         }
         parameters.push(starts.map_or(unread, |starts| parameter(starts, min, max, unit)));
-        let count = parameters.iter().map(|p: &Parameter| 1 + p.others.len()).product::<usize>();
+        let count = || parameters.iter().map(|p: &Parameter| 1 + p.others.len()).product::<usize>();
         let is_list = parameters.last().is_some_and(|p| !p.others.is_empty());
-        if is_list && count > LIMITS.starts {
+        if let Some(count) = is_list.then(count).filter(|count| *count > LIMITS.starts) {
             let at = get(fields, "start").map_or(entry.span, |e| e.span);
             let message =
                 format!("the starts have {count} combinations up to here, at most {} are tried", LIMITS.starts);

@@ -3,7 +3,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 pub(crate) use isophote_elementary::Number;
-use isophote_elementary::{Accuracy, Function1, Function2, Plain};
+use isophote_elementary::{Accuracy, Function1, Function2, Lookup, Plain, Tables};
 
 /// Ordered comparisons: false when an operand is NaN, except `Ne`, which is true then.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -64,6 +64,9 @@ macro_rules! lane {
             }
             fn call2(self, function: Function2, other: Self) -> Self {
                 Self::from(function.value_with(Plain { fused: FUSED }, $accuracy, self.into(), other.into()))
+            }
+            fn look_up(self, other: Self, tables: &Tables, lookup: Lookup) -> Self {
+                Self::from(tables.look_up(lookup, self.into(), other.into()))
             }
         }
     };

@@ -5,6 +5,7 @@
 //! Checked: operands come first and are readable at their reader's level; each operation stands at a level that has it;
 //! numbers and truth values are not mixed up; every index (input, channel, accumulator, total, coordinate) exists.
 
+use isophote_elementary::Tables;
 use thiserror::Error;
 
 use crate::program::{Input, Instruction, Kind, Level, Names, Op, Opcode, PixelSet, Program, Sink, Value};
@@ -82,6 +83,8 @@ pub struct ProgramParts {
     pub channels: u32,
     /// What it reads besides pixels.
     pub inputs: Vec<Input>,
+    /// What it looks up.
+    pub tables: Tables,
     /// Ordered by level, operands first.
     pub instructions: Vec<Instruction>,
     /// Which pixels take part.
@@ -98,9 +101,9 @@ impl Program {
     /// # Errors
     /// When they are no program.
     pub fn from_parts(parts: ProgramParts) -> Result<Program, Malformed> {
-        let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
+        let ProgramParts { coordinates, channels, inputs, tables, instructions, pixel_set, sink, fused } = parts;
         let names = Default::default();
-        let program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused };
+        let program = Program { coordinates, channels, inputs, tables, instructions, pixel_set, sink, names, fused };
         program.check().map(|()| program)
     }
 
@@ -113,9 +116,10 @@ impl Program {
     /// # Errors
     /// When they are no program.
     pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
-        let ProgramParts { coordinates, channels, inputs, instructions, pixel_set, sink, fused } = parts;
+        let ProgramParts { coordinates, channels, inputs, tables, instructions, pixel_set, sink, fused } = parts;
         let names = names.into();
-        let mut program = Program { coordinates, channels, inputs, instructions, pixel_set, sink, names, fused: false };
+        let mut program =
+            Program { coordinates, channels, inputs, tables, instructions, pixel_set, sink, names, fused: false };
         crate::program::peephole::improve(&mut program);
         program.fused = fused;
         program.check().map(|()| program)
@@ -204,6 +208,7 @@ impl Program {
             Opcode::Input(input) => input.index() < self.inputs.len(),
             Opcode::Outer(coordinate) => (1..self.coordinates().max(2)).contains(&coordinate.index()),
             Opcode::Channel(channel) => channel.index() < self.channels(),
+            Opcode::Gather(lookup) => self.tables.has(lookup),
             Opcode::RowTotal(accumulator) => accumulator.index() < accumulators,
             Opcode::PassTotal(total) => total.index() < totals,
             _ => true,

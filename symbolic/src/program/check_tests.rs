@@ -6,7 +6,16 @@ use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId
 fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet, coordinates: u32) -> Result<(), Malformed> {
     let instructions = ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
     let inputs = vec![Input::Parameter(ParameterId(0))];
-    let parts = ProgramParts { coordinates, channels: 1, inputs, instructions, pixel_set, sink, fused: false };
+    let parts = ProgramParts {
+        coordinates,
+        channels: 1,
+        inputs,
+        tables: Default::default(),
+        instructions,
+        pixel_set,
+        sink,
+        fused: false,
+    };
     Program::from_parts(parts).map(|_| ())
 }
 

@@ -34,6 +34,7 @@ pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
 
 use std::sync::Arc;
 
+use isophote_elementary::Tables;
 use isophote_syntax::diagnostic::Span;
 
 /// What a program reads besides pixels. All are f64.
@@ -106,6 +107,7 @@ pub struct Program {
     pub(crate) coordinates: u32,
     pub(crate) channels: u32,
     pub(crate) inputs: Vec<Input>,
+    pub(crate) tables: Tables,
     pub(crate) instructions: Vec<Instruction>,
     pub(crate) pixel_set: PixelSet,
     pub(crate) sink: Sink,
@@ -229,6 +231,14 @@ impl Program {
     /// What the program reads, in the order of [`Opcode::Input`].
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
+    }
+    /// What [`Opcode::Gather`] looks up.
+    pub fn tables(&self) -> &Tables {
+        &self.tables
+    }
+    /// Whether it looks anything up.
+    pub fn looks_up(&self) -> bool {
+        self.instructions.iter().any(|i| matches!(i.op.code, Opcode::Gather(_)))
     }
     /// All instructions, ordered by level, operands first. `Value(i)` is the result of instruction i.
     pub fn instructions(&self) -> &[Instruction] {

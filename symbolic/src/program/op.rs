@@ -5,7 +5,7 @@
 //! walks read the table; only how it becomes machine code stands elsewhere.
 //! It must never know: the order in which instructions run.
 
-use isophote_elementary::{Function1, Function2};
+use isophote_elementary::{Function1, Function2, Lookup};
 
 use crate::program::arithmetic::{Cell, Comparison, Number, holds};
 use crate::program::ids::{AccumulatorId, ChannelId, CoordinateId, InputId, TotalId, Value};
@@ -63,6 +63,7 @@ held! {
     Comparison: [Comparison::Lt, Comparison::Le, Comparison::Eq, Comparison::Ne];
     Function1: Function1::EVERY;
     Function2: Function2::ALL;
+    Lookup: [Lookup { table: 0, coefficient: 1 }, Lookup { table: 1, coefficient: 9 }];
 }
 
 /// What an operand or a result is.
@@ -236,6 +237,8 @@ operations! { leaf;
     Call1(f: Function1) [a: Number] -> Number, ANY, 0, "$_($0)", "", "", a.call1(f);
     /// An elementary function of two arguments.
     Call2(f: Function2) [a: Number, b: Number] -> Number, ANY, 0, "$_($0, $1)", "", "", a.call2(f, b);
+    /// A number of a table's cell, see [`isophote_elementary::Table`].
+    Gather(l: Lookup) [a: Number, b: Number] -> Number, ANY, 0, "$_[$0, $1]", "", "", leaf();
     /// The row's total of an accumulator.
     RowTotal(a: AccumulatorId) [] -> Number, Some(Level::RowEnd), 0, "row sum $_", "", "", leaf();
     /// How many pixels the row contributed.
@@ -299,6 +302,7 @@ impl Op {
     pub(crate) fn weight(&self) -> u32 {
         match self.code {
             Opcode::Div | Opcode::Sqrt => 4,
+            Opcode::Call1(Function1::Fraction) | Opcode::Gather(_) => 4,
             Opcode::Call1(_) | Opcode::Call2(_) => 20,
             code => code.row().flops,
         }

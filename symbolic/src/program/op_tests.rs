@@ -43,8 +43,10 @@ fn value<N: Number>(code: Opcode, numbers: [f64; 3], truths: bool) -> Cell<N> {
     apply(op, &cells, &|_| N::from(0.0))
 }
 
+/// What reads cells; what is looked up is the walk's.
 fn operations() -> impl Iterator<Item = Opcode> {
-    let reads = |code: &Opcode| !code.row().operands.is_empty() && *code != Opcode::Offset;
+    let is_leaf = |code: &Opcode| matches!(code, Opcode::Offset | Opcode::Gather(_));
+    let reads = move |code: &Opcode| !code.row().operands.is_empty() && !is_leaf(code);
     Opcode::every().into_iter().filter(reads)
 }
 

@@ -100,6 +100,7 @@ fn held(program: &Program, code: Opcode) -> String {
         Opcode::Compare(c) => c.sign().to_string(),
         Opcode::Call1(function) => function.name().to_string(),
         Opcode::Call2(function) => function.name().to_string(),
+        Opcode::Gather(l) => format!("table{}.{}", l.table, l.coefficient),
         Opcode::RowTotal(a) => a.0.to_string(),
         Opcode::PassTotal(t) => t.0.to_string(),
         _ => String::new(),

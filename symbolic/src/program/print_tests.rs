@@ -22,6 +22,7 @@ fn a_program_without_names_shows_positions() {
         coordinates: 2,
         channels: 1,
         inputs: vec![Input::Parameter(ParameterId(3)), Input::Saturation(ChannelId(0))],
+        tables: Default::default(),
         instructions,
         pixel_set: PixelSet { bounds: Some((Value(2), Value(2))), ..PixelSet::default() },
         sink: Sink::Sums { accumulators: vec![Value(5)], totals: vec![Value(6)], outputs: vec![Value(7)] },

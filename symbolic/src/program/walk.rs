@@ -6,6 +6,8 @@
 //! [`crate::proof::evaluate`] in exact arithmetic, at any numbers. It must never know: what an operation does (the table in
 //! [`crate::program::op`]), or where pixels come from.
 
+use isophote_elementary::Tables;
+
 use crate::program::arithmetic::{Cell, Number};
 use crate::program::op::{Op, Opcode, apply};
 use crate::program::{ChannelId, CoordinateId, InputId, Level, PixelSet, Program, Sink, Value};
@@ -86,15 +88,22 @@ impl<'p> LoopNest<'p> {
     }
 }
 
-fn execute<N: Number>(ops: &[(usize, Op)], cells: &mut [Cell<N>], leaf: impl Fn(Op) -> N) {
+fn execute<N: Number>(ops: &[(usize, Op)], tables: &Tables, cells: &mut [Cell<N>], leaf: impl Fn(Op) -> N) {
     for (i, op) in ops {
-        cells[*i] = apply(*op, cells, &leaf);
+        cells[*i] = match op.parts() {
+            (Opcode::Gather(lookup), &[a, b]) => {
+                let [a, b] = [a, b].map(|v| cells[v.index()].number());
+                Cell::Number(a.look_up(b, tables, lookup))
+            }
+            _ => apply(*op, cells, &leaf),
+        };
     }
 }
 
 /// Walks a program over the pixels of `set`.
 pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
     let program = loops.program;
+    let tables = &program.tables;
     // The check refuses a leaf at another level than its own.
     let nowhere = || W::Outer::from(f64::NAN);
     let (accumulators, totals, outputs) = match &program.sink {
@@ -108,14 +117,14 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
     let mut walked = Walked { outputs: Vec::new(), pixels: 0, saturated: 0 };
 
     let pass_level = loops.level(Level::Pass);
-    execute(pass_level, &mut cells, |op| match op.code {
+    execute(pass_level, tables, &mut cells, |op| match op.code {
         Opcode::Input(input) => walk.input(input),
         _ => nowhere(),
     });
     pass_level.iter().for_each(|(i, _)| lanes[*i] = cells[*i].map(|x| walk.rounded(x)));
     for row in 0..walk.rows() {
         let row_level = loops.level(Level::Row);
-        execute(row_level, &mut cells, |op| match op.code {
+        execute(row_level, tables, &mut cells, |op| match op.code {
             Opcode::Outer(c) => walk.coordinate(c, row),
             _ => nowhere(),
         });
@@ -128,7 +137,7 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
         let mut used = 0;
         for (at, Place { column, lane }) in places.into_iter().enumerate() {
             along.iter().for_each(|(i, values)| lanes[*i] = Cell::Number(values[at]));
-            execute(loops.level(Level::Pixel), &mut lanes, |op| match op.code {
+            execute(loops.level(Level::Pixel), tables, &mut lanes, |op| match op.code {
                 Opcode::Channel(channel) => walk.pixel(channel, column, row),
                 _ => W::Inner::from(f64::NAN),
             });
@@ -160,7 +169,7 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
             continue;
         }
         walked.pixels += used;
-        execute(loops.level(Level::RowEnd), &mut cells, |op| match op.code {
+        execute(loops.level(Level::RowEnd), tables, &mut cells, |op| match op.code {
             Opcode::RowTotal(a) => walk.total(&sums[width * a.index()..][..width]),
             Opcode::RowCount => W::Outer::from(used as f64),
             _ => nowhere(),
@@ -169,7 +178,7 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
             *total = *total + cells[value.index()].number();
         }
     }
-    execute(loops.level(Level::PassEnd), &mut cells, |op| match op.code {
+    execute(loops.level(Level::PassEnd), tables, &mut cells, |op| match op.code {
         Opcode::PassTotal(t) => pass_totals[t.index()],
         Opcode::PassCount => W::Outer::from(walked.pixels as f64),
         _ => nowhere(),

@@ -424,6 +424,10 @@ impl<'a, Q: Quantity> Evaluator<'a, Q> {
             }
             Node::Call1(f, a) => Cell::Number(at(a).call1(*f)),
             Node::Call2(f, a, b) => Cell::Number(at(a).call2(*f, at(b))),
+            // Constant in a cell, whatever leads there.
+            Node::Gather(lookup, a, b) => {
+                Cell::Number(Q::fixed(at(a).value().look_up(at(b).value(), &self.graph.tables, *lookup)))
+            }
             Node::Select(c, a, b) => Cell::Number(at(if self.truth(*c) { a } else { b }).clone()),
             Node::Compare(comparison, a, b) => Cell::Truth(holds(*comparison, at(a).value(), at(b).value())),
             Node::And(a, b) => Cell::Truth(self.truth(*a) && self.truth(*b)),

@@ -71,6 +71,7 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
         coordinates: 2,
         channels: 2,
         inputs: vec![Input::Parameter(ParameterId(0)), Input::Parameter(ParameterId(1))],
+        tables: Default::default(),
         instructions,
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators, totals, outputs },

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use isophote_elementary::{Function1, Function2, derivatives, derivatives2};
+use isophote_elementary::{Function1, Function2, Lookup, Tables, derivatives, derivatives2};
 
 use crate::proof::SMALLEST;
 use crate::proof::evaluate::Number;
@@ -96,5 +96,8 @@ impl Number for Weighed {
         let two = derivatives2(function, self.value, other.value);
         let terms = two.a.abs() * self.terms + two.b.abs() * other.terms + two.value.abs();
         Weighed { value: two.value, terms }
+    }
+    fn look_up(self, other: Self, tables: &Tables, lookup: Lookup) -> Self {
+        tables.look_up(lookup, self.value, other.value).into()
     }
 }

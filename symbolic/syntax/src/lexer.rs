@@ -5,6 +5,8 @@
 pub enum Token {
     Number(f64),
     Name(String),
+    /// What stands between double quotes: the name of a table.
+    Text(String),
     /// An operator, bracket or comma, as written.
     Symbol(&'static str),
     /// A number that is not one.
@@ -44,6 +46,8 @@ pub fn lex(text: &str) -> Vec<Lexeme> {
             } else if first.is_alphabetic() || first == '_' {
                 let length = rest.find(|c: char| !(c.is_alphanumeric() || c == '_')).unwrap_or(rest.len());
                 (Token::Name(rest[..length].to_string()), length)
+            } else if let Some(inner) = rest.strip_prefix('"').and_then(|rest| rest.split_once('"')) {
+                (Token::Text(inner.0.to_string()), inner.0.len() + 2)
             } else {
                 let known = SYMBOLS.iter().filter(|s| rest.starts_with(**s)).max_by_key(|s| s.len());
                 known.map_or((Token::Unknown(first), first.len_utf8()), |s| (Token::Symbol(s), s.len()))

@@ -9,4 +9,5 @@ pub mod diagnostic;
 pub mod lexer;
 pub mod limits;
 pub mod parser;
+pub mod spelling;
 pub mod words;

@@ -5,6 +5,8 @@
 pub struct Limits {
     /// Bytes of a document.
     pub document_bytes: usize,
+    /// Those of them that are not of numbers and of the space and brackets around them.
+    pub text_bytes: usize,
     /// Tokens of all formulas of a document.
     pub tokens: usize,
     /// Nesting of a formula, and of calls of the user's functions.
@@ -23,6 +25,10 @@ pub struct Limits {
     pub coordinates: usize,
     /// Raw planes of a document.
     pub channels: usize,
+    /// Tables of a document.
+    pub tables: usize,
+    /// Samples of all tables of a document.
+    pub samples: usize,
     /// Stages of a document.
     pub stages: usize,
     /// Gauss points of a pixel, a side.
@@ -54,7 +60,8 @@ pub struct Limits {
 
 /// The bounds in force.
 pub const LIMITS: Limits = Limits {
-    document_bytes: 64 * 1024,
+    document_bytes: 1024 * 1024,
+    text_bytes: 64 * 1024,
     tokens: 8192,
     depth: 64,
     definitions: 128,
@@ -64,6 +71,8 @@ pub const LIMITS: Limits = Limits {
     constants: 64,
     coordinates: 4,
     channels: 8,
+    tables: 16,
+    samples: 65_536,
     stages: 8,
     gauss_points: 5,
     iterations: 1000,

@@ -38,6 +38,8 @@ pub enum Relation {
 pub enum ExprKind {
     Number(f64),
     Name(String),
+    /// The name of a table, in quotes.
+    Text(String),
     /// `[a, b]`; a list of lists is a matrix.
     List(Vec<Expr>),
     /// Terms; true means subtracted.
@@ -360,6 +362,7 @@ impl Parser {
         let Lexeme { token, start, end } = self.lexemes[self.at].clone();
         let kind = match token {
             Token::Number(value) => ExprKind::Number(value),
+            Token::Text(name) => ExprKind::Text(name),
             Token::Name(name) if !is_word(&name) => {
                 self.at += 1;
                 let open = self.here();

@@ -3,8 +3,8 @@
 use isophote_elementary::Function1;
 
 /// Names that the language keeps for itself, besides the functions of one argument.
-pub const RESERVED: [&str; 13] =
-    ["and", "or", "not", "if", "piecewise", "sum", "product", "min", "max", "abs", "sqrt", "pi", "atan2"];
+pub const RESERVED: [&str; 14] =
+    ["and", "or", "not", "if", "piecewise", "sum", "product", "min", "max", "abs", "sqrt", "pi", "atan2", "table"];
 
 /// True of those, and of the functions of one argument.
 pub fn is_reserved(name: &str) -> bool {

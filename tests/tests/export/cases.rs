@@ -80,10 +80,26 @@ u = "k * (x - bx)"
 intensity = "bessel_j0(u) + bessel_j1(9 * u) + sinc(u * y) + erfc(u) + bessel_j1(u * y) * erf(u)"
 "#;
 
+/// Measured profiles over one axis and over two, from their middles to beyond their ends.
+const TABLES: &str = r#"
+name = "tables"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[tables]
+line = { first = -3.0, step = 1.25, values = [0.0, 0.4, 1.0, 0.7, 0.2, 0.05] }
+plane = { first = [-6.0, -4.0], step = [3.0, 2.0], values = [[0.0, 0.1, 0.3, 0.2], [0.1, 0.5, 0.9, 0.6], [0.1, 0.6, 1.0, 0.4], [0.0, 0.1, 0.2, 0.1]] }
+[parameters]
+bx = { start = 14.0 }
+k = { start = 0.4 }
+[model]
+intensity = '20 * table("line", k * (x - bx)) + 30 * table("plane", x - bx, k * y - 3)'
+"#;
+
 fn model(name: &str) -> Model {
     let text = match name {
         "awkward" => AWKWARD.into(),
         "special" => SPECIAL.into(),
+        "tables" => TABLES.into(),
         "empty-rows" => EMPTY_ROWS.into(),
         shipped => std::fs::read_to_string(repository().join(format!("models/{shipped}.toml"))).unwrap(),
     };
@@ -99,7 +115,7 @@ fn objective(model: &Model, names: &str, lowering: Lowering) -> Program {
 }
 
 /// Models and subsets; an empty subset is that of the last stage.
-const SUBSETS: [(&str, &str); 16] = [
+const SUBSETS: [(&str, &str); 17] = [
     ("thesis-spot", "bx,by"),
     ("thesis-spot", "a1,a2,a3"),
     ("spot", ""),
@@ -116,6 +132,7 @@ const SUBSETS: [(&str, &str); 16] = [
     ("awkward", ""),
     ("empty-rows", ""),
     ("special", ""),
+    ("tables", ""),
 ];
 
 /// Each with and without fused multiply-adds and saturation, over pixels of all types, in both precisions.

@@ -197,7 +197,7 @@ fn columns_of_a_table_are_found_by_name() {
     service.put("/v1/sources/table", &json!({"kind": "recording", "path": path})).expect(201);
     let answer = service.put("/v1/sessions/one", &json!({"source": "table", "model": "line"})).expect(422);
     let message = answer["diagnostics"][0]["message"].as_str().unwrap();
-    assert!(message.contains("no column is named `y`, which the model `line` reads; there are x, z"), "{answer}");
+    assert!(message.contains("none of the 2 columns is named `y`, which the model `line` reads"), "{answer}");
 }
 
 /// A gain below 1 moves the limit down, and nobody says so: sessions find it, as `fit` does.

@@ -147,8 +147,7 @@ fn what_is_refused() {
     service.put_text("/v1/models/level", "text/plain", &text).expect(415);
     service.request("PUT", "/v1/models/level", &[], text.as_bytes()).expect(415);
     let padded = |bytes: usize| format!("{text}{}", " ".repeat(bytes - text.len()));
-    for (bytes, status) in
-        [(64 * 1024, 201), (64 * 1024 + 1, 422), (128 * 1024, 422), (128 * 1024 + 1, 413), (1 << 22, 413)]
+    for (bytes, status) in [(1 << 20, 201), ((1 << 20) + 1, 422), (1 << 21, 422), ((1 << 21) + 1, 413), (1 << 22, 413)]
     {
         service.put_text("/v1/models/long", "application/json", &padded(bytes)).expect(status);
     }
@@ -166,6 +165,26 @@ fn what_is_refused() {
     assert!(diagnostic["span"].as_array().unwrap().len() == 2);
     service.get("/v1/models/level").expect(404);
     service.request("POST", "/v1/models/spot", &[], b"").expect(405);
+}
+
+/// The service opens no file that a document names, and what is handed to it whole is a model like others.
+#[test]
+fn tables_come_with_their_samples() {
+    let service = Running::start();
+    let of = |samples: &str| {
+        format!(
+            "name = \"measured\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[tables.psf]\nfirst = -2\nstep = 1\n{samples}\n\
+             [parameters]\nbx = {{ start = 1.0 }}\n[model]\nintensity = 'table(\"psf\", x - bx)'\n"
+        )
+    };
+    let put = |samples: &str| service.put_text("/v1/models/measured", "application/toml", &of(samples));
+    let problem = put("file = \"/etc/hostname\"").expect(422);
+    let diagnostic = &problem["diagnostics"][0];
+    assert_eq!((&diagnostic["code"], &diagnostic["key"]), (&json!("missing-key"), &json!("tables.psf.values")));
+    assert!(diagnostic["message"].as_str().unwrap().contains("/etc/hostname"), "{diagnostic}");
+    let [one, other] = [("0.5", 201), ("0.6", 200)]
+        .map(|(sample, status)| put(&format!("values = [0, {sample}, 1, 0.5, 0]")).expect(status));
+    assert_ne!(one["digest"], other["digest"]);
 }
 
 #[test]

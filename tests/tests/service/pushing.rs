@@ -95,7 +95,7 @@ fn sockets_for_frames_that_are_refused() {
     let mut socket = service.frames_socket("one").unwrap();
     let length = (64 * 1024 * 1024 + 1u64).to_be_bytes();
     socket.send_raw(&[&[0x82, 0xff], &length[..], &[1, 2, 3, 4]].concat());
-    assert_eq!(socket.next(), Err(1008), "too large");
+    assert_eq!(socket.next(), Err(1009), "too large");
     check_still_there(&service);
 }
 

@@ -132,6 +132,12 @@ fn wrong_documents_name_the_key() {
         (with("options", json!({"predict": {"horizon_s": 0.5, "steps": 0}})), "options.predict.steps"),
         (with("camera", json!({"saturatoin": 255})), "camera.saturatoin"),
         (with("camera", json!({"defects": 1})), "camera.defects"),
+        (
+            with("camera", json!({"defect_map": {"width": 120, "height": 90, "pixels": [[120, 3]]}})),
+            "camera.defect_map",
+        ),
+        (with("camera", json!({"defect_map": {"width": 12, "height": 9, "pixels": [[3, 3]]}})), "camera.defect_map"),
+        (with("camera", json!({"defect_map": {"height": 9}})), "camera.defect_map"),
         (with("constants", json!({"defects": -0.1})), "constants.defects"),
         (with("source", json!({"kind": "recording", "path": "/no/such/folder"})), "source.path"),
         (with("source", json!({"kind": "radio"})), "source.kind"),
@@ -163,6 +169,24 @@ fn wrong_documents_name_the_key() {
     service.put_text("/v1/sessions/one", "application/json", "[]").expect(422);
     service.put_text("/v1/sessions/one", "application/toml", "a = 1").expect(415);
     assert_eq!(service.get("/v1/sessions").expect(200), json!({"items": []}));
+}
+
+#[test]
+fn the_cameras_defects_are_left_out() {
+    let service = Running::start();
+    let mut document = session("fit", 200.0);
+    let side = |name: &str| document["source"][name].as_u64().unwrap_or(if name == "width" { 640 } else { 480 });
+    let (width, height) = (side("width"), side("height"));
+    let map = json!({"width": width, "height": height, "columns": (0..width).step_by(10).collect::<Vec<u64>>()});
+    service.put("/v1/sessions/sound", &document).expect(201);
+    document["camera"] = json!({"defect_map": map});
+    service.put("/v1/sessions/defective", &document).expect(201);
+    let last = |name: &str| service.wait_for(name, |view| view["last"]["state"] == "tracking")["last"].clone();
+    assert!(last("sound").get("left_out").is_none());
+    let told = last("defective");
+    let count = |key: &str| told[key].as_f64().unwrap();
+    let share = count("left_out") / (count("left_out") + count("pixels"));
+    assert!((0.05..0.2).contains(&share), "{told}");
 }
 
 #[test]
@@ -240,8 +264,11 @@ fn a_recording_is_fitted_to_its_end() {
     service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(200);
     service.wait_for("one", |view| view["frames"].as_u64().unwrap() > 12);
     std::fs::write(folder.0.join("2.png"), b"torn").unwrap();
+    // A file that is torn is left out, and counts as a frame that was lost; without one that can be read it is over.
+    service.wait_for("one", |view| view["dropped"].as_u64() > Some(2) && view["state"] == "running");
+    (0..5).for_each(|frame| std::fs::write(folder.0.join(format!("{frame}.png")), b"torn").unwrap());
     let view = service.wait_for("one", |view| view["state"] == "lost_source");
-    assert!(view["reason"].as_str().unwrap().contains("2.png"), "{view}");
+    assert!(view["reason"].as_str().unwrap().contains(".png"), "{view}");
 }
 
 /// The same frames in one file, as a session's recording.

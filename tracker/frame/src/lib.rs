@@ -3,10 +3,14 @@
 //! What comes in: buffers with strides, as cameras and files have them; nothing is copied. What goes out: a
 //! [`PlaneView`] for each channel. A frame of more than two dimensions is a stack: its outer dimensions are rows.
 
+mod mend;
+
 use std::fmt;
 use std::sync::Arc;
 
 use isophote_jit::{PixelFormat, PlaneError, PlaneView};
+
+pub use mend::Mend;
 
 /// Dimensions that a frame may have.
 const DIMENSIONS_MAX: usize = 4;

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::defects::DefectMap;
+
 /// Facts about a camera; what is not known is absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -21,6 +23,9 @@ pub struct Camera {
     /// The share of pixels that are at `saturation` whatever the light (hot pixels). Default: what the model says, or 0.001.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub defects: Option<f64>,
+    /// Pixels that fits and searches leave out, because they say nothing about light.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub defect_map: Option<DefectMap>,
     /// The lens.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<Intrinsics>,
@@ -48,6 +53,10 @@ pub struct Intrinsics {
     /// Distortion, in OpenCV's order.
     #[serde(default)]
     pub coefficients: Vec<f64>,
+    /// How sure they are, rows of the covariance of fx, fy, cx, cy, px², and, where there are more than four, of the
+    /// coefficients: poses are no surer than their lens.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub covariance: Option<Vec<Vec<f64>>>,
 }
 
 /// Models of lens distortion.

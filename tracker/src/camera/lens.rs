@@ -10,6 +10,8 @@
 //! ```
 //! Source: the camera models of OpenCV's modules calib3d and fisheye; Brown 1966; Kannala and Brandt 2006.
 
+use nalgebra::DMatrix;
+
 use super::{Distortion, Intrinsics};
 
 /// Why intrinsics cannot be used.
@@ -26,6 +28,16 @@ pub enum IntrinsicsError {
         found: usize,
     },
     /// See the text.
+    #[error(
+        "the covariance of the intrinsics {fault}; it has 4 rows (fx, fy, cx, cy) or {all} (with the coefficients), as many numbers in each, and is symmetric without negative variances"
+    )]
+    Covariance {
+        /// What is wrong.
+        fault: &'static str,
+        /// Rows with those of the coefficients.
+        all: usize,
+    },
+    /// See the text.
     #[error("`{name}` = {value} of the intrinsics {wanted}")]
     Number {
         /// The key.
@@ -37,6 +49,10 @@ pub enum IntrinsicsError {
     },
 }
 
+/// fx, fy, cx, cy.
+const FIGURES: usize = 4;
+/// Of a covariance that was written down.
+const ROUNDING: f64 = 1e-6;
 /// Steps of the inverse; each doubles the digits.
 const STEPS: usize = 20;
 /// The inverse has been found when normalised coordinates are as near as this.
@@ -92,7 +108,42 @@ impl Intrinsics {
             Distortion::Rational => ("8 (k1 k2 p1 p2 k3 k4 k5 k6)", found == 8),
             Distortion::Fisheye => ("4 (k1 k2 k3 k4)", found == 4),
         };
-        if fits { Ok(()) } else { Err(IntrinsicsError::Coefficients { model: self.model.name(), wanted, found }) }
+        if !fits {
+            return Err(IntrinsicsError::Coefficients { model: self.model.name(), wanted, found });
+        }
+        self.check_covariance()
+    }
+
+    fn check_covariance(&self) -> Result<(), IntrinsicsError> {
+        let Some(rows) = &self.covariance else { return Ok(()) };
+        let all = FIGURES + self.coefficients.len();
+        let wrong = |fault| Err(IntrinsicsError::Covariance { fault, all });
+        let count = rows.len();
+        if (count != FIGURES && count != all) || rows.iter().any(|row| row.len() != count) {
+            return wrong("has other rows or columns");
+        }
+        if rows.iter().flatten().any(|entry| !entry.is_finite()) {
+            return wrong("has numbers that are not finite");
+        }
+        let matrix = DMatrix::from_fn(count, count, |i, j| rows[i][j]);
+        let largest = matrix.amax();
+        if (&matrix - matrix.transpose()).amax() > ROUNDING * largest {
+            return wrong("is not symmetric");
+        }
+        // Variances of px² stand beside those of coefficients.
+        let scale = matrix.diagonal().map(|entry| if entry > 0.0 { entry.sqrt().recip() } else { 1.0 });
+        let least = DMatrix::from_fn(count, count, |i, j| scale[i] * matrix[(i, j)] * scale[j]).symmetric_eigenvalues();
+        if least.min() < -ROUNDING { wrong("has a negative variance in some direction") } else { Ok(()) }
+    }
+
+    /// The same with one of its figures changed: fx, fy, cx, cy, then the coefficients.
+    pub(crate) fn nudged(&self, figure: usize, by: f64) -> Intrinsics {
+        let mut lens = self.clone();
+        let Intrinsics { fx, fy, cx, cy, coefficients, .. } = &mut lens;
+        if let Some(value) = [fx, fy, cx, cy].into_iter().chain(coefficients).nth(figure) {
+            *value += by;
+        }
+        lens
     }
 
     /// The coefficient of that name in the table above; 0 when the model has it but the list does not reach it, `None`
@@ -242,7 +293,17 @@ mod tests {
 
     fn lens(model: Distortion, coefficients: &[f64]) -> Intrinsics {
         let coefficients = coefficients.to_vec();
-        Intrinsics { width: 640, height: 480, fx: 600.0, fy: 590.0, cx: 319.5, cy: 241.0, model, coefficients }
+        Intrinsics {
+            width: 640,
+            height: 480,
+            fx: 600.0,
+            fy: 590.0,
+            cx: 319.5,
+            cy: 241.0,
+            model,
+            coefficients,
+            covariance: None,
+        }
     }
 
     fn lenses() -> [Intrinsics; 5] {
@@ -321,6 +382,16 @@ mod tests {
         assert!(told(lens(Distortion::Fisheye, &[0.0; 5])).contains("4 (k1 k2 k3 k4)"));
         assert!(told(Intrinsics { fx: 0.0, ..lens(Distortion::None, &[]) }).contains("`fx` = 0"));
         assert!(told(lens(Distortion::Fisheye, &[0.0, f64::NAN, 0.0, 0.0])).contains("finite"));
+        let sure = |rows: &[&[f64]]| Intrinsics {
+            covariance: Some(rows.iter().map(|row| row.to_vec()).collect()),
+            ..lens(Distortion::PlumbBob, &[0.0; 5])
+        };
+        let square = [&[9.0, 0.0, 0.0, 0.0][..], &[0.0, 9.0, 0.0, 0.0], &[0.0, 0.0, 1.0, 0.0], &[0.0, 0.0, 0.0, 1.0]];
+        assert_eq!(sure(&square).check(), Ok(()));
+        assert!(told(sure(&square[..3])).contains("has other rows or columns; it has 4 rows (fx, fy, cx, cy) or 9"));
+        assert!(told(sure(&[&[9.0, 1.0, 0.0, 0.0], square[1], square[2], square[3]])).contains("not symmetric"));
+        let crossed = [&[1.0, 3.0, 0.0, 0.0][..], &[3.0, 1.0, 0.0, 0.0], square[2], square[3]];
+        assert!(told(sure(&crossed)).contains("negative variance"));
         // Behind the camera, and beyond where the formula turns back.
         assert_eq!(lens(Distortion::None, &[]).project([0.0, 0.0, -1.0]), None);
         assert_eq!(lens(Distortion::PlumbBob, &[-0.3, 0.0, 0.0, 0.0]).project([2.0, 0.0, 1.0]), None);

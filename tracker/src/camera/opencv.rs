@@ -117,7 +117,7 @@ impl Intrinsics {
             _ => None,
         };
         let (model, coefficients) = lens(named, coefficients)?;
-        let intrinsics = Intrinsics { width, height, fx, fy, cx, cy, model, coefficients };
+        let intrinsics = Intrinsics { width, height, fx, fy, cx, cy, model, coefficients, covariance: None };
         intrinsics.check()?;
         Ok(intrinsics)
     }

@@ -57,6 +57,7 @@ impl Geometry {
             cy: value("cy")?,
             model: model_of_lens,
             coefficients,
+            covariance: None,
         };
         let spot = |name: &String| {
             let at = |axis: &str| value(&format!("{name}_{axis}"));

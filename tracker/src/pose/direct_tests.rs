@@ -76,7 +76,17 @@ fn veiled(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64, veil: 
 
 fn lens(model: Distortion, coefficients: &[f64]) -> Intrinsics {
     let coefficients = coefficients.to_vec();
-    Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 319.5, cy: 239.5, model, coefficients }
+    Intrinsics {
+        width: 640,
+        height: 480,
+        fx: 600.0,
+        fy: 600.0,
+        cx: 319.5,
+        cy: 239.5,
+        model,
+        coefficients,
+        covariance: None,
+    }
 }
 
 fn options(lens: &Intrinsics) -> TrackerOptions {

@@ -8,7 +8,17 @@ use nalgebra::{Rotation3, Vector3};
 
 pub fn lens(model: Distortion, coefficients: &[f64]) -> Intrinsics {
     let coefficients = coefficients.to_vec();
-    Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 319.5, cy: 239.5, model, coefficients }
+    Intrinsics {
+        width: 640,
+        height: 480,
+        fx: 600.0,
+        fy: 600.0,
+        cx: 319.5,
+        cy: 239.5,
+        model,
+        coefficients,
+        covariance: None,
+    }
 }
 
 fn spots(positions: &[[f64; 3]]) -> Vec<TargetSpot> {

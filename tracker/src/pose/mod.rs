@@ -9,6 +9,7 @@
 //! ```
 //! It must never know pixels, frames or kernels.
 
+mod calibrated;
 mod conic;
 mod direct;
 mod found;
@@ -24,6 +25,7 @@ mod seen;
 mod start;
 mod target;
 
+pub(crate) use calibrated::with_lens;
 pub(crate) use direct::Geometry;
 pub(crate) use found::DELTA_CHI_SQUARE_MAX;
 pub use found::{Alternative, Pose};

@@ -51,7 +51,6 @@ impl Rigid {
     }
 
     /// From a position and x, y, z, w.
-    #[cfg(test)]
     pub fn of_quaternion(position: [f64; 3], [x, y, z, w]: [f64; 4]) -> Rigid {
         let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
         Rigid { rotation: q.to_rotation_matrix().into_inner(), translation: Vector3::from(position) }

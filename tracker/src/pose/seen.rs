@@ -143,6 +143,7 @@ mod tests {
             cy: 239.5,
             model: Distortion::None,
             coefficients: Vec::new(),
+            covariance: None,
         }
     }
 

@@ -103,6 +103,19 @@ impl Grey {
         Grey { values, size, saturation: mixture.limit(saturation), step: 0.5 * step(planes, mixture) }
     }
 
+    /// NaN in parts of the window that it was read from.
+    pub fn blank(&mut self, window: Window, parts: &[Window]) {
+        let [width, height, ..] = self.size;
+        for part in parts {
+            for slice in 0..self.values.len() / (width * height) {
+                for y in part.y - window.y..part.y - window.y + part.height {
+                    let first = (slice * height + y) * width + part.x - window.x;
+                    self.values[first..first + part.width].fill(f64::NAN);
+                }
+            }
+        }
+    }
+
     /// How many dimensions it extends in, at least one: 1 for a single row, 2 for a single slice.
     pub fn dimensions(&self) -> usize {
         self.size.iter().rposition(|n| *n > 1).map_or(1, |axis| axis + 1)

@@ -8,6 +8,7 @@ use isophote_symbolic::Precision;
 
 use crate::budget::{FrameBudget, Stop};
 use crate::sight::clipping::clipping;
+use crate::sight::gaps::overlap;
 use crate::sight::grey::{Grey, Mixture};
 
 /// How the pixels of a frame lie in memory, as far as a kernel is made for it.
@@ -60,6 +61,8 @@ pub(crate) struct View<'a> {
     pub layout: PlaneLayout,
     /// What the lane's rounding does to a residual, in pixel values.
     pub rounding: f64,
+    /// Pixels of the window that say nothing about light, as rectangles without a common pixel.
+    pub gaps: Vec<Window>,
     /// Of the frame; none where nothing bounds it.
     pub budget: Option<&'a FrameBudget<'a>>,
 }
@@ -76,7 +79,8 @@ impl<'a> View<'a> {
         let layout = PlaneLayout::of(&planes);
         let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
         let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
-        View { planes, window, saturation, limits, layout, rounding: lane * largest, budget: None }
+        let gaps = Vec::new();
+        View { planes, window, saturation, limits, layout, rounding: lane * largest, gaps, budget: None }
     }
 }
 
@@ -90,6 +94,7 @@ impl<'a> View<'a> {
         view.saturation.clone_from(&self.limits);
         view.limits.clone_from(&self.limits);
         view.rounding = self.rounding;
+        view.gaps.clone_from(&self.gaps);
         view.budget = self.budget;
         view
     }
@@ -103,6 +108,7 @@ impl<'a> View<'a> {
             limits: self.limits.clone(),
             layout: self.layout.clone(),
             rounding: self.rounding,
+            gaps: self.gaps.iter().filter_map(|gap| overlap(*gap, window)).collect(),
             budget: self.budget,
         }
     }
@@ -132,6 +138,7 @@ impl<'a> View<'a> {
             limits: with(&self.limits),
             layout: self.layout.corrected(corrections.len()),
             rounding: self.rounding,
+            gaps: self.gaps.clone(),
             budget: self.budget,
         })
     }
@@ -142,6 +149,11 @@ impl<'a> View<'a> {
     /// Why there is to be no further pass.
     pub fn spend(&self, pixels: usize) -> Result<(), Stop> {
         self.budget.map_or(Ok(()), |budget| budget.spend(pixels as u64))
+    }
+
+    /// Pixels of the window that say nothing about light.
+    pub fn gap_pixels(&self) -> usize {
+        self.gaps.iter().map(|gap| gap.pixels()).sum()
     }
 
     /// Pixels of the window that are numbers in every plane.

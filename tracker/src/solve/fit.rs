@@ -9,6 +9,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
 use crate::scaled::Definite;
+use crate::sight::gaps::overlap;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
 use crate::solve::follow::{ShortWay, follow};
@@ -17,6 +18,9 @@ use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
 use crate::solve::trust::{Curvature, Quadratic, Spectrum};
+
+/// Pixels of a pass that cost as much as one gap does.
+const GAP_WORK: usize = 64;
 
 /// What a fit came to.
 #[derive(Clone, Debug)]
@@ -43,6 +47,8 @@ pub(crate) struct Worth {
     /// χ²/ν; absent when there are no more pixels than parameters.
     pub reduced: Option<f64>,
     pub pixels: u64,
+    /// Pixels of the domain that say nothing about light, and took no part.
+    pub left_out: u64,
     /// Share of the domain's pixels.
     pub saturated: f64,
     /// Of the last stage's parameters; absent when singular.
@@ -192,7 +198,8 @@ fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -
         noise: model.has_noise(),
         precision: compiled.precision(),
         rounding: view.rounding,
-        window_pixels: if control == Control::Blind { view.numbers() } else { view.window.pixels() } as u64,
+        window_pixels: if control == Control::Blind { view.numbers() } else { view.window.pixels() - view.gap_pixels() }
+            as u64,
     }
 }
 
@@ -238,7 +245,7 @@ pub(crate) fn pass_at(
     let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
     let bindings = Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
     let (mut totals, mut pass) = (Totals::default(), Pass::of(parameters.len()));
-    let ran = gradient.sums(&bindings, &view.planes, &[view.window], &mut totals);
+    let ran = gradient.sums(&bindings, &view.planes, &[view.window], &view.gaps, &mut totals);
     Ok(ran.and_then(|()| pass.read(&totals, curvature(*method)).ok()).map(|()| pass))
 }
 
@@ -260,7 +267,10 @@ struct Passes<'a> {
     view: &'a View<'a>,
     /// Windows without a common pixel: the view's, or what of it the target can be in.
     parts: &'a [Window],
-    pixels: usize,
+    /// What of them takes no part.
+    gaps: Vec<Window>,
+    /// What a pass costs, in pixels.
+    work: usize,
     constants: &'a [f64],
     /// Of the last pass.
     totals: Totals,
@@ -268,16 +278,18 @@ struct Passes<'a> {
 
 impl<'a> Passes<'a> {
     fn of(compiled: &'a StageKernels, view: &'a View<'a>, parts: &'a [Window], constants: &'a [f64]) -> Passes<'a> {
-        let pixels = parts.iter().map(|part| part.pixels()).sum();
-        Passes { compiled, view, parts, pixels, constants, totals: Totals::default() }
+        let inside = |gap: &Window| parts.iter().filter_map(|part| overlap(*gap, *part)).collect::<Vec<Window>>();
+        let gaps: Vec<Window> = view.gaps.iter().flat_map(inside).collect();
+        let work = parts.iter().map(|part| part.pixels()).sum::<usize>() + GAP_WORK * gaps.len();
+        Passes { compiled, view, parts, gaps, work, constants, totals: Totals::default() }
     }
 
     /// One pass over all parts.
     fn run(&mut self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Result<&Totals, Ending> {
-        self.view.spend(self.pixels)?;
+        self.view.spend(self.work)?;
         let bindings =
             Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
-        let ran = loops.sums(&bindings, &self.view.planes, self.parts, &mut self.totals);
+        let ran = loops.sums(&bindings, &self.view.planes, self.parts, &self.gaps, &mut self.totals);
         ran.map(|()| &self.totals).ok_or(Ending::NonFinite)
     }
 
@@ -316,7 +328,8 @@ impl<'a> Passes<'a> {
             Some(inverse_fisher(&informed, self.compiled.precision())? * variance)
         });
         let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
-        Ok(Worth { objective, reduced, pixels: pass.pixels, saturated, covariance, variance_alone })
+        let (pixels, left_out) = (pass.pixels, self.totals.left_out);
+        Ok(Worth { objective, reduced, pixels, left_out, saturated, covariance, variance_alone })
     }
 }
 

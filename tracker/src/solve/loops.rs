@@ -26,13 +26,26 @@ pub(crate) struct Totals {
     pub pixels: u64,
     /// Pixel values at their limit.
     pub saturated: u64,
+    /// Pixel values of the domain that gaps left out.
+    pub left_out: u64,
 }
 
 impl Totals {
     fn clear(&mut self) {
         self.outputs.clear();
         self.seen.clear();
-        (self.pixels, self.saturated) = (0, 0);
+        (self.pixels, self.saturated, self.left_out) = (0, 0, 0);
+    }
+
+    /// Takes those of a part away again.
+    fn less(&mut self, part: &Totals) {
+        let less = |to: &mut Vec<f64>, from: &[f64]| to.iter_mut().zip(from).for_each(|(sum, value)| *sum -= value);
+        less(&mut self.outputs, &part.outputs);
+        less(&mut self.seen, &part.seen);
+        // Where rounding lets the domain end between two pixels, the whole and its part may differ by one.
+        self.pixels = self.pixels.saturating_sub(part.pixels);
+        self.saturated = self.saturated.saturating_sub(part.saturated);
+        self.left_out += part.pixels + part.saturated;
     }
 }
 
@@ -45,15 +58,29 @@ fn add(to: &mut Vec<f64>, from: &Sums) {
 }
 
 impl Loops {
-    /// The sums over windows without a common pixel, into `totals`, whatever was in there. `None` when a kernel refuses the
-    /// planes; they were made for it, so only a bug could.
+    /// The sums over windows without a common pixel, into `totals`, whatever was in there; without those over `gaps`, which
+    /// lie inside and have no pixel in common either. `None` when a kernel refuses the planes; they were made for it, so only a
+    /// bug could.
+    ///
+    /// Gaps are summed and taken away again, so that kernels need not ask at every pixel.
     pub fn sums(
         &self,
         bindings: &Bindings,
         planes: &[PlaneView],
         windows: &[Window],
+        gaps: &[Window],
         totals: &mut Totals,
     ) -> Option<()> {
+        self.whole(bindings, planes, windows, totals)?;
+        if !gaps.is_empty() {
+            let mut part = Totals::default();
+            self.whole(bindings, planes, gaps, &mut part)?;
+            totals.less(&part);
+        }
+        Some(())
+    }
+
+    fn whole(&self, bindings: &Bindings, planes: &[PlaneView], windows: &[Window], totals: &mut Totals) -> Option<()> {
         totals.clear();
         for window in windows {
             let mut saturated = 0;
@@ -113,15 +140,47 @@ mod tests {
         let mut totals = Totals::default();
         for clipped in [vec![], vec![empty.clone()]] {
             let loops = Loops { seen: vec![empty.clone()], clipped };
-            loops.sums(&bindings, &[plane], &[window; 2], &mut totals).unwrap();
+            loops.sums(&bindings, &[plane], &[window; 2], &[], &mut totals).unwrap();
             assert_eq!((totals.outputs.as_slice(), totals.pixels), (&vec![0.0; alone.outputs.len()][..], 0));
         }
         // And with w = 1, beside one that has pixels.
         let bindings = Bindings { parameters: &[1.0, 1.0], entry: &[1.0, 1.0], ..Bindings::default() };
         let full = kernel("x >= 0");
         let loops = Loops { seen: vec![empty, full.clone()], clipped: vec![] };
-        loops.sums(&bindings, &[plane], &[window], &mut totals).unwrap();
+        loops.sums(&bindings, &[plane], &[window], &[], &mut totals).unwrap();
         let full = full.sums(&bindings, &[plane], window).unwrap();
         assert_eq!((totals.outputs, totals.pixels), (full.outputs, 64));
+    }
+
+    /// Beside a plane that has other values in the gaps, whose sums are the same, in either order.
+    #[test]
+    fn gaps_take_no_part() {
+        let bindings = Bindings { parameters: &[1.5, 0.75], entry: &[1.5, 0.75], ..Bindings::default() };
+        let rectangle = |x, y, width, height| Window { x, y, width, height, ..Window::whole(1, 1) };
+        let gaps = [rectangle(2, 0, 1, 8), rectangle(4, 5, 3, 1), rectangle(7, 7, 1, 1)];
+        let is_gap =
+            |x: usize, y: usize| gaps.iter().any(|g| x >= g.x && x < g.x + g.width && y >= g.y && y < g.y + g.height);
+        let kernel = kernel("x >= 1");
+        let loops = Loops { seen: vec![kernel.clone()], clipped: vec![] };
+        let mut found = Vec::new();
+        for hot in [0, 255] {
+            let pixel = |i: usize| if is_gap(i % 8, i / 8) { hot } else { i as u8 };
+            let pixels: Vec<u8> = (0..64).map(pixel).collect();
+            let plane = PlaneView::new(PixelFormat::U8, &pixels, 8, 8, 8, 1).unwrap();
+            let mut totals = Totals::default();
+            loops.sums(&bindings, &[plane], &[Window::whole(8, 8)], &gaps, &mut totals).unwrap();
+            assert_eq!((totals.pixels, totals.left_out), (56 - 12, 12));
+            found.push(totals.outputs.clone());
+            // One by one, the sound pixels alone.
+            let sound = (0..64).map(|i| (i % 8, i / 8)).filter(|(x, y)| !is_gap(*x, *y));
+            let sound: Vec<Window> = sound.map(|(x, y)| rectangle(x, y, 1, 1)).collect();
+            loops.sums(&bindings, &[plane], &sound, &[], &mut totals).unwrap();
+            found.push(totals.outputs.clone());
+        }
+        for other in &found[1..] {
+            let close = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-5 * (a.abs() + 1.0);
+            assert!(found[0].iter().zip(other).all(close), "{found:?}");
+        }
+        assert!(found[0].iter().all(|sum| sum.abs() > 1.0), "{found:?}");
     }
 }

@@ -96,8 +96,9 @@ impl Predictions {
             };
             let predicted = plane(kernel, &bindings, view.window)?;
             let variance = plane(&entry.variance, &bindings, view.window)?;
-            let observed =
+            let mut observed =
                 Grey::as_it_is(&view.planes, view.window, saturation, &Mixture::linear(&entry.model, constants)?);
+            observed.blank(view.window, &view.gaps);
             let limit = observed.saturation;
             let pixels = observed.values.iter().zip(predicted).zip(variance).enumerate();
             let residual = |(pixel, ((&value, predicted), variance)): (usize, ((&f64, f32), f32))| {
@@ -106,7 +107,7 @@ impl Predictions {
                 let saturated = value >= limit;
                 let difference = if saturated { (limit - predicted).max(0.0) } else { value - predicted };
                 let whitened = difference / deviation;
-                // NaN: outside of the domain, or no number in the picture.
+                // NaN: outside of the domain, no number in the picture, or one that says nothing.
                 (!whitened.is_nan()).then_some(Residual { pixel, predicted, whitened, deviation, saturated })
             };
             Some(Seen { residuals: pixels.filter_map(residual).collect(), limit })

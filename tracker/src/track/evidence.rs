@@ -52,7 +52,7 @@ const SCATTER: f64 = 3.0;
 /// What a search saw of the pixels beside the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ground {
-    /// Of a pixel of the background.
+    /// Of a pixel of the background; of no use to models that say it.
     pub variance: f64,
     /// The largest value that a pixel may have.
     pub limit: f64,
@@ -143,6 +143,15 @@ impl Evidence {
     /// The probability that the thing fitted is the target.
     pub fn confidence(&self) -> f64 {
         1.0 / (1.0 + (-self.log_odds()).exp())
+    }
+}
+
+impl Solver {
+    /// What is beside a target that nobody has searched for, where the model says how noisy pixels are.
+    pub fn stated_ground(&self, look: &Look, attempt: &Attempt) -> Option<Ground> {
+        let fit = attempt.fit.as_ref().filter(|_| self.model().has_noise() && !self.fits_pose())?;
+        let limit = self.limit(look, &fit.parameters)?;
+        Some(Ground { variance: f64::NAN, limit, own: None })
     }
 }
 

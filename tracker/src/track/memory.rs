@@ -7,6 +7,7 @@ use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
 
 use super::evidence::Ground;
+use super::noise::NoiseLevel;
 use super::past::Past;
 use super::rival::Rival;
 use super::search::Candidate;
@@ -36,6 +37,8 @@ pub(crate) struct Memory {
     pub reduced: Option<f64>,
     /// The last good fit met saturated pixels.
     pub clipped: bool,
+    /// It was one of the model's alternatives.
+    pub is_substitute: bool,
     /// The target was found once.
     pub found: bool,
     /// What was beside it when it was found.
@@ -46,6 +49,8 @@ pub(crate) struct Memory {
     pub past: Past,
     /// How pixels were sampled when it was seen last.
     pub chosen: Option<Chosen>,
+    /// How noisy its pixels are, where the model says what they should be.
+    pub noise: NoiseLevel,
     motion: Option<Mover>,
     /// What was seen last was seen by another model: looks and misfit cannot be compared.
     is_swapped: bool,
@@ -68,7 +73,13 @@ impl Memory {
             ..Memory::default()
         };
         match shared.is_same {
-            true => Memory { reduced: self.reduced, rival: self.rival.clone(), is_swapped: self.is_swapped, ..memory },
+            true => Memory {
+                reduced: self.reduced,
+                rival: self.rival.clone(),
+                noise: self.noise,
+                is_swapped: self.is_swapped,
+                ..memory
+            },
             false => memory,
         }
     }
@@ -223,8 +234,14 @@ impl Memory {
         self.last = fit.parameters.clone();
         self.covariance = fit.worth.as_ref().and_then(|worth| worth.covariance.clone());
         self.reduced = candidate.attempt.reduced();
+        self.is_substitute = fit.choice.is_some();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
         self.ground = candidate.ground.or(self.ground);
+        if let Some(own) = self.ground.and_then(|ground| ground.own).filter(|_| solver.model().has_noise())
+            && fit.choice.is_none()
+        {
+            self.reduced.into_iter().for_each(|reduced| self.noise.saw(reduced, own));
+        }
         self.chosen.clone_from(&fit.chosen);
         (self.found, self.is_swapped) = (true, false);
     }

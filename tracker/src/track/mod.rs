@@ -18,6 +18,7 @@ mod faint;
 mod levels;
 mod memory;
 pub(crate) mod motion;
+mod noise;
 mod past;
 mod posed;
 pub(crate) mod publish;
@@ -102,13 +103,17 @@ impl Track {
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let attempt =
             solver.against_rival(look, attempt, (self.memory.rival.as_ref(), self.memory.last_start()), control)?;
-        let ground = self.memory.ground.map(|ground| ground.looked_at(solver, look, &attempt));
+        let ground = self.memory.ground.or_else(|| solver.stated_ground(look, &attempt));
+        let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
         let candidate = Candidate::of(solver, attempt, ground);
         let candidate = self.expecting(solver, candidate, time_s);
         // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.
-        let is_substitute = candidate.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
+        let is_substitute = candidate.is_substitute();
         let is_unlike = is_substitute && candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
+        // What suddenly hides half of a target may be half of the target, elsewhere.
+        let is_sudden = is_substitute && self.memory.reduced.is_some() && !self.memory.is_substitute;
         let is_kept = !is_unlike
+            && !is_sudden
             && candidate.is_sure(solver)
             && self.is_expected(solver, look, &candidate.attempt)
             && self.is_near(solver, &candidate, time_s);
@@ -173,7 +178,11 @@ impl Track {
                 let truer = was > FADED && is < was;
                 let nearer = !self.is_near(solver, &warm, time_s) && self.is_near(solver, &found.candidate, time_s);
                 let better = found.candidate.attempt.reduced() < warm.attempt.reduced();
-                if truer || nearer || better || !suits(&warm) {
+                let plainer = warm.is_substitute()
+                    && !found.candidate.is_substitute()
+                    && self.is_near(solver, &found.candidate, time_s)
+                    && solver.is_fine(&found.candidate.attempt, self.memory.reduced);
+                if truer || nearer || better || plainer || !suits(&warm) {
                     search.claim(found.index);
                     return Finding::Seen(Box::new(found.candidate));
                 }

@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use super::faint::SIGNIFICANT;
 use super::solver::{Attempt, Solver};
 use crate::budget::Spend;
-use crate::pose::{Fitted, Geometry, Pose, TargetSpot, of_ellipses};
+use crate::pose::{Fitted, Geometry, Pose, TargetSpot, of_ellipses, with_lens};
 use crate::solve::fit::Fit;
 
 impl Solver {
@@ -24,8 +24,9 @@ impl Solver {
         let covariance = fit.worth.as_ref()?.covariance.as_ref();
         if let Some(geometry) = &self.geometry {
             let alternatives = attempt.rival.iter().filter_map(|rival| rival.alternative(geometry)).collect();
-            let pose = self.pose_of(&fit.parameters, covariance)?;
-            return Some(Pose { alternatives, left_out: self.left_out(geometry, fit), ..pose });
+            let left_out = self.left_out(geometry, fit);
+            let pose = geometry.published(&fit.parameters, self.compiled.last_parameters(), covariance);
+            return Some(self.no_surer_than_its_lens(geometry, Pose { alternatives, left_out, ..pose }));
         }
         let (lens, target) = (self.options.camera.intrinsics.as_ref()?, self.options.target.as_ref()?);
         let fitted = Fitted {
@@ -35,7 +36,7 @@ impl Solver {
             covariance: covariance?,
             saturation,
         };
-        of_ellipses(self.model(), lens, target, &fitted, spend)
+        Some(with_lens(of_ellipses(self.model(), lens, target, &fitted, spend)?, lens, target))
     }
 
     /// Spots that were left out of a fit, or that do not shine.
@@ -57,7 +58,15 @@ impl Solver {
     /// The pose that parameters are; `None` where they are none.
     pub fn pose_of(&self, parameters: &[f64], covariance: Option<&DMatrix<f64>>) -> Option<Pose> {
         let geometry = self.geometry.as_ref()?;
-        Some(geometry.published(parameters, self.compiled.last_parameters(), covariance))
+        let pose = geometry.published(parameters, self.compiled.last_parameters(), covariance);
+        Some(self.no_surer_than_its_lens(geometry, pose))
+    }
+
+    fn no_surer_than_its_lens(&self, geometry: &Geometry, pose: Pose) -> Pose {
+        match &self.options.camera.intrinsics {
+            Some(lens) => with_lens(pose, lens, &geometry.target),
+            None => pose,
+        }
     }
 
     /// Half the size of a pose's target, mm; 0 where there is none.

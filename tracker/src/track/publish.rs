@@ -27,10 +27,16 @@ pub(crate) struct Told<'a> {
 pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, told: Told) -> Estimate {
     let Told { name, sequence, capture_ns, time_s, saturation, spend } = told;
     let (state, attempt, covariance, parameters, confidence, pose) = match outcome {
-        Finding::Seen(candidate) => {
+        Finding::Seen(mut candidate) => {
             memory.saw(solver, &candidate, time_s);
             let confidence = candidate.confidence();
-            let covariance = memory.covariance.clone();
+            // What is published follows the noise that there is; where the target is looked for does not.
+            let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
+            let covariance = worth.and_then(|worth| worth.covariance.as_mut());
+            let covariance = covariance.map(|covariance| {
+                *covariance *= memory.noise.ratio().unwrap_or(1.0).powi(2);
+                covariance.clone()
+            });
             let pose = solver.pose(&candidate.attempt, saturation, spend);
             (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
         }
@@ -63,11 +69,13 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
         covariance: covariance.as_ref().map(rows),
         objective: told.map(|worth| worth.objective),
         reduced_chi_square: told.and_then(|worth| worth.reduced),
+        noise_ratio: memory.noise.ratio().filter(|_| good),
         log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model())),
         confidence,
         exposure_advice: None,
         ahead,
         pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
+        left_out: solver.gaps.as_ref().and(worth.as_ref()).map(|worth| worth.left_out),
         saturated: worth.as_ref().map_or(0.0, |worth| worth.saturated),
         iterations: stages.iter().map(|stage| stage.iterations).collect(),
         converged: good && attempt.ending == Ending::SmallStep,

@@ -127,6 +127,11 @@ impl Candidate {
         self.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min)
     }
 
+    /// True for a fit of one of the model's alternatives.
+    pub fn is_substitute(&self) -> bool {
+        self.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
+    }
+
     /// The target, as far as the model can tell; what leaves parameters undetermined is not.
     fn is_likely(&self) -> bool {
         let is_determined = || self.attempt.ending != Ending::Singular;
@@ -149,14 +154,14 @@ impl Candidate {
         })
     }
 
-    /// True when a fit ended inside the outline that it began with, is not of quite another size, and met no saturated pixels,
-    /// of which anything can be said.
+    /// True when a fit ended inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
+    /// and met no saturated pixels, of which anything can be said.
     fn stays(&self, solver: &Solver, start: &[f64]) -> bool {
         let Some(fit) = &self.attempt.fit else { return false };
         let sizes = solver.looks(&fit.parameters).0.zip(solver.looks(start).0);
         let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
         let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
-        is_alike && is_clear && self.coincides(solver, start)
+        is_alike && is_clear && self.attempt.ending != Ending::Singular && self.coincides(solver, start)
     }
 
     fn rank(&self) -> f64 {

@@ -3,6 +3,7 @@
 //! What comes in: a frame, starting values. What goes out: an [`Attempt`], a fit and whether it is believed. It never knows
 //! what was seen in earlier frames.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{PlaneView, Window};
@@ -17,6 +18,7 @@ use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::detect::{Bank, Strength};
+use crate::sight::gaps::Gaps;
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
@@ -42,6 +44,8 @@ pub(crate) struct Solver {
     pub geometry: Option<Geometry>,
     /// What its target looks like, for searches.
     pub bank: Option<Arc<Bank>>,
+    /// What the camera's map of defects leaves out.
+    pub gaps: Option<Gaps>,
     reach: Reach,
 }
 
@@ -150,14 +154,24 @@ impl Solver {
         let reach = Reach::of(compiled.model(), &constants);
         let geometry = Geometry::of(compiled.model(), &constants);
         let bank = compiled.bank(&constants);
-        Solver { compiled, options, constants, geometry, bank, reach }
+        let gaps = options.camera.defect_map.as_ref().and_then(Gaps::of);
+        Solver { compiled, options, constants, geometry, bank, gaps, reach }
     }
 
     pub fn model(&self) -> &Model {
         self.compiled.model()
     }
 
-    /// The part of a frame to look at; `None` when the frame does not suit the model.
+    /// The frame with its defects mended, where the camera has a map of them; as it is where that is the map of other frames.
+    pub fn mended<'a>(&self, frame: &'a Frame) -> Cow<'a, Frame> {
+        let map = self.options.camera.defect_map.as_ref();
+        match &self.gaps {
+            Some(gaps) if map.is_some_and(|map| map.check_size(frame.size()).is_ok()) => Cow::Owned(gaps.mended(frame)),
+            _ => Cow::Borrowed(frame),
+        }
+    }
+
+    /// The part of a mended frame to look at; `None` when the frame does not suit the model.
     pub fn look<'a>(&self, frame: &'a Frame) -> Option<Look<'a>> {
         let model = self.model();
         let dimensions = model.coordinates().len();
@@ -174,7 +188,8 @@ impl Solver {
     /// A part of what may be looked at.
     pub fn view<'a>(&self, look: &Look<'a>, window: Window) -> View<'a> {
         let view = View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision());
-        View { budget: look.budget, ..view }
+        let gaps = self.gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
+        View { budget: look.budget, gaps, ..view }
     }
 
     /// One limit a plane: the camera's, else what the window's pixels show, but not above what the source's pixels can hold.

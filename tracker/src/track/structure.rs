@@ -26,6 +26,8 @@ pub(crate) struct Structure {
     pub unexplained: f64,
     /// The share of the domain's pixels that have one residual in common.
     pub cell: f64,
+    /// The share of the residuals' variance that neighbours do not have in common: noise. 1 where noise alone may look so.
+    pub independent: f64,
 }
 
 /// A sum of products.
@@ -84,13 +86,14 @@ impl Structure {
         let noise = (squares / n - near.mean()).max(0.0);
         let common = (near.mean() - SCATTER * noise / (near.pairs as f64).sqrt()).max(0.0);
         if common == 0.0 {
-            return Some(Structure { unexplained: 0.0, cell: 1.0 / n });
+            return Some(Structure { unexplained: 0.0, cell: 1.0 / n, independent: 1.0 });
         }
         let fall = (far.mean() / common).clamp(FALL[0], FALL[1]);
         // 4s² of exp(−1/4s²) and exp(−FAR²/4s²).
         let spread = (FAR * FAR - 1) as f64 / -fall.ln();
         let cell = (std::f64::consts::PI * spread).powf(0.5 * dimensions as f64).clamp(1.0, n) / n;
-        Some(Structure { unexplained: common * (1.0 / spread).exp() / light, cell })
+        let independent = (noise * n / squares).min(1.0);
+        Some(Structure { unexplained: common * (1.0 / spread).exp() / light, cell, independent })
     }
 
     /// What may pretend to be a target: the smaller, the more cells there are that do not.

@@ -90,7 +90,8 @@ impl Tracker {
     /// Everything in a frame that may be the target, each verified by a fit, the likeliest first; nothing is remembered.
     /// Empty where nothing stands out, and where the frame does not suit the model.
     pub fn sightings(&self, frame: &Frame) -> Vec<Sighting> {
-        let Some(look) = self.solver.look(frame) else { return Vec::new() };
+        let frame = self.solver.mended(frame);
+        let Some(look) = self.solver.look(&frame) else { return Vec::new() };
         let given = self.solver.options.start_of(self.solver.model());
         let search = Search::run(&self.solver, &look, &given, Vec::new(), None, Scope::All);
         search.map(|search| search.sightings(&self.solver)).unwrap_or_default()
@@ -115,6 +116,8 @@ impl Tracker {
     /// The same, ended by `watch`, which is asked before every pass and every step of a search. A target whose fit was done by
     /// then is tracked; of the others the frame says nothing, the ending says why, and they are remembered as they were.
     pub fn track_all_while(&mut self, frame: &Frame, watch: Watch) -> Vec<Estimate> {
+        let mended = self.solver.mended(frame);
+        let frame = mended.as_ref();
         let grey; // colour frames for a one-channel model
         let frame = match self.solver.model().channels().len() == 1 && frame.planes().len() == 3 {
             true => {

@@ -73,7 +73,8 @@ impl Bench {
     /// # Errors
     /// When a kernel cannot be made.
     pub fn goal(&self, frame: &Frame, start: &[f64]) -> Result<Option<Goal>, CompileFailure> {
-        let Some(look) = self.solver.look(frame) else { return Ok(None) };
+        let frame = self.solver.mended(frame);
+        let Some(look) = self.solver.look(&frame) else { return Ok(None) };
         let attempt = self.attempt(&look, start, Control::Plain, 0.0)?;
         if !attempt.is_good() {
             return Ok(None);
@@ -106,7 +107,8 @@ impl Bench {
     /// # Errors
     /// When a kernel cannot be made.
     pub fn run(&self, frame: &Frame, goal: &Goal, start: &[f64], offset: Offset) -> Result<Run, CompileFailure> {
-        let Some(look) = self.solver.look(frame) else {
+        let frame = self.solver.mended(frame);
+        let Some(look) = self.solver.look(&frame) else {
             return Ok(Run { reached: false, iterations: 0, passes: 0 });
         };
         let attempt = self.attempt(&look, start, goal.control, offset.centre_px)?;

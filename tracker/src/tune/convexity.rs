@@ -113,7 +113,8 @@ impl Bench {
         stage: usize,
         point: &[f64],
     ) -> Result<Option<Inertia>, CompileFailure> {
-        let Some(look) = self.solver.look(frame) else { return Ok(None) };
+        let frame = self.solver.mended(frame);
+        let Some(look) = self.solver.look(&frame) else { return Ok(None) };
         let window = self.solver.window(&look, point, Margin::NONE);
         let view = self.solver.view(&look, window);
         let compiled = &self.solver.compiled;

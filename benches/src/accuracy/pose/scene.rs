@@ -29,6 +29,7 @@ pub fn camera() -> Camera {
         electrons_per_dn: Some(ELECTRONS_PER_DN),
         read_noise_e: Some(READ_NOISE_E),
         defects: None,
+        defect_map: None,
         intrinsics: Some(lens()),
     }
 }
@@ -44,6 +45,7 @@ pub fn lens() -> Intrinsics {
         cy: 239.5,
         model: Distortion::None,
         coefficients: Vec::new(),
+        covariance: None,
     }
 }
 

@@ -14,6 +14,7 @@ use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::picture::{DecodeError, StoredPicture, check_size};
+use crate::regular::open_regular;
 
 use header::Header;
 
@@ -48,7 +49,7 @@ struct Fits {
 impl Fits {
     /// Opens a file and reads its headers as far as the first image.
     pub fn open(path: &Path) -> Result<Fits, PageFault> {
-        let mut file = File::open(path)?;
+        let mut file = open_regular(path)?;
         let file_bytes = file.metadata()?.len();
         let (header, start) = header::first_image(&mut file, file_bytes)?;
         let numbers = Numbers::of(&header)?;

@@ -26,6 +26,7 @@ use super::image;
 use crate::clock::Stamp;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
+use crate::regular::open_regular;
 
 use index::{Index, PictureRecord, PictureTopic};
 use message::Image;
@@ -60,7 +61,7 @@ struct Mcap {
 impl Mcap {
     /// Opens a file, finds its pictures and keeps those of `topic`, or of the only one.
     pub fn open(path: &Path, topic: Option<&str>) -> Result<Mcap, PageFault> {
-        let file = File::open(path)?;
+        let file = open_regular(path)?;
         let file_bytes = file.metadata()?.len();
         let mut file = BufReader::new(file);
         let mut index = Index::of(&mut file, file_bytes)?;

@@ -244,7 +244,7 @@ fn unfolded(sum: &Expr) -> Option<Expr> {
 fn mentions(expr: &Expr, name: &str) -> bool {
     let any = |list: &[Expr]| list.iter().any(|e| mentions(e, name));
     match &expr.kind {
-        ExprKind::Number(_) => false,
+        ExprKind::Number(_) | ExprKind::Text(_) => false,
         ExprKind::Name(own) => own == name,
         ExprKind::List(list) | ExprKind::Joined(_, list) | ExprKind::Broken(list) | ExprKind::Call(_, list) => {
             any(list)

@@ -88,7 +88,7 @@ impl Parser {
     /// True before what an operand starts with.
     pub(super) fn starts_operand(&self) -> bool {
         match self.peek() {
-            Token::Number(_) | Token::BadNumber(_) => true,
+            Token::Number(_) | Token::BadNumber(_) | Token::Text(_) => true,
             Token::Name(name) => !is_word(name),
             Token::Symbol(s) => matches!(*s, "(" | "["),
             _ => false,
@@ -247,6 +247,8 @@ impl Parser {
             }
             Token::Name(word) if is_word(word) => fault(format!("`{word}` stands where {wanted} is expected")),
             Token::Name(name) => fault(format!("{} stands where {wanted} is expected", quoted(name))).help(implicit),
+            Token::Text(_) => fault(format!("a text stands where {wanted} is expected"))
+                .help("only a table has a name in quotes: `table(\"psf\", s)`"),
             Token::Number(_) => fault(format!("a number stands where {wanted} is expected")).help(implicit),
         }
     }

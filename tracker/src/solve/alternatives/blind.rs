@@ -15,10 +15,13 @@ use crate::solve::residuals::Seen;
 const EXPLAINED_FIRST: f64 = 0.02;
 /// … and later.
 const EXPLAINED: f64 = 0.77;
-/// Glare dies away over so many px.
+/// Glare dies away over so many px, in every direction.
 const SPREAD_PX: usize = 12;
-/// The edge of what is in front of a target covers pixels in part, so many px beyond those that are far off.
-const EDGE_PX: usize = 1;
+/// The edge of what is in front of a target covers pixels in part: beside those that are far off, and no farther from them
+/// than so many px, …
+const EDGE_PX: usize = 3;
+/// … those that are this many standard deviations off.
+const DOUBTFUL: f64 = 2.0;
 /// Fewer blind pixels than this are a hot pixel or a rim.
 const PIXELS_MIN: usize = 12;
 
@@ -41,31 +44,46 @@ impl BlindMask {
     /// deviations that hang together are of something in front of the target.
     pub fn of(view: &View, seen: &[Seen], known: Known, outlier: Option<f64>) -> Option<BlindMask> {
         let [width, height, ..] = view.window.size();
-        let mut blind = vec![false; view.window.pixels()];
-        for Seen { residuals, limit } in seen {
-            let floor = residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
-            let share = match known {
-                Known::Roughly => EXPLAINED_FIRST,
-                Known::Well => EXPLAINED,
-            };
-            let explained = floor + share * (limit - floor);
-            for residual in residuals.iter().filter(|r| r.saturated && r.predicted < explained) {
-                blind[residual.pixel] = true;
-            }
-        }
-        let glare = opened(&blind, width, height).map(|area| dilated(&area, width, height, SPREAD_PX));
-        let hidden = outlier.and_then(|limit| {
-            let mut far = vec![false; view.window.pixels()];
-            let residuals = seen.iter().flat_map(|seen| &seen.residuals);
-            residuals.filter(|r| !r.saturated && r.whitened.abs() > limit).for_each(|r| far[r.pixel] = true);
-            Some(dilated(&opened(&far, width, height)?, width, height, EDGE_PX))
-        });
+        let glare = glaring(view, seen, known).map(|area| widened(&area, width, height, SPREAD_PX));
+        let hidden = outlier.and_then(|limit| hidden(view, seen, limit));
         let pixels = match (glare, hidden) {
             (Some(glare), Some(hidden)) => glare.iter().zip(hidden).map(|(a, b)| *a || b).collect(),
             (glare, hidden) => glare.or(hidden)?,
         };
         Some(BlindMask { pixels })
     }
+}
+
+/// Saturated pixels that a target does not explain.
+fn glaring(view: &View, seen: &[Seen], known: Known) -> Option<Vec<bool>> {
+    let [width, height, ..] = view.window.size();
+    let mut blind = vec![false; view.window.pixels()];
+    for Seen { residuals, limit } in seen {
+        let floor = residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
+        let share = match known {
+            Known::Roughly => EXPLAINED_FIRST,
+            Known::Well => EXPLAINED,
+        };
+        let explained = floor + share * (limit - floor);
+        for residual in residuals.iter().filter(|r| r.saturated && r.predicted < explained) {
+            blind[residual.pixel] = true;
+        }
+    }
+    opened(&blind, width, height)
+}
+
+/// What stands in front of a target: residuals far off that hang together, and what hangs on to them.
+fn hidden(view: &View, seen: &[Seen], limit: f64) -> Option<Vec<bool>> {
+    let [width, height, ..] = view.window.size();
+    let residuals = || seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| !residual.saturated);
+    let mut far = vec![false; view.window.pixels()];
+    residuals().filter(|r| r.whitened.abs() > limit).for_each(|r| far[r.pixel] = true);
+    let mut hidden = opened(&far, width, height)?;
+    for _ in 0..EDGE_PX {
+        let around = dilated(&hidden, width, height, 1);
+        residuals().filter(|r| around[r.pixel] && r.whitened.abs() > DOUBTFUL).for_each(|r| hidden[r.pixel] = true);
+    }
+    Some(hidden)
 }
 
 /// Without lines one or two pixels wide, which are rims: 3 × 3 opening. `None` when hardly a pixel is left.
@@ -77,6 +95,29 @@ fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
 /// For each pixel whether any of those within `radius` along both axes holds.
 pub(super) fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
     neighbourhood(truth, width, height, radius, 1)
+}
+
+/// For each pixel whether any of those no farther away than `radius` holds.
+fn widened(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
+    // How far the nearest is in the same column, then in all of them.
+    let mut distance = vec![usize::MAX; truth.len()];
+    for x in 0..width {
+        let mut since = |rows: &mut dyn Iterator<Item = usize>| {
+            let mut last = None;
+            for y in rows {
+                let here = y * width + x;
+                last = if truth[here] { Some(y) } else { last };
+                distance[here] = last.map_or(distance[here], |last| distance[here].min(last.abs_diff(y)));
+            }
+        };
+        since(&mut (0..height));
+        since(&mut (0..height).rev());
+    }
+    let is_near = |(here, row): (usize, &[usize])| {
+        let near = here.saturating_sub(radius)..(here + radius + 1).min(width);
+        near.into_iter().any(|x| row[x] <= radius && row[x].pow(2) + x.abs_diff(here).pow(2) <= radius.pow(2))
+    };
+    distance.chunks(width).flat_map(|row| (0..width).map(move |here| is_near((here, row)))).collect()
 }
 
 /// For each pixel whether all of those within `radius` along both axes hold; beyond the border nothing does.
@@ -161,5 +202,17 @@ mod tests {
         }
         let wide = dilated(&opened, width, height, 2);
         assert_eq!(wide.iter().filter(|w| **w).count(), 9 * 8);
+    }
+
+    #[test]
+    fn glare_reaches_equally_far_in_every_direction() {
+        let (width, height, radius) = (31, 27, 9_usize);
+        let sources = [[12_usize, 10_usize], [29, 25]];
+        let mut truth = vec![false; width * height];
+        sources.iter().for_each(|[x, y]| truth[y * width + x] = true);
+        for (i, near) in widened(&truth, width, height, radius).into_iter().enumerate() {
+            let distance = |[x, y]: [usize; 2]| x.abs_diff(i % width).pow(2) + y.abs_diff(i / width).pow(2);
+            assert_eq!(near, sources.into_iter().any(|source| distance(source) <= radius.pow(2)), "{i}");
+        }
     }
 }

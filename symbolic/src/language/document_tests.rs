@@ -3,10 +3,10 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::Spelling;
 use crate::language::document::{Entry, Item, Text, read_json, read_toml};
 use crate::proof::points::Random;
 use isophote_syntax::diagnostic::{Diagnostic, Span};
+use isophote_syntax::spelling::Spelling;
 
 #[derive(Clone, Copy, PartialEq, Debug)]
 enum Kind {

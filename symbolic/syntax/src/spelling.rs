@@ -6,11 +6,11 @@
 
 use std::rc::Rc;
 
-use isophote_syntax::diagnostic::Span;
+use crate::diagnostic::Span;
 
 /// Where a value's bytes stand in the document.
 #[derive(Clone, Debug)]
-pub(crate) enum Spelling {
+pub enum Spelling {
     /// As they are, from this byte on.
     Plain(u32),
     /// For each byte of the value those of its character; one more, empty, for the end.
@@ -110,7 +110,3 @@ fn pair(high: u32, between: &str, low: u32) -> Option<(char, usize)> {
     let character = char::decode_utf16(units).next()?.ok()?;
     (between == "\\u").then_some((character, 12))
 }
-
-#[cfg(test)]
-#[path = "spelling_tests.rs"]
-mod tests;

@@ -1,0 +1,76 @@
+//! `NamedThread`: a thread that is waited for, but never for longer than somebody wants to. A fit, a file or a driver may hold it
+//! for as long as it likes.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::Instant;
+
+use tokio::sync::oneshot;
+
+/// A running thread.
+pub struct NamedThread {
+    name: String,
+    thread: Mutex<Option<(JoinHandle<()>, Receiver<()>)>>,
+}
+
+impl NamedThread {
+    /// Starts it.
+    pub fn start(name: String, work: impl FnOnce() + Send + 'static) -> std::io::Result<NamedThread> {
+        let (runs, running) = sync_channel::<()>(0);
+        let work = move || {
+            let _runs = runs;
+            work();
+        };
+        let thread = Builder::new().name(name.clone()).spawn(work)?;
+        Ok(NamedThread { name, thread: Mutex::new(Some((thread, running))) })
+    }
+
+    /// Waits until it is over, or until then; one that goes on is left to itself.
+    pub fn wait(&self, until: Instant) {
+        let taken = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some((thread, running)) = taken else { return };
+        let left = until.saturating_duration_since(Instant::now());
+        if running.recv_timeout(left) != Err(RecvTimeoutError::Timeout) && thread.join().is_err() {
+            eprintln!("isophote: the thread `{}` panicked", self.name);
+        }
+    }
+}
+
+/// Does what takes its time beside whoever asks for it; where no thread can be had, at once. The receiver hears when it is done.
+pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Receiver<()> {
+    let (done, heard) = oneshot::channel();
+    let work = Arc::new(Mutex::new(Some(work)));
+    let take = |work: &Mutex<Option<_>>| work.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let theirs = work.clone();
+    let finish = move || {
+        take(&theirs).into_iter().for_each(|work| work());
+        done.send(()).ok(); // whoever asked may have gone
+    };
+    if let Err(error) = Builder::new().name(format!("end {what}")).spawn(finish) {
+        eprintln!("isophote: no thread to wait for the end of {what}: {error}");
+        take(&work).into_iter().for_each(|work| work());
+    }
+    heard
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_thread_that_goes_on_is_left() {
+        let (end, ended) = sync_channel::<()>(0);
+        let stuck = NamedThread::start("stuck".into(), move || _ = ended.recv().is_ok()).unwrap();
+        let begin = Instant::now();
+        stuck.wait(begin + Duration::from_millis(30));
+        assert!(begin.elapsed() >= Duration::from_millis(30) && begin.elapsed() < Duration::from_secs(20));
+        drop(end);
+        let (said, heard) = sync_channel(1);
+        let short = NamedThread::start("short".into(), move || said.send(1).unwrap()).unwrap();
+        short.wait(Instant::now() + Duration::from_secs(60));
+        assert_eq!(heard.try_recv(), Ok(1), "it was over");
+    }
+}

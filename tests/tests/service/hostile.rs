@@ -1,0 +1,294 @@
+//! Clients that stall, fill or flood the service, and numbers that make no sense: each is bounded, and told.
+
+use std::fmt::Write as _;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::os::unix::process::ExitStatusExt;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use isophote_tests::{Service, program, repository};
+use serde_json::{Value, json};
+
+use crate::client::{DEADLINE, Running, session, synthetic};
+
+/// A request whose answer nobody reads, or whose body nobody ends.
+fn begun(service: &Running, request: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(&service.address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    stream
+}
+
+fn status(stream: &mut TcpStream) -> String {
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap_or_else(|error| panic!("{error} after {answer:?}"));
+    answer.split(' ').nth(1).unwrap_or_default().to_string()
+}
+
+#[test]
+fn readers_that_stop_reading_are_left() {
+    let service = Running::start();
+    let mut document = session("fit", 500.0);
+    document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
+    service.put("/v1/sessions/one", &document).expect(201);
+    service.put("/v1/sessions/witness", &session("realtime", 30.0)).expect(201);
+    for accept in ["application/x-ndjson", "text/event-stream"] {
+        let request =
+            format!("GET /v1/sessions/one/estimates?mode=all HTTP/1.1\r\nHost: localhost\r\nAccept: {accept}\r\n\r\n");
+        let stalled: Vec<TcpStream> = (0..16).map(|_| begun(&service, &request)).collect();
+        let sockets: Vec<_> =
+            (0..16).map_while(|_| service.try_socket("one", "mode=all", "isophote.v1").ok()).collect();
+        // All places for subscribers are taken; what is not read does not hold up the session, and the places come back.
+        let begin = Instant::now();
+        let frames = service.get("/v1/sessions/one").expect(200)["frames"].as_u64().unwrap();
+        while service.try_socket("one", "", "isophote.v1").is_err() {
+            assert!(begin.elapsed() < DEADLINE / 2, "{accept}");
+            service.get("/livez").expect(200);
+        }
+        service.wait_for("one", |view| view["frames"].as_u64() > Some(frames + 100));
+        drop((stalled, sockets));
+    }
+    let witness = service.get("/v1/sessions/witness").expect(200);
+    assert_eq!(witness["state"], "running", "{witness}");
+}
+
+/// Idle connections take every place; who comes then is told so, and that the service lives.
+#[test]
+fn who_finds_no_place_is_told() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("realtime", 30.0)).expect(201);
+    let limit = isophote_server::limits::LIMITS.sockets;
+    // Upgraded, they keep their places.
+    let sockets: Vec<_> = (0..10).map(|_| service.socket("one", "credit=0")).collect();
+    let idle = limit - sockets.len();
+    let idle: Vec<TcpStream> = (0..idle).map(|_| TcpStream::connect(&service.address).unwrap()).collect();
+    let get = |path: &str| format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    for _ in 0..5 {
+        assert_eq!(status(&mut begun(&service, &get("/livez"))), "200");
+        assert_eq!(status(&mut begun(&service, &get("/v1/models"))), "503");
+        let put = "PUT /v1/models/a HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n";
+        let mut sending = begun(&service, put);
+        sending.write_all(&[b' '; 100_000]).unwrap();
+        assert_eq!(status(&mut sending), "503");
+    }
+    drop(idle);
+    let begin = Instant::now();
+    while status(&mut begun(&service, "GET /v1/models HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"))
+        != "200"
+    {
+        assert!(begin.elapsed() < DEADLINE / 2);
+    }
+    drop(sockets);
+}
+
+#[test]
+fn bodies_of_frames_are_bounded_by_their_source() {
+    let service = Running::start();
+    let pushed = |name: &str, side: usize| {
+        let source = json!({"kind": "pushed", "width": side, "height": side, "format": "f32"});
+        service.put(&format!("/v1/sessions/{name}"), &json!({"source": source, "model": "spot"})).expect(201);
+    };
+    pushed("small", 64);
+    pushed("large", 4000);
+    let media = [("content-type", "application/octet-stream")];
+    let post = |name: &str, bytes: usize| {
+        service.request("POST", &format!("/v1/sessions/{name}/frames"), &media, &vec![0; bytes])
+    };
+    post("small", 64 * 64 * 4).expect(200);
+    post("small", 64 * 64 * 4 + 1).expect(413);
+    // Frames of 64 MB that are never whole: two are half of what may be on its way.
+    let head = "POST /v1/sessions/large/frames HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/octet-stream\r\n\
+                Content-Length: 64000000\r\n\r\n";
+    let held: Vec<TcpStream> = (0..2).map(|_| begun(&service, head)).collect();
+    let begin = Instant::now();
+    let problem = loop {
+        let answer = post("large", 1000);
+        if answer.status == 503 {
+            break answer.expect(503);
+        }
+        assert!(begin.elapsed() < DEADLINE / 2, "{}", answer.text);
+    };
+    assert_eq!(problem["type"], "urn:isophote:problem:full");
+    post("small", 64 * 64 * 4).expect(200);
+    drop(held);
+    let begin = Instant::now();
+    while post("large", 1000).status != 422 {
+        assert!(begin.elapsed() < DEADLINE / 2);
+    }
+}
+
+#[test]
+fn malformed_websocket_frames_end_with_their_code() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("realtime", 30.0)).expect(201);
+    let source = json!({"kind": "pushed", "width": 8, "height": 8});
+    service.put("/v1/sessions/two", &json!({"source": source, "model": "spot"})).expect(201);
+    let long = [&[0x81, 0xff, 0, 0, 0, 0, 0, 1, 0, 0, 1, 2, 3, 4][..], &[b'x'; 64]].concat(); // says 65536 bytes
+    let longer = [&[0x82, 0xff, 0, 0, 0, 0, 1, 0, 0, 0, 1, 2, 3, 4][..], &[b'x'; 64]].concat(); // 16 MiB
+    let cases: [(&[u8], u16); 6] = [
+        (&[0xf1, 0x80, 1, 2, 3, 4], 1002),             // reserved bits
+        (&[0x83, 0x80, 1, 2, 3, 4], 1002),             // an opcode that is none
+        (&[0x81, 0x02, b'{', b'}'], 1002),             // not masked
+        (&[0x09, 0x80, 1, 2, 3, 4], 1002),             // a ping in pieces
+        (&[0x81, 0x82, 0, 0, 0, 0, 0xff, 0xfe], 1007), // text that is none
+        (&longer, 1009),
+    ];
+    for (bytes, code) in cases {
+        for mut socket in [service.socket("one", "credit=0"), service.frames_socket("two").unwrap()] {
+            socket.send_raw(bytes);
+            assert_eq!(socket.next(), Err(code), "{:?}", &bytes[..2]);
+        }
+    }
+    let mut socket = service.socket("one", "credit=0");
+    socket.send_raw(&long);
+    assert_eq!(socket.next(), Err(1009));
+}
+
+#[test]
+fn numbers_that_make_no_sense_are_refused_at_their_key() {
+    let service = Running::start();
+    let mut document = session("realtime", 30.0);
+    document["source"] = json!("shared");
+    service.put("/v1/sources/shared", &synthetic("realtime", 30.0)).expect(201);
+    let cases = [
+        ("camera", json!({"saturation": 0}), "camera.saturation"),
+        ("camera", json!({"saturation": -5}), "camera.saturation"),
+        ("camera", json!({"saturation": 10, "black": 10}), "camera.saturation"),
+        ("camera", json!({"electrons_per_dn": 0}), "camera.electrons_per_dn"),
+        ("camera", json!({"electrons_per_dn": -1}), "camera.electrons_per_dn"),
+        ("camera", json!({"read_noise_e": -1}), "camera.read_noise_e"),
+        ("camera", json!({"defects": 1}), "camera.defects"),
+        ("constants", json!({"gain": -1}), "constants.gain"),
+        ("constants", json!({"read_noise": -1}), "constants.read_noise"),
+        ("window", json!({"x": 64, "y": 0, "width": 10, "height": 10}), "window"),
+        ("window", json!({"x": 0, "y": 1000, "width": 10, "height": 10}), "window"),
+        ("window", json!({"x": 0, "y": 0, "width": 0, "height": 10}), "window"),
+        ("options", json!({"predict": {"horizon_s": 1e300, "steps": 10}}), "options.predict.horizon_s"),
+        ("options", json!({"predict": {"horizon_s": -1, "steps": 10}}), "options.predict.horizon_s"),
+        ("options", json!({"predict": {"horizon_s": 1, "steps": 0}}), "options.predict.steps"),
+    ];
+    for (key, value, at) in cases {
+        let mut wrong = document.clone();
+        wrong[key] = value;
+        let answer = service.put("/v1/sessions/one", &wrong).expect(422);
+        assert_eq!(answer["diagnostics"][0]["key"], at, "{wrong}: {answer}");
+    }
+    document["camera"] = json!({"saturation": 0.5, "black": 0, "electrons_per_dn": 1, "read_noise_e": 0});
+    document["window"] = json!({"x": 0, "y": 0, "width": 1000, "height": 1000}); // clipped, as ever
+    document["options"] = json!({"predict": {"horizon_s": 3600, "steps": 1}});
+    service.put("/v1/sessions/one", &document).expect(201);
+    for (key, value) in [("gain", json!(-1)), ("gain", json!(0)), ("saturation", json!(0)), ("exposure", json!(-1))] {
+        let mut source = synthetic("realtime", 30.0);
+        source[key] = value;
+        service.put("/v1/sources/two", &source).expect(422);
+    }
+}
+
+/// Bumps that explain nothing of what is seen, in f64 over the whole picture: no fit ends before its time is up.
+fn slow() -> String {
+    let mut text = String::from("name = \"slow\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n");
+    let (mut intensity, mut all) = (String::from("0"), Vec::new());
+    for bump in 0..4 {
+        for (name, start) in [("x", 100 + 130 * bump), ("y", 400 - 90 * bump), ("w", 30 + 9 * bump), ("v", 30)] {
+            writeln!(text, "{name}{bump} = {{ start = {start} }}").unwrap();
+            all.push(format!("\"{name}{bump}\""));
+        }
+        write!(intensity, " + v{bump} * exp(-((x - x{bump})^2 + (y - y{bump})^2) / w{bump}^2)").unwrap();
+    }
+    writeln!(text, "[model]\nintensity = \"{intensity}\"").unwrap();
+    for stage in 0..8 {
+        let free = all[stage % 2..].join(", ");
+        writeln!(text, "[[stages]]\nparameters = [{free}]\nmethod = \"newton\"\niterations = 100\ntolerance = 1e-12")
+            .unwrap();
+    }
+    text
+}
+
+#[test]
+fn the_service_stops_in_time_whatever_runs() {
+    let service = Running::start();
+    service.put_text("/v1/models/slow", "application/toml", &slow()).expect(201);
+    let mut source = synthetic("realtime", 30.0);
+    (source["width"], source["height"]) = (json!(640), json!(480));
+    source["motion"]["bx"] = json!("320 + 80*sin(2*pi*3*t) + 40*cos(40*t)");
+    source["read_noise_e"] = json!(400);
+    source["full_well_e"] = json!(5000);
+    service.put("/v1/sources/shared", &source).expect(201);
+    let document = json!({"source": "shared", "model": "slow", "options": {"precision": "f64"}});
+    let name = |i: usize| format!("/v1/sessions/long-{i}");
+    for i in 0..64 {
+        service.put(&name(i), &document).expect(201);
+    }
+    // Many are deleted at once: they end together.
+    let begin = Instant::now();
+    std::thread::scope(|scope| {
+        for i in 0..24 {
+            let service = &service;
+            scope.spawn(move || service.delete(&name(i)).expect(204));
+        }
+    });
+    let deleted = begin.elapsed();
+    let begin = Instant::now();
+    service.stop();
+    let stopped = begin.elapsed();
+    eprintln!("24 deleted in {deleted:?}, 40 stopped in {stopped:?}");
+    assert!(deleted < Duration::from_secs(5), "{deleted:?}");
+    assert!(stopped < Duration::from_secs(5), "{stopped:?}");
+}
+
+fn signal(service: &mut Service) {
+    let id = service.child().id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+}
+
+#[test]
+fn one_signal_ends_it_in_order_and_a_second_at_once() {
+    let program = program().unwrap();
+    let head =
+        "PUT /v1/models/a HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/toml\r\nContent-Length: 9\r\n\r\n";
+    for signals in [1, 2] {
+        let mut service = Service::start(&program, &["--demo"], &repository()).unwrap();
+        let client = Running::at(service.address());
+        client.get("/livez").expect(200);
+        let unfinished = begun(&client, head); // for which the service waits a while before it stops
+        // The service has it: a request behind it on another connection is answered.
+        client.get("/v1/models").expect(200);
+        let begin = Instant::now();
+        signal(&mut service);
+        // What comes at once with the first is the same signal, sent twice.
+        signal(&mut service);
+        while signals == 2 && service.child().try_wait().unwrap().is_none() {
+            signal(&mut service);
+        }
+        let ended = service.child().wait().unwrap();
+        eprintln!("{signals}: {ended} after {:?}", begin.elapsed());
+        assert_eq!(ended.signal(), None, "it ended by itself");
+        // What has ended before a second signal can be told from the first has ended in order.
+        let is_cut_short = signals == 2 && begin.elapsed() > Duration::from_millis(200);
+        assert_eq!(ended.code(), Some(i32::from(is_cut_short)));
+        let most = if signals == 2 { 1500 } else { 5000 };
+        assert!(begin.elapsed() < Duration::from_millis(most));
+        drop(unfinished);
+    }
+}
+
+/// Nothing of what is kept for a subscriber without credit grows with time; what it missed is told.
+#[test]
+fn a_subscriber_without_credit_falls_out_and_is_told() {
+    let service = Running::start();
+    let mut document = session("fit", 0.0);
+    document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
+    service.put("/v1/sessions/one", &document).expect(201);
+    let mut socket = service.socket("one", "mode=all&credit=1");
+    let first = socket.next().unwrap();
+    let size = first.to_string().len() as u64;
+    let frames = 2 * isophote_server::limits::LIMITS.ring_bytes as u64 / size;
+    let number = |estimate: &Value, key: &str| estimate[key].as_u64().unwrap();
+    service.wait_for("one", |view| number(view, "frames") > number(&first, "frame") + frames);
+    socket.send("{\"credit\":2}");
+    let (next, after) = (socket.next().unwrap(), socket.next().unwrap());
+    assert!(number(&next, "dropped") > frames / 4, "{next}");
+    assert_eq!(number(&next, "frame"), number(&first, "frame") + 1 + number(&next, "dropped"));
+    assert_eq!((number(&after, "frame"), number(&after, "dropped")), (number(&next, "frame") + 1, 0));
+}

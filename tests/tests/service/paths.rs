@@ -1,0 +1,170 @@
+//! What stands behind a path: nothing there keeps the service waiting, and nothing there keeps it from starting.
+
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use isophote_jit::{PixelFormat, VectorWidth};
+use isophote_server::{Options, Server};
+use serde_json::{Value, json};
+
+use crate::client::{Folder, Running, picture, session};
+
+/// Until something that cannot be is refused: 100 ms of the service's, and a client beside many tests.
+const SOON: Duration = Duration::from_millis(1500);
+
+fn pipe(path: &Path) {
+    assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+}
+
+fn png(path: &Path, x: f64) {
+    let pixels = picture(64, 48, (x, 24.0));
+    std::fs::write(path, isophote_capture::encode_png(64, 48, PixelFormat::U8, &pixels).unwrap()).unwrap();
+}
+
+fn recording(path: &Path, repeat: bool) -> Value {
+    let source = json!({"kind": "recording", "path": path, "rate_hz": 100, "loop": repeat});
+    json!({"source": source, "model": "spot"})
+}
+
+#[test]
+fn recordings_that_are_no_files_are_refused_at_once() {
+    let (folder, service) = (Folder::new("paths"), Running::start());
+    let at = |name: &str| folder.0.join(name);
+    for name in ["pipe.png", "pipe.tiff", "pipe.csv"] {
+        pipe(&at(name));
+    }
+    symlink("/dev/zero", at("zero.png")).unwrap();
+    symlink("/dev/zero", at("zero.y4m")).unwrap();
+    for (name, special) in [("truth-pipe", None), ("truth-zero", Some("/dev/zero"))] {
+        std::fs::create_dir_all(at(name)).unwrap();
+        png(&at(name).join("0.png"), 30.0);
+        let truth = at(name).join("truth.jsonl");
+        special.map_or_else(|| pipe(&truth), |target| symlink(target, &truth).unwrap());
+    }
+    std::fs::create_dir_all(at("pipes-only")).unwrap();
+    pipe(&at("pipes-only").join("0.png"));
+    let names = [
+        "pipe.png",
+        "pipe.tiff",
+        "pipe.csv",
+        "zero.png",
+        "zero.y4m",
+        "truth-pipe",
+        "truth-zero",
+        "pipes-only",
+        "absent.png",
+    ];
+    for name in names {
+        let begin = Instant::now();
+        let answer = service.put("/v1/sessions/one", &recording(&at(name), false)).expect(422);
+        assert!(begin.elapsed() < SOON, "{name}: {:?}", begin.elapsed());
+        assert_eq!(answer["diagnostics"][0]["key"], "source.path", "{name}: {answer}");
+        let source = json!({"kind": "recording", "path": at(name), "rate_hz": 30});
+        service.put("/v1/sources/one", &source).expect(422);
+    }
+    // Others beside the pictures of a folder are left alone.
+    png(&at("pipes-only").join("1.png"), 31.0);
+    service.put("/v1/sessions/one", &recording(&at("pipes-only"), false)).expect(201);
+    service.wait_for("one", |view| view["state"] == "stopped" && view["frames"] == 1);
+    service.stop();
+}
+
+#[test]
+fn a_damaged_file_does_not_end_a_loop() {
+    let (folder, service) = (Folder::new("loop"), Running::start());
+    (0..3u8).for_each(|i| png(&folder.0.join(format!("{i}.png")), 30.0 + f64::from(i)));
+    let whole = std::fs::read(folder.0.join("1.png")).unwrap();
+    std::fs::write(folder.0.join("1.png"), &whole[..whole.len() / 2]).unwrap();
+    service.put("/v1/sources/loop", &recording(&folder.0, true)["source"]).expect(201);
+    service.put("/v1/sessions/one", &json!({"source": "loop", "model": "spot"})).expect(201);
+    let view = service.wait_for("one", |view| view["frames"].as_u64() > Some(6));
+    assert!(view["state"] == "running" && view["dropped"].as_u64() >= Some(2), "{view}");
+    let reason = service.get("/v1/sources/loop").expect(200)["reason"].to_string();
+    assert!(reason.contains("1.png"), "{reason}");
+    // Whole again, it is fitted again.
+    std::fs::write(folder.0.join("1.png"), &whole).unwrap();
+    service.wait_for("one", |view| view["last"]["file"] == "1.png");
+    // A recording of which nothing can be read has ended.
+    (0..3).for_each(|i| std::fs::write(folder.0.join(format!("{i}.png")), &whole[..50]).unwrap());
+    let view = service.wait_for("one", |view| view["state"] == "lost_source");
+    assert!(view["reason"].as_str().unwrap().contains("damaged"), "{view}");
+}
+
+#[test]
+fn faults_of_files_do_not_quote_them() {
+    let (folder, service) = (Folder::new("quotes"), Running::start());
+    let path = folder.0.join("t.csv");
+    for text in ["x,y\nsecret,1\n", "1e3,secret\n1,2\n", "secret,secret\n1,2\n", "x,secret\n1,2\n", "x\n1\nsecret,2\n"]
+    {
+        std::fs::write(&path, text).unwrap();
+        let document = json!({"source": {"kind": "recording", "path": path, "rate_hz": 1}, "model": "profile-1d"});
+        let answer = service.put("/v1/sessions/one", &document).expect(422).to_string();
+        assert!(answer.contains("t.csv") || answer.contains("column"), "{answer}");
+        assert!(!answer.contains("secret") && !answer.contains("1e3"), "{answer}");
+    }
+}
+
+fn start(data: &Path) -> Result<Server, String> {
+    let (listen, width) = ("127.0.0.1:0".parse().unwrap(), VectorWidth::default());
+    let options = Options { listen, data: Some(data.to_path_buf()), demo: false, width };
+    Server::start(&options).map_err(|error| error.to_string())
+}
+
+#[test]
+fn what_is_no_model_in_the_data_folder_is_left_alone() {
+    let folder = Folder::new("strangers");
+    let models = folder.0.join("models");
+    let service = Running::start_with(Some(&folder.0), false);
+    let spot = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/spot.toml")).unwrap();
+    service.put_text("/v1/models/mine", "application/toml", &spot).expect(201);
+    service.stop();
+    pipe(&models.join("pipe.json"));
+    pipe(&models.join("mine.new"));
+    symlink("/dev/zero", models.join("zero.json")).unwrap();
+    std::fs::create_dir(models.join("folder.json")).unwrap();
+    std::fs::create_dir(models.join("folder.new")).unwrap();
+    std::fs::write(models.join("bytes.json"), [0xff, 0xfe]).unwrap();
+    std::fs::write(models.join("half.json"), "{\"version\": 1,").unwrap();
+    let begin = Instant::now();
+    let service = Running::start_with(Some(&folder.0), false);
+    assert!(begin.elapsed() < SOON * 4, "{:?}", begin.elapsed());
+    service.get("/v1/models/mine").expect(200);
+    for name in ["pipe", "zero", "folder", "bytes", "half"] {
+        service.get(&format!("/v1/models/{name}")).expect(404);
+    }
+    // A save does not wait for what stands in its way either.
+    pipe(&models.join("other.new"));
+    service.put_text("/v1/models/other", "application/toml", &spot).expect(201);
+    service.put_text("/v1/models/folder", "application/toml", &spot).expect(507);
+    service.get("/v1/models/folder").expect(404);
+    let left = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "new") && !path.is_dir();
+    let mut found = std::fs::read_dir(&models).unwrap().map(|entry| entry.unwrap().path());
+    assert_eq!(found.find(left), None);
+}
+
+#[test]
+fn a_data_folder_has_one_service() {
+    let folder = Folder::new("alone");
+    let first = start(&folder.0).unwrap();
+    let error = start(&folder.0).err().unwrap();
+    assert!(error.contains("another service"), "{error}");
+    first.stop();
+    start(&folder.0).unwrap().stop();
+}
+
+#[test]
+fn a_shipped_model_that_was_removed_stays_away() {
+    let folder = Folder::new("removed");
+    let service = Running::start_with(Some(&folder.0), false);
+    service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
+    service.delete("/v1/models/gaussian").expect(204);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), false);
+    service.get("/v1/models/gaussian").expect(404);
+    let gaussian = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/gaussian.toml")).unwrap();
+    service.put_text("/v1/models/gaussian", "application/toml", &gaussian).expect(201);
+    service.stop();
+    Running::start_with(Some(&folder.0), false).get("/v1/models/gaussian").expect(200);
+}

@@ -1,0 +1,200 @@
+//! Defects: which pixels of a camera say nothing about light, found in its frames.
+//!
+//! What comes in: dark frames, or a running scene. What goes out: a [`DefectMap`] with how many pixels have which fault. It
+//! never knows a model.
+//!
+//! 1. In every frame a pixel is compared with the median of its eight neighbours (of its own colour, in a mosaic).
+//! 2. The mean of the middle half of these differences over the frames is what the pixel reads too much or too little
+//!    ([`contrast`]): neither noise nor a target that passes changes it much.
+//! 3. What a sound pixel differs by is what most pixels do; the threshold follows from the number of sound pixels that may be
+//!    taken for defects ([`verdict`]). In a running scene a pixel must be sharper than optics as well: nothing around
+//!    it shows anything of the kind.
+
+mod contrast;
+mod verdict;
+
+use isophote_frame::Frame;
+
+use crate::camera::{DefectMap, DefectMapError};
+use contrast::Contrast;
+use verdict::{Verdict, deviations, is_silent, tells_noisy};
+
+pub use verdict::DefectScene;
+
+/// Frames that are kept, …
+const FRAMES_MAX: usize = 64;
+/// … and bytes of them; two frames are kept whatever their size.
+const BYTES_MAX: usize = 512 * 1024 * 1024;
+
+/// Pixels are judged again so many times at most.
+const ROUNDS: usize = 6;
+
+/// How defects are looked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DefectOptions {
+    /// What frames show.
+    pub scene: DefectScene,
+    /// Frames are raw mosaics of colours, two by two pixels.
+    pub kinds: PixelKinds,
+    /// Sound pixels that may be taken for defects, in the whole map, on average.
+    pub false_alarms: f64,
+}
+
+/// What lies side by side in a plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelKinds {
+    /// Pixels of one kind.
+    One,
+    /// Those of a mosaic of two by two.
+    Mosaic,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundDefects {
+    /// Where.
+    pub map: DefectMap,
+    /// Single pixels that read too much, …
+    pub hot: usize,
+    /// … too little, or are no number in most frames, …
+    pub dead: usize,
+    /// … and now this, now that.
+    pub noisy: usize,
+    /// Frames that were looked at, evenly spread over all.
+    pub frames: usize,
+    /// So many standard deviations of the sound pixels are too many.
+    pub deviations: f64,
+    /// Whether noisy pixels could be told: there were dark frames, and enough of them.
+    pub tells_noisy: bool,
+}
+
+/// Why there is no map.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum DefectFault {
+    /// See the text.
+    #[error("there is no frame to look at")]
+    NoFrame,
+    /// A frame unlike the first.
+    #[error("frames of different sizes or planes: {0}, then {1}")]
+    Unlike(String, String),
+    /// See the text.
+    #[error("frames are pictures: of two dimensions, at least 8 × 8 px")]
+    Small,
+    /// See the text.
+    #[error(
+        "frames without any noise, maybe clipped at zero: nothing says how much sound pixels differ; take frames with an offset \
+         or some even light"
+    )]
+    Silent,
+    /// So much stands out that it is not the camera's.
+    #[error(
+        "{0}; that is not a camera's doing: take dark frames, or a scene that moves or is out of focus, and say whether frames are \
+         raw mosaics"
+    )]
+    TooMany(DefectMapError),
+}
+
+/// A measurement that takes frame after frame.
+#[derive(Clone, Debug)]
+pub struct DefectMeasurement {
+    options: DefectOptions,
+    kept: Vec<Frame>,
+    /// Every so many frames one is kept.
+    stride: usize,
+    seen: usize,
+}
+
+impl DefectMeasurement {
+    /// One that has seen nothing yet.
+    pub fn new(options: DefectOptions) -> DefectMeasurement {
+        DefectMeasurement { options, kept: Vec::new(), stride: 1, seen: 0 }
+    }
+
+    /// Takes a frame; of many, as many as there is room for are kept, evenly spread.
+    ///
+    /// # Errors
+    /// When it is no picture, or unlike the first.
+    pub fn add(&mut self, frame: &Frame) -> Result<(), DefectFault> {
+        let [width, height, depth, length] = frame.sides();
+        if depth * length > 1 || width < 8 || height < 8 {
+            return Err(DefectFault::Small);
+        }
+        let shape = |frame: &Frame| (frame.size().to_vec(), frame.planes().len());
+        if let Some(first) = self.kept.first().filter(|first| shape(first) != shape(frame)) {
+            let told =
+                |frame: &Frame| format!("{} × {} px in {} planes", frame.width(), frame.rows(), frame.planes().len());
+            return Err(DefectFault::Unlike(told(first), told(frame)));
+        }
+        if self.seen.is_multiple_of(self.stride) {
+            let bytes: usize = frame.planes().iter().map(|p| width * height * p.format.bytes_per_pixel()).sum();
+            if self.kept.len() >= (BYTES_MAX / bytes).clamp(2, FRAMES_MAX) {
+                let mut number = 0;
+                self.kept.retain(|_| {
+                    number += 1;
+                    number % 2 == 1
+                });
+                self.stride *= 2;
+            }
+            if self.seen.is_multiple_of(self.stride) {
+                self.kept.push(frame.clone());
+            }
+        }
+        self.seen += 1;
+        Ok(())
+    }
+
+    /// The map.
+    ///
+    /// # Errors
+    /// When there was no frame, when frames have no noise at all, or more stands out than a map may hold.
+    pub fn finish(&self) -> Result<FoundDefects, DefectFault> {
+        let first = self.kept.first().ok_or(DefectFault::NoFrame)?;
+        let [width, height, ..] = first.sides();
+        let (planes, frames) = (first.planes().len(), self.kept.len());
+        let tells_noisy = tells_noisy(self.options.scene, frames);
+        let asked = planes as f64 * (width * height * if tells_noisy { 2 } else { 1 } + width + height) as f64;
+        let deviations = deviations(self.options.false_alarms, asked);
+        let spacing = if self.options.kinds == PixelKinds::Mosaic { 2 } else { 1 };
+        let mut faults = vec![None; width * height];
+        let mut map = DefectMap { width: width as u32, height: height as u32, ..DefectMap::default() };
+        for plane in 0..planes {
+            let mut contrast = Contrast::of(&self.kept, plane, spacing);
+            if is_silent(&contrast) {
+                return Err(DefectFault::Silent);
+            }
+            let mut verdict = Verdict::of(&contrast, self.options.scene, deviations);
+            let mut known = vec![false; width * height];
+            // Defects shift what their neighbours are compared with: once they are known, those are judged again.
+            for _ in 0..ROUNDS {
+                let found = verdict.pixels_of([width, height]);
+                if found == known {
+                    break;
+                }
+                contrast.renew(&self.kept, plane, &known, &found);
+                known = found;
+                verdict = Verdict::of(&contrast, self.options.scene, deviations);
+            }
+            verdict.pixels.iter().for_each(|(pixel, fault)| faults[*pixel] = Some(*fault));
+            map.columns.extend(verdict.columns.iter().map(|x| *x as u32));
+            map.rows.extend(verdict.rows.iter().map(|y| *y as u32));
+        }
+        for lines in [&mut map.columns, &mut map.rows] {
+            lines.sort_unstable();
+            lines.dedup();
+        }
+        let mut counts = [0; 3];
+        for (pixel, fault) in faults.iter().enumerate() {
+            let place = [(pixel % width) as u32, (pixel / width) as u32];
+            let is_told = map.columns.binary_search(&place[0]).is_ok() || map.rows.binary_search(&place[1]).is_ok();
+            let Some(fault) = fault.filter(|_| !is_told) else { continue };
+            counts[fault as usize] += 1;
+            map.pixels.push(place);
+        }
+        map.check().map_err(DefectFault::TooMany)?;
+        let [hot, dead, noisy] = counts;
+        Ok(FoundDefects { map, hot, dead, noisy, frames, deviations, tells_noisy })
+    }
+}
+
+#[cfg(test)]
+mod tests;
