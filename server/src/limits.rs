@@ -68,6 +68,8 @@ pub struct ServiceLimits {
     /// For a thread to end when it was told to: a session's last fit, a source's last frame, and all of them when the service
     /// stops.
     pub end_time: Duration,
+    /// For a camera's driver to answer; after that its source is stalled.
+    pub driver_time: Duration,
     /// For a recording to be opened.
     pub open_time: Duration,
     /// Recordings that are opened at a time.
@@ -112,6 +114,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     frame_time_s: 1e10,
     push_time: Duration::from_secs(20),
     end_time: Duration::from_millis(1000),
+    driver_time: Duration::from_secs(3),
     open_time: Duration::from_secs(30),
     openings: 4,
     frame_time: Duration::from_secs(15),

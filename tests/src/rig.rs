@@ -5,7 +5,7 @@
 //! executable once more in there; the machine sees this file system and forgets what was written to it.
 
 use std::any::type_name;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::Command;
@@ -22,6 +22,8 @@ const RIG_FAILED: i32 = 125;
 const PREPARE_S_MAX: u64 = 600;
 /// Time that the rig gets to end by itself after its own limit.
 const END_S_MAX: u64 = 30;
+/// Where the kernel waits for the software USB host controller, as [`blocked`] shows it.
+const HOST_WAITS: [&str; 3] = ["usb_kill_urb", "usb_poison_urb", "vhci_"];
 /// Between two looks at something that is waited for.
 const LOOK_MS: u64 = 20;
 
@@ -117,9 +119,11 @@ fn outside(rig: Rig, test: &str) -> Result<Outcome, String> {
     command.env("V4L_RIG_MODULES", rig.modules.join(";")).env("V4L_RIG_PRE", rig.pre);
     command.env("V4L_RIG_TIMEOUT", rig.timeout_s.to_string());
     let mut finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
-    // An emulator that crashes says nothing about the test, which then has not ended.
-    if finished.status == Some(RIG_FAILED) {
-        eprintln!("the machine died under {test}, once more: {}{}", finished.stdout, finished.stderr);
+    // An emulator that crashes says nothing about the test, which then has not ended; nor does a host controller, which is
+    // the rig's, that never gives a transfer back.
+    let is_stuck = HOST_WAITS.iter().any(|function| finished.stderr.contains(function));
+    if finished.status == Some(RIG_FAILED) || finished.status != Some(0) && is_stuck {
+        eprintln!("the machine failed under {test}, once more: {}{}", finished.stdout, finished.stderr);
         finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
     }
     eprintln!("{}{}", finished.stdout, finished.stderr);
@@ -182,6 +186,20 @@ pub fn wait(time: Duration) {
     let guard = never.lock().unwrap_or_else(PoisonError::into_inner);
     let waited = changed.wait_timeout_while(guard, time, |()| true);
     drop(waited.unwrap_or_else(PoisonError::into_inner));
+}
+
+/// Threads that wait inside the kernel and cannot be interrupted, each with where it waits: a driver that hangs is seen here.
+pub fn blocked() -> String {
+    let entries = |folder: PathBuf| fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    let threads = entries("/proc".into()).flat_map(|process| entries(process.path().join("task")));
+    let is_held = |status: &String| status.lines().any(|line| line.starts_with("State:\tD"));
+    let one = |thread: fs::DirEntry| {
+        let read = |file| fs::read_to_string(thread.path().join(file)).ok();
+        read("status")
+            .filter(is_held)
+            .map(|_| format!("{}{}", read("comm").unwrap_or_default(), read("stack").unwrap_or_default()))
+    };
+    threads.filter_map(one).collect()
 }
 
 #[cfg(test)]

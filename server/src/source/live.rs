@@ -1,7 +1,7 @@
 //! A source that is a camera: its thread takes what the driver has, all the time, and hands the newest frame on.
 
 use std::sync::{Arc, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use isophote_capture::{CameraState, LiveCamera};
 use isophote_machine::monotonic_ns;
@@ -64,7 +64,7 @@ impl Worker {
         let mut state = self.shared.lock();
         let is_wanted = state.is_wanted();
         if is_wanted {
-            state.is_resting = false;
+            (state.is_resting, state.asked) = (false, Some(Instant::now()));
         }
         is_wanted
     }
@@ -78,7 +78,7 @@ impl Worker {
         };
         let mut state = self.shared.lock();
         state.is_resting = *camera.state() == CameraState::Resting;
-        (state.state, state.reason) = (source_state, reason);
+        (state.state, state.reason, state.asked) = (source_state, reason, None);
         state.camera = Some(camera.status().clone());
         drop(state);
         self.shared.changed.notify_all();

@@ -13,7 +13,7 @@ mod tests;
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use isophote_capture::camera::CameraStatus;
 use isophote_capture::{Captured, Exposure, FrameSource, LiveCamera, Wake};
@@ -76,6 +76,8 @@ struct State {
     reason: Option<String>,
     frames: u64,
     camera: Option<CameraStatus>,
+    /// Since when a camera's driver has had a question to answer.
+    asked: Option<Instant>,
     /// A camera is closed, and stays so while `is_paused`.
     is_resting: bool,
     is_paused: bool,
@@ -85,6 +87,16 @@ struct State {
 impl State {
     fn is_wanted(&self) -> bool {
         !self.is_stopping && !self.is_paused && !self.sessions.is_empty()
+    }
+
+    /// What it does and why, at `now`: a driver that does not come back says nothing itself.
+    fn state(&self, now: Instant) -> (SourceState, Option<String>) {
+        let silence = self.asked.map_or(Duration::ZERO, |asked| now.saturating_duration_since(asked));
+        if silence > LIMITS.driver_time {
+            let reason = format!("the camera's driver has not answered for {} s", silence.as_secs());
+            return (SourceState::Stalled, Some(reason));
+        }
+        (self.state, self.reason.clone())
     }
 }
 
@@ -104,6 +116,7 @@ impl Source {
             reason: None,
             frames: 0,
             camera: None,
+            asked: None,
             is_resting: true,
             is_paused: false,
             is_stopping: false,
@@ -144,15 +157,16 @@ impl Source {
 
     /// Its document with its state.
     pub fn view(&self, name: &str) -> SourceView {
-        let state = self.shared.lock();
+        let shared = self.shared.lock();
+        let (state, reason) = shared.state(Instant::now());
         SourceView {
             name: name.to_string(),
             document: self.document.clone(),
-            state: state.state,
-            reason: state.reason.clone(),
-            frames: state.frames,
-            sessions: state.sessions.len(),
-            camera: state.camera.clone(),
+            state,
+            reason,
+            frames: shared.frames,
+            sessions: shared.sessions.len(),
+            camera: shared.camera.clone(),
         }
     }
 
@@ -163,10 +177,9 @@ impl Source {
 
     /// What its sessions suffer from, and why: a camera that stalls or is gone.
     pub fn trouble(&self) -> Option<(SessionState, Option<String>)> {
-        let state = self.shared.lock();
-        match state.state {
-            SourceState::Stalled => Some((SessionState::Stalled, state.reason.clone())),
-            SourceState::Lost => Some((SessionState::LostSource, state.reason.clone())),
+        match self.shared.lock().state(Instant::now()) {
+            (SourceState::Stalled, reason) => Some((SessionState::Stalled, reason)),
+            (SourceState::Lost, reason) => Some((SessionState::LostSource, reason)),
             _ => None,
         }
     }

@@ -1,36 +1,11 @@
 //! Stacks and series: rendered, fitted from TIFF and from folders of pictures, and what is said where they do not fit.
-#![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
 use isophote_capture::{FrameSource, Recording, encode_png};
 use serde_json::Value;
 
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name)
-}
-
-fn isophote(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
-}
-
-fn output(arguments: &[&str]) -> String {
-    let run = isophote(arguments);
-    let errors = String::from_utf8(run.stderr).unwrap();
-    assert!(run.status.success(), "{arguments:?}: {errors}");
-    String::from_utf8(run.stdout).unwrap()
-}
-
-fn failure(arguments: &[&str]) -> (i32, String) {
-    let run = isophote(arguments);
-    assert_eq!(String::from_utf8(run.stdout).unwrap(), "", "{arguments:?}");
-    (run.status.code().unwrap(), String::from_utf8(run.stderr).unwrap())
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use crate::{failure, model, output, text};
 
 /// The pages of a TIFF as pictures of a folder.
 fn pictures(tiff: &Path, folder: &Path) {

@@ -1,39 +1,15 @@
 //! `calibrate pixels`, run as a user runs it: from frames with hot pixels to a camera document that the fit takes.
-#![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
 use serde_json::{Value, json};
 
-fn spot() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/spot.toml")
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-fn isophote(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
-}
-
-fn output(arguments: &[&str]) -> String {
-    let run = isophote(arguments);
-    assert!(run.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&run.stderr));
-    String::from_utf8(run.stdout).unwrap()
-}
-
-fn failure(arguments: &[&str]) -> String {
-    let run = isophote(arguments);
-    assert!(!run.status.success() && run.stdout.is_empty(), "{arguments:?}");
-    String::from_utf8(run.stderr).unwrap()
-}
+use crate::{failure, model, output, text};
 
 /// 0.5 % of the pixels read 40 to 200 DN too much.
 fn render(out: &Path, light: &Path, seed: &str, more: &[&str]) {
     std::fs::write(light, json!({"hot": [{"share": 0.005, "least": 40, "most": 200, "seed": 5}]}).to_string()).unwrap();
-    let spot = spot();
+    let spot = model("spot.toml");
     let common = ["render", text(&spot), "--out", text(out), "--size", "160x120", "--light", text(light)];
     let camera = ["--full-well-e", "5000", "--read-noise-e", "15", "--samples", "4", "--seed", seed];
     output(&[&common[..], &camera[..], more].concat());
@@ -75,7 +51,7 @@ fn a_running_scene_gives_a_camera_whose_fits_leave_hot_pixels_out() {
 
     // Other frames of the same camera.
     render(&frames, &light, "3", &MOVING);
-    let spot = spot();
+    let spot = model("spot.toml");
     let fits = |camera: &Path| -> Vec<Value> {
         let told = output(&["fit", text(&spot), "--frames", text(&frames), "--camera", text(camera), "--json"]);
         told.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
@@ -105,10 +81,10 @@ fn what_cannot_be_a_map_is_told() {
     let path = |name: &str| folder.path().join(name);
     let (frames, light, camera) = (path("frames"), path("light.json"), path("camera.json"));
     render(&frames, &light, "1", &["--frames", "2"]);
-    assert!(failure(&["calibrate", "pixels"]).contains("FRAMES"));
-    let none = failure(&["calibrate", "pixels", text(&frames), "--false-alarms", "0"]);
+    assert!(failure(&["calibrate", "pixels"]).1.contains("FRAMES"));
+    let (_, none) = failure(&["calibrate", "pixels", text(&frames), "--false-alarms", "0"]);
     assert!(none.contains("--false-alarms"), "{none}");
-    let spot = spot();
+    let spot = model("spot.toml");
     let fit = ["fit", text(&spot), "--frames", text(&frames), "--camera", text(&camera)];
     for (map, told) in [
         (json!({"width": 160, "height": 120, "pixels": [[160, 3]]}), "a pixel at [160, 3]"),
@@ -116,14 +92,14 @@ fn what_cannot_be_a_map_is_told() {
         (json!({"width": 160, "height": 120, "colums": [3]}), "colums"),
     ] {
         std::fs::write(&camera, json!({ "defect_map": map }).to_string()).unwrap();
-        let error = failure(&fit);
+        let (_, error) = failure(&fit);
         assert!(error.contains(told), "{error}");
     }
     // A map of other frames is told in the same words by all who read frames; rendered ones have no defects.
     std::fs::write(&camera, json!({"defect_map": {"width": 120, "height": 160, "rows": [3]}}).to_string()).unwrap();
-    let told = failure(&fit);
+    let (_, told) = failure(&fit);
     for command in ["compare", "tune"] {
-        let error = failure(&[&[command], &fit[1..]].concat());
+        let (_, error) = failure(&[&[command], &fit[1..]].concat());
         assert!(error.ends_with(&told) && told.contains("120 × 160 px"), "{command}: {error}, not {told}");
     }
     output(&["tune", text(&spot), "--camera", text(&camera), "--starts", "1"]);

@@ -1,33 +1,13 @@
 //! `calibrate profile`, run as a user runs it: which pixels it takes for light, and what it says of what it leaves out.
-#![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
 use serde_json::json;
 
-fn spot() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/spot.toml")
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-fn isophote(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
-}
-
-/// Standard output and standard error.
-fn output(arguments: &[&str]) -> [String; 2] {
-    let run = isophote(arguments);
-    let [out, error] = [run.stdout, run.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
-    assert!(run.status.success(), "{arguments:?}: {error}");
-    [out, error]
-}
+use crate::{isophote, model, output, outputs, text};
 
 fn render(out: &Path, brightness: u32, more: &[&str]) {
-    let (spot, set) = (spot(), format!("a1=0.01,a3=0.014,k1=-0.5,k2=-0.3,v0=20,v1={brightness}"));
+    let (spot, set) = (model("spot.toml"), format!("a1=0.01,a3=0.014,k1=-0.5,k2=-0.3,v0=20,v1={brightness}"));
     let motion = "bx=32.2+t*17,by=27.6+t*11";
     let common = ["render", text(&spot), "--out", text(out), "--size", "64x56", "--frames", "8"];
     let light = ["--set", &set, "--motion", motion, "--full-well-e", "5000", "--samples", "4"];
@@ -45,10 +25,10 @@ fn defects_of_the_camera_are_no_light() {
     render(&frames, 140, &["--light", text(&light)]);
     render(&dark, 0, &["--light", text(&light)]);
     output(&["calibrate", "pixels", "--dark", "--frames", text(&dark), "--out", text(&camera)]);
-    let spot = spot();
+    let spot = model("spot.toml");
     let calibrate = ["calibrate", "profile", text(&spot), "--frames", text(&frames), "--out", text(&out)];
     let worst = |more: &[&str]| {
-        let [told, error] = output(&[&calibrate[..], more].concat());
+        let [told, error] = outputs(&[&calibrate[..], more].concat());
         assert!(error.is_empty(), "{error}");
         told.trim_end().rsplit_once(' ').unwrap().1.parse::<f64>().unwrap()
     };
@@ -62,7 +42,7 @@ fn clipped_pixels_want_the_limit_of_the_camera() {
     let path = |name: &str| folder.path().join(name);
     let (frames, camera, out) = (path("frames"), path("camera.json"), path("out.toml"));
     render(&frames, 320, &["--saturation", "240"]);
-    let spot = spot();
+    let spot = model("spot.toml");
     let calibrate = ["calibrate", "profile", text(&spot), "--frames", text(&frames), "--out", text(&out)];
     let refused = isophote(&calibrate);
     let error = String::from_utf8(refused.stderr).unwrap();
@@ -77,16 +57,16 @@ fn clipped_pixels_want_the_limit_of_the_camera() {
 fn a_noise_that_cannot_be_kept_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let (frames, model, out) = (path("frames"), path("model.toml"), path("out.toml"));
+    let (frames, file, out) = (path("frames"), path("model.toml"), path("out.toml"));
     render(&frames, 140, &[]);
-    let document = std::fs::read_to_string(spot()).unwrap();
+    let document = std::fs::read_to_string(model("spot.toml")).unwrap();
     let defined = document
         .replace("[definitions]", "[definitions]\ndark = \"read_noise^2\"")
         .replace("\"read_noise^2 + gain", "\"dark + gain");
     for (document, is_kept) in [(document, true), (defined, false)] {
-        std::fs::write(&model, document).unwrap();
+        std::fs::write(&file, document).unwrap();
         let [_, error] =
-            output(&["calibrate", "profile", text(&model), "--frames", text(&frames), "--out", text(&out)]);
+            outputs(&["calibrate", "profile", text(&file), "--frames", text(&frames), "--out", text(&out)]);
         let written = std::fs::read_to_string(&out).unwrap();
         assert_eq!(written.contains("\nnoise = "), is_kept, "{written}");
         assert_eq!(!written.contains("without its noise"), is_kept, "{written}");

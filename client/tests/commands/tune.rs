@@ -1,33 +1,19 @@
 //! `isophote tune` and `isophote compare`, run as a user runs them. No time is asserted.
-#![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 use serde_json::Value;
 
-fn model(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name).to_str().unwrap().to_string()
-}
+use crate::{isophote, lines, model, output, text};
 
-fn isophote(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
-}
-
-fn output(arguments: &[&str]) -> String {
-    let run = isophote(arguments);
-    assert!(run.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&run.stderr));
-    String::from_utf8(run.stdout).unwrap()
-}
-
-fn lines(text: &str) -> Vec<Value> {
-    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+fn shipped(name: &str) -> String {
+    text(&model(name)).to_string()
 }
 
 fn rendered(folder: &Path, frames: &str, motion: &str) -> PathBuf {
     let out = folder.join("frames");
     let noise = ["--full-well-e", "5000", "--read-noise-e", "15", "--size", "200x150", "--motion", motion];
-    let head = ["render", &model("spot.toml"), "--out", out.to_str().unwrap(), "--frames", frames];
+    let head = ["render", &shipped("spot.toml"), "--out", out.to_str().unwrap(), "--frames", frames];
     output(&[&head[..], &noise[..]].concat());
     out
 }
@@ -36,7 +22,7 @@ fn rendered(folder: &Path, frames: &str, motion: &str) -> PathBuf {
 #[test]
 fn a_bad_schedule_is_replaced_by_one_that_finds_the_answer() {
     let folder = tempfile::tempdir().unwrap();
-    let text = std::fs::read_to_string(model("spot.toml")).unwrap();
+    let text = std::fs::read_to_string(shipped("spot.toml")).unwrap();
     // One iteration ends nowhere near the answer.
     let bad = text.replace("method     = \"levenberg-marquardt\"", "method     = \"newton\"\niterations = 1");
     let (document, tuned) = (folder.path().join("bad.toml"), folder.path().join("tuned.toml"));
@@ -67,7 +53,7 @@ fn a_bad_schedule_is_replaced_by_one_that_finds_the_answer() {
 
 #[test]
 fn the_same_seed_takes_the_same_steps_and_tables_leave_the_document_alone() {
-    let line = model("profile-1d.toml");
+    let line = shipped("profile-1d.toml");
     let steps = |report: &Value| {
         let rows = report["schedules"].as_array().unwrap();
         rows.iter().map(|row| (row["success_rate"].clone(), row["passes"].clone())).collect::<Vec<_>>()
@@ -88,7 +74,7 @@ fn the_model_that_made_the_frames_is_the_most_right() {
     let folder = tempfile::tempdir().unwrap();
     let frames = rendered(folder.path(), "12", "bx=80+120*t,by=75+30*t");
     let plot = folder.path().join("compare.svg");
-    let (spot, gaussian) = (model("spot.toml"), model("gaussian.toml"));
+    let (spot, gaussian) = (shipped("spot.toml"), shipped("gaussian.toml"));
     let (frames, plot) = (frames.to_str().unwrap(), plot.to_str().unwrap());
     let rows = lines(&output(&["compare", &spot, &gaussian, "--frames", frames, "--json", "--plot", plot]));
     let number = |row: usize, key: &str| rows[row][key].as_f64().unwrap();
@@ -110,9 +96,9 @@ fn the_model_that_made_the_frames_is_the_most_right() {
 #[test]
 fn failures_have_their_status() {
     let folder = tempfile::tempdir().unwrap();
-    let spots = model("three-spots.toml");
+    let spots = shipped("three-spots.toml");
     let nowhere = folder.path().join("nowhere");
-    let (spot, nowhere) = (model("spot.toml"), nowhere.to_str().unwrap());
+    let (spot, nowhere) = (shipped("spot.toml"), nowhere.to_str().unwrap());
     let cases: [(&[&str], i32, &str); 6] = [
         (&["tune", &spots], 2, "--frames PATH"),
         (&["tune", &spot, "--starts", "0"], 2, "--starts"),

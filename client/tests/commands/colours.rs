@@ -1,37 +1,13 @@
 //! `calibrate colours`, run as a user runs it: from rendered lights to constants that the fit takes.
-#![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
 use serde_json::Value;
 
+use crate::{failure, model, output, text};
+
 const LIGHTS: &str =
     "xr=60,yr=50,xg=180,yg=55,xb=120,yb=130,vr=400,vg=150,vb=110,m_rg=0.25,m_gr=0.2,m_bg=0.15,m_br=0.1";
-
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name)
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-fn isophote(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
-}
-
-fn output(arguments: &[&str]) -> String {
-    let run = isophote(arguments);
-    assert!(run.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&run.stderr));
-    String::from_utf8(run.stdout).unwrap()
-}
-
-fn failure(arguments: &[&str]) -> (i32, String) {
-    let run = isophote(arguments);
-    assert_eq!(String::from_utf8(run.stdout).unwrap(), "", "{arguments:?}");
-    (run.status.code().unwrap(), String::from_utf8(run.stderr).unwrap())
-}
 
 fn render(out: &Path, set: &str) {
     let raw = model("three-spots-raw.toml");

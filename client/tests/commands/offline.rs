@@ -1,42 +1,11 @@
 //! The commands that need no service, run as a user runs them: render, fit, model check, model explain.
-#![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
 
 use isophote_jit::{Processor, VectorWidth};
 use serde_json::Value;
 
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name)
-}
-
-fn isophote(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_isophote")).args(arguments).output().unwrap()
-}
-
-/// Standard output of a run that must succeed.
-fn output(arguments: &[&str]) -> String {
-    let run = isophote(arguments);
-    let errors = String::from_utf8(run.stderr).unwrap();
-    assert!(run.status.success(), "{arguments:?}: {errors}");
-    String::from_utf8(run.stdout).unwrap()
-}
-
-/// Exit status and standard error of a run that must fail without results.
-fn failure(arguments: &[&str]) -> (i32, String) {
-    let run = isophote(arguments);
-    assert_eq!(String::from_utf8(run.stdout).unwrap(), "", "{arguments:?}");
-    (run.status.code().unwrap(), String::from_utf8(run.stderr).unwrap())
-}
-
-fn lines(text: &str) -> Vec<Value> {
-    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use crate::{failure, lines, model, output, text};
 
 #[test]
 fn rendered_frames_are_fitted_back_to_their_truth() {
