@@ -100,18 +100,8 @@ mod tests {
     use nalgebra::Vector3;
 
     fn lens(covariance: Option<Vec<Vec<f64>>>) -> Intrinsics {
-        let (model, coefficients) = (Distortion::PlumbBob, vec![-0.1, 0.02, 0.0, 0.0, 0.0]);
-        Intrinsics {
-            width: 640,
-            height: 480,
-            fx: 600.0,
-            fy: 600.0,
-            cx: 319.5,
-            cy: 239.5,
-            model,
-            coefficients,
-            covariance,
-        }
+        let exact = crate::pose::joint::tests::lens(Distortion::PlumbBob, &[-0.1, 0.02, 0.0, 0.0, 0.0]);
+        Intrinsics { covariance, ..exact }
     }
 
     fn spots(count: usize) -> Vec<TargetSpot> {

@@ -11,6 +11,7 @@ use super::*;
 use crate::estimate::{Estimate, TrackState};
 use crate::options::{MotionOptions, TrackError, TrackerOptions};
 use crate::picture::Noise;
+use crate::pose::joint::tests::lens;
 use crate::solve::compiled::Compiled;
 use crate::track::tracker::Tracker;
 use crate::{Camera, Pose};
@@ -72,21 +73,6 @@ fn veiled(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64, veil: 
         .map(|(i, v)| (veil(at(i), *v) + noise.normal()).round().clamp(0.0, 255.0) as u8)
         .collect();
     Frame::new(&SIZE, vec![Plane::owned(PixelFormat::U8, bytes, SIZE[0])]).unwrap()
-}
-
-fn lens(model: Distortion, coefficients: &[f64]) -> Intrinsics {
-    let coefficients = coefficients.to_vec();
-    Intrinsics {
-        width: 640,
-        height: 480,
-        fx: 600.0,
-        fy: 600.0,
-        cx: 319.5,
-        cy: 239.5,
-        model,
-        coefficients,
-        covariance: None,
-    }
 }
 
 fn options(lens: &Intrinsics) -> TrackerOptions {

@@ -260,4 +260,4 @@ fn distinct(minima: &mut Vec<Minimum>) {
 
 #[cfg(test)]
 #[path = "joint_tests.rs"]
-mod tests;
+pub(super) mod tests;
