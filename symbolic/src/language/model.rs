@@ -51,6 +51,14 @@ pub enum Estimator {
     Background,
     /// Signed height over the background, pixel value.
     Amplitude,
+    /// Of the long axis, from the first coordinate towards the second, −π/2 to π/2, rad.
+    Angle,
+    /// Of the strongest wave, cycles a pixel.
+    Frequency,
+    /// Of its run, from the first coordinate towards the second, −π/2 to π/2, rad.
+    Direction,
+    /// Its phase where all coordinates are 0, −π to π, rad.
+    Phase,
     /// The target's origin in the camera's frame, by axis, mm.
     Position(usize),
     /// Modified Rodrigues parameter of the rotation from target axes to camera axes, by axis.
@@ -59,7 +67,7 @@ pub enum Estimator {
 
 impl Estimator {
     /// Every estimator.
-    pub const ALL: [Estimator; 26] = {
+    pub const ALL: [Estimator; 30] = {
         use Estimator::*;
         [
             Centroid(0),
@@ -82,6 +90,10 @@ impl Estimator {
             Size(3),
             Background,
             Amplitude,
+            Angle,
+            Frequency,
+            Direction,
+            Phase,
             Position(0),
             Position(1),
             Position(2),
@@ -107,6 +119,10 @@ impl Estimator {
             Estimator::Size(axis) => SIZE[axis],
             Estimator::Background => "background",
             Estimator::Amplitude => "amplitude",
+            Estimator::Angle => "angle",
+            Estimator::Frequency => "spectrum.frequency",
+            Estimator::Direction => "spectrum.angle",
+            Estimator::Phase => "spectrum.phase",
             Estimator::Position(axis) => ["pose.x", "pose.y", "pose.z"][axis],
             Estimator::Orientation(axis) => ["pose.rx", "pose.ry", "pose.rz"][axis],
         }
@@ -117,7 +133,8 @@ impl Estimator {
         match self {
             Estimator::Centroid(axis) | Estimator::Size(axis) => axis + 1,
             Estimator::Extent(row, column) => row.max(column) + 1,
-            Estimator::Background | Estimator::Amplitude => 1,
+            Estimator::Background | Estimator::Amplitude | Estimator::Frequency | Estimator::Phase => 1,
+            Estimator::Angle | Estimator::Direction => 2,
             Estimator::Position(_) | Estimator::Orientation(_) => 2,
         }
     }

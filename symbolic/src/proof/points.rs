@@ -304,6 +304,8 @@ fn made_up(parameter: &Parameter, centre: [f64; 4], random: &mut Random) -> f64 
             Estimator::Amplitude => {
                 (150.0 + 30.0 * jitter) * if parameter.max.is_some_and(|m| m <= 0.0) { -1.0 } else { 1.0 }
             }
+            Estimator::Angle | Estimator::Direction | Estimator::Phase => 0.3 + 0.1 * jitter,
+            Estimator::Frequency => 0.1 + 0.01 * jitter,
             Estimator::Position(2) => DISTANCE_MM * (1.0 + 0.03 * jitter),
             Estimator::Position(_) => 2.0 * jitter,
             Estimator::Orientation(_) => 0.02 * jitter,

@@ -20,6 +20,8 @@ const APART: f64 = 3.0;
 /// Of an 8-bit camera, pixel values.
 const BACKGROUND: f64 = 20.0;
 const AMPLITUDE: f64 = 160.0;
+/// Of a wave, cycles a pixel.
+const FREQUENCY: f64 = 0.08;
 /// The least value that is inside a bound, relative to it or to one.
 const INSIDE: f64 = 0.05;
 
@@ -95,6 +97,8 @@ fn parameters(model: &Model, size: f64, numbers: Numbers) -> Vec<f64> {
                 Estimator::Extent(..) => (0.1 + 0.1 * off) / (size * size),
                 Estimator::Size(_) => size * (1.0 + 0.2 * off),
                 Estimator::Background => BACKGROUND + off,
+                Estimator::Angle | Estimator::Direction | Estimator::Phase => 0.5 * off,
+                Estimator::Frequency => FREQUENCY * (1.0 + 0.1 * off),
                 Estimator::Position(2) => DISTANCE_MM * (1.0 + 0.1 * off),
                 Estimator::Position(_) => 10.0 * off,
                 Estimator::Orientation(_) => 0.1 * off,

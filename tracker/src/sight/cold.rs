@@ -10,6 +10,7 @@ use crate::sight::halved::find_halved;
 use crate::sight::mask::Mask;
 use crate::sight::start::{Sight, Sign, Wanted, find};
 use crate::sight::view::View;
+use crate::sight::wave::given_by_wave;
 
 /// What a cold start may begin with.
 pub(crate) struct Cold {
@@ -70,13 +71,15 @@ impl Cold {
         masks: Vec<Mask>,
         grain: Grain,
     ) -> Option<Cold> {
-        let estimators = estimators(model, given);
         view.spend(view.window.pixels()).ok()?;
         let mixture = Mixture::observed(model, constants);
         let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
         let grey = read(&view.planes, view.window, &view.saturation, &mixture);
         let saturated = grey.saturated();
         let origin = view.window.first().map(|at| at as f64);
+        let step = if grain == Grain::Halved { 2.0 } else { 1.0 };
+        let given = &given_by_wave(model, given, &grey, step, origin)?[..];
+        let estimators = estimators(model, given);
         if estimators.iter().all(Option::is_none) {
             let sights = vec![starts(model, given, &[], &estimators, origin)];
             return Some(Cold { sights, saturated, variance: None, is_placed: true });

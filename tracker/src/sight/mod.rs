@@ -19,3 +19,4 @@ pub(crate) mod mixing;
 pub(crate) mod radial;
 pub(crate) mod start;
 pub(crate) mod view;
+pub(crate) mod wave;

@@ -104,6 +104,13 @@ impl Sight {
             Estimator::Size(axis) => self.size[axis],
             Estimator::Background => self.background,
             Estimator::Amplitude => self.amplitude,
+            // Along the eigenvector of the smaller eigenvalue of A.
+            Estimator::Angle => {
+                let [[xx, xy, ..], [_, yy, ..], ..] = self.extent;
+                0.5 * (-2.0 * xy).atan2(yy - xx)
+            }
+            // Given before: see `wave`.
+            Estimator::Frequency | Estimator::Direction | Estimator::Phase => 0.0,
             // A single sight has no pose: see `pose::starts`.
             Estimator::Position(_) | Estimator::Orientation(_) => 0.0,
         }

@@ -139,12 +139,12 @@ fn parameters(model: &Model, size_px: f64) -> Option<Vec<f64>> {
                 Estimator::Extent(row, column) if row == column => sized(size_px.powi(-2)),
                 Estimator::Extent(..) => sized(0.0),
                 Estimator::Size(_) => sized(size_px),
-                Estimator::Centroid(_) | Estimator::Background => Some(inside(parameter, 0.0)),
+                Estimator::Centroid(_) | Estimator::Background | Estimator::Angle => Some(inside(parameter, 0.0)),
                 Estimator::Amplitude if parameter.max.is_some_and(|max| max <= 0.0) => {
                     Some(inside(parameter, -AMPLITUDE))
                 }
                 Estimator::Amplitude => Some(inside(parameter, AMPLITUDE)),
-                Estimator::Position(_) | Estimator::Orientation(_) => None,
+                _ => None,
             },
         }
     };
