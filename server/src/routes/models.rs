@@ -39,6 +39,17 @@ pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> An
     json(StatusCode::OK, &answer.report)
 }
 
+/// `POST /v1/models/{name}:{verb}`: routes know no part of a segment, so the verb is looked up here.
+pub async fn act(name: RawName) -> Answer {
+    let name = raw(name)?;
+    match name.split_once(':') {
+        Some((_, "fit")) => Err(Problem::not_in_this_build("fit")),
+        Some((_, "rollback")) => Err(Problem::not_in_this_build("rollback")),
+        Some((_, verb)) => Err(Problem::unknown("action of models", verb)),
+        None => Err(Problem::wrong_method()),
+    }
+}
+
 /// `GET /v1/models/{name}`: as JSON, or as sent where TOML is asked for and was sent.
 pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
