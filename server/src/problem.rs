@@ -91,6 +91,10 @@ impl Problem {
     pub fn late(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
     }
+    /// 503: for now, and why.
+    pub fn not_ready(detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", detail)
+    }
     /// 500: our fault.
     pub fn bug(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "bug", detail)

@@ -3,10 +3,15 @@
 mod answer;
 mod cameras;
 mod estimates;
+mod fit;
 mod frames;
 mod health;
+mod metrics;
 mod models;
+mod openapi;
 mod page;
+mod paging;
+mod parameters;
 mod sessions;
 mod sources;
 
@@ -30,8 +35,8 @@ pub fn router(app: App) -> Router {
         .route("/livez", get(health::livez))
         .route("/readyz", get(health::readyz))
         .route("/v1/time", get(health::time))
-        .route("/metrics", get(|| absent("metrics")))
-        .route("/openapi.json", get(|| absent("the API's description")))
+        .route("/metrics", get(metrics::get))
+        .route("/openapi.json", get(openapi::get))
         .route("/v1/models", get(models::list))
         .route("/v1/models:check", post(models::check))
         .route("/v1/models/{name}", put(models::put).get(models::get).delete(models::delete).post(models::act))
