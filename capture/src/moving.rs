@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// A number, or a formula of `t`, seconds since the first frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(untagged)]
 pub enum Moving {
     /// Stands still.

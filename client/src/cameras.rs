@@ -34,7 +34,7 @@ pub struct SetArgs {
 pub fn list(args: &ListCamerasArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let cameras = match RemoteService::new(&args.service)?.try_get::<Items<CameraInfo>>("/v1/cameras") {
         Ok(cameras) => cameras,
-        Err(refusal) => own(&args.service, refusal, || Ok(Items { items: camera::cameras() }))?,
+        Err(refusal) => own(&args.service, refusal, || Ok(Items { items: camera::cameras(), next: None }))?,
     };
     if args.service.json {
         return output::json(out, &cameras);

@@ -8,11 +8,12 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use isophote_wire::EstimateView;
 use tokio::sync::Notify;
 
+use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 
 /// What a subscriber gets.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
     /// The newest estimate of each target, whenever it has credit.
@@ -43,6 +44,19 @@ pub enum End {
 pub struct Hub {
     state: Mutex<State>,
     changed: Notify,
+    /// Frames that subscribers were told to have missed.
+    dropped: Tally,
+}
+
+/// What a session's subscribers are, and cost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Load {
+    /// How many there are.
+    pub subscribers: usize,
+    /// Bytes of estimates that are kept for them.
+    pub ring_bytes: usize,
+    /// Frames that all of them were told to have missed.
+    pub dropped: u64,
 }
 
 #[derive(Default)]
@@ -124,6 +138,12 @@ impl Hub {
     pub fn end(&self, end: End) {
         lock(&self.state).end = Some(end);
         self.changed.notify_waiters();
+    }
+
+    /// What subscribers cost now.
+    pub fn load(&self) -> Load {
+        let state = lock(&self.state);
+        Load { subscribers: state.subscribers, ring_bytes: state.ring_bytes, dropped: self.dropped.count() }
     }
 
     /// The last estimate, of the first target where there are several.
@@ -256,6 +276,7 @@ impl Subscription {
         };
         let last = self.last_frames.insert(written.target.clone(), written.frame);
         let dropped = last.map_or(0, |last| written.frame.saturating_sub(last).saturating_sub(1));
+        self.hub.dropped.add(dropped);
         Some(Next::Estimate(SentEstimate { written, dropped }))
     }
 }

@@ -13,8 +13,10 @@
 //! named threads, waited for when the service stops, and never for long.
 
 mod compiler;
+mod counters;
 mod demo;
 mod documents;
+mod exposition;
 mod guard;
 mod hub;
 pub mod limits;
@@ -30,5 +32,6 @@ mod source;
 mod store;
 mod streams;
 mod thread;
+mod watchdog;
 
 pub use listener::{Options, Server, Signals, StartError, Stopped};

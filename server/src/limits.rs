@@ -65,11 +65,21 @@ pub struct ServiceLimits {
     pub frame_time_s: f64,
     /// For a pushed frame's estimate.
     pub push_time: Duration,
+    /// Single images that are fitted at a time, …
+    pub image_fits: usize,
+    /// … and those that are, or wait for it.
+    pub images: usize,
+    /// Items of a list that is asked for in pieces.
+    pub page_items: usize,
     /// For a thread to end when it was told to: a session's last fit, a source's last frame, and all of them when the service
     /// stops.
     pub end_time: Duration,
     /// For a camera's driver to answer; after that its source is stalled.
     pub driver_time: Duration,
+    /// Between questions whether the owner of all changes still answers.
+    pub watch_time: Duration,
+    /// For its answer; then the service says that it is not ready.
+    pub answer_time: Duration,
     /// For a recording to be opened.
     pub open_time: Duration,
     /// Recordings that are opened at a time.
@@ -113,8 +123,13 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     drain_time: Duration::from_secs(2),
     frame_time_s: 1e10,
     push_time: Duration::from_secs(20),
+    image_fits: 2,
+    images: 16,
+    page_items: 1000,
     end_time: Duration::from_millis(1000),
     driver_time: Duration::from_secs(3),
+    watch_time: Duration::from_millis(250),
+    answer_time: Duration::from_secs(2),
     open_time: Duration::from_secs(30),
     openings: 4,
     frame_time: Duration::from_secs(15),

@@ -23,7 +23,7 @@ use crate::problem::Problem;
 use crate::routes::{App, full, router};
 use crate::service::{OpenError, Service};
 use crate::socket::{ClientSocket, raise_bound_on_files};
-use crate::{demo, guard};
+use crate::{demo, guard, watchdog};
 
 /// How the service is started.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -218,15 +218,18 @@ fn bound(address: SocketAddr) -> std::io::Result<TcpListener> {
 
 async fn serve(listener: TcpListener, service: Arc<Service>, mut stopped: watch::Receiver<bool>) {
     let (held, mut all_held) = mpsc::channel(1);
+    let sockets = Arc::new(Semaphore::new(LIMITS.sockets));
+    tokio::spawn(watchdog::watch(service.clone()));
     let router = router(App {
         service,
         stream: held.clone(),
         openings: Arc::new(Semaphore::new(LIMITS.openings)),
         frames: Arc::default(),
+        images: Arc::default(),
+        sockets: sockets.clone(),
     })
     .layer(axum::middleware::from_fn(guard::guard));
     let full = full().layer(axum::middleware::from_fn(guard::guard));
-    let sockets = Arc::new(Semaphore::new(LIMITS.sockets));
     let told = Arc::new(Semaphore::new(LIMITS.sockets_told));
     let stops = stopped.clone();
     loop {

@@ -34,6 +34,10 @@ impl Problem {
     pub fn bad_request(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::BAD_REQUEST, "bad-request", detail)
     }
+    /// 405.
+    pub fn wrong_method() -> Problem {
+        Problem::new(StatusCode::METHOD_NOT_ALLOWED, "wrong-method", "this route does not have that method")
+    }
     /// 409: in use, or not applicable in this state.
     pub fn conflict(code: &'static str, detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::CONFLICT, code, detail)
@@ -86,6 +90,10 @@ impl Problem {
     /// 503: it took longer than is waited for.
     pub fn late(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
+    }
+    /// 503: for now, and why.
+    pub fn not_ready(detail: impl Into<String>) -> Problem {
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", detail)
     }
     /// 500: our fault.
     pub fn bug(detail: impl Into<String>) -> Problem {

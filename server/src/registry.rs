@@ -84,7 +84,7 @@ impl ModelEntry {
     }
 
     /// Kernels for one session, or for a report; its programs are derived at the first call, its kernels are those of the
-    /// cache, where they are free to go when the session is done. Only from the compile thread.
+    /// cache, where they are free to go when the session is done. Two who ask at the same time may both derive them.
     pub fn kernels(&self, precision: Precision) -> Result<Arc<Compiled>, Problem> {
         let slot = usize::from(precision == Precision::F64);
         let lock = || self.programs.lock().unwrap_or_else(PoisonError::into_inner);

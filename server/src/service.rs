@@ -14,6 +14,7 @@ use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReferenc
 use tokio::sync::oneshot;
 
 use crate::compiler::Compiler;
+use crate::counters::ServiceCounters;
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::name::Name;
@@ -23,6 +24,7 @@ use crate::session::{Session, SourceOf, Swapped};
 use crate::source::{self, Opened, Source};
 use crate::store::StoreError;
 use crate::thread;
+use crate::watchdog::OwnerWatch;
 
 /// The service without its network.
 pub struct Service {
@@ -30,6 +32,10 @@ pub struct Service {
     pub compiler: Compiler,
     /// The models.
     pub registry: Registry,
+    /// What is counted for all of it.
+    pub counters: ServiceCounters,
+    /// Whether that thread still answers.
+    pub watch: OwnerWatch,
     sources: Table<Source>,
     sessions: Table<Session>,
     is_draining: AtomicBool,
@@ -82,15 +88,29 @@ impl Service {
         Ok(Service {
             registry: Registry::open(data, width)?,
             compiler: Compiler::start()?,
+            counters: ServiceCounters::default(),
+            watch: OwnerWatch::default(),
             sources: Table::default(),
             sessions: Table::default(),
             is_draining: AtomicBool::new(false),
         })
     }
 
-    /// False while it stops.
-    pub fn is_ready(&self) -> bool {
-        !self.is_draining.load(Ordering::SeqCst)
+    /// True while it stops.
+    pub fn is_draining(&self) -> bool {
+        self.is_draining.load(Ordering::SeqCst)
+    }
+
+    /// 503 while it stops, or when changes would wait for longer than anybody likes to.
+    pub fn readiness(&self) -> Result<(), Problem> {
+        self.refuse_when_draining()?;
+        match self.watch.overdue() {
+            Some(waited) => Err(Problem::not_ready(format!(
+                "the thread that owns all changes has not answered for {:.1} s; what runs goes on, changes wait",
+                waited.as_secs_f64()
+            ))),
+            None => Ok(()),
+        }
     }
 
     /// The session of that name.
@@ -118,6 +138,8 @@ impl Service {
         let model = media.model(text).map_err(Problem::wrong_document)?;
         let entry = ModelEntry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
         let report = entry.kernels(Precision::F32)?.report(&monotonic_ns)?;
+        let compile_ms: f64 = report.stages.iter().map(|stage| stage.compile_ms).sum();
+        self.counters.compile_s.observe(compile_ms / 1e3);
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
     }
 
@@ -202,6 +224,7 @@ impl Service {
         let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
         let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
         let session = self.session_of(name, document, &entry, opened)?;
+        self.counters.compile_s.observe(session.compile_ms() / 1e3);
         insert(&self.sessions, name, session);
         let Some(before) = before else { return Ok((Put::Created, None)) };
         let ended = ending(name, before);
@@ -255,6 +278,7 @@ impl Service {
         let session = self.session(session)?;
         let entry = self.registry.get(model)?;
         let (compile_ms, swapped) = session.begin_swap(&entry)?;
+        self.counters.compile_s.observe(compile_ms / 1e3);
         let answer = SwapAnswer {
             requested_model: model.to_string(),
             active_model: model.to_string(),
@@ -290,7 +314,7 @@ impl Service {
     }
 
     fn refuse_when_draining(&self) -> Result<(), Problem> {
-        if self.is_ready() { Ok(()) } else { Err(Problem::stopping()) }
+        if self.is_draining() { Err(Problem::stopping()) } else { Ok(()) }
     }
 }
 

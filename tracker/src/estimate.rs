@@ -11,6 +11,7 @@ use crate::sight::detect::Strength;
 
 /// Whether the target is followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TrackState {
     /// Not found yet.
@@ -25,6 +26,7 @@ pub enum TrackState {
 
 /// How a fit ended, and what it leaves behind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Ending {
     /// Every parameter's step was below its tolerance; that last step is taken. The one ending that is convergence.
@@ -135,6 +137,7 @@ impl StageReport {
 
 /// Why a fit is not taken for the target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Rejection {
     /// See the ending.
@@ -155,6 +158,7 @@ pub enum Rejection {
 
 /// What is different about a fit that was chosen over the plain one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Substitute {
     /// Of the polynomial added to the background.
     pub degree: u32,
@@ -166,6 +170,7 @@ pub struct Substitute {
 
 /// How a pixel was averaged over, where a model leaves that open (`quadrature = "auto"`): Gauss points a side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Sampled {
     /// Of the prediction.
     pub points: u32,
@@ -175,6 +180,7 @@ pub struct Sampled {
 
 /// Where a target will be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Ahead {
     /// So long after the frame, s.
     pub after_s: f64,

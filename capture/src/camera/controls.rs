@@ -19,6 +19,7 @@ const BUTTON: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_BUTTON;
 
 /// What a control is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ControlKind {
     /// A number.
@@ -35,6 +36,7 @@ pub enum ControlKind {
 
 /// A control with its range and its present value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ControlInfo {
     /// In small letters, as `v4l2-ctl` prints it.
     pub name: String,
@@ -65,6 +67,7 @@ fn is_false(flag: &bool) -> bool {
 
 /// What a document sets a control to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(untagged)]
 pub enum ControlValue {
     /// Of a boolean.

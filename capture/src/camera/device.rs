@@ -87,6 +87,7 @@ pub(super) struct OpenCamera {
 
 /// A camera of this machine, with what it offers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraInfo {
     /// Its device node, today.
     pub device: String,

@@ -15,6 +15,7 @@ const ALIKE: f64 = 0.01;
 
 /// A format of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct FormatInfo {
     /// The four-character code, blanks at its end cut.
     pub format: String,
@@ -26,6 +27,7 @@ pub struct FormatInfo {
 
 /// A size, or a range of sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct SizeInfo {
     /// px; of a range the largest.
     pub width: u32,

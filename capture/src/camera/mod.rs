@@ -62,6 +62,7 @@ pub enum CameraState {
 
 /// Who a camera is, how it is set, and what was lost.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraStatus {
     /// Its device node, at present or last.
     pub device: String,

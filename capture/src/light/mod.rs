@@ -19,6 +19,7 @@ use crate::moving::Moving;
 
 /// All that is wrong with the light; by default nothing is. `T` is [`Moving`] in a document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Light<T = Moving> {
     /// The scene and its surroundings are blurred by a Gaussian of this standard deviation, px.
@@ -43,6 +44,7 @@ pub struct Light<T = Moving> {
 
 /// Pixels here and there that read more than the light, or less, the same in all frames.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Hot {
     /// So large a share of all pixels, on average.
@@ -58,6 +60,7 @@ pub struct Hot {
 
 /// A Gaussian lobe: `height`·exp(−r²/2σ²), averaged over each pixel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Glare<T = Moving> {
     /// Its middle, px; absent: a streak along x.
@@ -80,6 +83,7 @@ pub struct Glare<T = Moving> {
 
 /// A rectangle with a brightness of its own: it hides the share that it covers of a pixel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Occluder<T = Moving> {
     /// First column; from the first on when absent.
@@ -106,6 +110,7 @@ pub struct Occluder<T = Moving> {
 
 /// A rectangle whose pixels (those whose middle lies in it) stand at saturation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Blind<T = Moving> {
     /// First column; from the first on when absent.

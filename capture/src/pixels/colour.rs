@@ -2,6 +2,7 @@
 
 /// What becomes of a colour mosaic or colour picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Colour {
     /// The planes r, g, b of a colour picture and of a mosaic, whose gaps are filled in; luma where the format has it.

@@ -34,6 +34,25 @@ pub struct App {
     pub openings: Arc<Semaphore>,
     /// For pushed frames.
     pub frames: Arc<FrameRoom>,
+    /// For single images.
+    pub images: Arc<ImagePlaces>,
+    /// Places for connections.
+    pub sockets: Arc<Semaphore>,
+}
+
+/// Places for single images.
+pub struct ImagePlaces {
+    /// Fitted, or waiting for it.
+    pub admitted: Arc<Semaphore>,
+    /// Fitted.
+    pub fitting: Arc<Semaphore>,
+}
+
+impl Default for ImagePlaces {
+    fn default() -> ImagePlaces {
+        let places = |count| Arc::new(Semaphore::new(count));
+        ImagePlaces { admitted: places(LIMITS.images), fitting: places(LIMITS.image_fits) }
+    }
 }
 
 /// What a handler answers.

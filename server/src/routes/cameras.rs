@@ -3,27 +3,35 @@
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode};
 use isophote_capture::CameraError;
-use isophote_capture::camera::{self, ControlValues};
-use isophote_wire::{ControlsAnswer, Items};
+use isophote_capture::camera::{self, ControlValue, ControlValues};
+use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 
+use super::parameters::DeviceParam;
 use super::{Answer, RawName, json, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 use crate::source::camera_problem;
 
-/// `GET /v1/cameras`
+/// The cameras of the service's machine.
+#[utoipa::path(get, path = "/v1/cameras", tag = "cameras", operation_id = "list_cameras",
+    responses((status = 200, description = "All that could be used.", body = Items<CameraInfo>)))]
 pub async fn list() -> Answer {
-    json(StatusCode::OK, &Items { items: blocking(camera::cameras).await? })
+    json(StatusCode::OK, &Items { items: blocking(camera::cameras).await?, next: None })
 }
 
-/// `GET /v1/cameras/{device}`: by path (percent-encoded) or identity.
+/// One of them.
+#[utoipa::path(get, path = "/v1/cameras/{device}", tag = "cameras", operation_id = "get_camera", params(DeviceParam),
+    responses((status = 200, description = "Formats and controls.", body = CameraInfo)))]
 pub async fn get(name: RawName) -> Answer {
     let device = raw(name)?;
     let found = blocking(move || camera::camera(&device)).await?;
     json(StatusCode::OK, &found.map_err(|error| problem(&error))?)
 }
 
-/// `PUT /v1/cameras/{device}/controls`: sets those that are named, also while it streams.
+/// Sets the controls that are named, also while the camera streams.
+#[utoipa::path(put, path = "/v1/cameras/{device}/controls", tag = "cameras", operation_id = "set_controls",
+    params(DeviceParam), request_body = BTreeMap<String, ControlValue>,
+    responses((status = 200, description = "As read back.", body = ControlsAnswer)))]
 pub async fn set(name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let device = raw(name)?;
     let (values, text) = read_json::<ControlValues>(&headers, body).await?;

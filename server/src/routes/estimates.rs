@@ -5,8 +5,11 @@ use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
+use isophote_wire::EstimateView;
 use serde::Deserialize;
+use utoipa::IntoParams;
 
+use super::parameters::NameParam;
 use super::{Answer, App, RawName, raw, upgraded};
 use crate::hub::Mode;
 use crate::limits::LIMITS;
@@ -14,16 +17,27 @@ use crate::problem::Problem;
 use crate::streams::{body, websocket};
 
 /// How to be sent estimates.
-#[derive(Deserialize)]
+#[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub struct EstimatesQuery {
+    /// The newest of each target, or all of them.
     #[serde(default)]
+    #[param(inline)]
     mode: Mode,
     /// WebSocket only. Absent: as many messages as the socket takes.
     credit: Option<u32>,
 }
 
-/// Subscribes.
+/// The estimates of a session as they come.
+///
+/// A WebSocket (subprotocol `isophote.v1`) where the client upgrades: each text message is an `EstimateView`, and the client renews
+/// its credit with a `CreditDocument`. Else server-sent events or lines of JSON, by `Accept`.
+#[utoipa::path(get, path = "/v1/sessions/{name}/estimates", tag = "sessions", operation_id = "estimates",
+    params(NameParam, EstimatesQuery),
+    responses((status = 101, description = "The socket is open."),
+              (status = 200, description = "Until the session ends.",
+               content((EstimateView = "application/x-ndjson"), (EstimateView = "text/event-stream")))))]
 pub async fn get(
     State(app): State<App>,
     name: RawName,

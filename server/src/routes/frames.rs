@@ -6,16 +6,21 @@ use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
-use isophote_wire::FrameTime;
+use isophote_wire::{EstimateView, FrameTime};
 
+use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, raw, upgraded};
-use crate::documents::{media_type, read_body};
+use crate::documents::read_body;
 use crate::hub::Mode;
 use crate::problem::Problem;
 use crate::streams::frames;
 use crate::streams::pushed::{FrameMedia, Pushed};
 
-/// Waits for the fit of this very frame.
+/// One frame in, its estimate out: waits for the fit of this very frame.
+#[utoipa::path(post, path = "/v1/sessions/{name}/frames", tag = "sessions", operation_id = "push_frame",
+    params(NameParam, FrameTime),
+    request_body(content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"), (Vec<u8> = "application/octet-stream"))),
+    responses((status = 200, description = "Of the first target, where there are several.", body = EstimateView)))]
 pub async fn post(
     State(app): State<App>,
     name: RawName,
@@ -25,11 +30,7 @@ pub async fn post(
 ) -> Answer {
     let Query(FrameTime { time_s }) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     let pushed = Pushed::of(&*app.service.session(&raw(name)?)?, app.frames.clone())?;
-    let media = match media_type(&headers).as_str() {
-        "application/octet-stream" => FrameMedia::Raw,
-        "image/png" | "image/jpeg" => FrameMedia::Image,
-        _ => return Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream")),
-    };
+    let media = FrameMedia::of(&headers)?;
     let room = match pushed.room_now(media) {
         Ok(room) => room,
         Err(problem) => {
@@ -43,7 +44,12 @@ pub async fn post(
     json(StatusCode::OK, &*estimate)
 }
 
-/// Takes frames until one side ends it.
+/// A WebSocket (subprotocol `isophote.v1`) for many frames.
+///
+/// Each binary message is a frame, raw in the source's format, or PNG or JPEG, and is answered in order by a text message: an
+/// `EstimateView`, or a `ProblemDocument`. A text message of the client, a `FrameTime`, says when the frame after it was taken.
+#[utoipa::path(get, path = "/v1/sessions/{name}/frames", tag = "sessions", operation_id = "frames_socket", params(NameParam),
+    responses((status = 101, description = "The socket is open.")))]
 pub async fn get(
     State(app): State<App>,
     name: RawName,

@@ -9,21 +9,24 @@ use isophote_wire::{Health, Time};
 
 use super::{Answer, App, json};
 
-/// `GET /livez`
+/// Whether the process lives.
+#[utoipa::path(get, path = "/livez", tag = "operation", operation_id = "livez",
+    responses((status = 200, description = "It does.", body = Health)))]
 pub async fn livez() -> Answer {
     json(StatusCode::OK, &Health { status: "ok".into() })
 }
 
-/// `GET /readyz`: 503 while it stops.
+/// Whether changes are taken: 503 while the service stops, and when the thread that owns all changes does not answer.
+#[utoipa::path(get, path = "/readyz", tag = "operation", operation_id = "readyz",
+    responses((status = 200, description = "They are.", body = Health)))]
 pub async fn readyz(State(app): State<App>) -> Answer {
-    let (status, text) = match app.service.is_ready() {
-        true => (StatusCode::OK, "ok"),
-        false => (StatusCode::SERVICE_UNAVAILABLE, "draining"),
-    };
-    json(status, &Health { status: text.into() })
+    app.service.readiness()?;
+    json(StatusCode::OK, &Health { status: "ok".into() })
 }
 
-/// `GET /v1/time`
+/// The clock of all `_ns` fields.
+#[utoipa::path(get, path = "/v1/time", tag = "operation", operation_id = "time",
+    responses((status = 200, description = "Now.", body = Time)))]
 #[allow(clippy::disallowed_methods)] // a label beside the monotonic clock: what time a person's watch shows
 pub async fn time() -> Answer {
     let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);

@@ -3,10 +3,15 @@
 mod answer;
 mod cameras;
 mod estimates;
+mod fit;
 mod frames;
 mod health;
+mod metrics;
 mod models;
+mod openapi;
 mod page;
+mod paging;
+mod parameters;
 mod sessions;
 mod sources;
 
@@ -30,11 +35,11 @@ pub fn router(app: App) -> Router {
         .route("/livez", get(health::livez))
         .route("/readyz", get(health::readyz))
         .route("/v1/time", get(health::time))
-        .route("/metrics", get(|| absent("metrics")))
-        .route("/openapi.json", get(|| absent("the API's description")))
+        .route("/metrics", get(metrics::get))
+        .route("/openapi.json", get(openapi::get))
         .route("/v1/models", get(models::list))
         .route("/v1/models:check", post(models::check))
-        .route("/v1/models/{name}", put(models::put).get(models::get).delete(models::delete))
+        .route("/v1/models/{name}", put(models::put).get(models::get).delete(models::delete).post(models::act))
         .route("/v1/models/{name}/explain", get(models::explain))
         .route("/v1/cameras", get(cameras::list))
         .route("/v1/cameras/{device}", get(cameras::get))
@@ -49,9 +54,7 @@ pub fn router(app: App) -> Router {
         .route("/v1/sessions/{name}/preview", get(|| absent("preview")))
         .route("/v1/sessions/{name}/shadow", put(|| absent("shadow models")).delete(|| absent("shadow models")))
         .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
-        .method_not_allowed_fallback(async || {
-            Problem::new(StatusCode::METHOD_NOT_ALLOWED, "wrong-method", "this route does not have that method")
-        })
+        .method_not_allowed_fallback(async || Problem::wrong_method())
         .with_state(app)
 }
 

@@ -3,20 +3,27 @@
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
-use isophote_wire::{Items, explain};
+use isophote_wire::{Explanation, Items, ModelAnswer, ModelItem, ModelReport, ModelView, explain};
 use serde::Deserialize;
+use utoipa::IntoParams;
 
-use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
+use super::paging::{PageQuery, RawPage, page};
+use super::parameters::{MatchHeaders, NameParam};
+use super::{Answer, App, RawName, fit, json, new_name, old_name, put_status, raw};
 use crate::documents::{media_type, read_body, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry};
 
-/// `PUT /v1/models/{name}`
+/// Puts a model under a name, or another in its place.
+#[utoipa::path(put, path = "/v1/models/{name}", tag = "models", operation_id = "put_model", params(NameParam, MatchHeaders),
+    request_body(content((String = "application/toml"), (Object = "application/json")), description = "The model document."),
+    responses((status = 201, description = "It is new.", body = ModelAnswer),
+              (status = 200, description = "It took the place of another.", body = ModelAnswer)))]
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let expected = expected(&headers)?;
@@ -27,7 +34,10 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     Ok(tagged(json(put_status(put), &answer)?, &entry))
 }
 
-/// `POST /v1/models:check`: what `PUT` would answer, and nothing is kept.
+/// What putting a model would answer; nothing is kept.
+#[utoipa::path(post, path = "/v1/models:check", tag = "models", operation_id = "check_model",
+    request_body(content((String = "application/toml"), (Object = "application/json")), description = "The model document."),
+    responses((status = 200, description = "It can be compiled.", body = ModelReport)))]
 pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> Answer {
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
@@ -39,7 +49,20 @@ pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> An
     json(StatusCode::OK, &answer.report)
 }
 
-/// `GET /v1/models/{name}`: as JSON, or as sent where TOML is asked for and was sent.
+/// `POST /v1/models/{name}:{verb}`, which the verbs describe themselves: routes know no part of a segment, so the verb is looked up here.
+pub async fn act(State(app): State<App>, name: RawName, uri: Uri, headers: HeaderMap, body: Body) -> Answer {
+    let name = raw(name)?;
+    match name.split_once(':') {
+        Some((model, "fit")) => fit::post(app, model, &uri, &headers, body).await,
+        Some((_, "rollback")) => Err(Problem::not_in_this_build("rollback")),
+        Some((_, verb)) => Err(Problem::unknown("action of models", verb)),
+        None => Err(Problem::wrong_method()),
+    }
+}
+
+/// A model: as JSON, or as sent where TOML is asked for and was sent.
+#[utoipa::path(get, path = "/v1/models/{name}", tag = "models", operation_id = "get_model", params(NameParam),
+    responses((status = 200, description = "Its ETag is opaque.", content((ModelView = "application/json"), (String = "application/toml")))))]
 pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
@@ -53,7 +76,9 @@ pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> A
     Ok(tagged(response, &entry))
 }
 
-/// `DELETE /v1/models/{name}`
+/// Removes a model that no session uses.
+#[utoipa::path(delete, path = "/v1/models/{name}", tag = "models", operation_id = "delete_model", params(NameParam, MatchHeaders),
+    responses((status = 204, description = "It is gone.")))]
 pub async fn delete(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
     let name = old_name("model", name)?;
     let expected = expected(&headers)?;
@@ -62,22 +87,30 @@ pub async fn delete(State(app): State<App>, name: RawName, headers: HeaderMap) -
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-/// `GET /v1/models`
-pub async fn list(State(app): State<App>) -> Answer {
-    let items = app.service.registry.list().iter().map(|entry| entry.item()).collect();
-    json(StatusCode::OK, &Items { items })
+/// All models, by name.
+#[utoipa::path(get, path = "/v1/models", tag = "models", operation_id = "list_models", params(PageQuery),
+    responses((status = 200, description = "All of them, or a piece.", body = Items<ModelItem>)))]
+pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+    let all = app.service.registry.list();
+    json(StatusCode::OK, &page(query, all, |entry| entry.name.as_str(), |entry| entry.item())?)
 }
 
 /// What to explain, and how.
-#[derive(Deserialize)]
+#[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub struct ExplainQuery {
+    /// The free parameters, `bx,by`; those of the last stage when absent.
     parameters: Option<String>,
+    /// `derivative` (the default), `sums`, `program`, `clif`, `asm`, `latex` or `mathml`.
     show: Option<String>,
+    /// `newton` (the default), `gauss-newton` or `levenberg-marquardt`.
     method: Option<String>,
 }
 
-/// `GET /v1/models/{name}/explain?parameters=bx,by&show=program`
+/// What becomes of a model, for some of its parameters.
+#[utoipa::path(get, path = "/v1/models/{name}/explain", tag = "models", operation_id = "explain_model",
+    params(NameParam, ExplainQuery), responses((status = 200, description = "Figures and text.", body = Explanation)))]
 pub async fn explain(
     State(app): State<App>,
     name: RawName,

@@ -6,12 +6,16 @@ use axum::response::{IntoResponse, Response};
 const POLICY: &str = "default-src 'none'; img-src data:; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// `GET /`
+/// A page for people: sessions and their estimates, live.
+#[utoipa::path(get, path = "/", tag = "operation", operation_id = "page",
+    responses((status = 200, description = "The page.", body = String, content_type = "text/html")))]
 pub async fn html() -> Response {
     asset("text/html; charset=utf-8", include_str!("../../web/index.html"))
 }
 
-/// `GET /page.js`
+/// Its script.
+#[utoipa::path(get, path = "/page.js", tag = "operation", operation_id = "page_script",
+    responses((status = 200, description = "The script.", body = String, content_type = "text/javascript")))]
 pub async fn script() -> Response {
     asset("text/javascript; charset=utf-8", include_str!("../../web/page.js"))
 }

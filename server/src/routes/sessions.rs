@@ -4,13 +4,19 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
-use isophote_wire::{Items, SessionDocument, SourceReference, SwapDocument};
+use isophote_wire::{Items, SessionDocument, SessionView, SourceReference, SwapAnswer, SwapDocument};
 
+use super::paging::{PageQuery, RawPage, page};
+use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 
-/// `PUT /v1/sessions/{name}`
+/// Starts a session, or another in its place.
+#[utoipa::path(put, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "put_session", params(NameParam),
+    request_body = SessionDocument,
+    responses((status = 201, description = "It is new.", body = SessionView),
+              (status = 200, description = "It took the place of another, which has ended.", body = SessionView)))]
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (document, text) = read_json::<SessionDocument>(&headers, body).await?;
@@ -33,12 +39,16 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     json(put_status(put), &view)
 }
 
-/// `GET /v1/sessions/{name}`
+/// A session and what it does.
+#[utoipa::path(get, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "get_session", params(NameParam),
+    responses((status = 200, description = "Its document with its state.", body = SessionView)))]
 pub async fn get(State(app): State<App>, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.session(&raw(name)?)?.view())
 }
 
-/// `DELETE /v1/sessions/{name}`
+/// Stops and removes a session.
+#[utoipa::path(delete, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "delete_session", params(NameParam),
+    responses((status = 204, description = "It has ended.")))]
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let name = old_name("session", name)?;
     let service = app.service.clone();
@@ -47,13 +57,18 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-/// `GET /v1/sessions`
-pub async fn list(State(app): State<App>) -> Answer {
-    let items = app.service.sessions().iter().map(|(_, session)| session.view()).collect();
-    json(StatusCode::OK, &Items { items })
+/// All sessions, by name.
+#[utoipa::path(get, path = "/v1/sessions", tag = "sessions", operation_id = "list_sessions", params(PageQuery),
+    responses((status = 200, description = "All of them, or a piece.", body = Items<SessionView>)))]
+pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+    let all = app.service.sessions();
+    json(StatusCode::OK, &page(query, all, |(name, _)| name.as_str(), |(_, session)| session.view())?)
 }
 
-/// `PUT /v1/sessions/{name}/model`: answers when the model is active.
+/// Swaps the model of a running session between two frames; answers when it is active.
+#[utoipa::path(put, path = "/v1/sessions/{name}/model", tag = "sessions", operation_id = "swap_model", params(NameParam),
+    request_body = SwapDocument,
+    responses((status = 200, description = "From which frame on, and what was carried over.", body = SwapAnswer)))]
 pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = raw(name)?;
     app.service.session(&name)?;

@@ -4,12 +4,18 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
-use isophote_wire::{Items, SourceDocument};
+use isophote_wire::{Items, SourceDocument, SourceView};
 
+use super::paging::{PageQuery, RawPage, page};
+use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
 use crate::documents::{place, read_json};
 
-/// `PUT /v1/sources/{name}`
+/// Puts a source under a name, or another in its place.
+#[utoipa::path(put, path = "/v1/sources/{name}", tag = "sources", operation_id = "put_source", params(NameParam),
+    request_body = SourceDocument,
+    responses((status = 201, description = "It is new.", body = SourceView),
+              (status = 200, description = "It took the place of another.", body = SourceView)))]
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (document, text) = read_json::<SourceDocument>(&headers, body).await?;
@@ -23,13 +29,17 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     json(put_status(put), &view)
 }
 
-/// `GET /v1/sources/{name}`
+/// A source and what it does.
+#[utoipa::path(get, path = "/v1/sources/{name}", tag = "sources", operation_id = "get_source", params(NameParam),
+    responses((status = 200, description = "Its document with its state.", body = SourceView)))]
 pub async fn get(State(app): State<App>, name: RawName) -> Answer {
     let name = raw(name)?;
     json(StatusCode::OK, &app.service.source(&name)?.view(&name))
 }
 
-/// `DELETE /v1/sources/{name}`
+/// Stops and removes a source that no session uses.
+#[utoipa::path(delete, path = "/v1/sources/{name}", tag = "sources", operation_id = "delete_source", params(NameParam),
+    responses((status = 204, description = "It is gone.")))]
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let name = old_name("source", name)?;
     let service = app.service.clone();
@@ -37,8 +47,10 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-/// `GET /v1/sources`
-pub async fn list(State(app): State<App>) -> Answer {
-    let items = app.service.sources().iter().map(|(name, source)| source.view(name.as_str())).collect();
-    json(StatusCode::OK, &Items { items })
+/// All sources with a name, by name.
+#[utoipa::path(get, path = "/v1/sources", tag = "sources", operation_id = "list_sources", params(PageQuery),
+    responses((status = 200, description = "All of them, or a piece.", body = Items<SourceView>)))]
+pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+    let all = app.service.sources();
+    json(StatusCode::OK, &page(query, all, |(name, _)| name.as_str(), |(name, source)| source.view(name.as_str()))?)
 }

@@ -104,6 +104,7 @@ impl Fitter {
         self.shared.hub.keep(&self.tracker.names());
         self.beside.give_up();
         self.active = swap.active;
+        self.shared.counters.swaps.add(1);
         let active_since_frame = self.next_frame.unwrap_or(0);
         {
             let mut status = self.shared.status();
@@ -140,6 +141,9 @@ impl Fitter {
         let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
         self.next_frame = Some(frame.sequence + 1);
         self.shared.status().fitted(frame, end_ns, lost);
+        let captured_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
+        let (fit_ns, age_ns) = (end_ns.saturating_sub(start_ns), end_ns.saturating_sub(captured_ns));
+        self.shared.counters.fitted(&results, fit_ns, age_ns, lost);
         let estimates: Vec<Arc<EstimateView>> =
             results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
         for estimate in &estimates {

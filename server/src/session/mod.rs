@@ -1,29 +1,32 @@
 //! A session: one named fit thread that follows one target in the frames of one source.
 
 mod beside;
+mod checks;
 mod fit;
 pub mod inbox;
+mod once;
 mod status;
 mod swap;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use isophote_tracker::{Compiled, PoseMismatch, TrackError, Tracker, TrackerOptions};
 use tokio::sync::oneshot;
 
+use crate::counters::SessionCounters;
 use crate::hub::{End, Hub};
-use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
-use crate::source::{FrameShape, Source};
+use crate::source::Source;
 use crate::thread::NamedThread;
 use beside::PreparationThread;
+use checks::{check_document, check_shape, tracker, wrong_options};
 use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
 use isophote_machine::Threads;
 use isophote_machine::{elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
+pub use once::fit_once;
 use status::Status;
 pub use swap::Swapped;
 use swap::{Active, Swap};
@@ -34,6 +37,8 @@ pub struct Shared {
     pub inbox: Arc<Inbox>,
     /// What it has found.
     pub hub: Arc<Hub>,
+    /// What is counted of it.
+    pub counters: SessionCounters,
     status: Mutex<Status>,
 }
 
@@ -59,6 +64,7 @@ pub struct Session {
     source: SourceOf,
     shared: Arc<Shared>,
     thread: NamedThread,
+    compile_ms: f64,
 }
 
 impl Session {
@@ -72,16 +78,19 @@ impl Session {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
             .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
+        let start_ns = monotonic_ns();
         let compiled = entry.kernels(document.options.precision)?;
         if let Some(format) = source.source.shape().format {
             compiled.warm(format, &Threads)?;
         }
+        let compile_ms = elapsed_ms(start_ns);
         let options = swap::options(&document);
         let tracker = tracker(compiled, options, source.source.shape());
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let status = Status::new(active.clone(), document.model.clone());
-        let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), status: Mutex::new(status) });
+        let (counters, status) = (SessionCounters::default(), Mutex::new(status));
+        let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), counters, status });
         let knob = ExposureKnob::of(&document.options, &source.source, &tracker)?;
         let fitter = Fitter {
             name: name.to_string(),
@@ -95,12 +104,22 @@ impl Session {
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
         source.source.subscribe(&shared.inbox);
-        Ok(Session { name: name.to_string(), document, source, shared, thread })
+        Ok(Session { name: name.to_string(), document, source, shared, thread, compile_ms })
     }
 
     /// Its estimates.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.shared.hub
+    }
+
+    /// What was counted of it.
+    pub fn counters(&self) -> &SessionCounters {
+        &self.shared.counters
+    }
+
+    /// What its kernels took when it started, ms.
+    pub fn compile_ms(&self) -> f64 {
+        self.compile_ms
     }
 
     /// What waits for its fit thread.
@@ -119,16 +138,23 @@ impl Session {
         status.active.name == name || status.requested_model == name
     }
 
+    /// What it does, and why it does not run.
+    pub fn state(&self) -> (SessionState, Option<String>) {
+        let status = self.shared.status();
+        let (state, reason) = (status.state(monotonic_ns(), &self.source.source), status.reason.clone());
+        drop(status);
+        let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
+        let trouble = self.source.source.trouble().filter(|_| !is_over);
+        trouble.unwrap_or((state, reason))
+    }
+
     /// Its document with its state.
     pub fn view(&self) -> SessionView {
         let last = self.shared.hub.last();
         let mut document = self.document.clone();
+        let (state, reason) = self.state();
         let status = self.shared.status();
         document.model = status.active.name.clone();
-        let state = status.state(monotonic_ns(), &self.source.source);
-        let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
-        let trouble = self.source.source.trouble().filter(|_| !is_over);
-        let (state, reason) = trouble.unwrap_or_else(|| (state, status.reason.clone()));
         SessionView {
             name: self.name.clone(),
             document,
@@ -199,80 +225,4 @@ impl Session {
             self.source.source.wait(until);
         }
     }
-}
-
-/// What this build cannot honour is said, never ignored.
-fn check_document(document: &SessionDocument) -> Result<(), Problem> {
-    if let Some(window) = document.window {
-        let slices = window.depth.unwrap_or(1).saturating_mul(window.length.unwrap_or(1));
-        let pixels = window.width.saturating_mul(window.height).saturating_mul(slices);
-        if pixels == 0 || pixels > LIMITS.window_pixels {
-            let message = format!("a window has 1 to {} pixels", LIMITS.window_pixels);
-            return Err(Problem::wrong_key("out-of-range", "window", message));
-        }
-    }
-    let finite = |key: &str, numbers: &std::collections::BTreeMap<String, f64>| {
-        let wrong = numbers.iter().find(|(_, value)| !value.is_finite());
-        wrong.map_or(Ok(()), |(name, _)| {
-            Err(Problem::wrong_key("out-of-range", &format!("{key}.{name}"), "not a finite number"))
-        })
-    };
-    finite("constants", &document.constants)?;
-    finite("start", &document.start)
-}
-
-/// Whether a model can look at such frames.
-fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) -> Result<(), String> {
-    let (coordinates, channels) = (model.coordinates().len(), model.channels().len());
-    if let Some(dimensions) = shape.dimensions.filter(|dimensions| *dimensions != coordinates) {
-        return Err(format!(
-            "the model `{}` has {coordinates} coordinates, the source's frames have {dimensions}",
-            model.name()
-        ));
-    }
-    // Columns are found by name; any may be over.
-    if let Some(columns) = &shape.columns {
-        let missing = model.channels().iter().find(|channel| !columns.contains(channel));
-        return missing.map_or(Ok(()), |channel| {
-            let (count, model) = (columns.len(), model.name());
-            Err(format!("none of the {count} columns is named `{channel}`, which the model `{model}` reads"))
-        });
-    }
-    if let Some(planes) = shape.planes.filter(|planes| *planes != channels && !(*planes == 3 && channels == 1)) {
-        return Err(format!(
-            "the model `{}` has {channels} channels, the source's frames have {planes} planes",
-            model.name()
-        ));
-    }
-    Ok(())
-}
-
-/// A tracker of such frames.
-fn tracker(compiled: Arc<Compiled>, options: TrackerOptions, shape: &FrameShape) -> Result<Tracker, TrackError> {
-    if let Some(size) = &shape.size {
-        options.check_size(compiled.model(), size)?;
-    }
-    Tracker::new(compiled, options)
-}
-
-/// The key of the option that a tracker refuses.
-fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackError) -> Problem {
-    let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
-    let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());
-    let key = match (parameter, constant, error) {
-        (_, _, TrackError::Range { name, .. }) => match name.split_once('.') {
-            Some(("camera" | "constants", _)) => name.to_string(),
-            _ => format!("options.{name}"),
-        },
-        (Some(name), _, _) => format!("start.{name}"),
-        (None, Some(name), _) => format!("constants.{name}"),
-        (None, None, TrackError::Window { .. }) => "window".to_string(),
-        (None, None, TrackError::Target(_)) => "target".to_string(),
-        (None, None, TrackError::Pose(PoseMismatch::Size { .. })) => "camera.intrinsics".to_string(),
-        (None, None, TrackError::Pose(_)) => "target".to_string(),
-        (None, None, TrackError::DefectMap(_)) => "camera.defect_map".to_string(),
-        (None, None, TrackError::Intrinsics(_)) => "camera.intrinsics".to_string(),
-        (None, None, _) => "model".to_string(),
-    };
-    Problem::wrong_key("wrong-value", &key, error.to_string())
 }

@@ -59,13 +59,7 @@ impl Status {
         }
         self.times_ns.push_back(now_ns);
         if self.shape.is_none() {
-            self.shape = Some(FrameShape {
-                dimensions: Some(frame.size().len()),
-                planes: Some(frame.planes().len()),
-                format: frame.planes().first().map(|plane| plane.format),
-                columns: frame.names().map(<[String]>::to_vec),
-                size: Some(frame.size().to_vec()),
-            });
+            self.shape = Some(FrameShape::of(frame));
         }
     }
 

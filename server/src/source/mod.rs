@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 use isophote_capture::camera::CameraStatus;
 use isophote_capture::{Captured, Exposure, FrameSource, LiveCamera, Wake};
 use isophote_jit::PixelFormat;
+use isophote_tracker::Frame;
 
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -41,6 +42,19 @@ pub struct FrameShape {
     pub columns: Option<Vec<String>>,
     /// px, inner first.
     pub size: Option<Vec<usize>>,
+}
+
+impl FrameShape {
+    /// Of a frame that is there.
+    pub fn of(frame: &Frame) -> FrameShape {
+        FrameShape {
+            dimensions: Some(frame.size().len()),
+            planes: Some(frame.planes().len()),
+            format: frame.planes().first().map(|plane| plane.format),
+            columns: frame.names().map(<[String]>::to_vec),
+            size: Some(frame.size().to_vec()),
+        }
+    }
 }
 
 /// Where a source's frames come from.

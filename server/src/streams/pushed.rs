@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use isophote_capture::Captured;
 use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
@@ -10,6 +10,7 @@ use isophote_wire::{EstimateView, PushedDocument, SourceDocument};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio::time::Instant;
 
+use crate::documents::media_type;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::Session;
@@ -23,6 +24,20 @@ pub enum FrameMedia {
     Raw,
     /// A file that says what it is.
     Image,
+}
+
+impl FrameMedia {
+    /// Of a body.
+    ///
+    /// # Errors
+    /// 415 for another type.
+    pub fn of(headers: &HeaderMap) -> Result<FrameMedia, Problem> {
+        match media_type(headers).as_str() {
+            "application/octet-stream" => Ok(FrameMedia::Raw),
+            "image/png" | "image/jpeg" => Ok(FrameMedia::Image),
+            _ => Err(Problem::wrong_type("image/png, image/jpeg or application/octet-stream")),
+        }
+    }
 }
 
 /// Where the frames of a session with a pushed source go.
@@ -45,6 +60,20 @@ impl Default for FrameRoom {
     fn default() -> FrameRoom {
         let half = || Arc::new(Semaphore::new(permits(LIMITS.flight_bytes / 2) as usize));
         FrameRoom { frames: half(), sockets: half() }
+    }
+}
+
+impl FrameRoom {
+    /// Room for so many bytes of a frame, or 503.
+    pub fn room_now(&self, bytes: usize) -> Result<OwnedSemaphorePermit, Problem> {
+        self.frames.clone().try_acquire_many_owned(permits(bytes)).map_err(|_| full())
+    }
+
+    /// Bytes that are taken.
+    pub fn bytes_taken(&self) -> usize {
+        let all = permits(LIMITS.flight_bytes / 2) as usize;
+        let taken = |room: &Semaphore| all.saturating_sub(room.available_permits()) * 1024;
+        taken(&self.frames) + taken(&self.sockets)
     }
 }
 
@@ -92,7 +121,7 @@ impl Pushed {
 
     /// Room for a frame of that kind, or 503.
     pub fn room_now(&self, media: FrameMedia) -> Result<OwnedSemaphorePermit, Problem> {
-        self.room.frames.clone().try_acquire_many_owned(permits(self.bytes_of(media))).map_err(|_| full())
+        self.room.room_now(self.bytes_of(media))
     }
 
     /// The same, as soon as there is some: what is behind it waits in the client's socket.
@@ -166,7 +195,8 @@ fn media(document: &PushedDocument, bytes: &[u8]) -> FrameMedia {
     if is_image { FrameMedia::Image } else { FrameMedia::Raw }
 }
 
-fn raw_bytes(document: &PushedDocument) -> usize {
+/// Bytes of a raw frame.
+pub fn raw_bytes(document: &PushedDocument) -> usize {
     document.width * document.height * pixel_format(document.format).bytes_per_pixel()
 }
 
@@ -175,7 +205,8 @@ fn frame_bytes(document: &PushedDocument) -> usize {
     image.max(raw_bytes(document)).min(LIMITS.frame_bytes)
 }
 
-fn decode(document: &PushedDocument, media: FrameMedia, bytes: Vec<u8>) -> Result<Frame, Problem> {
+/// The frame in those bytes, if it is one of that document's.
+pub fn decode(document: &PushedDocument, media: FrameMedia, bytes: Vec<u8>) -> Result<Frame, Problem> {
     let size = [document.width, document.height];
     let wrong = |message: String| Problem::wrong_key("wrong-frame", "", message);
     if media == FrameMedia::Image {

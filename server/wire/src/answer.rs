@@ -4,11 +4,12 @@ pub use isophote_capture::camera::{CameraInfo, CameraStatus, ControlInfo, Contro
 use isophote_symbolic::{Diagnostic, Method};
 pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use crate::{EstimateView, SessionDocument, SourceDocument};
 
 /// An error, RFC 9457: `application/problem+json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ProblemDocument {
     /// `urn:isophote:problem:<code>`; the code is stable.
     #[serde(rename = "type")]
@@ -25,14 +26,17 @@ pub struct ProblemDocument {
 }
 
 /// A list.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Items<T> {
     /// In the order of their names.
     pub items: Vec<T>,
+    /// Where there are more: the name after which they begin, for `after`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub next: Option<String>,
 }
 
 /// Answer of `PUT /v1/models/{name}`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ModelAnswer {
     /// The name in the registry.
     pub name: String,
@@ -44,7 +48,7 @@ pub struct ModelAnswer {
 }
 
 /// `GET /v1/models/{name}`: the document with its name in the registry, version and digest.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ModelView {
     /// Counts the documents put under this name, from 1.
     pub version: u64,
@@ -56,7 +60,7 @@ pub struct ModelView {
 }
 
 /// One item of `GET /v1/models`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ModelItem {
     /// The name in the registry.
     pub name: String,
@@ -71,7 +75,7 @@ pub struct ModelItem {
 }
 
 /// What `model explain --json` prints: the figures of one subset beside the text asked for.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Explanation {
     /// The document's name.
     pub model: String,
@@ -87,7 +91,7 @@ pub struct Explanation {
 }
 
 /// What `model export --json` prints.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Exported {
     /// The document's name.
     pub model: String,
@@ -104,7 +108,7 @@ pub struct Exported {
 }
 
 /// `GET /v1/sources/{name}`: its document with its state.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SourceView {
     /// The name.
     pub name: String,
@@ -126,7 +130,7 @@ pub struct SourceView {
 }
 
 /// What a source does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SourceState {
     /// No session listens: it waits.
@@ -144,7 +148,7 @@ pub enum SourceState {
 }
 
 /// What a session does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SessionState {
     /// No frame was fitted yet.
@@ -162,7 +166,7 @@ pub enum SessionState {
 }
 
 /// `GET /v1/sessions/{name}`: its document with its state.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionView {
     /// The name.
     pub name: String,
@@ -200,7 +204,7 @@ pub struct SessionView {
 }
 
 /// Answer of a hot swap.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SwapAnswer {
     /// The model asked for.
     pub requested_model: String,
@@ -219,7 +223,7 @@ pub struct SwapAnswer {
 }
 
 /// `GET /v1/time`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Time {
     /// The clock of every `*_ns` field, CLOCK_MONOTONIC.
     pub monotonic_ns: u64,
@@ -228,8 +232,8 @@ pub struct Time {
 }
 
 /// `GET /livez` and `GET /readyz`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Health {
-    /// `ok` or `draining`.
+    /// `ok`; anything else is a problem.
     pub status: String,
 }

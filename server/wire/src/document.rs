@@ -11,9 +11,11 @@ pub use isophote_tracker::ExposureGoal;
 use isophote_tracker::{Camera, Target};
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
+use utoipa::openapi::{ObjectBuilder, OneOfBuilder, Ref, Schema};
+use utoipa::{IntoParams, ToSchema};
 
 /// `PUT /v1/sessions/{name}`: everything but `source` and `model` has a default.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionDocument {
     /// Where the frames come from: a document of its own, or the name of a source that exists.
@@ -34,6 +36,7 @@ pub struct SessionDocument {
     pub camera: Camera,
     /// The target's geometry; `{}` when it has none.
     #[serde(default, deserialize_with = "target_or_none", serialize_with = "target_or_empty")]
+    #[schema(schema_with = target_schema)]
     pub target: Option<Target>,
     /// How it is computed.
     #[serde(default)]
@@ -41,7 +44,7 @@ pub struct SessionDocument {
 }
 
 /// Options of a session.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SessionOptions {
     /// Arithmetic of the pixel loops.
@@ -63,7 +66,7 @@ pub struct SessionOptions {
 }
 
 /// Looking ahead.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PredictDocument {
     /// To so much later, s.
@@ -86,7 +89,7 @@ impl Default for SessionOptions {
 }
 
 /// How targets move.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotionDocument {
     /// Standard deviation of the acceleration, px/s²; follows what is seen when absent.
@@ -118,7 +121,7 @@ impl Default for MotionDocument {
 }
 
 /// What exposure is for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExposureOptions {
     /// What is to be measured best.
@@ -128,7 +131,7 @@ pub struct ExposureOptions {
 }
 
 /// A pixel rectangle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WindowDocument {
     /// First column, px.
@@ -154,7 +157,7 @@ pub struct WindowDocument {
 }
 
 /// A source of its own, or the name of one that exists.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum SourceReference {
     /// A source that several sessions may share.
@@ -184,7 +187,7 @@ impl<'de> serde::Deserialize<'de> for SourceReference {
 }
 
 /// `PUT /v1/sources/{name}`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum SourceDocument {
     /// Renders a model, with truth.
@@ -210,7 +213,7 @@ impl SourceDocument {
 }
 
 /// When the next frame comes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Pace {
     /// At `rate_hz`, whether or not the fit keeps up: the newest frame wins.
@@ -222,7 +225,7 @@ pub enum Pace {
 }
 
 /// The synthetic camera. Defaults are those of `isophote render`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SyntheticDocument {
     /// Name of a model of the registry.
@@ -291,7 +294,7 @@ impl SyntheticDocument {
 }
 
 /// A folder or file of PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingDocument {
     /// On the machine of the service.
@@ -308,7 +311,7 @@ pub struct RecordingDocument {
 }
 
 /// Frames that clients send to `/v1/sessions/{name}/frames`, with `POST` or over a WebSocket.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushedDocument {
     /// px.
@@ -321,7 +324,7 @@ pub struct PushedDocument {
 }
 
 /// Pixels of raw frames; rows without padding.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PushedFormat {
     /// One byte.
@@ -334,7 +337,7 @@ pub enum PushedFormat {
 }
 
 /// A V4L2 camera of the machine of the service.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraDocument {
     /// A path such as `/dev/video0`, or an identity as `GET /v1/cameras` lists it, which stays when numbers change.
@@ -367,14 +370,14 @@ fn is_all(colour: &Colour) -> bool {
 }
 
 /// `PUT /v1/cameras/{device}/controls` answers what the driver made of the controls that were sent.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ControlsAnswer {
     /// By name, as read back.
     pub controls: ControlValues,
 }
 
 /// `PUT /v1/sessions/{name}/model`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SwapDocument {
     /// Name of a model of the registry.
@@ -382,7 +385,7 @@ pub struct SwapDocument {
 }
 
 /// What a subscriber sends: how many more messages it wants.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CreditDocument {
     /// Messages.
@@ -390,7 +393,8 @@ pub struct CreditDocument {
 }
 
 /// What is known of a pushed frame: the query of a `POST`; over a WebSocket, a text message before the frame's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct FrameTime {
     /// When the frame was taken, s on the client's own clock.
@@ -411,6 +415,11 @@ fn target_or_empty<S: serde::Serializer>(target: &Option<Target>, serializer: S)
         Some(target) => target.serialize(serializer),
         None => serde_json::Map::new().serialize(serializer),
     }
+}
+
+fn target_schema() -> Schema {
+    let nothing = ObjectBuilder::new().max_properties(Some(0)).description(Some("It has none."));
+    OneOfBuilder::new().item(Ref::from_schema_name("Target")).item(nothing).build().into()
 }
 
 fn default_width() -> usize {

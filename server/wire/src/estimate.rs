@@ -4,11 +4,12 @@ use isophote_symbolic::Model;
 use isophote_tracker as tracker;
 pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Sampled, Strength, Substitute, TrackState};
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use crate::Named;
 
 /// What is not known is absent: no `session` and no `capture_ns` offline, no `truth` from a camera.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct EstimateView {
     /// The session that made it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -37,6 +38,7 @@ pub struct EstimateView {
     /// What is known of the target.
     pub state: TrackState,
     /// All parameters of the model, in document order.
+    #[schema(value_type = BTreeMap<String, f64>)]
     pub parameters: Named,
     /// The free parameters of the last stage: the order of `covariance`.
     pub order: Vec<String>,
@@ -106,6 +108,7 @@ pub struct EstimateView {
     pub vector_width: Option<usize>,
     /// What a synthetic source knows.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<BTreeMap<String, f64>>)]
     pub truth: Option<Named>,
     /// Where the time went.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -113,7 +116,7 @@ pub struct EstimateView {
 }
 
 /// The illumination by roles, in pixel values.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Illumination {
     /// The parameter with the role `background`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -124,7 +127,7 @@ pub struct Illumination {
 }
 
 /// Microseconds that one frame took.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Timing {
     /// From capture to the start of the fit.
     #[serde(skip_serializing_if = "Option::is_none", default)]

@@ -132,6 +132,7 @@ pub struct Names {
 
 /// The arithmetic of the pixel level; rows are summed in f64.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// Lanes of f32.

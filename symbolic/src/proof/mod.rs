@@ -36,6 +36,7 @@ use serde::{Deserialize, Serialize};
 
 /// How a program's sums are written down.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Form {
     /// As few sums as the search found.
@@ -48,6 +49,7 @@ pub enum Form {
 
 /// What the check found; part of a model's report.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Proof {
     /// Which form passed.
     pub form: Form,

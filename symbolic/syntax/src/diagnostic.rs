@@ -28,6 +28,7 @@ impl From<Span> for (u32, u32) {
 
 /// How bad it is.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// The document is refused.
@@ -38,6 +39,7 @@ pub enum Severity {
 
 /// One fault of a document.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Diagnostic {
     /// How bad it is.
     pub severity: Severity,
@@ -55,6 +57,7 @@ pub struct Diagnostic {
     /// From 1, in characters.
     pub column: u32,
     /// Bytes of the document as sent.
+    #[cfg_attr(feature = "schema", schema(value_type = [u32; 2]))]
     pub span: Span,
     /// The line of the document, for display.
     #[serde(skip_serializing_if = "String::is_empty", default)]

@@ -165,6 +165,7 @@ fn what_is_refused() {
     assert!(diagnostic["span"].as_array().unwrap().len() == 2);
     service.get("/v1/models/level").expect(404);
     service.request("POST", "/v1/models/spot", &[], b"").expect(405);
+    service.request("POST", "/v1/models/spot:sing", &[], b"").expect(404);
 }
 
 /// The service opens no file that a document names, and what is handed to it whole is a model like others.

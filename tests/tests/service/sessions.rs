@@ -195,7 +195,6 @@ fn what_this_build_does_not_have_is_said() {
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     service.get("/v1/sessions/one/preview?format=raw8").expect(501);
     service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(501);
-    service.get("/metrics").expect(501);
     service.get("/v1/nothing").expect(404);
     service.request("POST", "/v1/sessions/one/frames", &[("content-type", "image/png")], b"x").expect(409);
 }

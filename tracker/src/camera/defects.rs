@@ -12,6 +12,7 @@ const COVERED_MAX: usize = 262_144;
 /// Pixels of the sensor that fits and searches leave out, in the order of the raw image: hot, dead and noisy ones, whole columns
 /// and rows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DefectMap {
     /// Width of the image that the places are for, px.

@@ -6,6 +6,7 @@ use super::defects::DefectMap;
 
 /// Facts about a camera; what is not known is absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Camera {
     /// The pixel value at which the sensor clips (many clip at 253 and not at 255). Default: where the pixels of a frame show
@@ -33,6 +34,7 @@ pub struct Camera {
 
 /// The projection of directions to pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Intrinsics {
     /// Width of the image that the figures are for, px.
@@ -61,6 +63,7 @@ pub struct Intrinsics {
 
 /// Models of lens distortion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Distortion {
     /// A pinhole.

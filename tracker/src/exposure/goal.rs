@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// What is to be measured best.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ExposureGoal {
     /// Where the target is.
@@ -25,6 +26,7 @@ impl ExposureGoal {
 
 /// What exposure would be best for a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ExposureAdvice {
     /// So many times as much light.
     pub factor: f64,

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Where the target is: `X_camera = R X_target + position`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Pose {
     /// The target's origin in the camera's frame (x to the right, y down, z forward), mm.
     pub position_mm: [f64; 3],
@@ -30,6 +31,7 @@ pub struct Pose {
 
 /// Another minimum.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Alternative {
     /// As in [`Pose`].
     pub position_mm: [f64; 3],

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// A rigid target: round spots whose planes are parallel to its x and y axes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Target {
     /// For people.
@@ -19,6 +20,7 @@ pub struct Target {
 
 /// A round spot of a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TargetSpot {
     /// The name of its roles in a model.

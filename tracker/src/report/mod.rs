@@ -22,6 +22,7 @@ use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
 
 /// Costs and self-check of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CheckReport {
     /// The model's name.
     pub model: String,
@@ -48,6 +49,7 @@ pub struct CheckReport {
 
 /// The Cramér–Rao bound at a made-up point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Bound {
     /// The point: all parameters, by name.
     pub parameters: BTreeMap<String, f64>,
@@ -62,6 +64,7 @@ pub struct Bound {
 
 /// What one gradient pass of a stage costs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct StageCost {
     /// Names of the free parameters.
     pub parameters: Vec<String>,

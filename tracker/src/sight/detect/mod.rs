@@ -65,6 +65,7 @@ pub(crate) struct Detections {
 
 /// How strong something is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Strength {
     /// Standard deviations of the noise, after the filter.
     pub score: f64,

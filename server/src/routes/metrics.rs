@@ -1,0 +1,144 @@
+//! `GET /metrics`: what was counted, for Prometheus. The only label with a name of the user's is `session`, of those that there are:
+//! there are at most [`LIMITS::sessions`](crate::limits::LIMITS) of them, and what has ended is gone.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use isophote_wire::SessionState;
+
+use super::App;
+use crate::counters::{Histogram, STATES, SessionCounters, Tally};
+use crate::exposition::{Exposition, MEDIA};
+use crate::limits::LIMITS;
+use crate::name::Name;
+use crate::service::Service;
+use crate::session::Session;
+
+type Sessions = [(Name, Arc<Session>)];
+
+/// Name, help, and where it is counted.
+type Row<T> = (&'static str, &'static str, fn(&SessionCounters) -> &T);
+
+/// What sessions do, with its names.
+const SESSION_STATES: [(SessionState, &str); 6] = [
+    (SessionState::Starting, "starting"),
+    (SessionState::Running, "running"),
+    (SessionState::Stalled, "stalled"),
+    (SessionState::LostSource, "lost_source"),
+    (SessionState::Stopped, "stopped"),
+    (SessionState::Failed, "failed"),
+];
+
+/// Counters, gauges and histograms for Prometheus.
+#[utoipa::path(get, path = "/metrics", tag = "operation", operation_id = "metrics",
+    responses((status = 200, description = "Text format 0.0.4.", body = String, content_type = "text/plain")))]
+pub async fn get(State(app): State<App>) -> Response {
+    let sessions = app.service.sessions();
+    let mut all = Exposition::default();
+    of_service(&mut all, &app);
+    of_kernels(&mut all, &app.service);
+    of_sessions(&mut all, &sessions);
+    of_fits(&mut all, &sessions);
+    of_subscribers(&mut all, &sessions);
+    ([(header::CONTENT_TYPE, MEDIA), (header::CACHE_CONTROL, "no-store")], all.text()).into_response()
+}
+
+fn of_service(all: &mut Exposition, app: &App) {
+    let service = &app.service;
+    let one = |all: &mut Exposition, name, help: &str, value: usize| all.gauge(name, help).sample(&[], value as f64);
+    all.gauge("isophote_build_info", "Always 1; the version is a label.")
+        .sample(&[("version", env!("CARGO_PKG_VERSION"))], 1.0);
+    let is_ready = service.readiness().is_ok();
+    one(all, "isophote_ready", "1 when /readyz answers 200.", usize::from(is_ready));
+    let answer_s = service.watch.answer_time().as_secs_f64();
+    all.gauge(
+        "isophote_owner_answer_seconds",
+        "How long the thread that owns all changes takes, or took last, to answer.",
+    )
+    .sample(&[], answer_s);
+    let taken = LIMITS.sockets - app.sockets.available_permits();
+    one(all, "isophote_sockets", "Connections, WebSockets among them.", taken);
+    let bytes = app.frames.bytes_taken();
+    one(
+        all,
+        "isophote_frame_bytes_in_flight",
+        "Room taken by frames that clients send, until they are answered.",
+        bytes,
+    );
+    one(all, "isophote_models", "Models of the registry.", service.registry.list().len());
+    one(all, "isophote_sources", "Sources with a name.", service.sources().len());
+}
+
+fn of_kernels(all: &mut Exposition, service: &Service) {
+    let counts = service.registry.cache().counts();
+    all.gauge("isophote_kernels", "Compiled kernels that are kept.").sample(&[], counts.kernels as f64);
+    all.gauge("isophote_kernel_bytes", "Their memory, estimated.").sample(&[], counts.bytes as f64);
+    let mut requests = all.counter("isophote_kernel_requests_total", "Kernels asked for, by whether they were there.");
+    requests.sample(&[("result", "hit")], counts.hits as f64);
+    requests.sample(&[("result", "miss")], counts.misses as f64);
+    all.counter("isophote_kernel_evictions_total", "Kernels that left for want of room.")
+        .sample(&[], counts.evictions as f64);
+    let counters = &service.counters;
+    all.histogram("isophote_compile_seconds", "From documents to native code, for models, sessions and swaps.")
+        .distribution(&[], &counters.compile_s);
+    all.histogram("isophote_image_fit_seconds", "Fits of single images.").distribution(&[], &counters.image_fit_s);
+}
+
+fn of_sessions(all: &mut Exposition, sessions: &Sessions) {
+    let states: Vec<SessionState> = sessions.iter().map(|(_, session)| session.state().0).collect();
+    let mut family = all.gauge("isophote_sessions", "Sessions, by what they do.");
+    for (state, name) in SESSION_STATES {
+        let count = states.iter().filter(|one| **one == state).count();
+        family.sample(&[("state", name)], count as f64);
+    }
+    let counted: [Row<Tally>; 4] = [
+        ("isophote_frames_total", "Frames that were fitted.", |of| &of.frames),
+        ("isophote_frames_dropped_total", "Frames of the source that were not fitted.", |of| &of.dropped),
+        ("isophote_fits_unfinished_total", "Fits that were left before their end.", |of| &of.unfinished),
+        ("isophote_swaps_total", "Models that took over from others.", |of| &of.swaps),
+    ];
+    for (name, help, counter) in counted {
+        let mut family = all.counter(name, help);
+        for (session, one) in sessions {
+            family.sample(&[("session", session.as_str())], counter(one.counters()).count() as f64);
+        }
+    }
+    let mut family = all.counter("isophote_estimates_total", "Estimates, by the state of their target.");
+    for (session, one) in sessions {
+        for ((_, state), counter) in STATES.iter().zip(&one.counters().estimates) {
+            family.sample(&[("session", session.as_str()), ("state", state)], counter.count() as f64);
+        }
+    }
+}
+
+fn of_fits(all: &mut Exposition, sessions: &Sessions) {
+    let observed: [Row<Histogram>; 6] = [
+        ("isophote_fit_seconds", "Time of a frame's fits.", |of| &of.fit_s),
+        ("isophote_search_seconds", "The same of frames in which a target was looked for.", |of| &of.search_s),
+        ("isophote_frame_age_seconds", "From a frame's capture until its estimates were there.", |of| &of.age_s),
+        ("isophote_fit_iterations", "Steps of a fit, of all stages, where the target is tracked.", |of| &of.iterations),
+        ("isophote_reduced_chi_square", "Of targets that are tracked; 1 is what the noise explains.", |of| {
+            &of.chi_square
+        }),
+        ("isophote_saturated_ratio", "Share of a tracked target's pixels that are saturated.", |of| &of.saturated),
+    ];
+    for (name, help, histogram) in observed {
+        let mut family = all.histogram(name, help);
+        for (session, one) in sessions {
+            family.distribution(&[("session", session.as_str())], histogram(one.counters()));
+        }
+    }
+}
+
+fn of_subscribers(all: &mut Exposition, sessions: &Sessions) {
+    let loads: Vec<_> = sessions.iter().map(|(name, session)| (name, session.hub().load())).collect();
+    let mut family = all.gauge("isophote_subscribers", "Subscribers of estimates.");
+    loads.iter().for_each(|(name, load)| family.sample(&[("session", name.as_str())], load.subscribers as f64));
+    let mut family = all.gauge("isophote_ring_bytes", "Estimates that are kept for subscribers in mode all.");
+    loads.iter().for_each(|(name, load)| family.sample(&[("session", name.as_str())], load.ring_bytes as f64));
+    let mut family =
+        all.counter("isophote_subscriber_dropped_total", "Frames that subscribers were told to have missed.");
+    loads.iter().for_each(|(name, load)| family.sample(&[("session", name.as_str())], load.dropped as f64));
+}

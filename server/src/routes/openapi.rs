@@ -1,0 +1,159 @@
+//! `GET /openapi.json`: the API as OpenAPI 3.1 has it, from the attributes of the handlers and the types on the wire.
+//!
+//! A new route needs three lines: `#[utoipa::path(…)]` above its handler, the handler's name in `paths` below, and the route itself
+//! in `mod.rs`. The tests at the end say what is missing. `docs/openapi.json` is the same text:
+//! `UPDATE_EXPECT=1 cargo test -p isophote-server openapi` writes it anew.
+
+use std::sync::OnceLock;
+
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use isophote_tracker::Target;
+use isophote_wire::{CreditDocument, FrameTime, ProblemDocument};
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::{ContentBuilder, Ref, ResponseBuilder};
+use utoipa::{Modify, OpenApi};
+
+use super::{Answer, cameras, estimates, fit, frames, health, metrics, models, page, sessions, sources};
+use crate::problem::Problem;
+
+#[derive(OpenApi)]
+#[openapi(
+    info(title = "isophote", description = "Models, sources, sessions and their estimates. Errors are problems (RFC 9457)."),
+    paths(
+        page::html, page::script, get, health::livez, health::readyz, health::time, metrics::get,
+        models::list, models::check, models::put, models::get, models::delete, models::explain, fit::post,
+        cameras::list, cameras::get, cameras::set,
+        sources::list, sources::put, sources::get, sources::delete,
+        sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
+        frames::post, frames::get, estimates::get,
+    ),
+    components(schemas(ProblemDocument, CreditDocument, FrameTime, Target)),
+    tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),
+         (name = "operation", description = "Health, metrics, time, and the page.")),
+    modifiers(&Problems)
+)]
+struct Description;
+
+/// Whatever is not described at a route is a problem.
+struct Problems;
+
+impl Modify for Problems {
+    fn modify(&self, api: &mut utoipa::openapi::OpenApi) {
+        for item in api.paths.paths.values_mut() {
+            let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
+            operations.into_iter().flatten().for_each(with_problem);
+        }
+    }
+}
+
+fn with_problem(operation: &mut Operation) {
+    let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("ProblemDocument"))).build();
+    let response = ResponseBuilder::new()
+        .description("What is wrong; `type` ends in a stable code.")
+        .content("application/problem+json", content);
+    operation.responses.responses.insert("default".into(), response.build().into());
+}
+
+/// The text.
+fn text() -> Result<&'static str, Problem> {
+    static TEXT: OnceLock<Option<String>> = OnceLock::new();
+    let text = TEXT.get_or_init(|| Description::openapi().to_pretty_json().map(|text| text + "\n").ok());
+    text.as_deref().ok_or_else(|| Problem::bug("the description of the API is no JSON"))
+}
+
+/// This description.
+#[utoipa::path(get, path = "/openapi.json", tag = "operation", operation_id = "openapi",
+    responses((status = 200, description = "OpenAPI 3.1.", body = Object)))]
+pub async fn get() -> Answer {
+    let headers = [(header::CONTENT_TYPE, "application/json")];
+    Ok((StatusCode::OK, headers, text()?).into_response())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    const METHODS: [&str; 4] = ["get", "put", "post", "delete"];
+
+    #[test]
+    fn the_page_is_what_the_handlers_say() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/openapi.json");
+        if std::env::var_os("UPDATE_EXPECT").is_some() {
+            std::fs::write(&path, text().unwrap()).unwrap();
+        }
+        let page = std::fs::read_to_string(path).unwrap_or_default();
+        let is_same = page == text().unwrap();
+        assert!(is_same, "docs/openapi.json is old: UPDATE_EXPECT=1 cargo test -p isophote-server openapi writes it");
+    }
+
+    /// Path and method of each route in the source, but for those that answer that this build does not have them.
+    fn routed(source: &str) -> BTreeSet<(String, String)> {
+        let mut found = BTreeSet::new();
+        for call in source.split(".route(").skip(1) {
+            let (path, handlers) = call.trim_start().trim_start_matches('"').split_once('"').unwrap();
+            for method in METHODS {
+                let head = format!("{method}(");
+                let is_apart = |at: usize| handlers[..at].ends_with([' ', '.']);
+                let at = handlers.match_indices(&head).map(|(at, _)| at).find(|at| is_apart(*at));
+                if at.is_some_and(|at| !handlers[at + head.len()..].starts_with("|| absent(")) {
+                    found.insert((path.to_string(), method.to_string()));
+                }
+            }
+        }
+        found
+    }
+
+    /// The same of the description; a verb behind a name has no route of its own.
+    fn described() -> BTreeSet<(String, String)> {
+        let api: serde_json::Value = serde_json::from_str(text().unwrap()).unwrap();
+        let paths = api["paths"].as_object().unwrap().iter();
+        let of = |(path, item): (&String, &serde_json::Value)| {
+            let path = path.split_once("}:").map_or(path.clone(), |(path, _)| format!("{path}}}"));
+            METHODS
+                .iter()
+                .filter(|method| item[**method].is_object())
+                .map(|method| (path.clone(), method.to_string()))
+                .collect::<Vec<_>>()
+        };
+        paths.flat_map(of).collect()
+    }
+
+    #[test]
+    fn every_route_is_described() {
+        let source = include_str!("mod.rs");
+        let routes = routed(source.split_once(".fallback(").unwrap().0);
+        assert!(routes.len() > 20, "{routes:?}");
+        let (described, remedy) = (described(), "give the handler #[utoipa::path(…)] and name it in openapi.rs");
+        let missing: Vec<_> = routes.difference(&described).collect();
+        assert!(missing.is_empty(), "not described: {missing:?}; {remedy}");
+        let extra: Vec<_> = described.difference(&routes).collect();
+        assert!(extra.is_empty(), "described, but no route of mod.rs: {extra:?}");
+    }
+
+    #[test]
+    fn routes_are_found_in_the_source() {
+        let source =
+            ".route(\"/a/{b}\", put(a::put).get(b::get))\n.route(\"/c\", post(|| absent(\"c\")).delete(c::delete))\n";
+        let found: Vec<_> = routed(source).into_iter().map(|(path, method)| format!("{method} {path}")).collect();
+        assert_eq!(found, ["get /a/{b}", "put /a/{b}", "delete /c"]);
+    }
+
+    /// Nothing is referred to that is not there, and every operation has an id of its own.
+    #[test]
+    fn references_and_ids_hold() {
+        let text = text().unwrap();
+        let api: serde_json::Value = serde_json::from_str(text).unwrap();
+        assert_eq!(api["openapi"], "3.1.0");
+        let named = text.split("\"#/components/schemas/").skip(1).map(|rest| rest.split('"').next().unwrap());
+        let lost: BTreeSet<&str> = named.filter(|name| api["components"]["schemas"][name].is_null()).collect();
+        assert!(lost.is_empty(), "{lost:?}");
+        let ids: Vec<&str> =
+            text.split("\"operationId\": \"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+        assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len(), "{ids:?}");
+        assert!(text.matches("application/problem+json").count() >= ids.len());
+    }
+}

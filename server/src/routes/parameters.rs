@@ -1,0 +1,35 @@
+//! What the description of the API says of names and headers; the handlers read them by themselves.
+
+use utoipa::IntoParams;
+
+/// A name in a path.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code)] // described, never made: the handlers read it from the path
+pub struct NameParam {
+    /// Of the model, source or session.
+    #[param(pattern = "^[a-z0-9][a-z0-9-]{0,63}$")]
+    name: String,
+}
+
+/// A camera in a path.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code)] // as above
+pub struct DeviceParam {
+    /// A path, percent-encoded, or an identity.
+    device: String,
+}
+
+/// What a writer expects to be there.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code)] // as above
+pub struct MatchHeaders {
+    /// ETags, or `*`; 412 where another version is there.
+    #[param(rename = "If-Match")]
+    if_match: Option<String>,
+    /// `*`: only where nothing is there.
+    #[param(rename = "If-None-Match")]
+    if_none_match: Option<String>,
+}

@@ -1,0 +1,45 @@
+//! One frame fitted as a session would fit it, and nothing kept.
+
+use std::time::Instant;
+
+use isophote_machine::Threads;
+use isophote_tracker::{Frame, Preparing, TrackerOptions, Watch};
+use isophote_wire::{EstimateView, SessionDocument, Timing};
+
+use super::checks::{check_document, check_shape, tracker, wrong_options};
+use super::swap;
+use crate::problem::Problem;
+use crate::registry::ModelEntry;
+use crate::source::FrameShape;
+
+/// What the frame says about each target, the first of its track. What a session would prepare beside its fits is waited for, as
+/// `isophote fit` does: both find the same.
+///
+/// # Errors
+/// What a session with that document is refused with.
+pub fn fit_once(
+    entry: &ModelEntry,
+    document: &SessionDocument,
+    frame: &Frame,
+    watch: Watch,
+) -> Result<Vec<EstimateView>, Problem> {
+    check_document(document)?;
+    let shape = FrameShape::of(frame);
+    check_shape(&entry.model, &shape).map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
+    let compiled = entry.kernels(document.options.precision)?;
+    if let Some(format) = shape.format {
+        compiled.warm(format, &Threads)?;
+    }
+    let options = TrackerOptions { preparing: Preparing::AtOnce, ..swap::options(document) };
+    let tracker = tracker(compiled, options, &shape).map_err(|error| wrong_options(document, entry, &error));
+    let start = Instant::now();
+    let results = tracker?.track_all_while(frame, watch);
+    let timing = Timing { wait: None, fit: start.elapsed().as_micros() as u64 };
+    let id = entry.id();
+    let view = |result| EstimateView {
+        vector_width: Some(8 * entry.width().bytes()),
+        timing_us: Some(timing),
+        ..EstimateView::new(&entry.model, &id, frame.sequence, result)
+    };
+    Ok(results.iter().map(view).collect())
+}
