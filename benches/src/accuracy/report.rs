@@ -54,7 +54,7 @@ impl Report {
                 curves::table("saturated", &[&self.saturation])
             ),
             format!(
-                "## Glare\n\nA lobe of growing height beside a spot of S30, by what the document says of the ground.\n\n{}\n![Error against glare](accuracy-glare.svg)",
+                "## Glare\n\nA lobe of growing height beside a spot of S30, by what the document says of the background.\n\n{}\n![Error against glare](accuracy-glare.svg)",
                 curves::table("lobe, DN", &self.glare.iter().collect::<Vec<_>>())
             ),
             format!(

@@ -2,6 +2,7 @@
 
 mod answer;
 mod cameras;
+mod docs;
 mod estimates;
 mod fit;
 mod frames;
@@ -32,6 +33,9 @@ pub fn router(app: App) -> Router {
     Router::new()
         .route("/", get(page::html))
         .route("/page.js", get(page::script))
+        .route("/docs", get(docs::start))
+        .route("/docs/", get(docs::index))
+        .route("/docs/{*path}", get(docs::page))
         .route("/livez", get(health::livez))
         .route("/readyz", get(health::readyz))
         .route("/v1/time", get(health::time))

@@ -7,6 +7,7 @@ mod cameras;
 mod client;
 mod clocks;
 mod commands;
+mod docs;
 mod exposure;
 mod guards;
 mod hostile;

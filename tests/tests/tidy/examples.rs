@@ -7,6 +7,7 @@
 //!   `# exits 3` after a command says how it ends, when that is not 0. A long-running `isophote serve` is started on a
 //!   port of its own and becomes the service of the commands that follow; where a document starts none, commands that
 //!   need a service get one with `--demo`. Every other command must be in [`NOT_RUN`].
+//! - So do `python3 FILE` and `node FILE`, where the machine has them (Node with a WebSocket of its own, from version 22 on).
 //! - `../shared` (test data that is no part of the repository) is used where it lies beside the repository.
 
 use std::fs;
@@ -21,7 +22,14 @@ use crate::markdown::{Block, blocks};
 use crate::{File, expect_none, files};
 
 /// Commands that a reader runs and this test does not, by how they begin.
-const NOT_RUN: [&str; 7] = ["git clone", "cd ", "cargo test", "cargo bench", "cargo build", "cargo install", ".ci/run"];
+const NOT_RUN: [&str; 8] =
+    ["git clone", "cd ", "cargo test", "cargo bench", "cargo build", "cargo install", ".ci/run", "book/build"];
+/// Programs of a reader's own, run where the machine has them, and how each shows that it can run the examples.
+const INTERPRETERS: [(&str, &str); 3] = [
+    ("curl ", "curl --version"),
+    ("python3 ", "python3 --version"),
+    ("node ", "node -e 'new WebSocket(\"ws://127.0.0.1:9\").onerror = () => 0'"),
+];
 /// Commands of `isophote` that need no service.
 pub const OFFLINE: [&str; 10] = [
     "model check",
@@ -62,7 +70,7 @@ fn step(command: &str) -> Step {
         return Step::Left;
     }
     let Some(arguments) = shell.strip_prefix("isophote ") else {
-        let online = shell.starts_with("curl ");
+        let online = INTERPRETERS.iter().any(|(head, _)| shell.starts_with(head));
         return if online { Step::Run { shell, online, exit } } else { Step::Unknown };
     };
     if let Some(arguments) = arguments.strip_prefix("serve") {
@@ -141,8 +149,8 @@ impl Sandbox {
             eprintln!("skipped, ../shared is not here: {shell}");
             return Ok(());
         }
-        if shell.starts_with("curl ") && !has_curl() {
-            eprintln!("skipped, curl is not here: {shell}");
+        if INTERPRETERS.iter().any(|(head, check)| shell.starts_with(head) && !runs(check)) {
+            eprintln!("skipped, what runs it is not here: {shell}");
             return Ok(());
         }
         if online && self.service.is_none() {
@@ -176,8 +184,9 @@ fn shared() -> Option<PathBuf> {
     folder.is_dir().then_some(folder)
 }
 
-fn has_curl() -> bool {
-    Command::new("curl").arg("--version").output().is_ok()
+/// Whether a command ends well here.
+fn runs(command: &str) -> bool {
+    Command::new("sh").arg("-c").arg(command).output().is_ok_and(|output| output.status.success())
 }
 
 /// Copies the files of a folder: examples may write beside them.

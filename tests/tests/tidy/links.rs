@@ -67,13 +67,13 @@ fn links_find_their_files() {
 #[test]
 fn every_document_can_be_found_from_the_index() {
     let documents = files(&[".md"]);
-    let index = documents.iter().find(|document| document.path == "docs/README.md").unwrap();
+    let index = documents.iter().find(|document| document.path == "docs/SUMMARY.md").unwrap();
     let linked: Vec<String> =
         targets(&index.text).iter().filter_map(|target| resolve(&index.path, target.split('#').next()?)).collect();
     let lonely = documents.iter().filter(|document| document.path.starts_with("docs/") && document.path != index.path);
     let found: Vec<String> =
         lonely.filter(|document| !linked.contains(&document.path)).map(|document| document.path.clone()).collect();
-    expect_none("not in docs/README.md", &found);
+    expect_none("not in docs/SUMMARY.md", &found);
 }
 
 #[test]

@@ -5,6 +5,7 @@
 mod claims;
 mod dependencies;
 mod examples;
+mod figures;
 mod imports;
 mod language;
 mod links;

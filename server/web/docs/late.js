@@ -1,0 +1,6 @@
+// When the page is there: what the sidebar's state means to screen readers and to the tab key.
+document.getElementById("mdbook-sidebar-toggle").setAttribute("aria-expanded", sidebar === "visible");
+document.getElementById("mdbook-sidebar").setAttribute("aria-hidden", sidebar !== "visible");
+for (const link of document.querySelectorAll("#mdbook-sidebar a")) {
+    link.setAttribute("tabIndex", sidebar === "visible" ? 0 : -1);
+}
