@@ -233,6 +233,9 @@ fn typical(estimator: Estimator, spec: &SyntheticSpec, [ground, target]: [f64; 2
         Estimator::Size(_) => 40.0 * scale,
         Estimator::Background => level * ground,
         Estimator::Amplitude => level * target,
+        // Sixteen pixels a cycle.
+        Estimator::Frequency => 1.0 / 16.0,
+        Estimator::Angle | Estimator::Direction | Estimator::Phase => 0.0,
         // A target on the axis, a metre away, seen from the front.
         Estimator::Position(2) => 1000.0,
         Estimator::Position(_) | Estimator::Orientation(_) => 0.0,
