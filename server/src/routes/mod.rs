@@ -27,6 +27,7 @@ pub fn router(app: App) -> Router {
     Router::new()
         .route("/", get(page::html))
         .route("/page.js", get(page::script))
+        .route("/page.css", get(page::style))
         .route("/livez", get(health::livez))
         .route("/readyz", get(health::readyz))
         .route("/v1/time", get(health::time))

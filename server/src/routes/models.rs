@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
@@ -10,6 +10,7 @@ use isophote_wire::{Items, explain};
 use serde::Deserialize;
 
 use super::{Answer, App, RawName, json, new_name, old_name, put_status, raw};
+use crate::access::Visitor;
 use crate::documents::{media_type, read_body, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
@@ -17,8 +18,15 @@ use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry};
 
 /// `PUT /v1/models/{name}`
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(
+    State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
+    name: RawName,
+    headers: HeaderMap,
+    body: Body,
+) -> Answer {
     let name = new_name(name)?;
+    keep_shipped(&app, &visitor, &name)?;
     let expected = expected(&headers)?;
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
@@ -54,8 +62,14 @@ pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> A
 }
 
 /// `DELETE /v1/models/{name}`
-pub async fn delete(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
+pub async fn delete(
+    State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
+    name: RawName,
+    headers: HeaderMap,
+) -> Answer {
     let name = old_name("model", name)?;
+    keep_shipped(&app, &visitor, &name)?;
     let expected = expected(&headers)?;
     let service = app.service.clone();
     app.service.compiler.run(move || service.remove_model(&name, &expected)).await?;
@@ -92,6 +106,16 @@ pub async fn explain(
         explain::explain(&entry.model, subset.as_deref(), method, show, &monotonic_ns).map_err(Problem::from)
     };
     json(StatusCode::OK, &app.service.compiler.run(work).await?)
+}
+
+/// Where several people use a service, what it is shipped with means the same to all of them.
+fn keep_shipped(app: &App, visitor: &Visitor, name: &Name) -> Result<(), Problem> {
+    if !visitor.is_known() || !app.service.registry.is_shipped(name) {
+        return Ok(());
+    }
+    let detail =
+        format!("`{name}` is shipped with the service and stays as it is; put the document under another name");
+    Err(Problem::new(StatusCode::FORBIDDEN, "read-only", detail))
 }
 
 async fn document(headers: &HeaderMap, body: Body) -> Result<(Media, String), Problem> {

@@ -13,8 +13,8 @@ use crate::problem::Problem;
 /// `PUT /v1/sessions/{name}`
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
-    let (document, text) = read_json::<SessionDocument>(&headers, body).await?;
-    let opened = match &document.source {
+    let (mut document, text) = read_json::<SessionDocument>(&headers, body).await?;
+    let opened = match &mut document.source {
         SourceReference::Own(source) => {
             let model = app.service.registry.get(&document.model)?.model.clone();
             opened_ahead(&app, source, "source.", Some(model)).await.map_err(|problem| place(problem, &text))?

@@ -2,11 +2,13 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod access;
 mod bounds;
 mod cameras;
 mod client;
 mod clocks;
 mod commands;
+mod encryption;
 mod exposure;
 mod guards;
 mod hostile;
@@ -15,6 +17,7 @@ mod malformed;
 mod models;
 mod paths;
 mod pushing;
+mod recordings;
 mod sessions;
 mod streams;
 mod swaps;

@@ -23,7 +23,7 @@ use crate::{File, expect_none, files};
 /// Commands that a reader runs and this test does not, by how they begin.
 const NOT_RUN: [&str; 7] = ["git clone", "cd ", "cargo test", "cargo bench", "cargo build", "cargo install", ".ci/run"];
 /// Commands of `isophote` that need no service.
-pub const OFFLINE: [&str; 10] = [
+pub const OFFLINE: [&str; 11] = [
     "model check",
     "model explain",
     "model export",
@@ -32,6 +32,7 @@ pub const OFFLINE: [&str; 10] = [
     "tune",
     "compare",
     "calibrate",
+    "token",
     "--help",
     "--version",
 ];
