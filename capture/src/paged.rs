@@ -1,7 +1,7 @@
 //! Files of several pictures. A path in, its pictures by their number out, read one at a time, so that a recording of many pages
 //! costs no more memory than one.
 
-use std::io::Read;
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -9,7 +9,7 @@ use crate::clock::Stamp;
 use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
-use crate::regular::open_regular;
+use crate::regular::Reach;
 use crate::source::SourceError;
 
 /// What a path names: a file or folder, and of a file with several topics the one behind a `#`.
@@ -17,11 +17,13 @@ use crate::source::SourceError;
 pub(crate) struct Address {
     pub path: PathBuf,
     pub topic: Option<String>,
+    /// Where it may be.
+    pub reach: Reach,
 }
 
 impl Address {
     /// A file whose own name has the `#` is that file.
-    pub fn of(path: &Path) -> Address {
+    pub fn of(path: &Path, reach: Reach) -> Address {
         let text = path.to_str().filter(|_| !path.exists()).unwrap_or_default();
         let small = text.to_ascii_lowercase();
         let found = extensions_with_topics().find_map(|extension| {
@@ -29,15 +31,16 @@ impl Address {
             small.find(&end).map(|at| text.split_at(at + end.len()))
         });
         match found {
-            Some((file, topic)) => Address { path: file.trim_end_matches('#').into(), topic: Some(topic.into()) },
-            None => path.to_path_buf().into(),
+            Some((file, topic)) => {
+                Address { path: file.trim_end_matches('#').into(), topic: Some(topic.into()), reach }
+            }
+            None => Address::of_entry(path.to_path_buf(), &reach),
         }
     }
-}
 
-impl From<PathBuf> for Address {
-    fn from(path: PathBuf) -> Address {
-        Address { path, topic: None }
+    /// What a folder holds.
+    pub fn of_entry(path: PathBuf, reach: &Reach) -> Address {
+        Address { path, topic: None, reach: reach.clone() }
     }
 }
 
@@ -47,6 +50,7 @@ const SIGNATURE_BYTES_MAX: u64 = 64;
 /// A file of several pictures.
 pub(crate) struct Paged {
     pub path: PathBuf,
+    reach: Reach,
     format: &'static Format,
     open: Open,
     words: [&'static str; 2],
@@ -70,11 +74,12 @@ impl std::fmt::Debug for Paged {
 impl Paged {
     /// Counts the pictures of a file.
     pub fn of(address: Address, format: &'static Format) -> Result<Paged, SourceError> {
-        let Address { path, topic } = address;
+        let Address { path, topic, reach } = address;
         let Content::Pages { words, open, .. } = format.content else {
             return Err(DecodeError::UnknownKind.about(&path));
         };
-        let mut file = Paged { path, format, open, words, topic, pages: 0, volume: None, kept: Mutex::default() };
+        let mut file =
+            Paged { path, reach, format, open, words, topic, pages: 0, volume: None, kept: Mutex::default() };
         match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume(), open))) {
             // What is another format altogether should not be called by the wrong name alone.
             Err(PageFault::Wrong(DecodeError::UnknownKind)) => {
@@ -101,11 +106,13 @@ impl Paged {
 
     fn open(&self) -> Result<Box<dyn Pages>, PageFault> {
         let mut begin = Vec::new();
-        open_regular(&self.path)?.take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
+        let mut file = self.reach.open(&self.path)?;
+        (&mut file).take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
         if !self.format.begins(&begin) {
             return Err(DecodeError::UnknownKind.into());
         }
-        (self.open)(&self.path, self.topic.as_deref())
+        file.rewind()?;
+        (self.open)(file, self.topic.as_deref())
     }
 
     /// For people.
@@ -134,8 +141,9 @@ impl Paged {
 }
 
 /// Reads pages; the file stays open for the page after it.
-#[derive(Default)]
 pub(crate) struct OpenFile {
+    /// Where files may be.
+    pub reach: Reach,
     open: Option<(Arc<Paged>, Box<dyn Pages>)>,
 }
 
@@ -146,6 +154,11 @@ impl std::fmt::Debug for OpenFile {
 }
 
 impl OpenFile {
+    /// Nothing is open yet.
+    pub fn new(reach: Reach) -> OpenFile {
+        OpenFile { reach, open: None }
+    }
+
     /// The pixels of a page, from 0.
     pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<StoredPicture, SourceError> {
         let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, pages)| pages);

@@ -12,6 +12,7 @@ use crate::files::csv::Columns;
 use crate::files::format_of;
 use crate::limits::LIMITS;
 use crate::paged::{Address, OpenFile, Paged};
+use crate::regular::Reach;
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::stack::{StackNode, entries, picture_size, pictures_of, read};
 use crate::truth::{self, Truth};
@@ -26,6 +27,7 @@ use crate::truth::{self, Truth};
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
+    topic: Option<String>,
     frames: Vec<StackNode>,
     next: usize,
     sequence: u64,
@@ -45,12 +47,20 @@ impl Recording {
     /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
     /// A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
-        let address = Address::of(path.as_ref());
-        let path = address.path.clone();
-        let about = std::fs::metadata(&path).map_err(|reason| match reason.kind() {
-            std::io::ErrorKind::NotFound => SourceError::Missing { path: path.clone() },
-            _ => SourceError::Unreadable { path: path.clone(), reason },
-        })?;
+        Recording::within(path, dimensions, &Reach::default())
+    }
+
+    /// The same, of files that are within reach, now and whenever one of them is opened.
+    pub fn within(path: impl AsRef<Path>, dimensions: usize, reach: &Reach) -> Result<Recording, SourceError> {
+        let sent = path.as_ref().to_path_buf();
+        let wrong = |reason: std::io::Error| match reason.kind() {
+            std::io::ErrorKind::NotFound => SourceError::Missing { path: sent.clone() },
+            _ => SourceError::Unreadable { path: sent.clone(), reason },
+        };
+        let mut address = Address::of(&reach.place(&sent).map_err(wrong)?, reach.clone());
+        address.path = reach.resolve(&address.path).map_err(wrong)?;
+        let (path, topic) = (address.path.clone(), address.topic.clone());
+        let about = std::fs::metadata(&path).map_err(wrong)?;
         if !about.is_dir() {
             // A pipe would keep whoever opens it waiting.
             if !about.is_file() {
@@ -60,22 +70,26 @@ impl Recording {
             format_of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => (pictures(files_of(&path)?.into_iter().map(StackNode::of_entry))?, true),
+            0..=2 if about.is_dir() => {
+                let entries = files_of(&path, reach)?.into_iter().map(|path| StackNode::of_entry(path, reach));
+                (pictures(entries)?, true)
+            }
             0..=2 => (pictures([StackNode::of_file(address)])?, false),
             _ => stacks(address, dimensions)?,
         };
         // The truth stands beside the frames.
         let folder = if is_folder && about.is_dir() { Some(path.as_path()) } else { path.parent() };
-        let truth = folder.map_or_else(|| Ok(BTreeMap::new()), truth::read)?;
+        let truth = folder.map_or_else(|| Ok(BTreeMap::new()), |folder| truth::read(folder, reach))?;
         Ok(Recording {
             path,
+            topic,
             frames,
             next: 0,
             sequence: 0,
             channels: None,
             truth,
             clock: Clock::default(),
-            file: OpenFile::default(),
+            file: OpenFile::new(reach.clone()),
         })
     }
 
@@ -98,6 +112,12 @@ impl Recording {
         &self.path
     }
 
+    /// As it may be sent again: said from the folder that it has to be in, with its topic.
+    pub fn address(&self) -> String {
+        let path = self.file.reach.relative(&self.path).to_string_lossy();
+        self.topic.as_ref().map_or_else(|| path.to_string(), |topic| format!("{path}#{topic}"))
+    }
+
     /// How many frames there are.
     pub fn len(&self) -> usize {
         self.frames.len()
@@ -111,7 +131,7 @@ impl Recording {
     /// The columns that the first file's header names; `None` when it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
         match &self.frames[0] {
-            StackNode::Table(path) => Ok(Some(Columns::parse(path, &read(path)?)?.names)),
+            StackNode::Table(path) => Ok(Some(Columns::parse(path, &read(path, &self.file.reach)?)?.names)),
             _ => Ok(None),
         }
     }
@@ -125,7 +145,7 @@ impl Recording {
     fn load(&mut self, node: &StackNode) -> Result<Frame, SourceError> {
         let path = node.path();
         if let StackNode::Table(path) = node {
-            let table = Columns::parse(path, &read(path)?)?;
+            let table = Columns::parse(path, &read(path, &self.file.reach)?)?;
             return table.frame(path, self.channels.as_ref().unwrap_or(&table.names));
         }
         let frame = node.load(&mut self.file)?;
@@ -160,9 +180,9 @@ impl FrameSource for Recording {
     fn size(&self) -> Option<Vec<usize>> {
         let node = &self.frames[0];
         if let StackNode::Table(path) = node {
-            return Some(vec![Columns::parse(path, &read(path).ok()?).ok()?.columns[0].len()]);
+            return Some(vec![Columns::parse(path, &read(path, &self.file.reach).ok()?).ok()?.columns[0].len()]);
         }
-        Some([&picture_size(node.first())?[..], &node.outer().ok()?].concat())
+        Some([&picture_size(node.first(), &self.file.reach)?[..], &node.outer().ok()?].concat())
     }
 }
 
@@ -235,8 +255,8 @@ fn stacks(address: Address, dimensions: usize) -> Result<(Vec<StackNode>, bool),
     Ok((frames, is_folder))
 }
 
-fn files_of(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
-    let mut files = entries(folder)?;
+fn files_of(folder: &Path, reach: &Reach) -> Result<Vec<PathBuf>, SourceError> {
+    let mut files = entries(folder, reach)?;
     files.retain(|path| path.is_file());
     let pictures = pictures_of(files.clone());
     if !pictures.is_empty() {

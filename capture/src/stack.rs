@@ -16,7 +16,7 @@ use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
 use crate::picture::{DecodeError, StoredPicture};
-use crate::regular::read_regular;
+use crate::regular::Reach;
 use crate::source::SourceError;
 
 /// Pictures, and how they lie on each other.
@@ -57,8 +57,8 @@ impl StackNode {
     }
 
     /// One of the files of a folder.
-    pub fn of_entry(path: PathBuf) -> Result<StackNode, SourceError> {
-        let node = StackNode::of_file(path.into())?;
+    pub fn of_entry(path: PathBuf, reach: &Reach) -> Result<StackNode, SourceError> {
+        let node = StackNode::of_file(Address::of_entry(path, reach))?;
         if let StackNode::Page(file, _) | StackNode::Pages(file, _) = node.first() {
             file.close();
         }
@@ -71,13 +71,14 @@ impl StackNode {
             return StackNode::of_file(address);
         }
         let path = &address.path;
-        let entries = entries(path)?;
+        let reach = &address.reach;
+        let entries = entries(path, reach)?;
         let files = pictures_of(entries.iter().filter(|path| path.is_file()).cloned().collect());
         let nodes = match files.is_empty() {
-            false => files.into_iter().map(StackNode::of_entry).collect::<Result<Vec<_>, _>>()?,
+            false => files.into_iter().map(|path| StackNode::of_entry(path, reach)).collect::<Result<Vec<_>, _>>()?,
             true => {
                 let folders = entries.iter().filter(|path| path.is_dir() && levels > 1);
-                let nodes = folders.map(|path| StackNode::of_path(path.clone().into(), levels - 1));
+                let nodes = folders.map(|path| StackNode::of_path(Address::of_entry(path.clone(), reach), levels - 1));
                 nodes.filter(|node| !matches!(node, Err(SourceError::Empty { .. }))).collect::<Result<_, _>>()?
             }
         };
@@ -205,7 +206,7 @@ impl Stack {
                 let Some(Content::Picture { picture, .. }) = format_of(path).map(|format| &format.content) else {
                     return Err(DecodeError::UnknownKind.about(path));
                 };
-                self.push(node, picture(&read(path)?).map_err(|error| error.about(path))?)
+                self.push(node, picture(&read(path, &reader.reach)?).map_err(|error| error.about(path))?)
             }
             StackNode::Table(path) => Err(DecodeError::UnknownKind.about(path)),
             StackNode::Page(file, number) => self.push(node, reader.picture(file, *number)?),
@@ -240,10 +241,10 @@ impl Stack {
 }
 
 /// The size of a file's first picture.
-pub(crate) fn picture_size(node: &StackNode) -> Option<[usize; 2]> {
+pub(crate) fn picture_size(node: &StackNode, reach: &Reach) -> Option<[usize; 2]> {
     match node {
         StackNode::Image(path) => match format_of(path)?.content {
-            Content::Picture { size, .. } => size(&read(path).ok()?).ok(),
+            Content::Picture { size, .. } => size(&read(path, reach).ok()?).ok(),
             Content::Pages { .. } | Content::Table => None,
         },
         StackNode::Page(file, page) => file.size(*page),
@@ -253,10 +254,10 @@ pub(crate) fn picture_size(node: &StackNode) -> Option<[usize; 2]> {
 }
 
 /// What a folder holds, in natural order.
-pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
+pub(crate) fn entries(folder: &Path, reach: &Reach) -> Result<Vec<PathBuf>, SourceError> {
     let unreadable = |reason| SourceError::Unreadable { path: folder.into(), reason };
     let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+    for entry in std::fs::read_dir(reach.resolve(folder).map_err(unreadable)?).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         if format_of(&path).is_none() && !path.is_dir() {
@@ -284,12 +285,12 @@ fn odd_one(path: &Path, reason: &str) -> SourceError {
 }
 
 /// A file's bytes, if they are not too many.
-pub(crate) fn read(path: &Path) -> Result<Vec<u8>, SourceError> {
+pub(crate) fn read(path: &Path, reach: &Reach) -> Result<Vec<u8>, SourceError> {
     let unreadable = |reason| SourceError::Unreadable { path: path.into(), reason };
     let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
     if bytes > LIMITS.file_bytes {
         let reason = format!("{bytes} bytes; at most {} are read", LIMITS.file_bytes);
         return Err(SourceError::TooLarge { path: path.into(), reason });
     }
-    read_regular(path, LIMITS.file_bytes).map_err(unreadable)
+    reach.read(path, LIMITS.file_bytes).map_err(unreadable)
 }

@@ -1,6 +1,6 @@
 //! The service as the commands see it: one request, one answer; a WebSocket for estimates.
 
-use std::net::TcpStream;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use isophote_wire::ProblemDocument;
@@ -8,9 +8,10 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tungstenite::client::IntoClientRequest;
 use tungstenite::handshake::HandshakeError;
-use tungstenite::http::{HeaderValue, Uri};
+use tungstenite::http::{HeaderValue, header};
 use tungstenite::{Error, Message, WebSocket};
 
+use crate::connection::{Connection, Stream};
 use crate::failure::Failure;
 
 /// Where the service is, and how results are printed
@@ -19,6 +20,15 @@ pub struct ServiceArgs {
     /// Where the service is
     #[arg(long, value_name = "URL", env = "ISOPHOTE_SERVER", default_value = DEFAULT)]
     pub server: String,
+    /// A file whose first line is a token of the service; without it, the token in the environment as ISOPHOTE_TOKEN
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Trust a service with a certificate of these, PEM, instead of the authorities that this machine trusts
+    #[arg(long, value_name = "FILE", env = "ISOPHOTE_CA")]
+    pub ca: Option<PathBuf>,
+    /// Send the token to another machine without encryption
+    #[arg(long)]
+    pub insecure: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -42,18 +52,14 @@ const ANSWER_BYTES_MAX: u64 = 64 * 1024 * 1024;
 /// A service that may be running.
 pub struct RemoteService {
     agent: ureq::Agent,
-    url: String,
+    connection: Connection,
 }
 
 impl RemoteService {
     /// Nothing is sent yet.
     pub fn new(args: &ServiceArgs) -> Result<RemoteService, Failure> {
-        let url = args.server.trim_end_matches('/').to_string();
-        if !url.starts_with("http://") {
-            return Err(Failure::Usage(format!("`{url}` is not an address like http://127.0.0.1:7240")));
-        }
-        let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(TIMEOUT));
-        Ok(RemoteService { agent: config.build().into(), url })
+        let connection = Connection::new(args)?;
+        Ok(RemoteService { agent: connection.agent(TIMEOUT), connection })
     }
 
     /// `GET`
@@ -63,14 +69,13 @@ impl RemoteService {
 
     /// `GET`, as text of a media type.
     pub fn get_text(&self, path: &str, accept: &str) -> Result<String, Failure> {
-        let answer = self.agent.get(format!("{}{path}", self.url)).header("accept", accept).call();
-        Ok(self.text(answer)?)
+        Ok(self.text(self.prepared(self.agent.get(self.address(path))).header("accept", accept).call())?)
     }
 
     /// `GET`; the refusal as it came.
     pub fn try_get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Refusal> {
-        let answer = self.agent.get(format!("{}{path}", self.url)).header("accept", "application/json").call();
-        read(&self.text(answer)?).map_err(Refusal::Failed)
+        let request = self.prepared(self.agent.get(self.address(path))).header("accept", "application/json");
+        read(&self.text(request.call())?).map_err(Refusal::Failed)
     }
 
     /// `PUT` of a JSON document.
@@ -87,7 +92,7 @@ impl RemoteService {
 
     /// `PUT` of a text; the refusal as it came.
     pub fn put_text(&self, path: &str, media: &str, body: &str, if_match: Option<&str>) -> Result<String, Refusal> {
-        let mut request = self.agent.put(format!("{}{path}", self.url)).header("content-type", media);
+        let mut request = self.prepared(self.agent.put(self.address(path))).header("content-type", media);
         if let Some(tag) = if_match {
             request = request.header("if-match", tag);
         }
@@ -96,8 +101,19 @@ impl RemoteService {
 
     /// `DELETE`
     pub fn delete(&self, path: &str) -> Result<(), Failure> {
-        self.text(self.agent.delete(format!("{}{path}", self.url)).call())?;
+        self.text(self.prepared(self.agent.delete(self.address(path))).call())?;
         Ok(())
+    }
+
+    fn address(&self, path: &str) -> String {
+        format!("{}{path}", self.connection.url)
+    }
+
+    fn prepared<B>(&self, request: ureq::RequestBuilder<B>) -> ureq::RequestBuilder<B> {
+        match self.connection.authorization() {
+            Some(value) => request.header(header::AUTHORIZATION, value),
+            None => request,
+        }
     }
 
     fn text(&self, answer: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Result<String, Refusal> {
@@ -109,21 +125,19 @@ impl RemoteService {
     }
 
     fn unreachable(&self, error: &dyn std::fmt::Display) -> Failure {
-        Failure::Other(format!("no answer from {}: {error}; is `isophote serve` running there?", self.url))
+        Failure::Other(format!("no answer from {}: {error}; is `isophote serve` running there?", self.connection.url))
     }
 
     /// Opens a WebSocket with the subprotocol `isophote.v1`.
     pub fn websocket(&self, path: &str) -> Result<Estimates, Failure> {
-        let wrong = |error: &dyn std::fmt::Display| Failure::Usage(format!("`{}` is no address: {error}", self.url));
-        let uri: Uri = self.url.parse().map_err(|error| wrong(&error))?;
-        let host = uri.host().unwrap_or_default();
-        let port = uri.port_u16().unwrap_or(80);
-        let stream =
-            TcpStream::connect((host.trim_matches(['[', ']']), port)).map_err(|error| self.unreachable(&error))?;
-        stream.set_nodelay(true).map_err(|error| self.unreachable(&error))?;
-        let url = format!("ws{}{path}", self.url.trim_start_matches("http"));
-        let mut request = url.into_client_request().map_err(|error| wrong(&error))?;
-        request.headers_mut().insert("sec-websocket-protocol", HeaderValue::from_static("isophote.v1"));
+        let stream = self.connection.open().map_err(|error| self.unreachable(&error))?;
+        let url = format!("ws{}", self.address(path).trim_start_matches("http"));
+        let wrong = |error: &dyn std::fmt::Display| Failure::Usage(format!("`{url}` is no address: {error}"));
+        let mut request = url.as_str().into_client_request().map_err(|error| wrong(&error))?;
+        request.headers_mut().insert(header::SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static("isophote.v1"));
+        if let Some(value) = self.connection.authorization() {
+            request.headers_mut().insert(header::AUTHORIZATION, value.clone());
+        }
         match tungstenite::client(request, stream) {
             Ok((socket, _)) => Ok(Estimates(socket)),
             Err(HandshakeError::Failure(Error::Http(answer))) => {
@@ -136,7 +150,7 @@ impl RemoteService {
 }
 
 /// Estimates as they come.
-pub struct Estimates(WebSocket<TcpStream>);
+pub struct Estimates(WebSocket<Box<dyn Stream>>);
 
 impl Estimates {
     /// The next one as JSON text; `None` when there will be no more.

@@ -8,6 +8,7 @@ mod arguments;
 mod calibrate;
 mod cameras;
 mod compare;
+mod connection;
 mod export;
 mod failure;
 mod fit;
@@ -25,6 +26,8 @@ mod scatter;
 mod serve;
 mod sessions;
 mod source_uri;
+#[cfg(feature = "serve")]
+mod token;
 mod tune;
 mod watch;
 
@@ -48,6 +51,10 @@ struct Arguments {
 enum Command {
     #[cfg(feature = "serve")]
     Serve(serve::ServeArgs),
+    /// Tokens for a service that other machines reach
+    #[cfg(feature = "serve")]
+    #[command(subcommand)]
+    Token(token::TokenCommand),
     /// Model documents: in files, and those of the service
     #[command(subcommand)]
     Model(ModelCommand),
@@ -121,6 +128,8 @@ fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
     match command {
         #[cfg(feature = "serve")]
         Command::Serve(args) => serve::run(args),
+        #[cfg(feature = "serve")]
+        Command::Token(command) => token::run(command, out),
         Command::Model(ModelCommand::Check(args)) => model_files::check(args, out),
         Command::Model(ModelCommand::Explain(args)) => model_files::explain(args, out),
         Command::Model(ModelCommand::Export(args)) => export::run(args, out),

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use isophote_capture::read_regular;
 use isophote_machine::monotonic_ns;
 use isophote_symbolic::{Form, LIMITS, Model, Precision, Proof};
 use isophote_wire::explain;
@@ -161,7 +162,7 @@ pub fn text(path: &Path) -> Result<(String, bool), Failure> {
             LIMITS.document_bytes
         )));
     }
-    let text = std::fs::read(path).map_err(|error| unreadable(&error))?;
+    let text = read_regular(path, LIMITS.document_bytes as u64).map_err(|error| unreadable(&error))?;
     let text = String::from_utf8(text).map_err(|_| {
         Failure::Model(format!("error: {}: not UTF-8 text; save the document as UTF-8", path.display()))
     })?;

@@ -21,7 +21,7 @@ pub struct StartArgs {
     #[arg(long)]
     pub model: String,
     /// Where the frames come from: the name of a source of the service; @FILE, a JSON source document;
-    /// synthetic:MODEL[?key=value&…]; a path or file:PATH[?rate_hz=30&loop=true], a recording;
+    /// synthetic:MODEL[?key=value&…]; a path or file:PATH[?rate_hz=30&loop=true], a recording; recording:PATH, one below the service's --recordings;
     /// /dev/video0[?format=GREY&width=640&height=480] or camera:IDENTITY, a camera; pushed:WIDTHxHEIGHT[?format=u8]
     #[arg(long, value_name = "URI|@FILE")]
     pub source: String,

@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
 
-/// `@FILE`, `synthetic:MODEL`, `file:PATH` or a path, `/dev/video0` or `camera:IDENTITY`, `pushed:WIDTHxHEIGHT`, or the name of a source. Keys after `?`
+/// `@FILE`, `synthetic:MODEL`, `file:PATH` or a path, `recording:PATH` as the service sees it, `/dev/video0` or `camera:IDENTITY`, `pushed:WIDTHxHEIGHT`, or the name of a source. Keys after `?`
 /// (`rate_hz=30&loop=true`) go into the document; whether they are right is the service's to say.
 pub fn document(text: &str) -> Result<Value, Failure> {
     if let Some(file) = text.strip_prefix('@') {
@@ -19,6 +19,10 @@ pub fn document(text: &str) -> Result<Value, Failure> {
     if let Some(rest) = text.strip_prefix("file:") {
         let (path, keys) = keys(rest)?;
         return Ok(of_kind("recording", [("path", absolute(path.strip_prefix("//").unwrap_or(path))?)], keys));
+    }
+    if let Some(rest) = text.strip_prefix("recording:") {
+        let (path, keys) = keys(rest)?;
+        return Ok(of_kind("recording", [("path", json!(path))], keys));
     }
     if let Some(rest) = text.strip_prefix("pushed:") {
         let (size, keys) = keys(rest)?;
@@ -90,6 +94,10 @@ mod tests {
             ),
             ("frames/a", json!({"kind": "recording", "path": local})),
             ("file:frames/a?loop=true", json!({"kind": "recording", "path": local, "loop": true})),
+            (
+                "recording:a/run.mcap#/left?loop=true",
+                json!({"kind": "recording", "path": "a/run.mcap#/left", "loop": true}),
+            ),
             ("file:///data/x", json!({"kind": "recording", "path": "/data/x"})),
             ("pushed:64x48?format=u16le", json!({"kind": "pushed", "width": 64, "height": 48, "format": "u16le"})),
             ("/dev/video0", json!({"kind": "camera", "device": "/dev/video0"})),

@@ -1,110 +1,119 @@
-//! What every request passes before a route sees it: loopback is reachable from any web page the user has open, so the
-//! `Host` must be this machine's (else DNS rebinding, 421) and an `Origin` must be our own (else a foreign page, 403).
+//! What every request passes before a route sees it: that it is meant for this service, that no foreign page sent it, and that
+//! whoever asks may have it. The route finds a [`Visitor`].
 
-use std::net::Ipv4Addr;
 use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::time::Instant;
 
-use axum::extract::Request;
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 
+use crate::access::{Access, Arrival, Secret, Visitor, WEBSOCKET_PREFIX, is_compiling, role_needed};
+use crate::limits::LIMITS;
 use crate::problem::Problem;
 
+/// Names of a query that people give to tokens.
+const TOKEN_KEYS: [&str; 5] = ["token", "access_token", "bearer", "authorization", "api_key"];
+
 /// The middleware. A panic behind it is an answer (500), not a broken connection.
-pub async fn guard(request: Request, next: Next) -> Response {
-    if let Err(problem) = check(request.uri().authority().map(|a| a.as_str()), request.headers()) {
-        return problem.into_response();
-    }
-    let answered = AssertUnwindSafe(next.run(request)).catch_unwind().await;
-    let mut response = answered.unwrap_or_else(|_| Problem::bug("the request's handler panicked").into_response());
+pub async fn guard(State(access): State<Arc<Access>>, mut request: Request, next: Next) -> Response {
+    let response = match admit(&access, &request) {
+        Err(problem) => problem.into_response(),
+        Ok(visitor) => {
+            request.extensions_mut().insert(visitor);
+            let answered = AssertUnwindSafe(next.run(request)).catch_unwind().await;
+            answered.unwrap_or_else(|_| Problem::bug("the request's handler panicked").into_response())
+        }
+    };
+    hardened(response)
+}
+
+/// Browsers take answers for what they say they are, and tell nobody where their user was.
+fn hardened(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     response
 }
 
-fn check(authority: Option<&str>, headers: &HeaderMap) -> Result<(), Problem> {
-    let text = |name| headers.get(name).map(|value: &HeaderValue| value.to_str().unwrap_or_default());
-    let host = authority.or(text(header::HOST)).unwrap_or_default();
-    if headers.get_all(header::HOST).iter().count() > 1 || !is_loopback(host) {
-        let detail = "the Host of a request must be localhost, an address of 127.0.0.0/8, or [::1]";
-        return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, "foreign-host", detail));
+fn admit(access: &Access, request: &Request) -> Result<Visitor, Problem> {
+    let (uri, headers) = (request.uri(), request.headers());
+    let arrival = request.extensions().get::<Arrival>().ok_or_else(|| Problem::bug("a request from nowhere"))?;
+    access.hosts.check(*arrival, uri.authority().map(|a| a.as_str()), headers)?;
+    refuse_tokens_in(uri)?;
+    let route = request.extensions().get::<MatchedPath>().map_or(uri.path(), MatchedPath::as_str);
+    identify(access, request.method(), &with_verb(route, uri.path()), headers)
+}
+
+/// Addresses end up in logs, histories and other people's eyes. It is not said back either.
+fn refuse_tokens_in(uri: &Uri) -> Result<(), Problem> {
+    let query = uri.query().unwrap_or_default();
+    let names = query.split('&').map(|pair| pair.split('=').next().unwrap_or_default());
+    let is_named = |name: &str| TOKEN_KEYS.iter().any(|key| key.eq_ignore_ascii_case(name));
+    if !names.into_iter().any(is_named) && !Secret::is_in(query) && !Secret::is_in(uri.path()) {
+        return Ok(());
     }
-    match text(header::ORIGIN) {
-        Some(origin) if !is_same(origin, host) => {
-            let detail = "the request comes from a page of another origin";
-            Err(Problem::new(StatusCode::FORBIDDEN, "foreign-origin", detail))
-        }
-        _ => Ok(()),
+    let detail = "there is a token in the address, which others may have seen: revoke it, and send the next one as \
+                  `Authorization: Bearer …`";
+    Err(Problem::new(StatusCode::BAD_REQUEST, "token-in-address", detail))
+}
+
+/// `/v1/models/{name}:fit`: to the router the verb is a part of the name.
+fn with_verb(route: &str, path: &str) -> String {
+    match path.rsplit_once(':') {
+        Some((_, verb)) if route == "/v1/models/{name}" => format!("{route}:{verb}"),
+        _ => route.to_string(),
     }
 }
 
-fn is_same(origin: &str, host: &str) -> bool {
-    origin.strip_prefix("http://").is_some_and(|authority| authority.eq_ignore_ascii_case(host))
+fn identify(access: &Access, method: &Method, route: &str, headers: &HeaderMap) -> Result<Visitor, Problem> {
+    let Some(keyring) = &access.keyring else { return Ok(Visitor::Anyone) };
+    let Some(role) = role_needed(method, route) else { return Ok(Visitor::Anyone) };
+    let secret = secret(headers)?;
+    let unknown = || unauthorized("the token is not known, or was revoked; `isophote token new` makes another one");
+    let identity = keyring.identify(&secret).ok_or_else(unknown)?;
+    if identity.role() < role {
+        let detail = format!("this needs the role {role}; the token `{}` has {}", identity.name(), identity.role());
+        return Err(Problem::new(StatusCode::FORBIDDEN, "role-too-low", detail));
+    }
+    if is_compiling(method, route) && !keyring.compiles.take(identity.tenant(), Instant::now()) {
+        let detail = format!("no more than {} documents a minute are compiled for a tenant", LIMITS.compiles_a_minute);
+        return Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "too-often", detail));
+    }
+    Ok(Visitor::Known(identity, keyring.clone()))
 }
 
-fn is_loopback(host: &str) -> bool {
-    let (name, port) = match host.strip_prefix('[') {
-        Some(rest) => match rest.split_once(']') {
-            Some((name, port)) => (name, port),
-            None => return false,
+/// The token of a request: in its `Authorization`, or of a WebSocket among its subprotocols.
+fn secret(headers: &HeaderMap) -> Result<Secret, Problem> {
+    let mut values = headers.get_all(header::AUTHORIZATION).iter();
+    let text = match (values.next(), values.next()) {
+        (Some(value), None) => value.to_str().ok().and_then(bearer),
+        (Some(_), Some(_)) => None,
+        (None, _) => match subprotocol(headers) {
+            None => return Err(unauthorized("this needs a token: `Authorization: Bearer isophote_…`")),
+            token => token,
         },
-        None => host.split_at(host.find(':').unwrap_or(host.len())),
     };
-    let is_port = port.is_empty() || port.strip_prefix(':').is_some_and(|digits| digits.parse::<u16>().is_ok());
-    let is_bracketed = host.starts_with('[');
-    let is_ours = |name: &str| name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback());
-    is_port && if is_bracketed { name == "::1" } else { is_ours(name) || name.eq_ignore_ascii_case("localhost") }
+    let malformed =
+        || unauthorized("this is no token: one is `Bearer isophote_` and 64 digits, as it was printed once");
+    text.and_then(Secret::parse).ok_or_else(malformed)
 }
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::*;
+fn bearer(value: &str) -> Option<&str> {
+    let (scheme, token) = value.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
+}
 
-    #[test]
-    fn hosts_and_origins() {
-        let cases: &[(&str, Option<&str>, u16)] = &[
-            ("localhost", None, 200),
-            ("LocalHost:7240", None, 200),
-            ("127.0.0.1:1", None, 200),
-            ("[::1]:7240", None, 200),
-            ("127.0.0.2:7240", Some("http://127.0.0.2:7240"), 200),
-            ("127.255.1.2", None, 200),
-            ("[::1]", Some("http://[::1]"), 200),
-            ("localhost:7240", Some("http://localhost:7240"), 200),
-            ("localhost:7240", Some("http://localhost:3000"), 403),
-            ("localhost:7240", Some("https://localhost:7240"), 403),
-            ("localhost:7240", Some("http://evil.example"), 403),
-            ("localhost:7240", Some("http://localhost:7240.evil.example"), 403),
-            ("localhost:7240", Some("null"), 403),
-            ("localhost:7240", Some(""), 403),
-            ("evil.example", None, 421),
-            ("evil.example", Some("http://evil.example"), 421),
-            ("localhost.evil.example", None, 421),
-            ("127.0.0.1.evil.example", None, 421),
-            ("localhost:7240@evil.example", None, 421),
-            ("localhost:x", None, 421),
-            ("::1", None, 421),
-            ("128.0.0.1", None, 421),
-            ("127.1", None, 421),
-            ("0127.0.0.1", None, 421),
-            ("127.0.0.1.", None, 421),
-            ("[::2]", None, 421),
-            ("[localhost]", None, 421),
-            ("0.0.0.0", None, 421),
-            ("", None, 421),
-        ];
-        for (host, origin, status) in cases {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::HOST, host.parse().unwrap());
-            if let Some(origin) = origin {
-                headers.insert(header::ORIGIN, origin.parse().unwrap());
-            }
-            let found = check(None, &headers).map_or_else(|problem| problem.status.as_u16(), |()| 200);
-            assert_eq!(found, *status, "{host} {origin:?}");
-        }
-        assert_eq!(check(None, &HeaderMap::new()).unwrap_err().status, StatusCode::MISDIRECTED_REQUEST);
-    }
+fn subprotocol(headers: &HeaderMap) -> Option<&str> {
+    let is_upgrade = headers.contains_key(header::UPGRADE);
+    let offered = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).iter().filter(|_| is_upgrade);
+    let mut names = offered.filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(','));
+    names.find_map(|name| name.trim().strip_prefix(WEBSOCKET_PREFIX))
+}
+
+fn unauthorized(detail: &str) -> Problem {
+    Problem::new(StatusCode::UNAUTHORIZED, "no-token", detail)
 }

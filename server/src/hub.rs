@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use isophote_wire::EstimateView;
 use tokio::sync::Notify;
 
+use crate::access::Visitor;
 use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -37,6 +38,8 @@ pub enum End {
     SourceEnded(String),
     /// The session cannot go on.
     SessionFailed(String),
+    /// Who subscribed may do so no more.
+    Revoked,
 }
 
 /// The estimates of one session.
@@ -166,7 +169,7 @@ impl Hub {
         state.subscribers_of_all += usize::from(mode == Mode::All);
         let next = if mode == Mode::All { state.next } else { 0 };
         drop(state);
-        Ok(Subscription { hub: self.clone(), mode, next, last_frames: BTreeMap::new() })
+        Ok(Subscription { hub: self.clone(), mode, next, last_frames: BTreeMap::new(), visitor: Visitor::Anyone })
     }
 }
 
@@ -232,11 +235,27 @@ pub struct Subscription {
     next: u64,
     /// By target.
     last_frames: BTreeMap<String, u64>,
+    visitor: Visitor,
 }
 
 impl Subscription {
+    /// It ends when this visitor's token is revoked.
+    pub fn of(mut self, visitor: Visitor) -> Subscription {
+        self.visitor = visitor;
+        self
+    }
+
     /// The next estimate, as soon as there is one. Nothing is lost when the future is dropped.
     pub async fn next(&mut self) -> Next {
+        let visitor = self.visitor.clone();
+        tokio::select! {
+            biased;
+            () = visitor.revoked() => Next::End(End::Revoked),
+            next = self.published() => next,
+        }
+    }
+
+    async fn published(&mut self) -> Next {
         let hub = self.hub.clone();
         loop {
             let changed = hub.changed.notified(); // before looking: what comes after that is not missed
@@ -249,6 +268,15 @@ impl Subscription {
 
     /// The end, for a subscriber without credit or in mode `End`: at once when the service stops, else when nothing waits any more.
     pub async fn end(&mut self) -> Next {
+        let visitor = self.visitor.clone();
+        tokio::select! {
+            biased;
+            () = visitor.revoked() => Next::End(End::Revoked),
+            next = self.ended() => next,
+        }
+    }
+
+    async fn ended(&mut self) -> Next {
         loop {
             let changed = self.hub.changed.notified();
             {

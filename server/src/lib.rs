@@ -9,9 +9,11 @@
 //!                     ▲ swap, between two frames │
 //! HTTP ─► routes ─► compile thread ──────────────┘ Registry, Sessions, Sources
 //! ```
-//! Only `routes`, `streams`, `guard` and `listener` know HTTP; only they are async. Sources, sessions and the compiler are
+//! Whoever asks passes `guard` first, which asks `access` who that is.
+//! Only `routes`, `streams`, `access`, `guard` and `listener` know HTTP; only they are async. Sources, sessions and the compiler are
 //! named threads, waited for when the service stops, and never for long.
 
+mod access;
 mod compiler;
 mod counters;
 mod demo;
@@ -22,6 +24,7 @@ mod hub;
 pub mod limits;
 mod listener;
 mod name;
+mod places;
 mod problem;
 mod registry;
 mod routes;
@@ -34,4 +37,7 @@ mod streams;
 mod thread;
 mod watchdog;
 
+pub use access::{
+    AccessError, AccessOptions, HostName, Role, Secret, TlsError, TlsFiles, TokenError, TokenFile, TokenRecord,
+};
 pub use listener::{Options, Server, Signals, StartError, Stopped};

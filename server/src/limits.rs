@@ -41,6 +41,18 @@ pub struct ServiceLimits {
     pub sockets_told: usize,
     /// For one of these.
     pub told_time: Duration,
+    /// Sockets of one address, where it is not this machine's; of IPv6, of one network of 64 bits.
+    pub sockets_per_address: usize,
+    /// Tokens.
+    pub tokens: usize,
+    /// Documents that a tenant may have compiled in a minute.
+    pub compiles_a_minute: u32,
+    /// Bytes of the file of tokens.
+    pub token_file_bytes: u64,
+    /// Between looks at that file.
+    pub token_interval: Duration,
+    /// Bytes of a certificate's or key's file.
+    pub pem_bytes: u64,
     /// Bytes that are sent and that a client has not taken yet; the system doubles it.
     pub socket_bytes: u32,
     /// Bytes of pushed frames on their way, of all clients together; half of it for messages of WebSockets that are half received.
@@ -111,6 +123,12 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     sockets: 1024,
     sockets_told: 64,
     told_time: Duration::from_secs(2),
+    sockets_per_address: 64,
+    tokens: 1024,
+    compiles_a_minute: 30,
+    token_file_bytes: 1024 * 1024,
+    token_interval: Duration::from_millis(250),
+    pem_bytes: 1024 * 1024,
     socket_bytes: 128 * 1024,
     flight_bytes: 256 * 1024 * 1024,
     header_time: Duration::from_secs(10),

@@ -14,11 +14,16 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use isophote_jit::VectorWidth;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio_rustls::TlsAcceptor;
+use tower::util::MapRequest;
 
+use crate::access::{Access, AccessError, AccessOptions, Arrival};
 use crate::limits::LIMITS;
+use crate::places::{Places, Taken};
 use crate::problem::Problem;
 use crate::routes::{App, full, router};
 use crate::service::{OpenError, Service};
@@ -28,7 +33,7 @@ use crate::{demo, guard, watchdog};
 /// How the service is started.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// A loopback address; port 0 takes any free one.
+    /// Where it listens; port 0 takes any free one.
     pub listen: SocketAddr,
     /// Where models are kept; in memory only when absent.
     pub data: Option<PathBuf>,
@@ -36,14 +41,16 @@ pub struct Options {
     pub demo: bool,
     /// The vectors of the kernels of all sessions; the processor must have them.
     pub width: VectorWidth,
+    /// Who may use it, and how they reach it.
+    pub access: AccessOptions,
 }
 
 /// Why the service does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// Whoever reaches it may run models on this machine; until there are tokens that is this machine alone.
-    #[error("{0} is not a loopback address; this build serves only 127.0.0.1 and [::1], since it has no tokens yet")]
-    NotLoopback(SocketAddr),
+    /// Tokens, encryption.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// The address.
     #[error("cannot listen on {address}: {reason}")]
     Listen {
@@ -74,9 +81,7 @@ pub struct Server {
 impl Server {
     /// Listens and serves on threads of its own.
     pub fn start(options: &Options) -> Result<Server, StartError> {
-        if !options.listen.ip().is_loopback() {
-            return Err(StartError::NotLoopback(options.listen));
-        }
+        let access = Arc::new(options.access.open(options.listen, options.data.as_deref())?);
         let service = Arc::new(Service::open(options.data.as_deref(), options.width)?);
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
@@ -98,7 +103,7 @@ impl Server {
         let thread = std::thread::Builder::new()
             .name("listener".into())
             .spawn(move || {
-                runtime.block_on(serve(listener, serving.clone(), stopped));
+                runtime.block_on(serve(listener, serving.clone(), access, stopped));
                 runtime.shutdown_timeout(Duration::from_millis(500));
             })
             .map_err(StartError::Runtime)?;
@@ -216,9 +221,9 @@ fn bound(address: SocketAddr) -> std::io::Result<TcpListener> {
     socket.listen(LIMITS.sockets as u32)
 }
 
-async fn serve(listener: TcpListener, service: Arc<Service>, mut stopped: watch::Receiver<bool>) {
+async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>, mut stopped: watch::Receiver<bool>) {
     let (held, mut all_held) = mpsc::channel(1);
-    let sockets = Arc::new(Semaphore::new(LIMITS.sockets));
+    let places = Places::default();
     tokio::spawn(watchdog::watch(service.clone()));
     let router = router(App {
         service,
@@ -226,42 +231,52 @@ async fn serve(listener: TcpListener, service: Arc<Service>, mut stopped: watch:
         openings: Arc::new(Semaphore::new(LIMITS.openings)),
         frames: Arc::default(),
         images: Arc::default(),
-        sockets: sockets.clone(),
+        sockets: places.sockets(),
+        recordings: access.recordings.clone(),
     })
-    .layer(axum::middleware::from_fn(guard::guard));
-    let full = full().layer(axum::middleware::from_fn(guard::guard));
-    let told = Arc::new(Semaphore::new(LIMITS.sockets_told));
+    .layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
+    let full = full().layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
+    let following = access.keyring.clone().map(|keyring| tokio::spawn(keyring.follow()));
     let stops = stopped.clone();
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             _ = stopped.wait_for(|stopped| *stopped) => break,
         };
-        let Ok((socket, _)) = accepted else {
+        let Ok((socket, peer)) = accepted else {
             // out of descriptors, or the peer has gone already: the next one may do better
             tokio::time::sleep(Duration::from_millis(10)).await;
             continue;
         };
-        let held = held.clone();
-        if let Ok(place) = sockets.clone().try_acquire_owned() {
-            let connection = serve_socket(ClientSocket::new(socket, place), router.clone(), stops.clone());
-            tokio::spawn(async move {
-                connection.await;
-                drop(held);
-            });
-            continue;
+        let (held, tls) = (held.clone(), access.tls.clone());
+        match places.take(peer.ip()) {
+            Taken::Place(place) => {
+                let connection = serve_client(ClientSocket::new(socket, place), tls, router.clone(), stops.clone());
+                tokio::spawn(async move {
+                    connection.await;
+                    drop(held);
+                });
+            }
+            taken => {
+                // Where even those who are told are many, the next ones wait to be accepted; not for one address.
+                let place = match taken {
+                    Taken::AllOfAddress => places.try_told(),
+                    _ => tokio::select! {
+                        place = places.told() => place,
+                        _ = stopped.wait_for(|stopped| *stopped) => break,
+                    },
+                };
+                let Some(place) = place else { continue };
+                let connection = serve_client(ClientSocket::new(socket, place), tls, full.clone(), stops.clone());
+                tokio::spawn(async move {
+                    drop(tokio::time::timeout(LIMITS.told_time, connection).await); // who is not told by then is left
+                    drop(held);
+                });
+            }
         }
-        // Where even these are many, the next ones wait to be accepted.
-        let place = tokio::select! {
-            place = told.clone().acquire_owned() => place,
-            _ = stopped.wait_for(|stopped| *stopped) => break,
-        };
-        let Ok(place) = place else { break };
-        let connection = serve_socket(ClientSocket::new(socket, place), full.clone(), stops.clone());
-        tokio::spawn(async move {
-            drop(tokio::time::timeout(LIMITS.told_time, connection).await); // who is not told by then is left
-            drop(held);
-        });
+    }
+    if let Some(following) = following {
+        following.abort();
     }
     drop((listener, router, full, held));
     let all_ended = async { while all_held.recv().await.is_some() {} };
@@ -270,12 +285,40 @@ async fn serve(listener: TcpListener, service: Arc<Service>, mut stopped: watch:
     }
 }
 
-/// One connection, until the client leaves or the service stops: then after the answer that is under way.
-async fn serve_socket(socket: ClientSocket, router: Router, mut stops: watch::Receiver<bool>) {
+/// One connection, encrypted where that is asked for. A handshake has as long as a request's head.
+async fn serve_client(
+    socket: ClientSocket,
+    tls: Option<TlsAcceptor>,
+    router: Router,
+    mut stops: watch::Receiver<bool>,
+) {
+    let Ok(address) = socket.local_address() else { return }; // it has gone
+    let arrival = Arrival { local: address.ip() };
+    let Some(tls) = tls else { return serve_socket(socket, arrival, router, stops).await };
+    let accepted = tokio::select! {
+        accepted = tokio::time::timeout(LIMITS.header_time, tls.accept(socket)) => accepted,
+        _ = stops.wait_for(|stopped| *stopped) => return,
+    };
+    if let Ok(Ok(encrypted)) = accepted {
+        serve_socket(encrypted, arrival, router, stops).await;
+    }
+}
+
+/// Until the client leaves or the service stops: then after the answer that is under way.
+async fn serve_socket(
+    socket: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    arrival: Arrival,
+    router: Router,
+    mut stops: watch::Receiver<bool>,
+) {
+    let arriving = MapRequest::new(router, move |mut request: hyper::Request<hyper::body::Incoming>| {
+        request.extensions_mut().insert(arrival);
+        request
+    });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(LIMITS.header_time)
-        .serve_connection(TokioIo::new(socket), TowerToHyperService::new(router))
+        .serve_connection(TokioIo::new(socket), TowerToHyperService::new(arriving))
         .with_upgrades();
     let mut connection = pin!(connection);
     let ended = tokio::select! {

@@ -135,8 +135,13 @@ impl IntoResponse for Problem {
         let mut response = (self.status, body).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        if self.status == StatusCode::UNAUTHORIZED {
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+        }
         if self.status == StatusCode::TOO_MANY_REQUESTS || self.code == "full" {
-            headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+            // Of thirty a minute the next is there after two seconds.
+            let after_s = if self.code == "too-often" { "2" } else { "1" };
+            headers.insert(header::RETRY_AFTER, HeaderValue::from_static(after_s));
         }
         response
     }

@@ -235,6 +235,11 @@ impl Registry {
         found.ok_or_else(|| Problem::unknown("model", name))
     }
 
+    /// Whether a model of that name is shipped with the service.
+    pub fn is_shipped(&self, name: &Name) -> bool {
+        self.shipped.contains(name)
+    }
+
     /// All documents, by name.
     pub fn list(&self) -> Vec<Arc<ModelEntry>> {
         self.read().values().cloned().collect()

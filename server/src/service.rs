@@ -182,7 +182,7 @@ impl Service {
         // A camera that its last session has left may not be closed yet.
         let held = before.as_ref().map(|before| before.pause());
         let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
-        let opened = opened.map_or_else(|| source::open(&document, "", find, None), Ok)?;
+        let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
         let source = Source::start(name.as_str(), document, opened)?;
         insert(&self.sources, name, source);
         match before {
@@ -239,7 +239,7 @@ impl Service {
         entry: &ModelEntry,
         opened: Option<Opened>,
     ) -> Result<Session, Problem> {
-        let source = self.source_of(name, &document.source, entry, opened)?;
+        let source = self.source_of(name, &document.source, opened)?;
         Session::start(name.as_str(), document, source.clone(), entry).inspect_err(|_| {
             if source.is_own {
                 source.source.stop();
@@ -247,18 +247,12 @@ impl Service {
         })
     }
 
-    fn source_of(
-        &self,
-        name: &Name,
-        reference: &SourceReference,
-        entry: &ModelEntry,
-        opened: Option<Opened>,
-    ) -> Result<SourceOf, Problem> {
+    fn source_of(&self, name: &Name, reference: &SourceReference, opened: Option<Opened>) -> Result<SourceOf, Problem> {
         match reference {
             SourceReference::Named(source) => Ok(SourceOf { source: self.source(source)?, is_own: false }),
             SourceReference::Own(document) => {
                 let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
-                let opened = opened.map_or_else(|| source::open(document, "source.", find, Some(&entry.model)), Ok)?;
+                let opened = opened.map_or_else(|| source::open(document, "source.", find), Ok)?;
                 let source = Source::start(name.as_str(), (**document).clone(), opened)?;
                 Ok(SourceOf { source: Arc::new(source), is_own: true })
             }

@@ -10,26 +10,31 @@ use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Sleep, sleep};
 
 use crate::limits::LIMITS;
+use crate::places::Place;
 
 /// One connection.
 pub struct ClientSocket {
     stream: TcpStream,
     /// Since something waits to be sent: when the client is left.
     patience: Option<Pin<Box<Sleep>>>,
-    _place: OwnedSemaphorePermit,
+    _place: Place,
 }
 
 impl ClientSocket {
     /// A connection that has just begun.
-    pub fn new(stream: TcpStream, place: OwnedSemaphorePermit) -> ClientSocket {
+    pub fn new(stream: TcpStream, place: Place) -> ClientSocket {
         if let Err(error) = stream.set_nodelay(true) {
             eprintln!("isophote: no TCP_NODELAY: {error}");
         }
         ClientSocket { stream, patience: None, _place: place }
+    }
+
+    /// The address of this machine that was connected to.
+    pub fn local_address(&self) -> Result<std::net::SocketAddr> {
+        self.stream.local_addr()
     }
 
     /// What became of an attempt to send.

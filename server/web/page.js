@@ -3,7 +3,9 @@
 
 const summary = document.getElementById("summary");
 const list = document.getElementById("sessions");
+const entrance = document.getElementById("entrance");
 const shown = new Map(); // name -> {article, socket, estimate, received}
+let token = ""; // nowhere else: neither in the address nor in the browser's storage
 
 function element(parent, tag, text) {
   const made = document.createElement(tag);
@@ -19,7 +21,10 @@ function number(value) {
 
 function subscribe(name, entry) {
   const path = `/v1/sessions/${encodeURIComponent(name)}/estimates?mode=latest&credit=2`;
-  const socket = new WebSocket(`ws://${location.host}${path}`, "isophote.v1");
+  const scheme = location.protocol === "https:" ? "wss" : "ws";
+  // A page can set no other header of a socket.
+  const protocols = token ? ["isophote.v1", `isophote.token.${token}`] : ["isophote.v1"];
+  const socket = new WebSocket(`${scheme}://${location.host}${path}`, protocols);
   entry.socket = socket;
   socket.onmessage = (message) => {
     entry.estimate = JSON.parse(message.data);
@@ -70,7 +75,15 @@ function show(session) {
 
 async function refresh() {
   try {
-    const answer = await fetch("/v1/sessions");
+    const answer = await fetch("/v1/sessions", { headers: token ? { authorization: `Bearer ${token}` } : {} });
+    if (!answer.ok) {
+      const { detail } = await answer.json();
+      entrance.hidden = answer.status !== 401;
+      summary.textContent = answer.status === 401 && !token ? "" : detail;
+      if (answer.status !== 401) setTimeout(refresh, 1000);
+      return;
+    }
+    entrance.hidden = true;
     const { items } = await answer.json();
     for (const [name, entry] of shown) {
       if (items.some((session) => session.name === name)) continue;
@@ -85,5 +98,11 @@ async function refresh() {
   }
   setTimeout(refresh, 1000);
 }
+
+entrance.addEventListener("submit", (event) => {
+  event.preventDefault();
+  token = document.getElementById("token").value.trim();
+  refresh();
+});
 
 refresh();

@@ -1,5 +1,6 @@
 //! What a row of the table of formats says, and the trait of files that hold several pictures.
 
+use std::fs::File;
 use std::path::Path;
 
 use crate::clock::Stamp;
@@ -27,8 +28,8 @@ impl Format {
     }
 }
 
-/// Opens a file, or of one that holds several things that which is named.
-pub(crate) type Open = fn(&Path, Option<&str>) -> Result<Box<dyn Pages>, PageFault>;
+/// Reads a file that has just been opened, or of one that holds several things that which is named.
+pub(crate) type Open = fn(File, Option<&str>) -> Result<Box<dyn Pages>, PageFault>;
 
 /// What is in a file of a format.
 pub(crate) enum Content {

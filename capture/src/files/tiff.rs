@@ -3,8 +3,7 @@
 //! 8 and 16 bit unsigned and 32 bit float, gray or r, g, b (alpha is left out), uncompressed, LZW or Deflate.
 
 use std::fs::File;
-use std::io::{BufReader, Cursor};
-use std::path::{Path, PathBuf};
+use std::io::{BufReader, Cursor, Seek};
 
 use isophote_jit::PixelFormat;
 use tiff::ColorType;
@@ -16,7 +15,6 @@ use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::encode::EncodeError;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture, check_size};
-use crate::regular::open_regular;
 
 pub(crate) const FORMAT: Format = Format {
     name: "TIFF",
@@ -25,7 +23,7 @@ pub(crate) const FORMAT: Format = Format {
     signatures: &[b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"],
     content: Content::Pages {
         words: ["a TIFF", "pages"],
-        open: |path, _| Ok(Box::new(Tiff::open(path)?)),
+        open: |file, _| Ok(Box::new(Tiff::open(file)?)),
         topics: Topics::One,
     },
     beside: Beside::Pictures,
@@ -33,7 +31,7 @@ pub(crate) const FORMAT: Format = Format {
 
 /// An open TIFF file.
 struct Tiff {
-    path: PathBuf,
+    file: File,
     /// `None` after a page that could not be found: the decoder is at no known place then.
     decoder: Option<Decoder<BufReader<File>>>,
 }
@@ -45,21 +43,23 @@ impl From<tiff::TiffError> for PageFault {
 }
 
 impl Tiff {
-    /// Opens a file at its first page.
-    pub fn open(path: &Path) -> Result<Tiff, PageFault> {
-        Ok(Tiff { path: path.into(), decoder: Some(decoder(path)?) })
+    /// Reads a file as far as its first page.
+    pub fn open(file: File) -> Result<Tiff, PageFault> {
+        Ok(Tiff { decoder: Some(decoder(&file)?), file })
     }
 
     /// The decoder at a page.
     fn at(&mut self, page: usize) -> Result<&mut Decoder<BufReader<File>>, PageFault> {
-        let mut decoder = self.decoder.take().map_or_else(|| decoder(&self.path), Ok)?;
+        let mut decoder = self.decoder.take().map_or_else(|| decoder(&self.file), Ok)?;
         decoder.seek_to_image(page)?;
         Ok(self.decoder.insert(decoder))
     }
 }
 
-fn decoder(path: &Path) -> Result<Decoder<BufReader<File>>, PageFault> {
-    let file = open_regular(path)?;
+/// One at a time: its place in the file is that of all.
+fn decoder(file: &File) -> Result<Decoder<BufReader<File>>, PageFault> {
+    let mut file = file.try_clone()?;
+    file.rewind()?;
     let mut limits = Limits::default();
     // Of one page: three channels of four bytes.
     limits.decoding_buffer_size = (LIMITS.frame_pixels * 12) as usize;

@@ -5,14 +5,12 @@
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
 
 use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::clock::Stamp;
 use crate::picture::{DecodeError, StoredPicture, check_size};
-use crate::regular::open_regular;
 
 /// Bytes of the first line, and of the line before a frame.
 const LINE_BYTES: [usize; 2] = [4096, 256];
@@ -25,7 +23,7 @@ pub(crate) const FORMAT: Format = Format {
     signatures: &[MAGIC],
     content: Content::Pages {
         words: ["a Y4M video", "frames"],
-        open: |path, _| Ok(Box::new(Video::open(path)?)),
+        open: |file, _| Ok(Box::new(Video::open(file)?)),
         topics: Topics::One,
     },
     beside: Beside::Recordings,
@@ -53,9 +51,8 @@ struct Video {
 }
 
 impl Video {
-    /// Opens a file and reads its first line.
-    pub fn open(path: &Path) -> Result<Video, PageFault> {
-        let mut file = open_regular(path)?;
+    /// Reads a file's first line.
+    pub fn open(mut file: File) -> Result<Video, PageFault> {
         let file_bytes = file.metadata()?.len();
         let line = line(&mut file, 0, LINE_BYTES[0])?;
         if !line.bytes.starts_with(MAGIC) {

@@ -13,6 +13,7 @@ use isophote_wire::SourceDocument;
 use serde::Serialize;
 use tokio::sync::{Semaphore, mpsc};
 
+use crate::access::Recordings;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
@@ -38,6 +39,8 @@ pub struct App {
     pub images: Arc<ImagePlaces>,
     /// Places for connections.
     pub sockets: Arc<Semaphore>,
+    /// Which may be named.
+    pub recordings: Recordings,
 }
 
 /// Places for single images.
@@ -102,29 +105,29 @@ pub(super) fn upgraded(
     Ok(upgrade)
 }
 
-/// Opens a recording where its disk may take its time, and nobody else waits for it. Other sources open at once, by whoever puts
-/// them.
+/// Opens a recording where its disk may take its time, and nobody else waits for it; its document then has the path by which it
+/// is found again. Other sources open at once, by whoever puts them.
 pub(super) async fn opened_ahead(
     app: &App,
-    document: &SourceDocument,
+    document: &mut SourceDocument,
     prefix: &'static str,
     reader: Option<Arc<Model>>,
 ) -> Result<Option<Opened>, Problem> {
-    if !matches!(document, SourceDocument::Recording(_)) {
-        return Ok(None);
-    }
-    let (service, document, openings) = (app.service.clone(), document.clone(), app.openings.clone());
+    let SourceDocument::Recording(recording) = document else { return Ok(None) };
+    let reach = app.recordings.reach(prefix)?;
+    let (sent, openings) = (recording.clone(), app.openings.clone());
     let opening = async move {
         let place = openings.acquire_owned().await.map_err(|_| Problem::stopping())?;
         let open = move || {
             let _place = place;
-            let find = |model: &str| Ok(service.registry.get(model)?.model.clone());
-            source::open(&document, prefix, find, reader.as_deref())
+            source::open_recording(&sent, prefix, reader.as_deref(), &reach)
         };
         tokio::task::spawn_blocking(open).await.map_err(|_| Problem::bug("opening the recording panicked"))?
     };
     let late = |_| Problem::late(format!("the recording was not opened within {} s", LIMITS.open_time.as_secs()));
-    tokio::time::timeout(LIMITS.open_time, opening).await.map_err(late)?.map(Some)
+    let (address, opened) = tokio::time::timeout(LIMITS.open_time, opening).await.map_err(late)??;
+    recording.path = address;
+    Ok(Some(opened))
 }
 
 /// 201 or 200.

@@ -26,17 +26,24 @@ static PAGES: &[Page] = include!(concat!(env!("OUT_DIR"), "/book.rs"));
 const POLICY: &str =
     "default-src 'self'; img-src 'self' data:; base-uri 'self'; form-action 'none'; frame-ancestors 'self'";
 
-/// `GET /docs`
+/// The way to the book's first page.
+#[utoipa::path(get, path = "/docs", tag = "operation", operation_id = "book",
+    responses((status = 308, description = "It begins at `/docs/`.")))]
 pub async fn start() -> Redirect {
     Redirect::permanent("/docs/")
 }
 
-/// `GET /docs/`
+/// The book's first page.
+#[utoipa::path(get, path = "/docs/", tag = "operation", operation_id = "book_index",
+    responses((status = 200, description = "The page.", body = String, content_type = "text/html")))]
 pub async fn index(headers: HeaderMap) -> Response {
     answer("index.html", &headers)
 }
 
-/// `GET /docs/{path}`
+/// Any file of the book.
+#[utoipa::path(get, path = "/docs/{*path}", tag = "operation", operation_id = "book_page",
+    params(("path" = String, Path, description = "From the book's top, with `/`.")),
+    responses((status = 200, description = "The file."), (status = 404, description = "The book has no such file.")))]
 pub async fn page(Path(path): Path<String>, headers: HeaderMap) -> Response {
     answer(&path, &headers)
 }

@@ -3,7 +3,7 @@
 use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use isophote_wire::EstimateView;
 use serde::Deserialize;
@@ -11,6 +11,7 @@ use utoipa::IntoParams;
 
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, raw, upgraded};
+use crate::access::Visitor;
 use crate::hub::Mode;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -40,6 +41,7 @@ pub struct EstimatesQuery {
                content((EstimateView = "application/x-ndjson"), (EstimateView = "text/event-stream")))))]
 pub async fn get(
     State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
     name: RawName,
     query: Result<Query<EstimatesQuery>, QueryRejection>,
     headers: HeaderMap,
@@ -52,7 +54,7 @@ pub async fn get(
     }
     if headers.contains_key(header::UPGRADE) {
         let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
-        let subscription = session.hub().subscribe(query.mode)?;
+        let subscription = session.hub().subscribe(query.mode)?.of(visitor);
         let held = app.stream.clone();
         return Ok(upgrade.on_upgrade(async move |socket| {
             websocket::serve(socket, subscription, query.credit).await;
@@ -64,5 +66,5 @@ pub async fn get(
         let detail = "estimates come as text/event-stream, application/x-ndjson, or over a WebSocket";
         Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", detail)
     })?;
-    Ok(body::response(session.hub().subscribe(query.mode)?, format, app.stream.clone()))
+    Ok(body::response(session.hub().subscribe(query.mode)?.of(visitor), format, app.stream.clone()))
 }

@@ -4,12 +4,13 @@ use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use isophote_wire::{EstimateView, FrameTime};
 
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, raw, upgraded};
+use crate::access::Visitor;
 use crate::documents::read_body;
 use crate::hub::Mode;
 use crate::problem::Problem;
@@ -52,6 +53,7 @@ pub async fn post(
     responses((status = 101, description = "The socket is open.")))]
 pub async fn get(
     State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
     name: RawName,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -63,7 +65,7 @@ pub async fn get(
     }
     let upgrade = upgraded(&headers, upgrade, pushed.frame_bytes())?;
     let room = pushed.room_of_socket()?;
-    let subscription = session.hub().subscribe(Mode::End)?;
+    let subscription = session.hub().subscribe(Mode::End)?.of(visitor);
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {
         frames::serve(socket, pushed, subscription).await;

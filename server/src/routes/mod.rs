@@ -36,6 +36,7 @@ pub fn router(app: App) -> Router {
         .route("/docs", get(docs::start))
         .route("/docs/", get(docs::index))
         .route("/docs/{*path}", get(docs::page))
+        .route("/page.css", get(page::style))
         .route("/livez", get(health::livez))
         .route("/readyz", get(health::readyz))
         .route("/v1/time", get(health::time))

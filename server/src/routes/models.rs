@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
@@ -13,6 +13,7 @@ use utoipa::IntoParams;
 use super::paging::{PageQuery, RawPage, page};
 use super::parameters::{MatchHeaders, NameParam};
 use super::{Answer, App, RawName, fit, json, new_name, old_name, put_status, raw};
+use crate::access::Visitor;
 use crate::documents::{media_type, read_body, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
@@ -24,8 +25,15 @@ use crate::registry::{Expected, Media, ModelEntry};
     request_body(content((String = "application/toml"), (Object = "application/json")), description = "The model document."),
     responses((status = 201, description = "It is new.", body = ModelAnswer),
               (status = 200, description = "It took the place of another.", body = ModelAnswer)))]
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(
+    State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
+    name: RawName,
+    headers: HeaderMap,
+    body: Body,
+) -> Answer {
     let name = new_name(name)?;
+    keep_shipped(&app, &visitor, &name)?;
     let expected = expected(&headers)?;
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
@@ -79,8 +87,14 @@ pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> A
 /// Removes a model that no session uses.
 #[utoipa::path(delete, path = "/v1/models/{name}", tag = "models", operation_id = "delete_model", params(NameParam, MatchHeaders),
     responses((status = 204, description = "It is gone.")))]
-pub async fn delete(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
+pub async fn delete(
+    State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
+    name: RawName,
+    headers: HeaderMap,
+) -> Answer {
     let name = old_name("model", name)?;
+    keep_shipped(&app, &visitor, &name)?;
     let expected = expected(&headers)?;
     let service = app.service.clone();
     app.service.compiler.run(move || service.remove_model(&name, &expected)).await?;
@@ -125,6 +139,16 @@ pub async fn explain(
         explain::explain(&entry.model, subset.as_deref(), method, show, &monotonic_ns).map_err(Problem::from)
     };
     json(StatusCode::OK, &app.service.compiler.run(work).await?)
+}
+
+/// Where several people use a service, what it is shipped with means the same to all of them.
+fn keep_shipped(app: &App, visitor: &Visitor, name: &Name) -> Result<(), Problem> {
+    if !visitor.is_known() || !app.service.registry.is_shipped(name) {
+        return Ok(());
+    }
+    let detail =
+        format!("`{name}` is shipped with the service and stays as it is; put the document under another name");
+    Err(Problem::new(StatusCode::FORBIDDEN, "read-only", detail))
 }
 
 async fn document(headers: &HeaderMap, body: Body) -> Result<(Media, String), Problem> {

@@ -14,14 +14,14 @@ use utoipa::openapi::path::Operation;
 use utoipa::openapi::{ContentBuilder, Ref, ResponseBuilder};
 use utoipa::{Modify, OpenApi};
 
-use super::{Answer, cameras, estimates, fit, frames, health, metrics, models, page, sessions, sources};
+use super::{Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, sessions, sources};
 use crate::problem::Problem;
 
 #[derive(OpenApi)]
 #[openapi(
     info(title = "isophote", description = "Models, sources, sessions and their estimates. Errors are problems (RFC 9457)."),
     paths(
-        page::html, page::script, get, health::livez, health::readyz, health::time, metrics::get,
+        page::html, page::script, page::style, docs::start, docs::index, docs::page, get, health::livez, health::readyz, health::time, metrics::get,
         models::list, models::check, models::put, models::get, models::delete, models::explain, fit::post,
         cameras::list, cameras::get, cameras::set,
         sources::list, sources::put, sources::get, sources::delete,

@@ -19,8 +19,8 @@ use crate::problem::Problem;
               (status = 200, description = "It took the place of another, which has ended.", body = SessionView)))]
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
-    let (document, text) = read_json::<SessionDocument>(&headers, body).await?;
-    let opened = match &document.source {
+    let (mut document, text) = read_json::<SessionDocument>(&headers, body).await?;
+    let opened = match &mut document.source {
         SourceReference::Own(source) => {
             let model = app.service.registry.get(&document.model)?.model.clone();
             opened_ahead(&app, source, "source.", Some(model)).await.map_err(|problem| place(problem, &text))?

@@ -18,8 +18,8 @@ use crate::documents::{place, read_json};
               (status = 200, description = "It took the place of another.", body = SourceView)))]
 pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
-    let (document, text) = read_json::<SourceDocument>(&headers, body).await?;
-    let opened = opened_ahead(&app, &document, "", None).await.map_err(|problem| place(problem, &text))?;
+    let (mut document, text) = read_json::<SourceDocument>(&headers, body).await?;
+    let opened = opened_ahead(&app, &mut document, "", None).await.map_err(|problem| place(problem, &text))?;
     let service = app.service.clone();
     let work = move || {
         let put = service.put_source(&name, document, opened)?;

@@ -26,7 +26,7 @@ use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
 use crate::thread::NamedThread;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
-pub use open::{Opened, camera_problem, open, pixel_format};
+pub use open::{Opened, camera_problem, open, open_recording, pixel_format};
 use schedule::Ticks;
 
 /// What is known about a source's frames before the first one comes.

@@ -1,12 +1,11 @@
 //! A source document in, something that produces frames out, or a diagnostic at the key that is wrong.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use isophote_capture::camera::FormatWanted;
 use isophote_capture::{
-    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, Recording, SourceError, Synthetic, SyntheticError,
-    SyntheticSpec,
+    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, Reach, Recording, SourceError, Synthetic,
+    SyntheticError, SyntheticSpec,
 };
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
@@ -32,17 +31,16 @@ pub struct Opened {
     pub faults_max: usize,
 }
 
-/// Opens what a document describes. `prefix` is where it stands in the document that was sent (`source.` or nothing),
-/// `find` looks a model up, `reader` is the model that will look at the frames, when that is known.
+/// Opens what a document describes, unless that is a recording. `prefix` is where it stands in the document that was sent
+/// (`source.` or nothing), `find` looks a model up.
 pub fn open(
     document: &SourceDocument,
     prefix: &str,
     find: impl Fn(&str) -> Result<Arc<Model>, Problem>,
-    reader: Option<&Model>,
 ) -> Result<Opened, Problem> {
     match document {
         SourceDocument::Synthetic(synthetic) => open_synthetic(synthetic, prefix, find(&synthetic.model)?),
-        SourceDocument::Recording(recording) => open_recording(recording, prefix, reader),
+        SourceDocument::Recording(_) => Err(Problem::bug("a recording is opened before, by `open_recording`")),
         SourceDocument::Pushed(pushed) => open_pushed(pushed, prefix),
         SourceDocument::Camera(camera) => open_camera(camera, prefix),
     }
@@ -91,12 +89,19 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
     Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, faults_max: 0 })
 }
 
-fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Model>) -> Result<Opened, Problem> {
+/// Opens a recording, which may take its time. `reader` is the model that will look at the frames, when that is known; `reach` is
+/// where the recording may be. It is said how it is named from there.
+pub fn open_recording(
+    document: &RecordingDocument,
+    prefix: &str,
+    reader: Option<&Model>,
+    reach: &Reach,
+) -> Result<(String, Opened), Problem> {
     check_rate(document.rate_hz, document.pace, prefix)?;
     let wrong = |error: SourceError| Problem::wrong_key("wrong-source", &format!("{prefix}path"), error.to_string());
     // Pictures are stacked when the model that looks at them has more than two coordinates.
     let dimensions = reader.map_or(2, |model| model.coordinates().len());
-    let recording = Recording::of_dimensions(Path::new(&document.path), dimensions).map_err(wrong)?;
+    let recording = Recording::within(&document.path, dimensions, reach).map_err(wrong)?;
     let recording = recording.at_rate(document.rate_hz);
     // All planes and columns are left as they are, for each session to pick from.
     let columns = recording.csv_channels().map_err(wrong)?;
@@ -110,8 +115,10 @@ fn open_recording(document: &RecordingDocument, prefix: &str, reader: Option<&Mo
     };
     // Of a recording that is played again and again, one whole round.
     let faults_max = if document.repeat { recording.len() } else { 0 };
+    let address = recording.address();
     let source: Box<dyn FrameSource> = if document.repeat { Box::new(Loop(recording)) } else { Box::new(recording) };
-    Ok(Opened { producer: Producer::Frames(source), shape, pace: document.pace, rate_hz: document.rate_hz, faults_max })
+    let producer = Producer::Frames(source);
+    Ok((address, Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, faults_max }))
 }
 
 fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Problem> {

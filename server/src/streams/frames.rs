@@ -115,7 +115,7 @@ async fn decoded(decoding: &mut Option<Decoding>) -> Result<DecodedFrame, Proble
 
 /// Every frame that was taken is answered, unless the service is in a hurry.
 async fn leave(socket: &mut WebSocket, answers: Vec<Result<Arc<EstimateView>, Problem>>, end: &End) {
-    if *end != End::ServiceStops {
+    if !matches!(end, End::ServiceStops | End::Revoked) {
         for answer in answers {
             if !tell(socket, answer).await {
                 return;

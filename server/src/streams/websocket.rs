@@ -112,6 +112,7 @@ pub(super) async fn close(socket: &mut WebSocket, end: &End) {
         End::ServiceStops => finish(socket, close_code::AWAY, "the service stops").await,
         End::SessionStopped => finish(socket, close_code::NORMAL, "the session was stopped").await,
         End::SourceEnded(reason) => finish(socket, close_code::NORMAL, reason).await,
+        End::Revoked => finish(socket, close_code::POLICY, "the token was revoked").await,
         End::SessionFailed(reason) => finish(socket, close_code::ERROR, reason).await,
     }
 }

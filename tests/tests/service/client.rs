@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use isophote_jit::VectorWidth;
-use isophote_server::{Options, Server};
+use isophote_server::{AccessOptions, Options, Server};
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
@@ -27,6 +27,8 @@ pub struct Answer {
     pub status: u16,
     pub media: String,
     pub etag: String,
+    /// How to say who asks.
+    pub authenticate: String,
     pub text: String,
 }
 
@@ -57,8 +59,19 @@ impl Running {
         Running::start_of_width(data, demo, VectorWidth::default())
     }
     pub fn start_of_width(data: Option<&Path>, demo: bool, width: VectorWidth) -> Running {
-        let (listen, data) = ("127.0.0.1:0".parse().unwrap(), data.map(Path::to_path_buf));
-        let options = Options { listen, data, demo, width };
+        let data = data.map(Path::to_path_buf);
+        Running::start_of(Options { data, demo, width, ..Running::options() })
+    }
+    /// A service that is not for everybody.
+    pub fn start_with_access(access: AccessOptions) -> Running {
+        Running::start_of(Options { access, ..Running::options() })
+    }
+    /// On a free port of loopback, for everybody.
+    pub fn options() -> Options {
+        let (listen, access) = ("127.0.0.1:0".parse().unwrap(), AccessOptions::default());
+        Options { listen, data: None, demo: false, width: VectorWidth::default(), access }
+    }
+    fn start_of(options: Options) -> Running {
         let server = Server::start(&options).unwrap();
         let address = server.address().to_string();
         Running { server: Some(server), ..Running::at(&address) }
@@ -80,8 +93,14 @@ impl Running {
         }
         let mut answer = self.agent.run(request.body(body.to_vec()).unwrap()).unwrap();
         let header = |name: &str| answer.headers().get(name).map_or("", |value| value.to_str().unwrap()).to_string();
-        let (media, etag) = (header("content-type"), header("etag"));
-        Answer { status: answer.status().as_u16(), media, etag, text: answer.body_mut().read_to_string().unwrap() }
+        let (media, etag, authenticate) = (header("content-type"), header("etag"), header("www-authenticate"));
+        Answer {
+            status: answer.status().as_u16(),
+            media,
+            etag,
+            authenticate,
+            text: answer.body_mut().read_to_string().unwrap(),
+        }
     }
     pub fn get(&self, path: &str) -> Answer {
         self.request("GET", path, &[], b"")
@@ -126,7 +145,11 @@ impl Running {
         let stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(DEADLINE)).unwrap();
         match tungstenite::client(request, stream) {
-            Ok((socket, _)) => Ok(Socket(socket)),
+            Ok((socket, answer)) => {
+                let chosen = answer.headers().get("sec-websocket-protocol");
+                let chosen = chosen.map_or("", |name| name.to_str().unwrap()).to_string();
+                Ok(Socket(socket, chosen))
+            }
             Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
                 Err(answer.status().as_u16())
             }
@@ -136,9 +159,13 @@ impl Running {
 }
 
 /// A WebSocket of the service, which sends JSON.
-pub struct Socket(WebSocket<TcpStream>);
+pub struct Socket(WebSocket<TcpStream>, String);
 
 impl Socket {
+    /// The subprotocol that the service chose.
+    pub fn protocol(&self) -> &str {
+        &self.1
+    }
     /// The next message, or the code with which the service closed.
     pub fn next(&mut self) -> Result<Value, u16> {
         loop {

@@ -76,7 +76,7 @@ fn the_way_through_the_commands() {
     demo.fails(&["session", "swap", "demo", "nobody"], 1, "nobody");
     demo.fails(&["session", "start", "x", "--model", "spot", "--source", "synthetic:spot?colour=red"], 1, "colour");
     demo.fails(&["session", "start", "x"], 2, "--model");
-    demo.fails(&["model", "list", "--server", "https://example.org"], 2, "address");
+    demo.fails(&["model", "list", "--server", "ftp://example.org"], 2, "address");
     demo.fails(&["model", "list", "--server", "http://127.0.0.1:1"], 1, "isophote serve");
     std::fs::write(folder.0.join("wrong.toml"), "name = \"wrong\"\ncolour = 1\n").unwrap();
     let wrong = folder.0.join("wrong.toml");

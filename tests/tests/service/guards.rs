@@ -29,10 +29,24 @@ fn the_page_asks_nobody_else() {
     let service = Running::start();
     let page = service.get("/");
     assert_eq!((page.status, page.media.as_str()), (200, "text/html; charset=utf-8"));
-    let script = service.get("/page.js");
-    assert_eq!(script.status, 200);
-    for text in [page.text, script.text] {
+    let (script, style) = (service.get("/page.js"), service.get("/page.css"));
+    assert_eq!((script.status, style.status, style.media.as_str()), (200, 200, "text/css; charset=utf-8"));
+    for inline in ["<style", "style=", "onclick", "onload", "onsubmit", "javascript:"] {
+        assert!(!page.text.contains(inline), "the page has {inline} in itself");
+    }
+    for text in [&page.text, &script.text, &style.text] {
         assert!(!text.contains("https://") && !text.contains("http://"), "{text}");
+    }
+    for path in ["/", "/page.js", "/page.css"] {
+        let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        let answer = raw(&service, &request).to_ascii_lowercase();
+        let policy = "content-security-policy: default-src 'self'; img-src 'self' data:; object-src 'none'; ";
+        for header in
+            [policy, "frame-ancestors 'none'", "referrer-policy: no-referrer", "x-content-type-options: nosniff"]
+        {
+            assert!(answer.contains(header), "{path} has no {header}: {answer:.600}");
+        }
+        assert!(!answer.contains("unsafe-"), "{answer:.600}");
     }
 }
 

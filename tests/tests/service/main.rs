@@ -2,12 +2,14 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod access;
 mod bounds;
 mod cameras;
 mod client;
 mod clocks;
 mod commands;
 mod docs;
+mod encryption;
 mod exposure;
 mod guards;
 mod hostile;
@@ -18,6 +20,7 @@ mod metrics;
 mod models;
 mod paths;
 mod pushing;
+mod recordings;
 mod sessions;
 mod streams;
 mod swaps;

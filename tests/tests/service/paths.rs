@@ -18,7 +18,7 @@ fn pipe(path: &Path) {
     assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
 }
 
-fn png(path: &Path, x: f64) {
+pub fn png(path: &Path, x: f64) {
     let pixels = picture(64, 48, (x, 24.0));
     std::fs::write(path, isophote_capture::encode_png(64, 48, PixelFormat::U8, &pixels).unwrap()).unwrap();
 }
@@ -108,7 +108,7 @@ fn faults_of_files_do_not_quote_them() {
 
 fn start(data: &Path) -> Result<Server, String> {
     let (listen, width) = ("127.0.0.1:0".parse().unwrap(), VectorWidth::default());
-    let options = Options { listen, data: Some(data.to_path_buf()), demo: false, width };
+    let options = Options { listen, data: Some(data.to_path_buf()), demo: false, width, access: Default::default() };
     Server::start(&options).map_err(|error| error.to_string())
 }
 
@@ -167,4 +167,18 @@ fn a_shipped_model_that_was_removed_stays_away() {
     service.put_text("/v1/models/gaussian", "application/toml", &gaussian).expect(201);
     service.stop();
     Running::start_with(Some(&folder.0), false).get("/v1/models/gaussian").expect(200);
+}
+
+#[test]
+fn a_command_does_not_wait_for_a_model_that_is_a_pipe() {
+    let folder = Folder::new("model-pipe");
+    pipe(&folder.0.join("pipe.toml"));
+    symlink("/dev/zero", folder.0.join("zero.toml")).unwrap();
+    for name in ["pipe.toml", "zero.toml"] {
+        let mut command = std::process::Command::new(isophote_tests::program().unwrap());
+        command.args(["model", "check", name]).current_dir(&folder.0);
+        let finished = isophote_tests::finish(&mut command, crate::client::DEADLINE).unwrap();
+        assert_eq!(finished.status, Some(1), "{name}: {}", finished.stderr);
+        assert!(finished.stderr.contains("neither a file nor a folder"), "{}", finished.stderr);
+    }
 }

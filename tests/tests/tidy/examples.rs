@@ -31,7 +31,7 @@ const INTERPRETERS: [(&str, &str); 3] = [
     ("node ", "node -e 'new WebSocket(\"ws://127.0.0.1:9\").onerror = () => 0'"),
 ];
 /// Commands of `isophote` that need no service.
-pub const OFFLINE: [&str; 10] = [
+pub const OFFLINE: [&str; 11] = [
     "model check",
     "model explain",
     "model export",
@@ -40,6 +40,7 @@ pub const OFFLINE: [&str; 10] = [
     "tune",
     "compare",
     "calibrate",
+    "token",
     "--help",
     "--version",
 ];

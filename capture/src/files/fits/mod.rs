@@ -8,13 +8,11 @@ mod header;
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
 
 use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use crate::picture::{DecodeError, StoredPicture, check_size};
-use crate::regular::open_regular;
 
 use header::Header;
 
@@ -24,7 +22,7 @@ pub(crate) const FORMAT: Format = Format {
     signatures: &[header::FIRST],
     content: Content::Pages {
         words: ["a FITS file", "pages"],
-        open: |path, _| Ok(Box::new(Fits::open(path)?)),
+        open: |file, _| Ok(Box::new(Fits::open(file)?)),
         topics: Topics::One,
     },
     beside: Beside::Pictures,
@@ -47,9 +45,8 @@ struct Fits {
 }
 
 impl Fits {
-    /// Opens a file and reads its headers as far as the first image.
-    pub fn open(path: &Path) -> Result<Fits, PageFault> {
-        let mut file = open_regular(path)?;
+    /// Reads a file's headers as far as the first image.
+    pub fn open(mut file: File) -> Result<Fits, PageFault> {
         let file_bytes = file.metadata()?.len();
         let (header, start) = header::first_image(&mut file, file_bytes)?;
         let numbers = Numbers::of(&header)?;

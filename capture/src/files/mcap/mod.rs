@@ -19,14 +19,12 @@ mod ros;
 use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
 use std::io::BufReader;
-use std::path::Path;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
 use super::image;
 use crate::clock::Stamp;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
-use crate::regular::open_regular;
 
 use index::{Index, PictureRecord, PictureTopic};
 use message::Image;
@@ -38,7 +36,7 @@ pub(crate) const FORMAT: Format = Format {
     signatures: &[records::MAGIC],
     content: Content::Pages {
         words: ["an MCAP file", "pictures"],
-        open: |path, topic| Ok(Box::new(Mcap::open(path, topic)?)),
+        open: |file, topic| Ok(Box::new(Mcap::open(file, topic)?)),
         topics: Topics::Named,
     },
     beside: Beside::Recordings,
@@ -59,9 +57,8 @@ struct Mcap {
 }
 
 impl Mcap {
-    /// Opens a file, finds its pictures and keeps those of `topic`, or of the only one.
-    pub fn open(path: &Path, topic: Option<&str>) -> Result<Mcap, PageFault> {
-        let file = open_regular(path)?;
+    /// Finds a file's pictures and keeps those of `topic`, or of the only one.
+    pub fn open(file: File, topic: Option<&str>) -> Result<Mcap, PageFault> {
         let file_bytes = file.metadata()?.len();
         let mut file = BufReader::new(file);
         let mut index = Index::of(&mut file, file_bytes)?;

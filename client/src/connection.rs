@@ -1,0 +1,163 @@
+//! How the service is reached: in clear text or encrypted, with a token or without. Options in, connections out.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::net::{IpAddr, TcpStream};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use rustls::crypto::{CryptoProvider, ring};
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, ServerName};
+use rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
+use tungstenite::http::{HeaderValue, Uri};
+use ureq::tls::{Certificate, RootCerts, TlsConfig};
+
+use crate::failure::Failure;
+use crate::http::ServiceArgs;
+
+/// The environment's token.
+const TOKEN: &str = "ISOPHOTE_TOKEN";
+/// More than a token has.
+const TOKEN_BYTES_MAX: u64 = 4096;
+
+/// What bytes go through, encrypted or not.
+pub trait Stream: Read + Write {}
+impl<T: Read + Write> Stream for T {}
+
+/// Where the service is, what it is trusted by, and what it is told of us.
+pub struct Connection {
+    /// Without a slash at its end.
+    pub url: String,
+    host: String,
+    port: u16,
+    /// Whom a certificate may be of; absent where nothing is encrypted.
+    authorities: Option<Vec<CertificateDer<'static>>>,
+    authorization: Option<HeaderValue>,
+}
+
+impl Connection {
+    /// Nothing is sent yet.
+    pub fn new(args: &ServiceArgs) -> Result<Connection, Failure> {
+        let url = args.server.trim_end_matches('/').to_string();
+        let wrong = || Failure::Usage(format!("`{url}` is not an address like http://127.0.0.1:7240 or https://HOST"));
+        let uri: Uri = url.parse().map_err(|_| wrong())?;
+        let port = match uri.scheme_str() {
+            Some("http") => 80,
+            Some("https") => 443,
+            _ => return Err(wrong()),
+        };
+        let host = uri.host().filter(|host| !host.is_empty()).ok_or_else(wrong)?;
+        let host = host.trim_matches(['[', ']']).to_string();
+        let port = uri.port_u16().unwrap_or(port);
+        let is_encrypted = uri.scheme_str() == Some("https");
+        let authorization = token(args)?;
+        if authorization.is_some() && !is_encrypted && !is_own(&host) && !args.insecure {
+            return Err(Failure::Usage(format!(
+                "the token would go to {host} in clear text: use https://, or --insecure where something else encrypts"
+            )));
+        }
+        let authorities = if is_encrypted { Some(authorities(args.ca.as_deref())?) } else { None };
+        Ok(Connection { url, host, port, authorities, authorization })
+    }
+
+    /// `Bearer …`, where there is a token.
+    pub fn authorization(&self) -> Option<&HeaderValue> {
+        self.authorization.as_ref()
+    }
+
+    /// For requests. It follows nobody elsewhere: a token is for this service alone.
+    pub fn agent(&self, timeout: Duration) -> ureq::Agent {
+        let trusted = self.authorities.iter().flatten().map(|one| Certificate::from_der(one).to_owned()).collect();
+        let tls = TlsConfig::builder()
+            .unversioned_rustls_crypto_provider(provider())
+            .root_certs(RootCerts::Specific(Arc::new(trusted)))
+            .build();
+        let config = ureq::Agent::config_builder()
+            .http_status_as_error(false)
+            .timeout_global(Some(timeout))
+            .max_redirects(0)
+            .proxy(None)
+            .tls_config(tls);
+        config.build().into()
+    }
+
+    /// For a WebSocket.
+    pub fn open(&self) -> Result<Box<dyn Stream>, Box<dyn std::error::Error>> {
+        let stream = TcpStream::connect((self.host.as_str(), self.port))?;
+        stream.set_nodelay(true)?;
+        let Some(authorities) = &self.authorities else { return Ok(Box::new(stream)) };
+        let mut trusted = RootCertStore::empty();
+        trusted.add_parsable_certificates(authorities.iter().cloned());
+        let config = ClientConfig::builder_with_provider(provider())
+            .with_safe_default_protocol_versions()?
+            .with_root_certificates(trusted)
+            .with_no_client_auth();
+        let name = ServerName::try_from(self.host.clone())?;
+        Ok(Box::new(StreamOwned::new(ClientConnection::new(Arc::new(config), name)?, stream)))
+    }
+}
+
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(ring::default_provider())
+}
+
+/// Whether what is sent there stays on this machine.
+fn is_own(host: &str) -> bool {
+    host.parse::<IpAddr>().map_or(host.eq_ignore_ascii_case("localhost"), |address| address.is_loopback())
+}
+
+/// From its file, or the environment. Messages never quote it.
+fn token(args: &ServiceArgs) -> Result<Option<HeaderValue>, Failure> {
+    let (text, place) = match (&args.token_file, std::env::var(TOKEN)) {
+        (Some(path), _) => {
+            let wrong = |error| Failure::Usage(format!("--token-file {}: cannot be read: {error}", path.display()));
+            (read(path).map_err(wrong)?, format!("--token-file {}", path.display()))
+        }
+        (None, Ok(text)) if !text.trim().is_empty() => (text, TOKEN.to_string()),
+        (None, Err(std::env::VarError::NotUnicode(_))) => (String::new(), TOKEN.to_string()),
+        (None, _) => return Ok(None),
+    };
+    let first = text.lines().next().unwrap_or_default().trim();
+    let is_plain = !first.is_empty() && first.bytes().all(|byte| byte.is_ascii_graphic());
+    let value = HeaderValue::from_str(&format!("Bearer {first}")).ok().filter(|_| is_plain);
+    let mut value = value.ok_or_else(|| Failure::Usage(format!("{place}: there is no token in it")))?;
+    value.set_sensitive(true);
+    Ok(Some(value))
+}
+
+/// It may be a pipe from a program that keeps secrets.
+fn read(path: &Path) -> std::io::Result<String> {
+    let mut text = String::new();
+    File::open(path)?.take(TOKEN_BYTES_MAX).read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// Whose certificates are trusted.
+fn authorities(ca: Option<&Path>) -> Result<Vec<CertificateDer<'static>>, Failure> {
+    let Some(path) = ca else {
+        let found = rustls_native_certs::load_native_certs().certs;
+        let none = || Failure::Usage("this machine trusts no authority; give --ca FILE with the service's".into());
+        return Some(found).filter(|found| !found.is_empty()).ok_or_else(none);
+    };
+    let wrong = |reason: &dyn std::fmt::Display| Failure::Usage(format!("--ca {}: {reason}", path.display()));
+    let found = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let found = found.map_err(|error| wrong(&error))?;
+    if found.is_empty() { Err(wrong(&"there is no certificate in it")) } else { Ok(found) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_own;
+
+    #[test]
+    fn what_stays_on_this_machine() {
+        for own in ["127.0.0.1", "127.9.9.9", "::1", "localhost", "LocalHost"] {
+            assert!(is_own(own), "{own}");
+        }
+        for other in ["128.0.0.1", "::2", "localhost.evil.example", "127.0.0.1.evil.example", "0.0.0.0", ""] {
+            assert!(!is_own(other), "{other}");
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! The file of tokens: names, roles and digests, readable for its owner alone, and whole at every moment.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use isophote_capture::read_regular;
+use serde::{Deserialize, Serialize};
+
+use super::roles::Role;
+use super::token::{Digest, Secret};
+use crate::limits::LIMITS;
+use crate::name::Name;
+
+/// What a tenant is called when nobody says so.
+const TENANT: &str = "default";
+/// The file's name in a data folder.
+const FILE: &str = "tokens.json";
+
+/// What is kept of one token.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TokenRecord {
+    /// To revoke it by.
+    pub name: String,
+    /// What it is for.
+    pub role: Role,
+    /// Whose it is.
+    pub tenant: String,
+    /// RFC 3339, UTC.
+    pub created: String,
+    /// Of the token's text.
+    pub sha256: Digest,
+}
+
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    tokens: Vec<TokenRecord>,
+}
+
+/// Why tokens cannot be read or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum TokenError {
+    /// Neither a file nor a folder was named, and there is no home to have one.
+    #[error("there is no place for tokens: give --tokens FILE or --data DIR")]
+    NoPlace,
+    /// The disk.
+    #[error("{}: {reason}", path.display())]
+    Disk {
+        /// The file.
+        path: PathBuf,
+        /// The system's words.
+        reason: io::Error,
+    },
+    /// Someone else wrote it, or may write to it.
+    #[error("{}: {reason}", path.display())]
+    Wrong {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and the remedy.
+        reason: String,
+    },
+    /// There is a token of that name.
+    #[error("there is a token named `{0}` already; revoke it, or give --name another one")]
+    Taken(String),
+    /// There is none.
+    #[error("there is no token named `{0}`; `isophote token list` shows all")]
+    Unknown(String),
+    /// Not a name.
+    #[error("`{0}` is no name: 1 to 64 of a-z, 0-9 and -, not beginning with -")]
+    WrongName(String),
+    /// No more.
+    #[error("there are {0} tokens, and can be no more; revoke one")]
+    TooMany(usize),
+    /// The system.
+    #[error("no random bits for a token: {0}")]
+    Random(#[from] getrandom::Error),
+}
+
+/// Where tokens are kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TokenFile {
+    path: PathBuf,
+}
+
+impl TokenFile {
+    /// The file that was named; else `tokens.json` in the data folder; else in the user's configuration,
+    /// `~/.config/isophote`.
+    pub fn of(file: Option<&Path>, data: Option<&Path>) -> Result<TokenFile, TokenError> {
+        if let Some(path) = file.map(Path::to_path_buf).or_else(|| data.map(|data| data.join(FILE))) {
+            return Ok(TokenFile { path });
+        }
+        let folder = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+        let config = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
+        let path = config.ok_or(TokenError::NoPlace)?.join("isophote").join(FILE);
+        Ok(TokenFile { path })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All tokens, in the order in which they were made; none where there is no file.
+    pub fn read(&self) -> Result<Vec<TokenRecord>, TokenError> {
+        let bytes = match read_regular(&self.path, LIMITS.token_file_bytes) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            read => read.map_err(|reason| self.disk(reason))?,
+        };
+        let mode = fs::metadata(&self.path).map_err(|reason| self.disk(reason))?.permissions().mode();
+        if mode & 0o022 != 0 {
+            return Err(self.wrong("others may write to it, and so make tokens; `chmod 600` it"));
+        }
+        let document: Document = serde_json::from_slice(&bytes).map_err(|error| {
+            self.wrong(&format!("not a file of tokens (wrong at line {}, column {})", error.line(), error.column()))
+        })?;
+        match document.tokens.iter().find(|token| ![&token.name, &token.tenant].iter().all(|name| is_name(name))) {
+            Some(token) => Err(self.wrong(&format!("`{:.80}` or its tenant is no name", token.name))),
+            None => Ok(document.tokens),
+        }
+    }
+
+    /// Makes a token. Without a name it is called by its role and a number.
+    pub fn add(&self, role: Role, name: Option<&str>) -> Result<(TokenRecord, Secret), TokenError> {
+        if let Some(name) = name.filter(|name| !is_name(name)) {
+            return Err(TokenError::WrongName(name.into()));
+        }
+        self.change(|tokens| {
+            if tokens.len() >= LIMITS.tokens {
+                return Err(TokenError::TooMany(LIMITS.tokens));
+            }
+            let is_taken = |name: &str| tokens.iter().any(|token| token.name == name);
+            let name = match name {
+                Some(name) if is_taken(name) => return Err(TokenError::Taken(name.into())),
+                Some(name) => name.to_string(),
+                None => (1..).map(|n| format!("{role}-{n}")).find(|name| !is_taken(name)).unwrap_or_default(),
+            };
+            let secret = Secret::random()?;
+            let record = TokenRecord { name, role, tenant: TENANT.into(), created: now(), sha256: secret.digest() };
+            tokens.push(record.clone());
+            Ok((record, secret))
+        })
+    }
+
+    /// Takes a token back.
+    pub fn revoke(&self, name: &str) -> Result<TokenRecord, TokenError> {
+        self.change(|tokens| {
+            let at = tokens.iter().position(|token| token.name == name);
+            at.map(|at| tokens.remove(at)).ok_or_else(|| TokenError::Unknown(name.into()))
+        })
+    }
+
+    /// One change after the other, also of several processes.
+    fn change<T>(&self, change: impl FnOnce(&mut Vec<TokenRecord>) -> Result<T, TokenError>) -> Result<T, TokenError> {
+        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut private = fs::DirBuilder::new();
+        private.recursive(true).mode(0o700).create(folder).map_err(|reason| self.disk(reason))?;
+        let lock =
+            owned(&self.beside("lock"), OpenOptions::new().create(true)).and_then(|lock| lock.lock().map(|()| lock));
+        let _lock = lock.map_err(|reason| self.disk(reason))?;
+        let mut tokens = self.read()?;
+        let changed = change(&mut tokens)?;
+        let new = self.beside("new");
+        let write = || {
+            match fs::remove_file(&new) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                _ => {}
+            }
+            let mut file = owned(&new, OpenOptions::new().create_new(true))?;
+            file.write_all(&serde_json::to_vec_pretty(&Document { tokens })?)?;
+            file.sync_all()?;
+            fs::rename(&new, &self.path)?;
+            File::open(folder)?.sync_all()
+        };
+        write().map_err(|reason| self.disk(reason))?;
+        Ok(changed)
+    }
+
+    fn beside(&self, extension: &str) -> PathBuf {
+        let mut name = self.path.clone().into_os_string();
+        name.push(".");
+        name.push(extension);
+        name.into()
+    }
+
+    fn disk(&self, reason: io::Error) -> TokenError {
+        TokenError::Disk { path: self.path.clone(), reason }
+    }
+
+    fn wrong(&self, reason: &str) -> TokenError {
+        TokenError::Wrong { path: self.path.clone(), reason: reason.into() }
+    }
+}
+
+fn is_name(text: &str) -> bool {
+    Name::parse(text).is_some()
+}
+
+/// A file for its owner's eyes; never waits for whoever is at the other end of a pipe.
+fn owned(path: &Path, how: &mut OpenOptions) -> io::Result<File> {
+    let flags = rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::NOFOLLOW;
+    how.write(true).mode(0o600).custom_flags(flags.bits() as i32).open(path)
+}
+
+#[allow(clippy::disallowed_methods)] // a label, for people
+fn now() -> String {
+    rfc3339(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()))
+}
+
+/// Seconds since 1970 as a date and a time of day, by Howard Hinnant's `civil_from_days`.
+fn rfc3339(unix_s: u64) -> String {
+    let (days, second) = (unix_s / 86_400 + 719_468, unix_s % 86_400);
+    let (era, day_of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * day_of_year + 2) / 153; // from March
+    let day = day_of_year - (153 * month + 2) / 5 + 1;
+    let (month, later) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let year = era * 400 + year_of_era + later;
+    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", second / 3600, second / 60 % 60, second % 60)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates() {
+        let cases = [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_798_761_599, "2026-12-31T23:59:59Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+        ];
+        for (unix_s, text) in cases {
+            assert_eq!(rfc3339(unix_s), text);
+        }
+    }
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("isophote-tokens-{name}-{}", std::process::id()));
+        fs::remove_dir_all(&folder).ok();
+        folder
+    }
+
+    #[test]
+    fn tokens_are_made_listed_and_revoked_and_only_digests_are_kept() {
+        let data = folder("life");
+        let file = TokenFile::of(None, Some(&data)).unwrap();
+        assert_eq!(file.read().unwrap(), []);
+        let (first, secret) = file.add(Role::View, None).unwrap();
+        let (second, _) = file.add(Role::View, None).unwrap();
+        let (third, _) = file.add(Role::Admin, Some("mine")).unwrap();
+        assert_eq!([&first.name, &second.name, &third.name], ["view-1", "view-2", "mine"]);
+        assert_eq!(file.read().unwrap(), [first.clone(), second, third]);
+        assert_eq!(first.sha256, secret.digest());
+        let text = fs::read_to_string(file.path()).unwrap();
+        assert!(!text.contains("isophote_") && !text.contains(&secret.text()[9..]), "{text}");
+        assert_eq!(fs::metadata(file.path()).unwrap().permissions().mode() & 0o777, 0o600);
+        assert!(matches!(file.add(Role::View, Some("mine")), Err(TokenError::Taken(_))));
+        assert!(matches!(file.add(Role::View, Some("No")), Err(TokenError::WrongName(_))));
+        assert_eq!(file.revoke("view-1").unwrap(), first);
+        assert!(matches!(file.revoke("view-1"), Err(TokenError::Unknown(_))));
+        assert_eq!(file.add(Role::View, None).unwrap().0.name, "view-1");
+        fs::remove_dir_all(&data).unwrap();
+    }
+
+    #[test]
+    fn a_file_that_others_may_write_to_or_that_is_none_gives_no_tokens() {
+        let data = folder("wrong");
+        let file = TokenFile::of(None, Some(&data)).unwrap();
+        file.add(Role::View, None).unwrap();
+        let whole = fs::read(file.path()).unwrap();
+        let set = |mode| fs::set_permissions(file.path(), fs::Permissions::from_mode(mode)).unwrap();
+        for (mode, is_read) in [(0o620, false), (0o602, false), (0o644, true), (0o600, true)] {
+            set(mode);
+            assert_eq!(file.read().is_ok(), is_read, "{mode:o}");
+        }
+        let strange = String::from_utf8(whole.clone()).unwrap().replace("view-1", "No");
+        for text in [&whole[..whole.len() / 2], b"", b"{}", strange.as_bytes()] {
+            fs::write(file.path(), text).unwrap();
+            assert!(matches!(file.read(), Err(TokenError::Wrong { .. })), "{}", String::from_utf8_lossy(text));
+            assert!(file.add(Role::View, None).is_err());
+        }
+        fs::remove_file(file.path()).unwrap();
+        rustix::fs::mkfifoat(rustix::fs::CWD, file.path(), rustix::fs::Mode::RUSR).unwrap();
+        assert!(matches!(file.read(), Err(TokenError::Disk { .. })));
+        fs::remove_dir_all(&data).unwrap();
+    }
+
+    #[test]
+    fn many_at_once_lose_none() {
+        let data = folder("many");
+        let file = TokenFile::of(None, Some(&data)).unwrap();
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| file.add(Role::View, None).unwrap());
+            }
+        });
+        let names: std::collections::BTreeSet<String> = file.read().unwrap().into_iter().map(|t| t.name).collect();
+        assert_eq!(names.len(), 8);
+        fs::remove_dir_all(&data).unwrap();
+    }
+}

@@ -1,0 +1,96 @@
+//! What each route needs: one table, in which a route that nobody thought of needs the most.
+
+use std::fmt;
+
+use axum::http::Method;
+use serde::{Deserialize, Serialize};
+
+/// What a token is for; each role may do what those before it may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Read documents, states and estimates.
+    View,
+    /// Run sessions and sources, swap models, push frames, check documents, set cameras.
+    Operate,
+    /// Put and delete models: formulas that become code on this machine.
+    Admin,
+}
+
+impl Role {
+    /// All, the least first.
+    pub const ALL: [Role; 3] = [Role::View, Role::Operate, Role::Admin];
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+        formatter.write_str(match self {
+            Role::View => "view",
+            Role::Operate => "operate",
+            Role::Admin => "admin",
+        })
+    }
+}
+
+/// What anyone may read: whether the service lives, and the page with its files, which are the same for everybody.
+const OPEN: [&str; 4] = ["/livez", "/", "/page.js", "/page.css"];
+
+/// What is neither a plain read nor of one role as a whole.
+const EXCEPTIONS: [(&str, &str, Role); 4] = [
+    ("GET", "/v1/sessions/{name}/frames", Role::Operate), // a socket that takes frames
+    ("POST", "/v1/models:check", Role::Operate),          // compiles, keeps nothing
+    ("POST", "/v1/models/{name}:fit", Role::Operate),     // the same
+    ("POST", "/v1/models/{name}:rollback", Role::Admin),
+];
+
+/// Below these everything that is no read needs `operate`.
+const OPERATED: [&str; 3] = ["/v1/sessions", "/v1/sources", "/v1/cameras"];
+
+/// The role that a route needs; `None` where nobody needs a token. `route` is the router's pattern, an action of models with its
+/// verb; for a path without a route the path itself, so that a token is needed to learn that there is none.
+pub fn role_needed(method: &Method, route: &str) -> Option<Role> {
+    let is_read = matches!(*method, Method::GET | Method::HEAD);
+    if is_read && OPEN.contains(&route) {
+        return None;
+    }
+    let exception = EXCEPTIONS.iter().find(|(of, at, _)| *of == method.as_str() && *at == route);
+    let is_operated = |below: &str| route.strip_prefix(below).is_some_and(|rest| rest.starts_with('/'));
+    Some(match exception {
+        Some((_, _, role)) => *role,
+        None if is_read => Role::View,
+        None if OPERATED.into_iter().any(is_operated) => Role::Operate,
+        None => Role::Admin,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nobody_thought_of_needs_the_most() {
+        let cases = [
+            (Method::GET, "/livez", None),
+            (Method::HEAD, "/page.js", None),
+            (Method::POST, "/livez", Some(Role::Admin)),
+            (Method::GET, "/readyz", Some(Role::View)),
+            (Method::GET, "/livez/", Some(Role::View)),
+            (Method::GET, "/v1/sessions/{name}/estimates", Some(Role::View)),
+            (Method::GET, "/v1/sessions/{name}/frames", Some(Role::Operate)),
+            (Method::POST, "/v1/sessions/{name}/frames", Some(Role::Operate)),
+            (Method::PUT, "/v1/sessions/{name}/model", Some(Role::Operate)),
+            (Method::PUT, "/v1/sessionsx/{name}", Some(Role::Admin)),
+            (Method::PUT, "/v1/cameras/{device}/controls", Some(Role::Operate)),
+            (Method::POST, "/v1/models:check", Some(Role::Operate)),
+            (Method::PUT, "/v1/models/{name}", Some(Role::Admin)),
+            (Method::DELETE, "/v1/models/{name}", Some(Role::Admin)),
+            (Method::POST, "/v1/models/{name}:fit", Some(Role::Operate)),
+            (Method::POST, "/v1/models/{name}:eat", Some(Role::Admin)),
+            (Method::TRACE, "/v1/models", Some(Role::Admin)),
+            (Method::PUT, "/v1/new", Some(Role::Admin)),
+        ];
+        for (method, route, role) in cases {
+            assert_eq!(role_needed(&method, route), role, "{method} {route}");
+        }
+    }
+}
