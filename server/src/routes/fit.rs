@@ -136,7 +136,7 @@ fn fit(
         pushed = PushedDocument { width, height, ..pushed };
     }
     let source = SourceDocument::Pushed(pushed.clone());
-    source::open(&source, "", |model| Err(Problem::unknown("model", model)), None)?; // whether its size can be
+    source::open(&source, "", |model| Err(Problem::unknown("model", model)))?; // whether its size can be
     let frame = decode(&pushed, media, bytes)?;
     document.source = SourceReference::Own(Box::new(source));
     fit_once(entry, &document, &frame, watch)
@@ -155,7 +155,7 @@ fn pushed(document: &SessionDocument) -> Result<PushedDocument, Problem> {
 fn raw_bytes_of(source: &SourceDocument) -> Result<usize, Problem> {
     match source {
         SourceDocument::Pushed(pushed) if pushed.width > 0 && pushed.height > 0 => {
-            source::open(source, "", |model| Err(Problem::unknown("model", model)), None)?;
+            source::open(source, "", |model| Err(Problem::unknown("model", model)))?;
             Ok(raw_bytes(pushed))
         }
         _ => Err(Problem::bad_request("raw pixels need width and height in the query, at least 1 each")),
