@@ -8,11 +8,15 @@ mod arguments;
 mod calibrate;
 mod cameras;
 mod compare;
+#[cfg(feature = "serve")]
+mod configuration;
 mod connection;
 mod export;
 mod failure;
 mod fit;
 mod http;
+#[cfg(feature = "serve")]
+mod log;
 mod model_files;
 mod models;
 mod offline;
@@ -34,6 +38,8 @@ mod watch;
 use std::io::Write;
 use std::process::ExitCode;
 
+#[cfg(feature = "serve")]
+use clap::{CommandFactory, FromArgMatches};
 use clap::{Parser, Subcommand};
 
 use failure::Failure;
@@ -55,6 +61,10 @@ enum Command {
     #[cfg(feature = "serve")]
     #[command(subcommand)]
     Token(token::TokenCommand),
+    /// How `serve` is configured
+    #[cfg(feature = "serve")]
+    #[command(subcommand)]
+    Config(ConfigCommand),
     /// Model documents: in files, and those of the service
     #[command(subcommand)]
     Model(ModelCommand),
@@ -73,6 +83,12 @@ enum Command {
     /// Measure what belongs to the camera
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+}
+
+#[cfg(feature = "serve")]
+#[derive(Subcommand)]
+enum ConfigCommand {
+    Show(configuration::ShowArgs),
 }
 
 #[derive(Subcommand)]
@@ -111,9 +127,8 @@ enum SessionCommand {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse(); // bad usage ends here, with 2
     let mut out = StandardOutput::new();
-    let done = run(&arguments.command, &mut out).and_then(|()| out.flush().map_err(Failure::output));
+    let done = run_line(&mut out).and_then(|()| out.flush().map_err(Failure::output));
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(_) if out.is_unread() => ExitCode::SUCCESS,
@@ -124,12 +139,34 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: &Command, out: &mut dyn Write) -> Result<(), Failure> {
+/// Bad usage ends here, with 2.
+#[cfg(feature = "serve")]
+fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
+    let (matches, settings) = configuration::matches(Arguments::command(), std::env::args_os().collect())?;
+    run(&Arguments::from_arg_matches(&matches).map_err(Failure::other)?.command, &settings, out)
+}
+
+/// Bad usage ends here, with 2.
+#[cfg(not(feature = "serve"))]
+fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
+    run(&Arguments::parse().command, &(), out)
+}
+
+/// What `serve` would be started with, where that was asked.
+#[cfg(feature = "serve")]
+type Settings = Vec<configuration::Setting>;
+#[cfg(not(feature = "serve"))]
+type Settings = ();
+
+#[cfg_attr(not(feature = "serve"), allow(unused_variables))] // there is nothing to be configured
+fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<(), Failure> {
     match command {
         #[cfg(feature = "serve")]
-        Command::Serve(args) => serve::run(args),
+        Command::Serve(args) => serve::run(args, out),
         #[cfg(feature = "serve")]
         Command::Token(command) => token::run(command, out),
+        #[cfg(feature = "serve")]
+        Command::Config(ConfigCommand::Show(args)) => configuration::show(args, settings, out),
         Command::Model(ModelCommand::Check(args)) => model_files::check(args, out),
         Command::Model(ModelCommand::Explain(args)) => model_files::explain(args, out),
         Command::Model(ModelCommand::Export(args)) => export::run(args, out),

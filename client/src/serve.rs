@@ -1,16 +1,22 @@
 //! `isophote serve`: the service in the foreground, until it is interrupted.
 
+use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use isophote_server::{AccessOptions, HostName, Options, Server, Signals, StartError, Stopped, TlsFiles};
+use isophote_server::{AccessOptions, HostName, Options, Server, Signals, StartError, Stopped, TlsFiles, check};
 
 use crate::arguments::VectorWidthArgument;
 use crate::failure::Failure;
+use crate::log::{Log, LogFormat, LogLevel};
+use crate::output;
 
 /// Run the service: models, sources, sessions and streams over HTTP
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServeArgs {
+    /// A TOML file with values for these options, `vector_width = "256"`; flags and the environment come before it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Where to listen; off loopback with tokens and TLS; port 0 takes any free one
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7240")]
     pub listen: SocketAddr,
@@ -23,6 +29,15 @@ pub struct ServeArgs {
     /// Bits of a vector; auto: what is fastest on this machine, measured at the start
     #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
     pub vector_width: VectorWidthArgument,
+    /// How the log on standard error looks
+    #[arg(long, value_enum, default_value_t = LogFormat::Text)]
+    pub log: LogFormat,
+    /// What it says
+    #[arg(long, value_enum, default_value_t = LogLevel::Info)]
+    pub log_level: LogLevel,
+    /// Say whether the service could start, and start nothing: address, data folder, and whether code may be compiled and run
+    #[arg(long)]
+    pub check: bool,
     #[command(flatten)]
     access: AccessArgs,
 }
@@ -37,10 +52,10 @@ struct AccessArgs {
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
     /// Encrypt: the service's certificate, PEM
-    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    #[arg(long, value_name = "FILE")]
     tls_cert: Option<PathBuf>,
     /// The certificate's key, PEM
-    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    #[arg(long, value_name = "FILE")]
     tls_key: Option<PathBuf>,
     /// Off loopback without encryption, where a proxy or a tunnel encrypts
     #[arg(long)]
@@ -54,33 +69,63 @@ struct AccessArgs {
 }
 
 impl AccessArgs {
-    fn options(&self) -> AccessOptions {
+    /// Wherever the two come from, certificate and key go together.
+    fn options(&self) -> Result<AccessOptions, Failure> {
         let files = self.tls_cert.clone().zip(self.tls_key.clone());
-        AccessOptions {
+        if files.is_none() && (self.tls_cert.is_some() || self.tls_key.is_some()) {
+            return Err(Failure::Usage("--tls-cert and --tls-key go together".into()));
+        }
+        Ok(AccessOptions {
             require_token: self.require_token,
             tokens: self.tokens.clone(),
             tls: files.map(|(certificate, key)| TlsFiles { certificate, key }),
             insecure: self.insecure,
             hosts: self.hosts.clone(),
             recordings: self.recordings.clone(),
-        }
+        })
     }
 }
 
 /// Serves until SIGINT or SIGTERM; a second one ends it at once. The line on standard error is for people and programs: it names the real port.
-pub fn run(args: &ServeArgs) -> Result<(), Failure> {
+pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let width = args.vector_width.width()?;
-    let access = args.access.options();
+    let access = args.access.options()?;
     let scheme = if access.tls.is_some() { "https" } else { "http" };
     let options = Options { listen: args.listen, data: args.data.clone(), demo: args.demo, width, access };
+    let no_log = |error| Failure::Other(format!("no thread for the log: {error}"));
+    let _log = Log::start(args.log, args.log_level).map_err(no_log)?;
+    if args.check {
+        return checked(&options, out);
+    }
     let server = Server::start(&options).map_err(|error| match error {
         StartError::Access(_) => Failure::Usage(error.to_string()),
         other => Failure::Other(other.to_string()),
     })?;
     let signals = Signals::handle().map_err(|error| Failure::Other(format!("signals cannot be handled: {error}")))?;
-    eprintln!("isophote: listening on {scheme}://{}", server.address());
+    let address = format!("{scheme}://{}", server.address());
+    match args.log {
+        LogFormat::Text => eprintln!("isophote: listening on {address}"),
+        LogFormat::Json => tracing::info!(address, "listening"),
+    }
     match server.run_until(signals) {
         Stopped::InOrder => Ok(()),
         Stopped::AtOnce => Err(Failure::Other("ended before everything had stopped".into())),
+    }
+}
+
+/// One line a finding; the reasons are what it fails with.
+fn checked(options: &Options, out: &mut dyn Write) -> Result<(), Failure> {
+    let findings = check(options);
+    let rows = findings.iter().map(|finding| match &finding.result {
+        Ok(found) => vec![finding.what.to_string(), "ok".into(), found.clone()],
+        Err(reason) => vec![finding.what.to_string(), "no".into(), reason.clone()],
+    });
+    output::table(out, &["WHAT", "", "FOUND"], &rows.collect::<Vec<_>>())?;
+    let reasons: Vec<&str> =
+        findings.iter().filter_map(|finding| finding.result.as_ref().err()).map(String::as_str).collect();
+    if reasons.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Other(format!("the service would not start: {}", reasons.join("; "))))
     }
 }

@@ -14,6 +14,7 @@
 //! named threads, waited for when the service stops, and never for long.
 
 mod access;
+mod check;
 mod compiler;
 mod counters;
 mod demo;
@@ -40,4 +41,5 @@ mod watchdog;
 pub use access::{
     AccessError, AccessOptions, HostName, Role, Secret, TlsError, TlsFiles, TokenError, TokenFile, TokenRecord,
 };
+pub use check::{StartFinding, check};
 pub use listener::{Options, Server, Signals, StartError, Stopped};

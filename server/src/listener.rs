@@ -139,7 +139,7 @@ impl Server {
         self.service.drain();
         self.stop.send_replace(true);
         if thread.join().is_err() {
-            eprintln!("isophote: the listener panicked");
+            tracing::error!("the listener panicked");
         }
         self.service.stop();
     }
@@ -281,7 +281,7 @@ async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>
     drop((listener, router, full, held));
     let all_ended = async { while all_held.recv().await.is_some() {} };
     if tokio::time::timeout(LIMITS.drain_time, all_ended).await.is_err() {
-        eprintln!("isophote: some clients did not hang up in time");
+        tracing::warn!("some clients did not hang up in time");
     }
 }
 

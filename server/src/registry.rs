@@ -297,7 +297,7 @@ impl Registry {
 
 fn report(what: &str, faults: &Diagnostics) {
     let first = faults.first().map(|fault| format!("{} ({}:{})", fault.message, fault.line, fault.column));
-    eprintln!("isophote: {what} is refused: {}", first.unwrap_or_default());
+    tracing::warn!("{what} is refused: {}", first.unwrap_or_default());
 }
 
 #[cfg(test)]

@@ -156,6 +156,7 @@ impl Service {
         let (entry, mut answer) = self.check_model(name, media, text)?;
         let (is_new, entry) = self.registry.put(name, expected, entry)?;
         answer.version = entry.version;
+        tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
         Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
     }
 
@@ -165,7 +166,9 @@ impl Service {
         if let Some((session, _)) = self.sessions().iter().find(|(_, session)| session.uses_model(name.as_str())) {
             return Err(Problem::conflict("in-use", format!("session `{session}` uses the model `{name}`")));
         }
-        self.registry.remove(name, expected)
+        self.registry.remove(name, expected)?;
+        tracing::info!(model = name.as_str(), "model removed");
+        Ok(())
     }
 
     /// `PUT /v1/sources/{name}`, opened already where that takes its time. Only from the compile thread.
@@ -184,6 +187,7 @@ impl Service {
         let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
         let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
         let source = Source::start(name.as_str(), document, opened)?;
+        tracing::info!(source = name.as_str(), kind = source.document().kind(), "source put");
         insert(&self.sources, name, source);
         match before {
             Some(before) => before.stop(),
@@ -201,6 +205,7 @@ impl Service {
         }
         remove(&self.sources, name);
         source.stop();
+        tracing::info!(source = name.as_str(), "source removed");
         Ok(())
     }
 
@@ -225,6 +230,7 @@ impl Service {
         let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
         let session = self.session_of(name, document, &entry, opened)?;
         self.counters.compile_s.observe(session.compile_ms() / 1e3);
+        tracing::info!(session = name.as_str(), frame = 0, model = entry.id(), "session started");
         insert(&self.sessions, name, session);
         let Some(before) = before else { return Ok((Put::Created, None)) };
         let ended = ending(name, before);
@@ -287,7 +293,9 @@ impl Service {
 
     /// From now on nothing new is taken, and every stream ends.
     pub fn drain(&self) {
-        self.is_draining.store(true, Ordering::SeqCst);
+        if !self.is_draining.swap(true, Ordering::SeqCst) {
+            tracing::info!("the service stops");
+        }
         for (_, session) in self.sessions() {
             session.hub().end(End::ServiceStops);
         }
@@ -315,7 +323,14 @@ impl Service {
 /// Ends a session beside whoever has taken it out of the table: many that are at long fits end together.
 fn ending(name: &Name, session: Arc<Session>) -> oneshot::Receiver<()> {
     session.leave();
-    thread::beside(name.as_str(), move || session.wait(End::SessionStopped, Instant::now() + LIMITS.end_time))
+    let said = name.to_string();
+    let end = move || {
+        session.wait(End::SessionStopped, Instant::now() + LIMITS.end_time);
+        let counters = session.counters();
+        let (frames, dropped) = (counters.frames.count(), counters.dropped.count());
+        tracing::info!(session = said, frame = session.last_frame(), frames, dropped, "session stopped");
+    };
+    thread::beside(name.as_str(), end)
 }
 
 fn source_in_use(name: &Name, source: &Source) -> Problem {

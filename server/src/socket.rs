@@ -27,7 +27,7 @@ impl ClientSocket {
     /// A connection that has just begun.
     pub fn new(stream: TcpStream, place: Place) -> ClientSocket {
         if let Err(error) = stream.set_nodelay(true) {
-            eprintln!("isophote: no TCP_NODELAY: {error}");
+            tracing::debug!(%error, "no TCP_NODELAY");
         }
         ClientSocket { stream, patience: None, _place: place }
     }
@@ -45,6 +45,8 @@ impl ClientSocket {
         }
         let patience = self.patience.get_or_insert_with(|| Box::pin(sleep(LIMITS.send_time)));
         ready!(patience.as_mut().poll(context));
+        let client = self.stream.peer_addr().map(|address| address.to_string()).unwrap_or_default();
+        tracing::info!(client, "a client is left: it takes nothing of what is sent");
         Poll::Ready(Err(Error::new(ErrorKind::TimedOut, "the client takes nothing")))
     }
 }
@@ -89,6 +91,6 @@ pub fn raise_bound_on_files() {
     let bound = getrlimit(Resource::Nofile);
     let wanted = Rlimit { current: bound.maximum, maximum: bound.maximum };
     if bound.current.is_some() && bound.current != wanted.current && setrlimit(Resource::Nofile, wanted).is_err() {
-        eprintln!("isophote: no more than {} files and sockets can be open", bound.current.unwrap_or_default());
+        tracing::warn!("no more than {} files and sockets can be open", bound.current.unwrap_or_default());
     }
 }

@@ -160,7 +160,7 @@ impl Store {
 }
 
 fn said(path: &Path, what: &str) {
-    eprintln!("isophote: {}: {what}", path.display());
+    tracing::warn!("{}: {what}", path.display());
 }
 
 fn read(path: &Path) -> io::Result<Stored> {

@@ -32,7 +32,7 @@ impl NamedThread {
         let Some((thread, running)) = taken else { return };
         let left = until.saturating_duration_since(Instant::now());
         if running.recv_timeout(left) != Err(RecvTimeoutError::Timeout) && thread.join().is_err() {
-            eprintln!("isophote: the thread `{}` panicked", self.name);
+            tracing::error!(thread = self.name, "a thread panicked");
         }
     }
 }
@@ -48,7 +48,7 @@ pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Rece
         done.send(()).ok(); // whoever asked may have gone
     };
     if let Err(error) = Builder::new().name(format!("end {what}")).spawn(finish) {
-        eprintln!("isophote: no thread to wait for the end of {what}: {error}");
+        tracing::error!(%error, "no thread to wait for the end of {what}");
         take(&work).into_iter().for_each(|work| work());
     }
     heard

@@ -11,7 +11,7 @@ use axum::response::IntoResponse;
 use isophote_tracker::Target;
 use isophote_wire::{CreditDocument, FrameTime, ProblemDocument};
 use utoipa::openapi::path::Operation;
-use utoipa::openapi::{ContentBuilder, Ref, ResponseBuilder};
+use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, ResponseBuilder, SchemaFormat, Type};
 use utoipa::{Modify, OpenApi};
 
 use super::{Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, sessions, sources};
@@ -31,7 +31,7 @@ use crate::problem::Problem;
     components(schemas(ProblemDocument, CreditDocument, FrameTime, Target)),
     tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),
          (name = "operation", description = "Health, metrics, time, and the page.")),
-    modifiers(&Problems)
+    modifiers(&Problems, &Bytes)
 )]
 struct Description;
 
@@ -53,6 +53,26 @@ fn with_problem(operation: &mut Operation) {
         .description("What is wrong; `type` ends in a stable code.")
         .content("application/problem+json", content);
     operation.responses.responses.insert("default".into(), response.build().into());
+}
+
+/// Images and pixels are no text and no JSON.
+struct Bytes;
+
+impl Modify for Bytes {
+    fn modify(&self, api: &mut utoipa::openapi::OpenApi) {
+        let posts =
+            api.paths.paths.values_mut().filter_map(|item| match item.post.as_mut()?.request_body.as_mut()? {
+                RefOr::T(body) => Some(body),
+                RefOr::Ref(_) => None,
+            });
+        let contents = posts.flat_map(|body| body.content.iter_mut());
+        let is_bytes = |media: &str| media.starts_with("image/") || media == "application/octet-stream";
+        for (_, content) in contents.filter(|(media, _)| is_bytes(media)) {
+            let format = SchemaFormat::KnownFormat(KnownFormat::Binary);
+            let bytes = ObjectBuilder::new().schema_type(Type::String).format(Some(format));
+            *content = RefOr::T(ContentBuilder::new().schema(Some(bytes)).build());
+        }
+    }
 }
 
 /// The text.

@@ -30,13 +30,14 @@ impl PreparationThread {
         let (told, name) = (is_unwanted.clone(), session.to_string());
         let run = move || {
             if let Err(failure) = preparation.run(&|| !told.load(Ordering::Relaxed)) {
-                eprintln!("isophote: session {name} goes on without what was to be prepared for its fits: {failure}");
+                let session = name.as_str();
+                tracing::warn!(session, %failure, "goes on without what was to be prepared for its fits");
             }
         };
         match Builder::new().name(format!("prepare {session}")).spawn(run) {
             Ok(thread) => self.running = Some(Running { is_unwanted, thread }),
             // The next frame asks again.
-            Err(error) => eprintln!("isophote: no thread to prepare what fits of session {session} lack: {error}"),
+            Err(error) => tracing::warn!(session, %error, "no thread to prepare what its fits lack"),
         }
     }
 

@@ -11,6 +11,7 @@ use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDoc
 
 use super::Shared;
 use super::beside::PreparationThread;
+use super::chronicle::Chronicle;
 use super::inbox::{Delivery, Event, SourceEnd, Waiting};
 use super::swap::{Active, Swap, Swapped};
 use crate::hub::End;
@@ -34,6 +35,8 @@ pub struct Fitter {
     pub beside: PreparationThread,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
+    /// What was said of its frames.
+    pub chronicle: Chronicle,
 }
 
 /// A controller and the knob that it turns.
@@ -106,6 +109,8 @@ impl Fitter {
         self.active = swap.active;
         self.shared.counters.swaps.add(1);
         let active_since_frame = self.next_frame.unwrap_or(0);
+        let (session, model) = (self.name.as_str(), self.active.id.as_ref());
+        tracing::info!(session, frame = active_since_frame, model, "model swapped");
         {
             let mut status = self.shared.status();
             status.active = self.active.clone();
@@ -144,6 +149,9 @@ impl Fitter {
         let captured_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
         let (fit_ns, age_ns) = (end_ns.saturating_sub(start_ns), end_ns.saturating_sub(captured_ns));
         self.shared.counters.fitted(&results, fit_ns, age_ns, lost);
+        for remark in self.chronicle.frame(end_ns, lost, &results) {
+            remark.say(&self.name, frame.sequence);
+        }
         let estimates: Vec<Arc<EstimateView>> =
             results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
         for estimate in &estimates {
@@ -194,6 +202,11 @@ impl Fitter {
             SourceEnd::Finished(reason) => (SessionState::Stopped, reason),
             SourceEnd::Failed(reason) => (SessionState::LostSource, reason),
         };
+        let (session, frame) = (self.name.as_str(), self.next_frame.unwrap_or(0));
+        match state {
+            SessionState::LostSource => tracing::warn!(session, frame, reason, "session has lost its source"),
+            _ => tracing::info!(session, frame, reason, "session has no more frames"),
+        }
         self.shared.status().end(state, reason.clone());
         self.shared.hub.end(End::SourceEnded(reason));
     }
@@ -208,6 +221,11 @@ impl Drop for EndGuard {
             return;
         }
         let reason = "bug: the fit thread panicked".to_string();
+        tracing::error!(
+            session = std::thread::current().name().map(|name| name.trim_start_matches("fit ")),
+            reason,
+            "session failed"
+        );
         self.0.status().end(SessionState::Failed, reason.clone());
         self.0.inbox.close();
         self.0.hub.end(End::SessionFailed(reason));

@@ -2,6 +2,7 @@
 
 mod beside;
 mod checks;
+mod chronicle;
 mod fit;
 pub mod inbox;
 mod once;
@@ -21,6 +22,7 @@ use crate::source::Source;
 use crate::thread::NamedThread;
 use beside::PreparationThread;
 use checks::{check_document, check_shape, tracker, wrong_options};
+use chronicle::Chronicle;
 use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
 use isophote_machine::Threads;
@@ -100,6 +102,7 @@ impl Session {
             knob,
             beside: PreparationThread::default(),
             next_frame: None,
+            chronicle: Chronicle::default(),
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
@@ -115,6 +118,11 @@ impl Session {
     /// What was counted of it.
     pub fn counters(&self) -> &SessionCounters {
         &self.shared.counters
+    }
+
+    /// The number of the last frame that it fitted.
+    pub fn last_frame(&self) -> Option<u64> {
+        self.shared.hub.last().map(|estimate| estimate.frame)
     }
 
     /// What its kernels took when it started, ms.

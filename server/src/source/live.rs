@@ -7,7 +7,7 @@ use isophote_capture::{CameraState, LiveCamera};
 use isophote_machine::monotonic_ns;
 use isophote_wire::SourceState;
 
-use super::{Source, State, Worker};
+use super::{Source, State, Worker, label};
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
 const LOOK: Duration = Duration::from_millis(200);
@@ -78,9 +78,24 @@ impl Worker {
         };
         let mut state = self.shared.lock();
         state.is_resting = *camera.state() == CameraState::Resting;
-        (state.state, state.reason, state.asked) = (source_state, reason, None);
+        let before = std::mem::replace(&mut state.state, source_state);
+        (state.reason, state.asked) = (reason.clone(), None);
+        let frame = state.frames;
         state.camera = Some(camera.status().clone());
         drop(state);
+        say(before, source_state, reason, frame);
         self.shared.changed.notify_all();
+    }
+}
+
+/// A line of the log where a camera is lost, stalls, or is back.
+fn say(before: SourceState, now: SourceState, reason: Option<String>, frame: u64) {
+    let is_away = |state| matches!(state, SourceState::Lost | SourceState::Stalled);
+    let source = label();
+    match now {
+        SourceState::Lost if before != now => tracing::warn!(source, frame, reason, "source lost"),
+        SourceState::Stalled if before != now => tracing::warn!(source, frame, reason, "source stalled"),
+        SourceState::Running if is_away(before) => tracing::info!(source, frame, "source is back"),
+        _ => {}
     }
 }

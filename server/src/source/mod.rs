@@ -370,7 +370,16 @@ impl Worker {
     }
 }
 
+/// What the source of this thread is called.
+fn label() -> String {
+    std::thread::current().name().unwrap_or_default().trim_start_matches("source ").to_string()
+}
+
 fn finish(shared: &Shared, end: SourceState, reason: String) {
+    match end {
+        SourceState::Failed => tracing::warn!(source = label(), reason, "source failed"),
+        _ => tracing::info!(source = label(), reason, "source has no more frames"),
+    }
     let sessions = {
         let mut state = shared.lock();
         state.state = end;

@@ -31,7 +31,7 @@ const INTERPRETERS: [(&str, &str); 3] = [
     ("node ", "node -e 'new WebSocket(\"ws://127.0.0.1:9\").onerror = () => 0'"),
 ];
 /// Commands of `isophote` that need no service.
-pub const OFFLINE: [&str; 11] = [
+pub const OFFLINE: [&str; 13] = [
     "model check",
     "model explain",
     "model export",
@@ -41,6 +41,8 @@ pub const OFFLINE: [&str; 11] = [
     "compare",
     "calibrate",
     "token",
+    "config show",
+    "serve --check",
     "--help",
     "--version",
 ];
@@ -74,7 +76,7 @@ fn step(command: &str) -> Step {
         let online = INTERPRETERS.iter().any(|(head, _)| shell.starts_with(head));
         return if online { Step::Run { shell, online, exit } } else { Step::Unknown };
     };
-    if let Some(arguments) = arguments.strip_prefix("serve") {
+    if let Some(arguments) = arguments.strip_prefix("serve").filter(|rest| !rest.starts_with(" --check")) {
         let words: Vec<String> = arguments.split_whitespace().map(String::from).collect();
         let listen = words.iter().position(|word| word == "--listen");
         let kept = words.iter().enumerate().filter(|(i, _)| listen.is_none_or(|at| *i != at && *i != at + 1));

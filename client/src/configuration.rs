@@ -1,0 +1,211 @@
+//! Where the options of `serve` come from: flag, else environment, else file, else default.
+//!
+//! In: the command line, `ISOPHOTE_*`, and the file that `--config` names. Out: what the command line would have been with all of them,
+//! and of each value where it came from. An option that is added to `serve` has its variable and its key in the file without more:
+//! `--vector-width` is `ISOPHOTE_VECTOR_WIDTH` and `vector_width`.
+
+use std::ffi::OsString;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use clap::parser::ValueSource;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use serde::Serialize;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use crate::failure::Failure;
+use crate::output;
+use crate::serve::ServeArgs;
+
+/// Show how `serve` would be configured: each value, and where it came from
+#[derive(Clone, Debug, clap::Args)]
+pub struct ShowArgs {
+    #[command(flatten)]
+    serve: ServeArgs,
+    /// One JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What is done, not how: these have no variable and no key.
+const ACTIONS: [&str; 4] = ["check", "json", "help", "version"];
+/// Names with these endings are shown as set or not.
+const SECRETS: [&str; 3] = ["token", "secret", "password"];
+/// Bytes of a file.
+const FILE_BYTES_MAX: u64 = 1 << 20;
+
+/// One option of `serve`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Setting {
+    /// As in the file.
+    pub key: String,
+    /// As given; absent when nobody says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value: Option<String>,
+    /// `flag`, `environment`, `file` or `default`.
+    pub origin: &'static str,
+    /// The variable, or the line of the file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
+}
+
+/// A key of the file.
+#[derive(Debug)]
+struct FileValue {
+    key: String,
+    texts: Vec<String>,
+    place: String,
+}
+
+/// The command line with what environment and file say, and the settings that come of it where there are some.
+///
+/// # Errors
+/// A file that cannot be read, or says what no option is. Wrong usage ends the program, as ever.
+pub fn matches(command: Command, arguments: Vec<OsString>) -> Result<(ArgMatches, Vec<Setting>), Failure> {
+    let command = configured(command, &with_environment);
+    let first = command.clone().get_matches_from(&arguments);
+    let Some(chosen) = chosen(&first) else { return Ok((first, Vec::new())) };
+    let options = options(&command);
+    let file = match chosen.get_one::<PathBuf>("config") {
+        Some(path) => read(path, &options)?,
+        None => Vec::new(),
+    };
+    let with_file = |arg: Arg| match file.iter().find(|value| value.key == key_of(&arg)) {
+        Some(value) => arg.default_values(value.texts.clone()),
+        None => arg,
+    };
+    let second = configured(command, &with_file).get_matches_from(&arguments);
+    let settings = self::chosen(&second).map(|chosen| settings(chosen, &options, &file)).unwrap_or_default();
+    Ok((second, settings))
+}
+
+/// Prints the settings.
+pub fn show(args: &ShowArgs, settings: &[Setting], out: &mut dyn Write) -> Result<(), Failure> {
+    if args.json {
+        return output::json(out, &serde_json::json!({ "items": settings }));
+    }
+    let row = |setting: &Setting| {
+        let value = setting.value.clone().unwrap_or_else(|| "-".into());
+        let place = setting.place.as_ref().map(|place| format!(" {place}")).unwrap_or_default();
+        vec![setting.key.clone(), value, format!("{}{place}", setting.origin)]
+    };
+    output::table(out, &["KEY", "VALUE", "FROM"], &settings.iter().map(row).collect::<Vec<_>>())
+}
+
+/// Changes the options of `serve`, and of `config show`, which has the same.
+fn configured(command: Command, change: &impl Fn(Arg) -> Arg) -> Command {
+    let change_all = |command: Command| command.mut_args(change);
+    command
+        .mut_subcommand("serve", change_all)
+        .mut_subcommand("config", |config| config.mut_subcommand("show", change_all))
+}
+
+fn with_environment(arg: Arg) -> Arg {
+    if ACTIONS.contains(&arg.get_id().as_str()) {
+        return arg;
+    }
+    let name = format!("ISOPHOTE_{}", key_of(&arg).to_uppercase());
+    arg.env(name).hide_env_values(true)
+}
+
+/// What an option is called in the file.
+fn key_of(arg: &Arg) -> String {
+    arg.get_long().unwrap_or(arg.get_id().as_str()).replace('-', "_")
+}
+
+/// What was said to `serve` or to `config show`.
+fn chosen(matches: &ArgMatches) -> Option<&ArgMatches> {
+    match matches.subcommand()? {
+        ("serve", serve) => Some(serve),
+        ("config", config) => config.subcommand_matches("show"),
+        _ => None,
+    }
+}
+
+/// The options that a file may set.
+fn options(command: &Command) -> Vec<Arg> {
+    let serve = command.find_subcommand("serve").into_iter().flat_map(Command::get_arguments);
+    let is_option = |arg: &&Arg| !ACTIONS.contains(&arg.get_id().as_str()) && arg.get_id() != "config";
+    serve.filter(is_option).cloned().collect()
+}
+
+fn read(path: &Path, options: &[Arg]) -> Result<Vec<FileValue>, Failure> {
+    let failed = |error: std::io::Error| Failure::Other(format!("{}: cannot be read: {error}", path.display()));
+    let mut text = String::new();
+    std::fs::File::open(path).map_err(failed)?.take(FILE_BYTES_MAX).read_to_string(&mut text).map_err(failed)?;
+    let at = |start: usize| {
+        let head = &text[..text.floor_char_boundary(start)];
+        let line = head.rfind('\n').map_or(head, |end| &head[end + 1..]);
+        format!("{}:{}:{}", path.display(), 1 + head.matches('\n').count(), 1 + line.chars().count())
+    };
+    let table = DeTable::parse(&text).map_err(|error| {
+        let place = at(error.span().map_or(0, |span| span.start));
+        Failure::Other(format!("{place}: {}", error.message()))
+    })?;
+    table.get_ref().iter().map(|(key, value)| file_value(key, value, options, &at)).collect()
+}
+
+fn file_value(
+    key: &Spanned<std::borrow::Cow<str>>,
+    value: &Spanned<DeValue>,
+    options: &[Arg],
+    at: &dyn Fn(usize) -> String,
+) -> Result<FileValue, Failure> {
+    let (name, place) = (key.get_ref().to_string(), at(key.span().start));
+    let Some(option) = options.iter().find(|option| key_of(option) == name) else {
+        let known: Vec<String> = options.iter().map(key_of).collect();
+        return Err(Failure::Other(format!("{place}: there is no key `{name}`; there are {}", known.join(", "))));
+    };
+    let is_switch = matches!(option.get_action(), ArgAction::SetTrue);
+    let is_list = matches!(option.get_action(), ArgAction::Append);
+    let wrong = |wanted: &str| Failure::Other(format!("{place}: `{name}` is {wanted}"));
+    let texts = match (value.get_ref(), is_switch) {
+        (DeValue::Boolean(on), true) => vec![on.to_string()],
+        (_, true) => return Err(wrong("true or false")),
+        (DeValue::Array(all), false) if is_list => {
+            let texts = all.iter().map(|one| text_of(one.get_ref())).collect::<Option<_>>();
+            texts.ok_or_else(|| wrong("a list of texts or numbers"))?
+        }
+        (one, false) => vec![text_of(one).ok_or_else(|| wrong("a text or a number"))?],
+    };
+    for text in texts.iter().filter(|_| !is_switch) {
+        let line = ["serve".to_string(), format!("--{}={text}", option.get_long().unwrap_or(&name))];
+        let tried = Command::new("serve").arg(option.clone().required(false)).try_get_matches_from(line);
+        tried.map_err(|error| {
+            let reason = error.to_string().lines().next().unwrap_or_default().trim_start_matches("error: ").to_string();
+            Failure::Other(format!("{place}: {reason}"))
+        })?;
+    }
+    Ok(FileValue { key: name, texts, place })
+}
+
+fn text_of(value: &DeValue) -> Option<String> {
+    match value {
+        DeValue::String(text) => Some(text.to_string()),
+        DeValue::Integer(number) => Some(number.as_str().to_string()),
+        DeValue::Float(number) => Some(number.as_str().to_string()),
+        _ => None,
+    }
+}
+
+fn settings(chosen: &ArgMatches, options: &[Arg], file: &[FileValue]) -> Vec<Setting> {
+    let of = |option: &Arg| {
+        let (key, id) = (key_of(option), option.get_id().as_str());
+        let values = chosen.get_raw(id).map(|values| values.map(|value| value.to_string_lossy().into_owned()));
+        let value = values.map(|values| values.collect::<Vec<_>>().join(","));
+        let is_switch = matches!(option.get_action(), ArgAction::SetTrue);
+        let is_secret = !is_switch && SECRETS.iter().any(|ending| key.ends_with(ending));
+        let in_file = file.iter().find(|value| value.key == key);
+        let (origin, place) = match chosen.value_source(id) {
+            Some(ValueSource::CommandLine) => ("flag", None),
+            Some(ValueSource::EnvVariable) => {
+                ("environment", option.get_env().map(|name| name.to_string_lossy().into_owned()))
+            }
+            _ => in_file.map_or(("default", None), |value| ("file", Some(value.place.clone()))),
+        };
+        let value = if is_secret { value.map(|_| "(set)".into()) } else { value };
+        Setting { key, value, origin, place }
+    };
+    options.iter().map(of).collect()
+}

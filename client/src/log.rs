@@ -1,0 +1,179 @@
+//! What the service says of itself, on standard error: lines for people, or JSON.
+//!
+//! In: the events of the server. Out: lines, written by a thread of their own, so that nobody who has something to say waits for
+//! whoever reads: while nobody does, lines are left out, and their number is said when it goes on.
+
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::Builder;
+use std::time::Duration;
+
+use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::time::FormatTime;
+
+/// How lines look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One object a line.
+    Json,
+}
+
+/// What is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogLevel {
+    /// What went wrong in the service itself.
+    Error,
+    /// What goes on, but not as it should.
+    Warn,
+    /// Every change of state.
+    Info,
+    /// What is only of interest to those who look for a fault.
+    Debug,
+}
+
+impl LogLevel {
+    fn level(self) -> tracing_subscriber::filter::LevelFilter {
+        use tracing_subscriber::filter::LevelFilter;
+        match self {
+            LogLevel::Error => LevelFilter::ERROR,
+            LogLevel::Warn => LevelFilter::WARN,
+            LogLevel::Info => LevelFilter::INFO,
+            LogLevel::Debug => LevelFilter::DEBUG,
+        }
+    }
+}
+
+/// Lines that wait to be written.
+const LINES: usize = 4096;
+/// For what waits at the end.
+const END: Duration = Duration::from_millis(500);
+
+/// Ends with the program: what was said before is written then.
+pub struct Log {
+    written: Receiver<()>,
+    lines: SyncSender<Option<Vec<u8>>>,
+}
+
+impl Log {
+    /// From now on events become lines. Called once.
+    ///
+    /// # Errors
+    /// When there is no thread to write them.
+    pub fn start(format: LogFormat, level: LogLevel) -> io::Result<Log> {
+        let (lines, waiting) = sync_channel(LINES);
+        let (done, written) = sync_channel(0);
+        let lost = Arc::new(AtomicU64::new(0));
+        let theirs = lost.clone();
+        let write = move || {
+            write_lines(&waiting, &theirs, format);
+            drop(done);
+        };
+        Builder::new().name("log".into()).spawn(write)?;
+        let writer = Lines { lines: lines.clone(), lost };
+        let builder = tracing_subscriber::fmt().with_max_level(level.level()).with_target(false).with_writer(writer);
+        match format {
+            LogFormat::Text => builder.with_ansi(false).with_timer(Prefix).init(),
+            LogFormat::Json => builder.json().flatten_event(true).init(),
+        }
+        Ok(Log { written, lines })
+    }
+}
+
+impl Drop for Log {
+    fn drop(&mut self) {
+        if self.lines.try_send(None).is_ok() {
+            // Hung up when all is written; where nobody reads, not for long.
+            self.written.recv_timeout(END).ok();
+        }
+    }
+}
+
+fn write_lines(waiting: &Receiver<Option<Vec<u8>>>, lost: &AtomicU64, format: LogFormat) {
+    while let Ok(Some(line)) = waiting.recv() {
+        let count = lost.swap(0, Ordering::Relaxed);
+        let mut text = Vec::new();
+        if count > 0 {
+            text.extend_from_slice(left_out(count, format).as_bytes());
+        }
+        text.extend_from_slice(&line);
+        io::stderr().lock().write_all(&text).ok(); // nobody to tell
+    }
+}
+
+fn left_out(count: u64, format: LogFormat) -> String {
+    let message = "lines of the log were left out, because nobody read them";
+    match format {
+        LogFormat::Text => format!("isophote:  WARN {message} count={count}\n"),
+        LogFormat::Json => format!("{}\n", serde_json::json!({"level": "WARN", "message": message, "count": count})),
+    }
+}
+
+/// In the place of a time, which whoever keeps logs adds: systemd does.
+struct Prefix;
+
+impl FormatTime for Prefix {
+    fn format_time(&self, writer: &mut Writer<'_>) -> std::fmt::Result {
+        writer.write_str("isophote:")
+    }
+}
+
+/// Where lines go.
+struct Lines {
+    lines: SyncSender<Option<Vec<u8>>>,
+    lost: Arc<AtomicU64>,
+}
+
+/// One line, sent when it is whole.
+struct Line<'a> {
+    bytes: Vec<u8>,
+    to: &'a Lines,
+}
+
+impl<'a> MakeWriter<'a> for Lines {
+    type Writer = Line<'a>;
+    fn make_writer(&'a self) -> Line<'a> {
+        Line { bytes: Vec::new(), to: self }
+    }
+}
+
+impl Write for Line<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.bytes.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for Line<'_> {
+    fn drop(&mut self) {
+        if let Err(TrySendError::Full(_)) = self.to.lines.try_send(Some(std::mem::take(&mut self.bytes))) {
+            self.to.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn who_writes_never_waits() {
+        let (lines, waiting) = sync_channel(1);
+        let to = Lines { lines, lost: Arc::default() };
+        for line in ["one\n", "two\n", "three\n"] {
+            to.make_writer().write_all(line.as_bytes()).unwrap();
+        }
+        assert_eq!((waiting.recv().unwrap(), to.lost.load(Ordering::Relaxed)), (Some(b"one\n".to_vec()), 2));
+        let said: serde_json::Value = serde_json::from_str(&left_out(2, LogFormat::Json)).unwrap();
+        assert_eq!(said["count"], 2);
+        assert!(left_out(2, LogFormat::Text).ends_with("count=2\n"));
+    }
+}

@@ -1,0 +1,73 @@
+//! `isophote serve --check`: whether the service could start, with nothing started.
+//!
+//! What comes in: the options of a start. What goes out: one finding for each thing that a start needs.
+
+use std::net::TcpListener;
+use std::path::Path;
+
+use isophote_capture::{FrameSource, Synthetic, SyntheticSpec};
+use isophote_tracker::TrackState;
+use isophote_wire::SessionDocument;
+
+use crate::listener::{Options, StartError};
+use crate::registry::Registry;
+use crate::session::fit_once;
+
+/// One thing that a start needs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StartFinding {
+    /// What was looked at.
+    pub what: &'static str,
+    /// What was found, or why the service would not start.
+    pub result: Result<String, String>,
+}
+
+/// Looks at everything; a data folder that is missing is made, as by a start.
+pub fn check(options: &Options) -> Vec<StartFinding> {
+    let (data, kernel) = match Registry::open(options.data.as_deref(), options.width) {
+        Ok(registry) => (writable(options.data.as_deref()), kernel(&registry)),
+        Err(error) => {
+            let fresh = Registry::open(None, options.width).map_err(|error| error.to_string());
+            (Err(error.to_string()), fresh.and_then(|registry| kernel(&registry)))
+        }
+    };
+    vec![
+        StartFinding { what: "address", result: address(options) },
+        StartFinding { what: "data folder", result: data },
+        StartFinding { what: "kernel", result: kernel },
+    ]
+}
+
+fn address(options: &Options) -> Result<String, String> {
+    let address = options.listen;
+    let access = options.access.open(address, options.data.as_deref());
+    drop(access.map_err(|error| error.to_string())?);
+    let bound = TcpListener::bind(address).map_err(|reason| StartError::Listen { address, reason }.to_string())?;
+    drop(bound);
+    Ok(format!("{address} is free"))
+}
+
+fn writable(data: Option<&Path>) -> Result<String, String> {
+    let Some(data) = data else { return Ok("none: models are kept in memory only".into()) };
+    let probe = data.join("writable.check");
+    let written = std::fs::write(&probe, b"").and_then(|()| std::fs::remove_file(&probe));
+    written.map_err(|error| format!("{}: cannot be written to: {error}", data.display()))?;
+    Ok(format!("{} is there and nobody else's", data.display()))
+}
+
+/// Derives, compiles and runs: an operating system may forbid what a compiler at run time needs.
+fn kernel(registry: &Registry) -> Result<String, String> {
+    let entry = registry.get("spot").map_err(|problem| problem.detail)?;
+    let camera = SyntheticSpec { width: 64, height: 48, samples: 2, ..SyntheticSpec::new(entry.model.clone()) };
+    let frame = Synthetic::new(camera).map_err(|error| error.to_string())?.next();
+    let captured = frame.map_err(|error| error.to_string())?.ok_or("the synthetic camera has no frame")?;
+    let document = r#"{"source": "check", "model": "spot"}"#;
+    let document: SessionDocument = serde_json::from_str(document).map_err(|error| error.to_string())?;
+    let estimates = fit_once(&entry, &document, &captured.frame, &|| None).map_err(|problem| problem.detail)?;
+    let is_found = estimates.first().is_some_and(|estimate| estimate.state == TrackState::Tracking);
+    let bits = 8 * entry.width().bytes();
+    if !is_found {
+        return Err(format!("compiled with vectors of {bits} bits, but a spot in a picture of it was not found"));
+    }
+    Ok(format!("compiled and run, with vectors of {bits} bits"))
+}
