@@ -49,7 +49,7 @@ impl Default for Places {
 }
 
 impl Places {
-    /// Those for connections, to be counted.
+    /// Those of all connections, to be counted.
     pub fn sockets(&self) -> Arc<Semaphore> {
         self.sockets.clone()
     }
