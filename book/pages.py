@@ -52,7 +52,7 @@ def converted(content, page):
             if fence:
                 # Without blank lines Markdown takes all of it for one block of HTML.
                 # Styles within elements are against the service's policy.
-                maths = re.sub(r' style="text-align:(left|right)"', r' class="\1"', (TOP / f"book/formulas/{formula}.mathml").read_text())
+                maths = re.sub(r' style="text-align:(left|right)"', r' class="to-\1"', (TOP / f"book/formulas/{formula}.mathml").read_text())
                 lines += ['<div class="formula">', maths.strip(), "</div>"]
                 formula = None
             continue

@@ -4,6 +4,7 @@
 
 mod claims;
 mod dependencies;
+mod estimates;
 mod examples;
 mod figures;
 mod imports;
