@@ -70,12 +70,13 @@ impl Keyring {
             return seen;
         }
         let tokens = self.file.read().unwrap_or_else(|error| {
-            eprintln!("isophote: no token is accepted until this is mended: {error}");
+            tracing::error!(%error, "no token is accepted until its file can be read");
             Vec::new()
         });
         self.tokens.send_if_modified(|known| {
             let is_other = **known != *tokens;
             if is_other {
+                tracing::info!(tokens = tokens.len(), "the tokens have changed");
                 *known = tokens.into();
             }
             is_other
