@@ -90,6 +90,13 @@ impl RemoteService {
         read(&self.put_text(path, "application/json", &body, None)?).map_err(Refusal::Failed)
     }
 
+    /// `POST` of a JSON document.
+    pub fn post<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Failure> {
+        let body = serde_json::to_string(document).map_err(Failure::other)?;
+        let request = self.agent.post(format!("{}{path}", self.url)).header("content-type", "application/json");
+        read(&self.text(request.send(body))?)
+    }
+
     /// `PUT` of a text; the refusal as it came.
     pub fn put_text(&self, path: &str, media: &str, body: &str, if_match: Option<&str>) -> Result<String, Refusal> {
         let mut request = self.prepared(self.agent.put(self.address(path))).header("content-type", media);

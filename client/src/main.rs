@@ -11,6 +11,7 @@ mod compare;
 #[cfg(feature = "serve")]
 mod configuration;
 mod connection;
+mod data;
 mod export;
 mod failure;
 mod fit;
@@ -72,6 +73,9 @@ enum Command {
     #[command(subcommand)]
     Session(SessionCommand),
     Watch(watch::WatchArgs),
+    /// What the service keeps
+    #[command(subcommand)]
+    Data(DataCommand),
     Cameras(cameras::ListCamerasArgs),
     /// A camera of the service's machine
     #[command(subcommand)]
@@ -89,6 +93,11 @@ enum Command {
 #[derive(Subcommand)]
 enum ConfigCommand {
     Show(configuration::ShowArgs),
+}
+
+#[derive(Subcommand)]
+enum DataCommand {
+    Export(data::DataExportArgs),
 }
 
 #[derive(Subcommand)]
@@ -111,6 +120,9 @@ enum ModelCommand {
     Push(models::PushArgs),
     List(models::ListModelsArgs),
     Show(models::ModelNameArgs),
+    /// List the versions of a model, newest first
+    History(models::ModelNameArgs),
+    Rollback(models::RollbackArgs),
     /// Remove a model from the service
     Remove(models::ModelNameArgs),
 }
@@ -173,6 +185,8 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Model(ModelCommand::Push(args)) => models::push(args, out),
         Command::Model(ModelCommand::List(args)) => models::list(args, out),
         Command::Model(ModelCommand::Show(args)) => models::show(args, out),
+        Command::Model(ModelCommand::History(args)) => models::history(args, out),
+        Command::Model(ModelCommand::Rollback(args)) => models::roll_back(args, out),
         Command::Model(ModelCommand::Remove(args)) => models::remove(args, out),
         Command::Session(SessionCommand::Start(args)) => sessions::start(args, out),
         Command::Session(SessionCommand::List(args)) => sessions::list(args, out),
@@ -180,6 +194,7 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Session(SessionCommand::Swap(args)) => sessions::swap(args, out),
         Command::Session(SessionCommand::Stop(args)) => sessions::stop(args, out),
         Command::Watch(args) => watch::run(args, out),
+        Command::Data(DataCommand::Export(args)) => data::export(args, out),
         Command::Cameras(args) => cameras::list(args, out),
         Command::Camera(CameraCommand::Set(args)) => cameras::set(args, out),
         Command::Fit(args) => fit::run(args, out),

@@ -1,9 +1,9 @@
-//! `isophote model push|list|show|remove`: models of the service.
+//! `isophote model push|list|show|history|rollback|remove`: models of the service.
 
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_wire::{Items, ModelAnswer, ModelItem};
+use isophote_wire::{Items, ModelAnswer, ModelItem, RollbackDocument, VersionItem, VersionList};
 
 use crate::failure::Failure;
 use crate::http::{self, Refusal, RemoteService, ServiceArgs, segment};
@@ -34,6 +34,18 @@ pub struct ModelNameArgs {
     service: ServiceArgs,
 }
 
+/// Give a model's name to a version that is kept
+#[derive(Clone, Debug, clap::Args)]
+pub struct RollbackArgs {
+    /// The model's name
+    pub name: String,
+    /// A version of `isophote model history`
+    #[arg(value_name = "VERSION")]
+    pub to: u64,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
 /// List the models of the service
 #[derive(Clone, Debug, clap::Args)]
 pub struct ListModelsArgs {
@@ -59,10 +71,52 @@ pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
     })?;
     let answer: ModelAnswer = http::read(&answer)?;
     crate::model_files::warn(&args.model, &answer.report);
-    if args.service.json {
-        return output::json(out, &answer);
+    placed(&answer, &args.service, out)
+}
+
+/// What has the name now.
+fn placed(answer: &ModelAnswer, service: &ServiceArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    if service.json {
+        return output::json(out, answer);
     }
-    writeln!(out, "{} version {} {}", answer.name, answer.version, answer.report.digest).map_err(Failure::output)
+    writeln!(out, "{} version {} {}", answer.name, answer.version, answer.report.digest).map_err(Failure::output)?;
+    match answer.collected.as_slice() {
+        [] => Ok(()),
+        [one] => writeln!(out, "version {one} is not kept any more").map_err(Failure::output),
+        [first, .., last] => writeln!(out, "versions {first} to {last} are not kept any more").map_err(Failure::output),
+    }
+}
+
+/// Lists the versions of one, newest first.
+pub fn history(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let path = format!("/v1/models/{}/versions", segment(&args.name));
+    let versions: VersionList = RemoteService::new(&args.service)?.get(&path)?;
+    if args.service.json {
+        return output::json(out, &versions);
+    }
+    let row = |version: &VersionItem| {
+        vec![
+            version.version.to_string(),
+            if version.active { "active" } else { "" }.to_string(),
+            version.digest.chars().take("sha256:".len() + 12).collect(),
+            version.bytes.to_string(),
+            version.created_at.clone().unwrap_or_else(|| "-".into()),
+        ]
+    };
+    let rows: Vec<Vec<String>> = versions.items.iter().map(row).collect();
+    output::table(out, &["VERSION", "", "DIGEST", "BYTES", "PUT"], &rows)?;
+    match versions.collected {
+        0 => Ok(()),
+        count => writeln!(out, "{count} older ones are not kept any more").map_err(Failure::output),
+    }
+}
+
+/// Returns to a version.
+pub fn roll_back(args: &RollbackArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let path = format!("/v1/models/{}:rollback", segment(&args.name));
+    let document = RollbackDocument { version: args.to };
+    let answer: ModelAnswer = RemoteService::new(&args.service)?.post(&path, &document)?;
+    placed(&answer, &args.service, out)
 }
 
 /// Lists all.

@@ -20,9 +20,12 @@ pub struct ServeArgs {
     /// Where to listen; off loopback with tokens and TLS; port 0 takes any free one
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7240")]
     pub listen: SocketAddr,
-    /// Keep models here; in memory only when absent
+    /// Keep models, sources and sessions here; in memory only when absent
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
+    /// Put the model documents of this folder under the names of their files (NAME.toml, NAME.json)
+    #[arg(long, value_name = "DIR")]
+    pub models: Option<PathBuf>,
     /// With a synthetic source and a running session, both named demo
     #[arg(long)]
     pub demo: bool,
@@ -91,7 +94,8 @@ pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let width = args.vector_width.width()?;
     let access = args.access.options()?;
     let scheme = if access.tls.is_some() { "https" } else { "http" };
-    let options = Options { listen: args.listen, data: args.data.clone(), demo: args.demo, width, access };
+    let (data, models) = (args.data.clone(), args.models.clone());
+    let options = Options { listen: args.listen, data, models, demo: args.demo, width, access };
     let no_log = |error| Failure::Other(format!("no thread for the log: {error}"));
     let _log = Log::start(args.log, args.log_level).map_err(no_log)?;
     if args.check {

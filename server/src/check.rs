@@ -11,6 +11,7 @@ use isophote_wire::SessionDocument;
 
 use crate::listener::{Options, StartError};
 use crate::registry::Registry;
+use crate::service::store_of;
 use crate::session::fit_once;
 
 /// One thing that a start needs.
@@ -24,11 +25,16 @@ pub struct StartFinding {
 
 /// Looks at everything; a data folder that is missing is made, as by a start.
 pub fn check(options: &Options) -> Vec<StartFinding> {
-    let (data, kernel) = match Registry::open(options.data.as_deref(), options.width) {
+    let said = |error: &dyn std::fmt::Display| error.to_string();
+    let opened = |data| {
+        let store = store_of(data).map_err(|error| said(&error))?;
+        Registry::open(store, options.width).map_err(|error| said(&error))
+    };
+    let (data, kernel) = match opened(options.data.as_deref()) {
         Ok(registry) => (writable(options.data.as_deref()), kernel(&registry)),
         Err(error) => {
-            let fresh = Registry::open(None, options.width).map_err(|error| error.to_string());
-            (Err(error.to_string()), fresh.and_then(|registry| kernel(&registry)))
+            let fresh = opened(None);
+            (Err(error), fresh.and_then(|registry| kernel(&registry)))
         }
     };
     vec![

@@ -4,7 +4,7 @@ use isophote_wire::{SessionDocument, SourceDocument};
 
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::service::Service;
+use crate::service::{Keeping, Service};
 
 /// A spot that moves on an ellipse, as an ordinary camera sees it.
 const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "height": 480, "rate_hz": 30,
@@ -13,13 +13,16 @@ const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "he
 const SESSION: &str =
     r#"{"source": "demo", "model": "spot", "camera": {"electrons_per_dn": 19.6, "read_noise_e": 15}}"#;
 
-/// Starts both. Only from the compile thread.
+/// Starts both, where nothing is declared under their name: users' own `demo` runs again like any other. Only from the compile
+/// thread.
 pub fn start(service: &Service) -> Result<(), Problem> {
     let read = |error: serde_json::Error| Problem::bug(error.to_string());
     let source: SourceDocument = serde_json::from_str(SOURCE).map_err(read)?;
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
-    service.put_source(&name, source, None)?;
-    service.put_session(&name, session, None)?;
+    if service.is_free(&name) {
+        service.put_source(&name, source, None, Keeping::Passing)?;
+        service.put_session(&name, session, None, Keeping::Passing)?;
+    }
     Ok(())
 }

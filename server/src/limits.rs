@@ -13,6 +13,10 @@ pub struct ServiceLimits {
     pub drain_bytes: usize,
     /// Models of the registry.
     pub models: usize,
+    /// Versions of one of them that are kept.
+    pub model_versions: usize,
+    /// Bytes of their texts; the version that has the name is kept however long it is.
+    pub model_bytes: u64,
     /// Sources with a name.
     pub sources: usize,
     /// Sessions.
@@ -96,6 +100,10 @@ pub struct ServiceLimits {
     pub open_time: Duration,
     /// Recordings that are opened at a time.
     pub openings: usize,
+    /// A start that has lasted for so long, or was stopped in order, has not died.
+    pub start_time: Duration,
+    /// Starts that died one after the other; then sessions that were declared stay stopped.
+    pub starts_died: u32,
     /// For one frame's fits; then the estimate says that there was too much to do. The search for a pose of six alike spots is
     /// the longest that there is.
     pub frame_time: Duration,
@@ -109,6 +117,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     frame_bytes: 64 * 1024 * 1024,
     drain_bytes: 16 * 1024 * 1024,
     models: 256,
+    model_versions: 32,
+    model_bytes: 4 * 1024 * 1024,
     sources: 64,
     sessions: 64,
     subscribers: 32,
@@ -150,6 +160,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     answer_time: Duration::from_secs(2),
     open_time: Duration::from_secs(30),
     openings: 4,
+    start_time: Duration::from_secs(30),
+    starts_died: 3,
     frame_time: Duration::from_secs(15),
     swap_time: Duration::from_millis(100),
 };

@@ -25,6 +25,7 @@ use crate::access::{Access, AccessError, AccessOptions, Arrival};
 use crate::limits::LIMITS;
 use crate::places::{Places, Taken};
 use crate::problem::Problem;
+use crate::restore::restore;
 use crate::routes::{App, full, router};
 use crate::service::{OpenError, Service};
 use crate::socket::{ClientSocket, raise_bound_on_files};
@@ -35,8 +36,10 @@ use crate::{demo, guard, watchdog};
 pub struct Options {
     /// Where it listens; port 0 takes any free one.
     pub listen: SocketAddr,
-    /// Where models are kept; in memory only when absent.
+    /// Where models, sources and sessions are kept; in memory only when absent.
     pub data: Option<PathBuf>,
+    /// Documents of models that are put under the names of their files at the start.
+    pub models: Option<PathBuf>,
     /// With a synthetic source and a running session, both named `demo`.
     pub demo: bool,
     /// The vectors of the kernels of all sessions; the processor must have them.
@@ -62,6 +65,14 @@ pub enum StartError {
     /// The data folder or the compile thread.
     #[error(transparent)]
     Open(#[from] OpenError),
+    /// The folder of models.
+    #[error("{}: {reason}", folder.display())]
+    Models {
+        /// As asked for.
+        folder: PathBuf,
+        /// The system's words.
+        reason: std::io::Error,
+    },
     /// The runtime's threads.
     #[error("no threads for the network: {0}")]
     Runtime(std::io::Error),
@@ -83,6 +94,10 @@ impl Server {
     pub fn start(options: &Options) -> Result<Server, StartError> {
         let access = Arc::new(options.access.open(options.listen, options.data.as_deref())?);
         let service = Arc::new(Service::open(options.data.as_deref(), options.width)?);
+        if let Some(folder) = &options.models {
+            let wrong = |reason| StartError::Models { folder: folder.clone(), reason };
+            service.put_folder(folder).map_err(wrong)?;
+        }
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .thread_name("http")
@@ -225,7 +240,7 @@ async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>
     let (held, mut all_held) = mpsc::channel(1);
     let places = Places::default();
     tokio::spawn(watchdog::watch(service.clone()));
-    let router = router(App {
+    let app = App {
         service,
         stream: held.clone(),
         openings: Arc::new(Semaphore::new(LIMITS.openings)),
@@ -233,8 +248,9 @@ async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>
         images: Arc::default(),
         sockets: places.sockets(),
         recordings: access.recordings.clone(),
-    })
-    .layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
+    };
+    tokio::spawn(restore(app.clone(), stopped.clone()));
+    let router = router(app).layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
     let full = full().layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
     let following = access.keyring.clone().map(|keyring| tokio::spawn(keyring.follow()));
     let stops = stopped.clone();

@@ -3,8 +3,16 @@
 use std::fmt;
 
 /// `[a-z0-9][a-z0-9-]{0,63}`.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "String")]
 pub struct Name(String);
+
+impl TryFrom<String> for Name {
+    type Error = String;
+    fn try_from(text: String) -> Result<Name, String> {
+        Name::parse(&text).ok_or_else(|| format!("`{text}` is not a name"))
+    }
+}
 
 impl Name {
     /// Only from text of that form.

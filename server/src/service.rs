@@ -1,5 +1,12 @@
 //! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other; read
-//! from anywhere.
+//! from anywhere. What is put is made ready, written, and only then takes its place: acknowledged means durable, refused means
+//! that nothing was changed.
+
+mod declare;
+mod restore;
+mod standing;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,22 +16,26 @@ use std::time::Instant;
 
 use isophote_jit::VectorWidth;
 use isophote_machine::monotonic_ns;
-use isophote_symbolic::Precision;
+use isophote_symbolic::{Model, Precision};
 use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
 use tokio::sync::oneshot;
 
 use crate::compiler::Compiler;
 use crate::counters::ServiceCounters;
+use crate::declared::{Declarations, SessionRecord, SourceRecord};
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::name::Name;
+use crate::node::ServiceNode;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, ModelEntry, Registry};
-use crate::session::{Session, SourceOf, Swapped};
+use crate::registry::{Expected, Media, ModelEntry, Placed, Registry, imported};
+use crate::session::{Session, SessionStart, SourceOf, Swapped};
 use crate::source::{self, Opened, Source};
-use crate::store::StoreError;
+use crate::store::{self, FolderError, MemoryStore, Store, StoreError};
 use crate::thread;
 use crate::watchdog::OwnerWatch;
+pub use declare::Keeping;
+use standing::Standing;
 
 /// The service without its network.
 pub struct Service {
@@ -36,8 +47,14 @@ pub struct Service {
     pub counters: ServiceCounters,
     /// Whether that thread still answers.
     pub watch: OwnerWatch,
+    node: ServiceNode,
     sources: Table<Source>,
     sessions: Table<Session>,
+    declared_sources: Declarations<SourceRecord>,
+    declared_sessions: Declarations<SessionRecord>,
+    /// Declared, but not running.
+    standing_sources: Standing,
+    standing_sessions: Standing,
     is_draining: AtomicBool,
 }
 
@@ -76,6 +93,9 @@ pub enum Put {
 pub enum OpenError {
     /// The data folder.
     #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// What is in it.
+    #[error("the data folder cannot be read: {0}")]
     Store(#[from] StoreError),
     /// No thread.
     #[error("no thread for the compiler: {0}")]
@@ -83,17 +103,9 @@ pub enum OpenError {
 }
 
 impl Service {
-    /// Models are loaded, nothing runs yet; kernels will have vectors of that width.
+    /// Models are loaded, and what was declared is known, but nothing runs yet; kernels will have vectors of that width.
     pub fn open(data: Option<&Path>, width: VectorWidth) -> Result<Service, OpenError> {
-        Ok(Service {
-            registry: Registry::open(data, width)?,
-            compiler: Compiler::start()?,
-            counters: ServiceCounters::default(),
-            watch: OwnerWatch::default(),
-            sources: Table::default(),
-            sessions: Table::default(),
-            is_draining: AtomicBool::new(false),
-        })
+        Service::of_store(store_of(data)?, width)
     }
 
     /// True while it stops.
@@ -113,22 +125,22 @@ impl Service {
         }
     }
 
-    /// The session of that name.
+    /// The session of that name, if it runs.
     pub fn session(&self, name: &str) -> Result<Arc<Session>, Problem> {
-        get(&self.sessions, "session", name)
+        get(&self.sessions, "session", name).map_err(|unknown| self.standing_sessions.problem("session", name, unknown))
     }
 
-    /// All sessions, by name.
+    /// All sessions that run, by name.
     pub fn sessions(&self) -> Vec<(Name, Arc<Session>)> {
         list(&self.sessions)
     }
 
-    /// The source of that name.
+    /// The source of that name, if it could be opened.
     pub fn source(&self, name: &str) -> Result<Arc<Source>, Problem> {
-        get(&self.sources, "source", name)
+        get(&self.sources, "source", name).map_err(|unknown| self.standing_sources.problem("source", name, unknown))
     }
 
-    /// All named sources, by name.
+    /// All named sources that could be opened, by name.
     pub fn sources(&self) -> Vec<(Name, Arc<Source>)> {
         list(&self.sources)
     }
@@ -140,7 +152,7 @@ impl Service {
         let report = entry.kernels(Precision::F32)?.report(&monotonic_ns)?;
         let compile_ms: f64 = report.stages.iter().map(|stage| stage.compile_ms).sum();
         self.counters.compile_s.observe(compile_ms / 1e3);
-        Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
+        Ok((entry, ModelAnswer { name: name.to_string(), version: 0, collected: Vec::new(), report }))
     }
 
     /// `PUT /v1/models/{name}`. Only from the compile thread.
@@ -154,10 +166,26 @@ impl Service {
         self.refuse_when_draining()?;
         self.registry.check(name, expected)?;
         let (entry, mut answer) = self.check_model(name, media, text)?;
-        let (is_new, entry) = self.registry.put(name, expected, entry)?;
-        answer.version = entry.version;
+        let Placed { is_new, entry, collected } = self.registry.put(name, expected, entry, &self.pinned())?;
+        (answer.version, answer.collected) = (entry.version, collected);
         tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
         Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
+    }
+
+    /// `POST /v1/models/{name}:rollback`. Only from the compile thread.
+    pub fn roll_back_model(
+        &self,
+        name: &Name,
+        expected: &Expected,
+        version: u64,
+    ) -> Result<(Arc<ModelEntry>, ModelAnswer), Problem> {
+        self.refuse_when_draining()?;
+        self.registry.check(name, expected)?;
+        let content = self.registry.version(name, version)?;
+        let (entry, mut answer) = self.check_model(name, content.media, &content.text)?;
+        let placed = self.registry.roll_back(name, expected, entry, version, &self.pinned())?;
+        answer.version = version;
+        Ok((placed.entry, answer))
     }
 
     /// `DELETE /v1/models/{name}`. Only from the compile thread.
@@ -166,45 +194,64 @@ impl Service {
         if let Some((session, _)) = self.sessions().iter().find(|(_, session)| session.uses_model(name.as_str())) {
             return Err(Problem::conflict("in-use", format!("session `{session}` uses the model `{name}`")));
         }
-        self.registry.remove(name, expected)?;
+        if let Some(session) = self.standing_user(name) {
+            let detail = format!("session `{session}`, which does not run, uses the model `{name}`; delete it first");
+            return Err(Problem::conflict("in-use", detail));
+        }
+        self.registry.remove(name, expected, &self.pinned())?;
         tracing::info!(model = name.as_str(), "model removed");
         Ok(())
     }
 
     /// `PUT /v1/sources/{name}`, opened already where that takes its time. Only from the compile thread.
-    pub fn put_source(&self, name: &Name, document: SourceDocument, opened: Option<Opened>) -> Result<Put, Problem> {
+    pub fn put_source(
+        &self,
+        name: &Name,
+        document: SourceDocument,
+        opened: Option<Opened>,
+        keeping: Keeping,
+    ) -> Result<Put, Problem> {
         self.refuse_when_draining()?;
-        let before = self.source(name.as_str()).ok();
+        let before = get(&self.sources, "source", name.as_str()).ok();
+        let is_known = before.is_some() || self.standing_sources.has(name);
         match &before {
             Some(source) if source.sessions() > 0 => return Err(source_in_use(name, source)),
-            None if self.sources().len() >= LIMITS.sources => {
+            None if !is_known && self.sources().len() + self.standing_sources.len() >= LIMITS.sources => {
                 return Err(Problem::over_limit("sources", LIMITS.sources));
             }
             _ => {}
         }
         // A camera that its last session has left may not be closed yet.
         let held = before.as_ref().map(|before| before.pause());
-        let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
+        let model = self.model_of_source(&document)?;
+        let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
         let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
-        let source = Source::start(name.as_str(), document, opened)?;
+        let source = Source::start(name.as_str(), document.clone(), opened)?;
+        let kept = self.keep_source(name, document, model, keeping);
+        kept.inspect_err(|_| source.stop())?;
         tracing::info!(source = name.as_str(), kind = source.document().kind(), "source put");
         insert(&self.sources, name, source);
-        match before {
-            Some(before) => before.stop(),
-            None => return Ok(Put::Created),
+        self.standing_sources.remove(name);
+        if let Some(before) = before {
+            before.stop();
         }
         drop(held);
-        Ok(Put::Replaced)
+        Ok(if is_known { Put::Replaced } else { Put::Created })
     }
 
     /// `DELETE /v1/sources/{name}`. Only from the compile thread.
     pub fn remove_source(&self, name: &Name) -> Result<(), Problem> {
-        let source = self.source(name.as_str())?;
-        if source.sessions() > 0 {
-            return Err(source_in_use(name, &source));
+        let source = get(&self.sources, "source", name.as_str());
+        if let (Err(unknown), false) = (&source, self.standing_sources.has(name)) {
+            return Err(unknown.clone());
         }
+        if let Some(source) = source.as_ref().ok().filter(|source| source.sessions() > 0) {
+            return Err(source_in_use(name, source));
+        }
+        self.declared_sources.remove(name).map_err(StoreError::problem)?;
+        self.standing_sources.remove(name);
         remove(&self.sources, name);
-        source.stop();
+        source.into_iter().for_each(|source| source.stop());
         tracing::info!(source = name.as_str(), "source removed");
         Ok(())
     }
@@ -216,48 +263,69 @@ impl Service {
         name: &Name,
         document: SessionDocument,
         opened: Option<Opened>,
+        keeping: Keeping,
     ) -> Result<(Put, Option<oneshot::Receiver<()>>), Problem> {
         self.refuse_when_draining()?;
-        let before = self.session(name.as_str()).ok();
-        if before.is_none() && self.sessions().len() >= LIMITS.sessions {
+        let before = get(&self.sessions, "session", name.as_str()).ok();
+        let is_known = before.is_some() || self.standing_sessions.has(name);
+        if !is_known && self.sessions().len() + self.standing_sessions.len() >= LIMITS.sessions {
             return Err(Problem::over_limit("sessions", LIMITS.sessions));
         }
         let entry = self.registry.get(&document.model)?;
+        let source_model = match &document.source {
+            SourceReference::Own(source) => self.model_of_source(source)?,
+            SourceReference::Named(_) => None,
+        };
         // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
         let is_camera =
             matches!(&document.source, SourceReference::Own(source) if matches!(**source, SourceDocument::Camera(_)));
         let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
         let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
-        let session = self.session_of(name, document, &entry, opened)?;
+        let declared = (keeping == Keeping::Declared).then(|| self.declared_now());
+        let run = self.run(declared)?;
+        let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
+        let source = self.source_of(name, &document.source, opened, find)?;
+        let session = self.session_of(name, document.clone(), source, &entry, run)?;
         self.counters.compile_s.observe(session.compile_ms() / 1e3);
+        let kept = self.keep_session(name, document, &entry, source_model, declared);
+        kept.inspect_err(|_| discarded(name, &session))?;
+        session.begin();
         tracing::info!(session = name.as_str(), frame = 0, model = entry.id(), "session started");
         insert(&self.sessions, name, session);
-        let Some(before) = before else { return Ok((Put::Created, None)) };
+        self.standing_sessions.remove(name);
+        let put = if is_known { Put::Replaced } else { Put::Created };
+        let Some(before) = before else { return Ok((put, None)) };
         let ended = ending(name, before);
         drop(held);
-        Ok((Put::Replaced, Some(ended)))
+        Ok((put, Some(ended)))
     }
 
+    /// Ready, but without frames.
     fn session_of(
         &self,
         name: &Name,
         document: SessionDocument,
+        source: SourceOf,
         entry: &ModelEntry,
-        opened: Option<Opened>,
+        run: SessionStart,
     ) -> Result<Session, Problem> {
-        let source = self.source_of(name, &document.source, opened)?;
-        Session::start(name.as_str(), document, source.clone(), entry).inspect_err(|_| {
+        Session::start(name.as_str(), document, source.clone(), entry, run).inspect_err(|_| {
             if source.is_own {
                 source.source.stop();
             }
         })
     }
 
-    fn source_of(&self, name: &Name, reference: &SourceReference, opened: Option<Opened>) -> Result<SourceOf, Problem> {
+    fn source_of(
+        &self,
+        name: &Name,
+        reference: &SourceReference,
+        opened: Option<Opened>,
+        find: impl Fn(&str) -> Result<Arc<Model>, Problem>,
+    ) -> Result<SourceOf, Problem> {
         match reference {
             SourceReference::Named(source) => Ok(SourceOf { source: self.source(source)?, is_own: false }),
             SourceReference::Own(document) => {
-                let find = |model: &str| Ok(self.registry.get(model)?.model.clone());
                 let opened = opened.map_or_else(|| source::open(document, "source.", find), Ok)?;
                 let source = Source::start(name.as_str(), (**document).clone(), opened)?;
                 Ok(SourceOf { source: Arc::new(source), is_own: true })
@@ -267,17 +335,26 @@ impl Service {
 
     /// `DELETE /v1/sessions/{name}`; the receiver hears when it has ended. Only from the compile thread.
     pub fn remove_session(&self, name: &Name) -> Result<oneshot::Receiver<()>, Problem> {
-        let session = self.session(name.as_str())?;
+        let session = get(&self.sessions, "session", name.as_str());
+        if let (Err(unknown), false) = (&session, self.standing_sessions.has(name)) {
+            return Err(unknown.clone());
+        }
+        self.declared_sessions.remove(name).map_err(StoreError::problem)?;
+        self.standing_sessions.remove(name);
         remove(&self.sessions, name);
-        Ok(ending(name, session))
+        match session {
+            Ok(session) => Ok(ending(name, session)),
+            Err(_) => Ok(oneshot::channel().1), // there is nothing to wait for
+        }
     }
 
     /// The first half of a hot swap: compiled and handed over. Only from the compile thread.
     pub fn begin_swap(&self, session: &str, model: &str) -> Result<(SwapAnswer, oneshot::Receiver<Swapped>), Problem> {
         self.refuse_when_draining()?;
-        let session = self.session(session)?;
+        let name = session;
+        let session = self.session(name)?;
         let entry = self.registry.get(model)?;
-        let (compile_ms, swapped) = session.begin_swap(&entry)?;
+        let (compile_ms, swapped) = session.begin_swap(&entry, || self.keep_swap(name, &entry))?;
         self.counters.compile_s.observe(compile_ms / 1e3);
         let answer = SwapAnswer {
             requested_model: model.to_string(),
@@ -313,6 +390,7 @@ impl Service {
         sources.iter().for_each(|(_, source)| source.leave());
         sessions.iter().for_each(|(_, session)| session.wait(End::ServiceStops, until));
         sources.iter().for_each(|(_, source)| source.wait(until));
+        self.lived();
     }
 
     fn refuse_when_draining(&self) -> Result<(), Problem> {
@@ -331,6 +409,20 @@ fn ending(name: &Name, session: Arc<Session>) -> oneshot::Receiver<()> {
         tracing::info!(session = said, frame = session.last_frame(), frames, dropped, "session stopped");
     };
     thread::beside(name.as_str(), end)
+}
+
+/// What a data folder keeps; in memory where there is none.
+pub fn store_of(data: Option<&Path>) -> Result<Arc<dyn Store>, FolderError> {
+    Ok(match data {
+        Some(folder) => Arc::new(store::open(folder, imported)?),
+        None => Arc::new(MemoryStore::default()),
+    })
+}
+
+/// Ends a session that never had a frame.
+fn discarded(name: &Name, session: &Session) {
+    session.leave();
+    session.wait(End::SessionFailed(format!("{name} was not stored")), Instant::now() + LIMITS.end_time);
 }
 
 fn source_in_use(name: &Name, source: &Source) -> Problem {

@@ -1,4 +1,7 @@
-//! CLOCK_MONOTONIC as a number: comparable between the service and other programs of the same machine.
+//! CLOCK_MONOTONIC as a number: comparable between the service and other programs of the same machine. And the wall clock, with
+//! which nothing is computed: a label for people.
+
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use rustix::time::{ClockId, clock_gettime};
 
@@ -11,4 +14,47 @@ pub fn monotonic_ns() -> u64 {
 /// Milliseconds since `start_ns`.
 pub fn elapsed_ms(start_ns: u64) -> f64 {
     monotonic_ns().saturating_sub(start_ns) as f64 / 1e6
+}
+
+/// Milliseconds since 1970 by the wall clock.
+#[allow(clippy::disallowed_methods)] // a label: when something was done, as a person's watch showed it
+pub fn unix_ms() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64)
+}
+
+/// Such a time as RFC 3339 has it, in UTC: `2026-11-23T04:05:06.789Z`.
+pub fn rfc3339(unix_ms: u64) -> String {
+    let (days, ms) = (unix_ms / 86_400_000, unix_ms % 86_400_000);
+    // Years from March on, so that the day that leap years have is their last (H. Hinnant, chrono-compatible date algorithms).
+    let days = days + 719_468;
+    let (era, day) = (days / 146_097, days % 146_097);
+    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    let year = 400 * era + year + u64::from(month <= 2);
+    let (seconds, ms) = (ms / 1000, ms % 1000);
+    let (hour, minute, second) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates() {
+        for (unix_ms, date) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (951_782_400_000, "2000-02-29T00:00:00.000Z"),
+            (951_868_799_999, "2000-02-29T23:59:59.999Z"),
+            (1_709_251_199_001, "2024-02-29T23:59:59.001Z"),
+            (4_107_542_400_000, "2100-03-01T00:00:00.000Z"),
+            (1_798_761_600_000, "2027-01-01T00:00:00.000Z"),
+        ] {
+            assert_eq!(rfc3339(unix_ms), date);
+        }
+        assert!(unix_ms() > 1_700_000_000_000);
+    }
 }

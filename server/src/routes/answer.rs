@@ -107,7 +107,7 @@ pub(super) fn upgraded(
 
 /// Opens a recording where its disk may take its time, and nobody else waits for it; its document then has the path by which it
 /// is found again. Other sources open at once, by whoever puts them.
-pub(super) async fn opened_ahead(
+pub async fn opened_ahead(
     app: &App,
     document: &mut SourceDocument,
     prefix: &'static str,

@@ -26,7 +26,8 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 
 pub use answer::App;
-use answer::{Answer, RawName, json, new_name, old_name, opened_ahead, put_status, raw, upgraded};
+pub use answer::opened_ahead;
+use answer::{Answer, RawName, json, new_name, old_name, put_status, raw, upgraded};
 
 /// All routes.
 pub fn router(app: App) -> Router {
@@ -46,6 +47,7 @@ pub fn router(app: App) -> Router {
         .route("/v1/models:check", post(models::check))
         .route("/v1/models/{name}", put(models::put).get(models::get).delete(models::delete).post(models::act))
         .route("/v1/models/{name}/explain", get(models::explain))
+        .route("/v1/models/{name}/versions", get(models::versions))
         .route("/v1/cameras", get(cameras::list))
         .route("/v1/cameras/{device}", get(cameras::get))
         .route("/v1/cameras/{device}/controls", put(cameras::set))

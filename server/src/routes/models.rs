@@ -6,7 +6,9 @@ use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
-use isophote_wire::{Explanation, Items, ModelAnswer, ModelItem, ModelReport, ModelView, explain};
+use isophote_wire::{
+    Explanation, Items, ModelAnswer, ModelItem, ModelReport, ModelView, RollbackDocument, VersionList, explain,
+};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -14,7 +16,7 @@ use super::paging::{PageQuery, RawPage, page};
 use super::parameters::{MatchHeaders, NameParam};
 use super::{Answer, App, RawName, fit, json, new_name, old_name, put_status, raw};
 use crate::access::Visitor;
-use crate::documents::{media_type, read_body, text};
+use crate::documents::{media_type, read_body, read_json, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
@@ -58,14 +60,43 @@ pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> An
 }
 
 /// `POST /v1/models/{name}:{verb}`, which the verbs describe themselves: routes know no part of a segment, so the verb is looked up here.
-pub async fn act(State(app): State<App>, name: RawName, uri: Uri, headers: HeaderMap, body: Body) -> Answer {
+pub async fn act(
+    State(app): State<App>,
+    Extension(visitor): Extension<Visitor>,
+    name: RawName,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> Answer {
     let name = raw(name)?;
     match name.split_once(':') {
         Some((model, "fit")) => fit::post(app, model, &uri, &headers, body).await,
-        Some((_, "rollback")) => Err(Problem::not_in_this_build("rollback")),
+        Some((model, "rollback")) => roll_back(app, &visitor, model, &headers, body).await,
         Some((_, verb)) => Err(Problem::unknown("action of models", verb)),
         None => Err(Problem::wrong_method()),
     }
+}
+
+/// Gives a model's name to a version that is kept.
+#[utoipa::path(post, path = "/v1/models/{name}:rollback", tag = "models", operation_id = "roll_back_model",
+    params(NameParam, MatchHeaders), request_body = RollbackDocument,
+    responses((status = 200, description = "The name means that version.", body = ModelAnswer)))]
+pub async fn roll_back(app: App, visitor: &Visitor, name: &str, headers: &HeaderMap, body: Body) -> Answer {
+    let name = Name::parse(name).ok_or_else(|| Problem::unknown("model", name))?;
+    keep_shipped(&app, visitor, &name)?;
+    let expected = expected(headers)?;
+    let (document, _) = read_json::<RollbackDocument>(headers, body).await?;
+    let service = app.service.clone();
+    let work = move || service.roll_back_model(&name, &expected, document.version);
+    let (entry, answer) = app.service.compiler.run(work).await?;
+    Ok(tagged(json(StatusCode::OK, &answer)?, &entry))
+}
+
+/// The versions of a model, newest first.
+#[utoipa::path(get, path = "/v1/models/{name}/versions", tag = "models", operation_id = "list_versions", params(NameParam),
+    responses((status = 200, description = "All that are kept.", body = VersionList)))]
+pub async fn versions(State(app): State<App>, name: RawName) -> Answer {
+    json(StatusCode::OK, &app.service.registry.versions(&raw(name)?)?)
 }
 
 /// A model: as JSON, or as sent where TOML is asked for and was sent.

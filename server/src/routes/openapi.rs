@@ -23,6 +23,7 @@ use crate::problem::Problem;
     paths(
         page::html, page::script, page::style, docs::start, docs::index, docs::page, get, health::livez, health::readyz, health::time, metrics::get,
         models::list, models::check, models::put, models::get, models::delete, models::explain, fit::post,
+        models::versions, models::roll_back,
         cameras::list, cameras::get, cameras::set,
         sources::list, sources::put, sources::get, sources::delete,
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,

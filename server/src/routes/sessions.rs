@@ -11,6 +11,7 @@ use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
+use crate::service::Keeping;
 
 /// Starts a session, or another in its place.
 #[utoipa::path(put, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "put_session", params(NameParam),
@@ -29,8 +30,8 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     };
     let service = app.service.clone();
     let work = move || {
-        let (put, ended) = service.put_session(&name, document, opened)?;
-        Ok((put, ended, service.session(name.as_str())?.view()))
+        let (put, ended) = service.put_session(&name, document, opened, Keeping::Declared)?;
+        Ok((put, ended, service.session_view(name.as_str())?))
     };
     let (put, ended, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
     if let Some(ended) = ended {
@@ -43,7 +44,7 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 #[utoipa::path(get, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "get_session", params(NameParam),
     responses((status = 200, description = "Its document with its state.", body = SessionView)))]
 pub async fn get(State(app): State<App>, name: RawName) -> Answer {
-    json(StatusCode::OK, &app.service.session(&raw(name)?)?.view())
+    json(StatusCode::OK, &app.service.session_view(&raw(name)?)?)
 }
 
 /// Stops and removes a session.
@@ -61,8 +62,7 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
 #[utoipa::path(get, path = "/v1/sessions", tag = "sessions", operation_id = "list_sessions", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<SessionView>)))]
 pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
-    let all = app.service.sessions();
-    json(StatusCode::OK, &page(query, all, |(name, _)| name.as_str(), |(_, session)| session.view())?)
+    json(StatusCode::OK, &page(query, app.service.session_views(), |view| view.name.as_str(), Clone::clone)?)
 }
 
 /// Swaps the model of a running session between two frames; answers when it is active.

@@ -10,6 +10,7 @@ use super::paging::{PageQuery, RawPage, page};
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
 use crate::documents::{place, read_json};
+use crate::service::Keeping;
 
 /// Puts a source under a name, or another in its place.
 #[utoipa::path(put, path = "/v1/sources/{name}", tag = "sources", operation_id = "put_source", params(NameParam),
@@ -22,8 +23,8 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     let opened = opened_ahead(&app, &mut document, "", None).await.map_err(|problem| place(problem, &text))?;
     let service = app.service.clone();
     let work = move || {
-        let put = service.put_source(&name, document, opened)?;
-        Ok((put, service.source(name.as_str())?.view(name.as_str())))
+        let put = service.put_source(&name, document, opened, Keeping::Declared)?;
+        Ok((put, service.source_view(name.as_str())?))
     };
     let (put, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
     json(put_status(put), &view)
@@ -33,8 +34,7 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 #[utoipa::path(get, path = "/v1/sources/{name}", tag = "sources", operation_id = "get_source", params(NameParam),
     responses((status = 200, description = "Its document with its state.", body = SourceView)))]
 pub async fn get(State(app): State<App>, name: RawName) -> Answer {
-    let name = raw(name)?;
-    json(StatusCode::OK, &app.service.source(&name)?.view(&name))
+    json(StatusCode::OK, &app.service.source_view(&raw(name)?)?)
 }
 
 /// Stops and removes a source that no session uses.
@@ -51,6 +51,5 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
 #[utoipa::path(get, path = "/v1/sources", tag = "sources", operation_id = "list_sources", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<SourceView>)))]
 pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
-    let all = app.service.sources();
-    json(StatusCode::OK, &page(query, all, |(name, _)| name.as_str(), |(name, source)| source.view(name.as_str()))?)
+    json(StatusCode::OK, &page(query, app.service.source_views(), |view| view.name.as_str(), Clone::clone)?)
 }

@@ -9,11 +9,11 @@ use isophote_machine::monotonic_ns;
 use isophote_tracker::{ControllerOptions, Ending, ExposureController, Stop, Tracker};
 use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
-use super::Shared;
 use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
 use super::inbox::{Delivery, Event, SourceEnd, Waiting};
 use super::swap::{Active, Swap, Swapped};
+use super::{SessionStart, Shared};
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -23,6 +23,8 @@ use crate::source::Source;
 pub struct Fitter {
     /// Its session's name.
     pub name: String,
+    /// Which start of it this is.
+    pub run: SessionStart,
     /// What the rest of the service sees of it.
     pub shared: Arc<Shared>,
     /// The solver with its state.
@@ -174,6 +176,7 @@ impl Fitter {
         let frame = &captured.frame;
         let mut estimate = EstimateView::new(&self.active.model, &self.active.id, frame.sequence, result);
         estimate.session = Some(self.name.clone());
+        (estimate.node, estimate.epoch) = (Some(self.run.node.to_string()), Some(self.run.epoch));
         estimate.file = captured.file.clone();
         let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
         estimate.capture_ns = Some(capture_ns);

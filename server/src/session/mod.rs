@@ -59,6 +59,21 @@ pub struct SourceOf {
     pub is_own: bool,
 }
 
+/// One start of a session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SessionStart {
+    /// Where it runs.
+    pub node: Arc<str>,
+    /// No other start on that node has it.
+    pub epoch: u64,
+    /// When it began, by the wall clock.
+    pub started_at: String,
+    /// When it was put, by the wall clock; nothing of the demo's.
+    pub declared_at: Option<String>,
+    /// How often the service was started since then.
+    pub restarts: u64,
+}
+
 /// A running session.
 pub struct Session {
     name: String,
@@ -67,15 +82,18 @@ pub struct Session {
     shared: Arc<Shared>,
     thread: NamedThread,
     compile_ms: f64,
+    run: SessionStart,
 }
 
 impl Session {
-    /// Compiles, checks, and starts the thread. Only from the compile thread.
+    /// Compiles, checks, and starts the thread, which has no frames before [`Session::begin`]. The model may be another than
+    /// the document's, to which the session was swapped before. Only from the compile thread.
     pub fn start(
         name: &str,
         document: SessionDocument,
         source: SourceOf,
         entry: &ModelEntry,
+        run: SessionStart,
     ) -> Result<Session, Problem> {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
@@ -86,16 +104,20 @@ impl Session {
             compiled.warm(format, &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options(&document);
+        let options = match document.model == entry.name.as_str() {
+            true => swap::options(&document),
+            false => swap::options_known(&document, &entry.model),
+        };
         let tracker = tracker(compiled, options, source.source.shape());
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
-        let status = Status::new(active.clone(), document.model.clone());
+        let status = Status::new(active.clone(), entry.name.to_string());
         let (counters, status) = (SessionCounters::default(), Mutex::new(status));
         let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), counters, status });
         let knob = ExposureKnob::of(&document.options, &source.source, &tracker)?;
         let fitter = Fitter {
             name: name.to_string(),
+            run: run.clone(),
             shared: shared.clone(),
             tracker,
             active,
@@ -106,8 +128,12 @@ impl Session {
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
-        source.source.subscribe(&shared.inbox);
-        Ok(Session { name: name.to_string(), document, source, shared, thread, compile_ms })
+        Ok(Session { name: name.to_string(), document, source, shared, thread, compile_ms, run })
+    }
+
+    /// From now on it has frames.
+    pub fn begin(&self) {
+        self.source.source.subscribe(&self.shared.inbox);
     }
 
     /// Its estimates.
@@ -176,23 +202,37 @@ impl Session {
             frames: status.frames,
             dropped: status.dropped,
             rate_hz: status.rate_hz(monotonic_ns()),
+            node: self.run.node.to_string(),
+            epoch: Some(self.run.epoch),
+            declared_at: self.run.declared_at.clone(),
+            started_at: Some(self.run.started_at.clone()),
+            restarts: self.run.restarts,
             source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),
         }
     }
 
     /// Compiles a model and hands it to the fit thread, which takes it between two frames. Only from the compile thread,
-    /// so that swaps are ordered. Answers the compile time and where the fit thread's answer will come.
-    pub fn begin_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    /// so that swaps are ordered. `keep` writes it down, when nothing else can refuse it. Answers the compile time and where the
+    /// fit thread's answer will come.
+    pub fn begin_swap(
+        &self,
+        entry: &ModelEntry,
+        keep: impl FnOnce() -> Result<(), Problem>,
+    ) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let before = std::mem::replace(&mut self.shared.status().requested_model, entry.name.to_string());
-        let result = self.try_swap(entry);
+        let result = self.try_swap(entry, keep);
         if result.is_err() {
             self.shared.status().requested_model = before;
         }
         result
     }
 
-    fn try_swap(&self, entry: &ModelEntry) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
+    fn try_swap(
+        &self,
+        entry: &ModelEntry,
+        keep: impl FnOnce() -> Result<(), Problem>,
+    ) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
         let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
         check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
         let start_ns = monotonic_ns();
@@ -210,6 +250,7 @@ impl Session {
         }
         let (reply, answer) = oneshot::channel();
         let swap = Box::new(Swap { active: Active::new(entry), compiled, options, reply });
+        keep()?;
         let gone = |_| Problem::conflict("not-applicable", "the session has ended");
         self.shared.inbox.swap(swap).map_err(gone)?;
         Ok((compile_ms, answer))

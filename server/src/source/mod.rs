@@ -178,6 +178,7 @@ impl Source {
             document: self.document.clone(),
             state,
             reason,
+            declared_at: None,
             frames: shared.frames,
             sessions: shared.sessions.len(),
             camera: shared.camera.clone(),

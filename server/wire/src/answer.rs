@@ -42,6 +42,9 @@ pub struct ModelAnswer {
     pub name: String,
     /// Counts the documents put under this name, from 1.
     pub version: u64,
+    /// Older versions that are not kept any more, because there would be too many.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub collected: Vec<u64>,
     /// What `model check` prints.
     #[serde(flatten)]
     pub report: ModelReport,
@@ -72,6 +75,31 @@ pub struct ModelItem {
     pub description: String,
     /// Names, in document order.
     pub parameters: Vec<String>,
+}
+
+/// `GET /v1/models/{name}/versions`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct VersionList {
+    /// Newest first.
+    pub items: Vec<VersionItem>,
+    /// How many older ones are not kept any more.
+    pub collected: u64,
+}
+
+/// One version of a name.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct VersionItem {
+    /// Counts the documents put under the name, from 1.
+    pub version: u64,
+    /// `sha256:…` of the canonical document.
+    pub digest: String,
+    /// Whether the name means it.
+    pub active: bool,
+    /// Of its text.
+    pub bytes: u64,
+    /// When it was put, by the wall clock; absent where that was not kept.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub created_at: Option<String>,
 }
 
 /// What `model explain --json` prints: the figures of one subset beside the text asked for.
@@ -120,6 +148,9 @@ pub struct SourceView {
     /// Why it stands still.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
+    /// When it was put, by the wall clock.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub declared_at: Option<String>,
     /// Frames delivered.
     pub frames: u64,
     /// Sessions that listen.
@@ -195,12 +226,31 @@ pub struct SessionView {
     pub dropped: u64,
     /// Estimates a second, measured over the last ones.
     pub rate_hz: f64,
+    /// Where it runs: the id of the data folder, or of the process where there is none.
+    pub node: String,
+    /// Grows with every start of a session on this node: with the number of a frame it names an estimate for good. Absent of one
+    /// that does not run.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub epoch: Option<u64>,
+    /// When it was put, by the wall clock; absent of the demo's.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub declared_at: Option<String>,
+    /// When it began to run, by the wall clock.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub started_at: Option<String>,
+    /// How often the service was started since it was put.
+    #[serde(skip_serializing_if = "is_zero", default)]
+    pub restarts: u64,
     /// Of a session on a camera: how that is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub source_camera: Option<CameraStatus>,
     /// The last estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub last: Option<EstimateView>,
+}
+
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 /// Answer of a hot swap.

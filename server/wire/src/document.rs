@@ -186,6 +186,14 @@ impl<'de> serde::Deserialize<'de> for SourceReference {
     }
 }
 
+/// `POST /v1/models/{name}:rollback`
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RollbackDocument {
+    /// A version that is kept.
+    pub version: u64,
+}
+
 /// `PUT /v1/sources/{name}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]

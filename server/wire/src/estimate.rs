@@ -14,6 +14,12 @@ pub struct EstimateView {
     /// The session that made it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub session: Option<String>,
+    /// Where that runs, see [`SessionView::node`](crate::SessionView::node).
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub node: Option<String>,
+    /// The start of the session that made it: no other estimate of the node has this epoch, this frame and this target.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub epoch: Option<u64>,
     /// The target's id.
     pub target: String,
     /// The source's frame number.
@@ -150,6 +156,8 @@ impl EstimateView {
         let pairs = names.iter().zip(&result.parameters);
         EstimateView {
             session: None,
+            node: None,
+            epoch: None,
             target: result.target.clone(),
             frame,
             file: None,

@@ -60,19 +60,19 @@ impl Running {
     }
     pub fn start_of_width(data: Option<&Path>, demo: bool, width: VectorWidth) -> Running {
         let data = data.map(Path::to_path_buf);
-        Running::start_of(Options { data, demo, width, ..Running::options() })
+        Running::with(&Options { data, demo, width, ..Running::options() })
     }
     /// A service that is not for everybody.
     pub fn start_with_access(access: AccessOptions) -> Running {
-        Running::start_of(Options { access, ..Running::options() })
+        Running::with(&Options { access, ..Running::options() })
     }
     /// On a free port of loopback, for everybody.
     pub fn options() -> Options {
         let (listen, access) = ("127.0.0.1:0".parse().unwrap(), AccessOptions::default());
-        Options { listen, data: None, demo: false, width: VectorWidth::default(), access }
+        Options { listen, data: None, models: None, demo: false, width: VectorWidth::default(), access }
     }
-    fn start_of(options: Options) -> Running {
-        let server = Server::start(&options).unwrap();
+    pub fn with(options: &Options) -> Running {
+        let server = Server::start(options).unwrap();
         let address = server.address().to_string();
         Running { server: Some(server), ..Running::at(&address) }
     }
@@ -87,20 +87,30 @@ impl Running {
     }
 
     pub fn request(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
+        self.try_request(method, path, headers, body).unwrap()
+    }
+    /// Fails when the service goes before it has answered.
+    pub fn try_request(
+        &self,
+        method: &str,
+        path: &str,
+        headers: &[(&str, &str)],
+        body: &[u8],
+    ) -> Result<Answer, ureq::Error> {
         let mut request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.url));
         for (name, value) in headers {
             request = request.header(*name, *value);
         }
-        let mut answer = self.agent.run(request.body(body.to_vec()).unwrap()).unwrap();
+        let mut answer = self.agent.run(request.body(body.to_vec()).unwrap())?;
         let header = |name: &str| answer.headers().get(name).map_or("", |value| value.to_str().unwrap()).to_string();
         let (media, etag, authenticate) = (header("content-type"), header("etag"), header("www-authenticate"));
-        Answer {
+        Ok(Answer {
             status: answer.status().as_u16(),
             media,
             etag,
             authenticate,
-            text: answer.body_mut().read_to_string().unwrap(),
-        }
+            text: answer.body_mut().read_to_string()?,
+        })
     }
     pub fn get(&self, path: &str) -> Answer {
         self.request("GET", path, &[], b"")

@@ -86,6 +86,52 @@ fn the_way_through_the_commands() {
 }
 
 #[test]
+fn versions_and_plain_files() {
+    let folder = Folder::new("plain-files");
+    let demo = Demo::start(&folder.0);
+    demo.ok(&["model", "push", "models/gaussian.toml", "--name", "mine"]);
+    demo.ok(&["model", "push", "models/ring.toml", "--name", "mine"]);
+    let history = demo.json(&["model", "history", "mine", "--json"]);
+    let versions = |list: &Value| -> Vec<(u64, bool)> {
+        let one = |item: &Value| (item["version"].as_u64().unwrap(), item["active"].as_bool().unwrap());
+        list["items"].as_array().unwrap().iter().map(one).collect()
+    };
+    assert_eq!(versions(&history), [(2, true), (1, false)]);
+    assert!(demo.ok(&["model", "rollback", "mine", "1"]).starts_with("mine version 1 sha256:"));
+    assert_eq!(versions(&demo.json(&["model", "history", "mine", "--json"])), [(2, false), (1, true)]);
+    assert_eq!(demo.ok(&["model", "history", "mine"]).matches("active").count(), 1);
+    assert_eq!(demo.json(&["model", "rollback", "mine", "2", "--json"])["version"], 2);
+    demo.fails(&["model", "rollback", "mine", "7"], 1, "version");
+    demo.fails(&["model", "rollback", "mine"], 2, "VERSION");
+    demo.fails(&["model", "history", "nobody"], 1, "nobody");
+
+    let (out, shown) = (folder.0.join("out"), folder.0.join("out").display().to_string());
+    let level = folder.0.join("level.json");
+    std::fs::write(
+        &level,
+        r#"{"name": "level", "coordinates": ["x", "y"], "channels": ["phi"], "parameters": {"v0": {"start": 1}}, "model": {"intensity": "v0"}}"#,
+    )
+    .unwrap();
+    let pushed = demo.json(&["model", "push", level.to_str().unwrap(), "--json"]);
+    let counted = demo.json(&["data", "export", &shown, "--json"]);
+    assert_eq!((&counted["models"], &counted["sessions"]), (&Value::from(27), &Value::from(1)), "{counted}");
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
+    assert_eq!(read("models/mine.toml"), std::fs::read_to_string(repository().join("models/ring.toml")).unwrap());
+    let session: Value = serde_json::from_str(&read("sessions/demo.json")).unwrap();
+    let source: Value = serde_json::from_str(&read("sources/demo.json")).unwrap();
+    assert_eq!((&session["source"], &source["kind"]), (&Value::from("demo"), &Value::from("synthetic")));
+    assert!(session.get("state").is_none() && source.get("frames").is_none(), "{session} {source}");
+    demo.fails(&["data", "export", &shown], 1, "nothing is overwritten");
+
+    let models = out.join("models").display().to_string();
+    let again = Service::start(&demo.program, &["--models", &models], &folder.0).unwrap();
+    let again = Demo { program: demo.program.clone(), service: again };
+    assert_eq!(again.json(&["model", "show", "level", "--json"])["digest"], pushed["digest"]);
+    assert_eq!(again.ok(&["model", "show", "mine"]).trim_end(), read("models/mine.toml").trim_end());
+    assert_eq!(again.json(&["model", "show", "spot", "--json"])["version"], 1, "as it is there already");
+}
+
+#[test]
 fn it_ends_when_it_is_asked_to() {
     let folder = Folder::new("ends-when-asked");
     let mut demo = Demo::start(&folder.0);

@@ -1,7 +1,7 @@
 //! What stands behind a path: nothing there keeps the service waiting, and nothing there keeps it from starting.
 
 use std::os::unix::fs::symlink;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -108,40 +108,52 @@ fn faults_of_files_do_not_quote_them() {
 
 fn start(data: &Path) -> Result<Server, String> {
     let (listen, width) = ("127.0.0.1:0".parse().unwrap(), VectorWidth::default());
-    let options = Options { listen, data: Some(data.to_path_buf()), demo: false, width, access: Default::default() };
+    let options = Options {
+        listen,
+        data: Some(data.to_path_buf()),
+        models: None,
+        demo: false,
+        width,
+        access: Default::default(),
+    };
     Server::start(&options).map_err(|error| error.to_string())
 }
 
 #[test]
-fn what_is_no_model_in_the_data_folder_is_left_alone() {
+fn what_is_no_model_in_an_old_data_folder_is_left_alone() {
     let folder = Folder::new("strangers");
     let models = folder.0.join("models");
-    let service = Running::start_with(Some(&folder.0), false);
+    std::fs::create_dir_all(&models).unwrap();
     let spot = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/spot.toml")).unwrap();
-    service.put_text("/v1/models/mine", "application/toml", &spot).expect(201);
-    service.stop();
+    let stored = |text: &str| json!({"version": 1, "media": "application/toml", "text": text}).to_string();
+    std::fs::write(models.join("mine.json"), stored(&spot)).unwrap();
+    std::fs::write(models.join("wrong.json"), stored("name = 1")).unwrap();
     pipe(&models.join("pipe.json"));
     pipe(&models.join("mine.new"));
     symlink("/dev/zero", models.join("zero.json")).unwrap();
     std::fs::create_dir(models.join("folder.json")).unwrap();
-    std::fs::create_dir(models.join("folder.new")).unwrap();
     std::fs::write(models.join("bytes.json"), [0xff, 0xfe]).unwrap();
     std::fs::write(models.join("half.json"), "{\"version\": 1,").unwrap();
+    // What stands where a new database is written is not waited for either.
+    pipe(&folder.0.join("isophote.redb.new"));
     let begin = Instant::now();
     let service = Running::start_with(Some(&folder.0), false);
     assert!(begin.elapsed() < SOON * 4, "{:?}", begin.elapsed());
     service.get("/v1/models/mine").expect(200);
-    for name in ["pipe", "zero", "folder", "bytes", "half"] {
+    for name in ["wrong", "pipe", "zero", "folder", "bytes", "half"] {
         service.get(&format!("/v1/models/{name}")).expect(404);
+        service.put_text(&format!("/v1/models/{name}"), "application/toml", &spot).expect(201);
     }
-    // A save does not wait for what stands in its way either.
-    pipe(&models.join("other.new"));
-    service.put_text("/v1/models/other", "application/toml", &spot).expect(201);
-    service.put_text("/v1/models/folder", "application/toml", &spot).expect(507);
-    service.get("/v1/models/folder").expect(404);
-    let left = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "new") && !path.is_dir();
-    let mut found = std::fs::read_dir(&models).unwrap().map(|entry| entry.unwrap().path());
-    assert_eq!(found.find(left), None);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), false);
+    service.get("/v1/models/pipe").expect(200);
+    assert!(models.join("mine.new").exists() && models.join("wrong.json").exists(), "it is the user's");
+    // A database that is none keeps the service from starting, and says what to do.
+    service.stop();
+    std::fs::remove_file(folder.0.join("isophote.redb")).unwrap();
+    pipe(&folder.0.join("isophote.redb"));
+    let error = start(&folder.0).err().unwrap();
+    assert!(error.contains("isophote.redb"), "{error}");
 }
 
 #[test]

@@ -1,0 +1,68 @@
+//! After a start: hands what was declared to the compile thread, one after the other. Recordings are opened before, each beside
+//! the others, so that a disk that does not answer holds up nothing but what is on it.
+
+use std::time::Instant;
+
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::routes::{App, opened_ahead};
+use crate::service::Service;
+
+/// Starts what was declared, sources first. Then waits until this start counts as one that has not died. The service does not
+/// stop before this has ended: the next one on its folder finds it free.
+pub async fn restore(app: App, mut stopped: watch::Receiver<bool>) {
+    let since = Instant::now();
+    tokio::select! {
+        () = restore_all(&app) => {}
+        _ = stopped.wait_for(|stopped| *stopped) => return,
+    }
+    tokio::select! {
+        () = tokio::time::sleep(LIMITS.start_time.saturating_sub(since.elapsed())) => {}
+        _ = stopped.wait_for(|stopped| *stopped) => return,
+    }
+    // Where it stops just now, that is in order.
+    change(&app, Service::lived).await.ok();
+}
+
+async fn restore_all(app: &App) {
+    let service = &app.service;
+    let mut sources = JoinSet::new();
+    for (name, (mut document, reader)) in service.awaited_sources() {
+        let app = app.clone();
+        sources.spawn(async move { (name, opened_ahead(&app, &mut document, "", reader).await) });
+    }
+    while let Some(Ok((name, opened))) = sources.join_next().await {
+        let source = name.clone();
+        let started = change(app, move |service| service.restore_source(&source, opened)).await;
+        // Where the queue is full of what clients want, it says so.
+        started.unwrap_or_else(|problem| service.restore_source(&name, Err(problem)));
+    }
+    let mut sessions = JoinSet::new();
+    for (name, source) in service.awaited_sessions() {
+        let app = app.clone();
+        sessions.spawn(async move {
+            match source {
+                Some((mut document, reader)) => (name, opened_ahead(&app, &mut document, "source.", reader).await),
+                None => (name, Ok(None)),
+            }
+        });
+    }
+    while let Some(Ok((name, opened))) = sessions.join_next().await {
+        let session = name.clone();
+        let started = change(app, move |service| service.restore_session(&session, opened)).await;
+        started.unwrap_or_else(|problem| service.restore_session(&name, Err(problem)));
+    }
+}
+
+/// On the compile thread.
+async fn change(app: &App, work: impl FnOnce(&Service) + Send + 'static) -> Result<(), Problem> {
+    let service = app.service.clone();
+    let work = move || {
+        work(&service);
+        Ok(())
+    };
+    app.service.compiler.run(work).await
+}

@@ -1,0 +1,199 @@
+//! After a start of the service: what was declared runs again, each with the models that it had. What cannot says why and is
+//! listed; nothing keeps the service itself from starting.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use isophote_capture::read_regular;
+use isophote_jit::VectorWidth;
+use isophote_symbolic::Model;
+use isophote_wire::{SourceDocument, SourceReference};
+
+use super::standing::{Standing, Why};
+use super::{OpenError, Service, Table, get, insert};
+use crate::compiler::Compiler;
+use crate::counters::ServiceCounters;
+use crate::declared::{Declarations, SessionRecord};
+use crate::limits::LIMITS;
+use crate::name::Name;
+use crate::node::{LastStarts, ServiceNode};
+use crate::problem::Problem;
+use crate::registry::{Expected, Media, Registry};
+use crate::source::{self, Opened, Source};
+use crate::store::{RecordTable, Store, said};
+use crate::watchdog::OwnerWatch;
+
+/// A source that waits to be opened, and the model that will look at its frames.
+pub type Awaited = (SourceDocument, Option<Arc<Model>>);
+
+impl Service {
+    /// Everything that a store knows, and nothing that runs.
+    pub(super) fn of_store(store: Arc<dyn Store>, width: VectorWidth) -> Result<Service, OpenError> {
+        let registry = Registry::open(store.clone(), width)?;
+        let declared_sources = Declarations::open(store.clone(), RecordTable::Sources)?;
+        let declared_sessions: Declarations<SessionRecord> = Declarations::open(store.clone(), RecordTable::Sessions)?;
+        let runnable = declared_sessions.all().into_iter().filter(|(_, record)| record.stopped.is_none());
+        let runnable: Vec<(Name, SessionRecord)> = runnable.collect();
+        let (node, before) = ServiceNode::open(store, runnable.len())?;
+        let reason = (before == LastStarts::Died).then(|| stop(&declared_sessions, runnable));
+        let sources = declared_sources.all().into_iter().map(|(name, _)| (name, Why::Starting));
+        let sessions =
+            declared_sessions.all().into_iter().map(|(name, record)| match record.stopped.or(reason.clone()) {
+                Some(reason) => (name, Why::Stopped(reason)),
+                None => (name, Why::Starting),
+            });
+        Ok(Service {
+            standing_sources: Standing::of(sources),
+            standing_sessions: Standing::of(sessions),
+            registry,
+            node,
+            declared_sources,
+            declared_sessions,
+            compiler: Compiler::start()?,
+            counters: ServiceCounters::default(),
+            watch: OwnerWatch::default(),
+            sources: Table::default(),
+            sessions: Table::default(),
+            is_draining: AtomicBool::new(false),
+        })
+    }
+
+    /// `--models DIR`: documents under the names of their files, those that are new or changed. One that is wrong is said.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn put_folder(&self, folder: &Path) -> std::io::Result<()> {
+        let mut paths: Vec<_> =
+            std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>()?;
+        paths.sort();
+        for path in paths {
+            let media = match path.extension().and_then(|extension| extension.to_str()) {
+                Some("toml") => Media::Toml,
+                Some("json") => Media::Json,
+                _ => continue,
+            };
+            if let Err(why) = self.put_file(&path, media) {
+                said(&path, &format!("not put: {why}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn put_file(&self, path: &Path, media: Media) -> Result<(), String> {
+        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let name = Name::parse(stem).ok_or("the name of a model is made of a-z, 0-9 and -")?;
+        let bytes = read_regular(path, LIMITS.document_bytes as u64).map_err(|error| error.to_string())?;
+        let text = String::from_utf8(bytes).map_err(|_| "it is not UTF-8")?;
+        let present = self.registry.get(name.as_str()).ok();
+        if present.is_some_and(|entry| entry.media == media && *entry.text == *text) {
+            return Ok(());
+        }
+        let put = self.put_model(&name, &Expected::Anything, media, &text);
+        put.map(drop).map_err(|problem| match problem.diagnostics.first() {
+            Some(fault) => format!("{} ({}:{})", fault.message, fault.line, fault.column),
+            None => problem.detail,
+        })
+    }
+
+    /// Sources of their own names that wait to be started.
+    pub fn awaited_sources(&self) -> BTreeMap<Name, Awaited> {
+        let awaited = self.standing_sources.all().into_iter().filter(|(_, why)| *why == Why::Starting);
+        let document = |name: Name| Some((self.declared_sources.get(&name)?.document, name));
+        awaited.filter_map(|(name, _)| document(name)).map(|(document, name)| (name, (document, None))).collect()
+    }
+
+    /// Sessions that wait to be started, with their sources where these are their own.
+    pub fn awaited_sessions(&self) -> BTreeMap<Name, Option<Awaited>> {
+        let awaited = self.standing_sessions.all().into_iter().filter(|(_, why)| *why == Why::Starting);
+        let source = |record: SessionRecord| match record.document.source {
+            SourceReference::Named(_) => None,
+            SourceReference::Own(source) => {
+                Some((*source, self.registry.pinned(&record.model).ok().map(|entry| entry.model.clone())))
+            }
+        };
+        awaited.filter_map(|(name, _)| Some((name.clone(), source(self.declared_sessions.get(&name)?)))).collect()
+    }
+
+    /// Starts a source that waits, opened already where that takes its time. Only from the compile thread.
+    pub fn restore_source(&self, name: &Name, opened: Result<Option<Opened>, Problem>) {
+        // Whoever put or deleted it in between was faster.
+        if self.standing_sources.why(name) != Some(Why::Starting) {
+            return;
+        }
+        let started = || {
+            let Some(record) = self.declared_sources.get(name) else { return Ok(()) };
+            let find = |name: &str| match &record.model {
+                Some(pin) => Ok(self.registry.pinned(pin)?.model.clone()),
+                None => Ok(self.registry.get(name)?.model.clone()),
+            };
+            let opened = opened?.map_or_else(|| source::open(&record.document, "", find), Ok)?;
+            insert(&self.sources, name, Source::start(name.as_str(), record.document, opened)?);
+            Ok(())
+        };
+        match started() {
+            Ok(()) => self.standing_sources.remove(name),
+            Err(problem) => self.standing_sources.set(name, Why::Failed(reason(problem))),
+        }
+    }
+
+    /// The same for a session, with the model that it had last. Only from the compile thread.
+    pub fn restore_session(&self, name: &Name, opened: Result<Option<Opened>, Problem>) {
+        if self.standing_sessions.why(name) != Some(Why::Starting) {
+            return;
+        }
+        let started = || {
+            let Some(record) = self.declared_sessions.get(name) else { return Ok(()) };
+            let entry = self.registry.pinned(&record.model)?;
+            let find = |name: &str| match &record.source_model {
+                Some(pin) => Ok(self.registry.pinned(pin)?.model.clone()),
+                None => Ok(self.registry.get(name)?.model.clone()),
+            };
+            let run = self.run(Some(record.declared))?;
+            let source = self.source_of(name, &record.document.source, opened?, find)?;
+            let session = self.session_of(name, record.document, source, &entry, run)?;
+            session.begin();
+            insert(&self.sessions, name, session);
+            Ok(())
+        };
+        match started() {
+            Ok(()) => self.standing_sessions.remove(name),
+            Err(problem) => self.standing_sessions.set(name, Why::Failed(reason(problem))),
+        }
+    }
+
+    /// Whether a name is free for the demo: what users declare is theirs.
+    pub fn is_free(&self, name: &Name) -> bool {
+        let (source, session) = (self.standing_sources.has(name), self.standing_sessions.has(name));
+        !source && !session && get(&self.sessions, "session", name.as_str()).is_err()
+    }
+
+    /// This start has not died early.
+    pub fn lived(&self) {
+        self.node.lived();
+    }
+}
+
+/// The first fault where there are some: a document that was right once is wrong for a reason.
+fn reason(problem: Problem) -> String {
+    match problem.diagnostics.into_iter().next() {
+        Some(fault) => fault.message,
+        None => problem.detail,
+    }
+}
+
+/// What may have killed the service is not started by it again; says why.
+fn stop(declared: &Declarations<SessionRecord>, sessions: Vec<(Name, SessionRecord)>) -> String {
+    let (seconds, starts) = (LIMITS.start_time.as_secs(), LIMITS.starts_died);
+    let why = format!("the service died within {seconds} s of each of its last {starts} starts");
+    tracing::warn!("{why}: sessions that were declared stay stopped until they are put again");
+    let reason = format!("{why}, so this session stays stopped; put it again to start it");
+    for (name, record) in sessions {
+        let stopped = SessionRecord { stopped: Some(reason.clone()), ..record };
+        if let Err(error) = declared.put(&name, stopped, &[]) {
+            tracing::warn!("that the session `{name}` is stopped is not kept: {error}");
+        }
+    }
+    reason
+}

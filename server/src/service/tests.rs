@@ -1,0 +1,117 @@
+//! Every change on a disk that refuses it: 507, and nothing is other than before.
+
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use axum::http::StatusCode;
+use isophote_jit::VectorWidth;
+use serde_json::{Value, json};
+
+use super::{Keeping, Put, Service};
+use crate::name::Name;
+use crate::problem::Problem;
+use crate::registry::{Expected, Media};
+use crate::store::{MemoryStore, Record, RecordTable, Store, StoreError, Transaction};
+
+/// Refuses changes for as long as it is full.
+#[derive(Default)]
+struct Disk {
+    records: MemoryStore,
+    is_full: AtomicBool,
+}
+
+impl Store for Disk {
+    fn get(&self, table: RecordTable, key: &str) -> Result<Option<Record>, StoreError> {
+        self.records.get(table, key)
+    }
+    fn list(&self, table: RecordTable) -> Result<Vec<(String, Record)>, StoreError> {
+        self.records.list(table)
+    }
+    fn commit(&self, transaction: &Transaction) -> Result<u64, StoreError> {
+        match self.is_full.load(Ordering::SeqCst) {
+            true => Err(StoreError::Failed("no space left".into())),
+            false => self.records.commit(transaction),
+        }
+    }
+}
+
+fn name(text: &str) -> Name {
+    Name::parse(text).unwrap()
+}
+
+fn source(rate_hz: u32) -> Value {
+    json!({"kind": "synthetic", "model": "spot", "width": 64, "height": 48, "samples": 1, "rate_hz": rate_hz, "pace": "fit"})
+}
+
+fn put_model(service: &Service, start: u32) -> Result<(), Problem> {
+    let document = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"],
+                          "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}});
+    service.put_model(&name("level"), &Expected::Anything, Media::Json, &document.to_string()).map(drop)
+}
+
+fn put_source(service: &Service, called: &str, rate_hz: u32) -> Result<Put, Problem> {
+    service.put_source(&name(called), serde_json::from_value(source(rate_hz)).unwrap(), None, Keeping::Declared)
+}
+
+fn put_session(service: &Service, called: &str, rate_hz: u32) -> Result<(), Problem> {
+    let document = json!({"source": source(rate_hz), "model": "spot"});
+    service.put_session(&name(called), serde_json::from_value(document).unwrap(), None, Keeping::Declared).map(drop)
+}
+
+/// What can be seen of it, but for what moves by itself.
+fn seen(service: &Service) -> Value {
+    let mut sessions = serde_json::to_value(service.session_views()).unwrap();
+    for session in sessions.as_array_mut().unwrap() {
+        for key in ["state", "frames", "dropped", "rate_hz", "last"] {
+            session.as_object_mut().unwrap().remove(key);
+        }
+    }
+    let models: Vec<_> = service.registry.list().iter().map(|entry| entry.tag()).collect();
+    let versions = service.registry.versions("level").unwrap();
+    json!([models, versions, service.source_views(), sessions])
+}
+
+#[test]
+fn a_disk_that_refuses_changes_nothing() {
+    let disk = Arc::new(Disk::default());
+    let service = Service::of_store(disk.clone(), VectorWidth::default()).unwrap();
+    put_model(&service, 1).unwrap();
+    put_model(&service, 2).unwrap();
+    assert_eq!(put_source(&service, "one", 100), Ok(Put::Created));
+    put_session(&service, "one", 100).unwrap();
+    let before = seen(&service);
+    let changes: [(&str, &dyn Fn() -> Result<(), Problem>); 11] = [
+        ("put model", &|| put_model(&service, 3)),
+        ("roll back", &|| service.roll_back_model(&name("level"), &Expected::Anything, 1).map(drop)),
+        ("remove model", &|| service.remove_model(&name("level"), &Expected::Anything)),
+        ("remove shipped model", &|| service.remove_model(&name("ring"), &Expected::Anything)),
+        ("put source", &|| put_source(&service, "two", 100).map(drop)),
+        ("replace source", &|| put_source(&service, "one", 50).map(drop)),
+        ("remove source", &|| service.remove_source(&name("one"))),
+        ("put session", &|| put_session(&service, "two", 100)),
+        ("replace session", &|| put_session(&service, "one", 50)),
+        ("swap", &|| service.begin_swap("one", "gaussian").map(drop)),
+        ("remove session", &|| service.remove_session(&name("one")).map(drop)),
+    ];
+    for (what, change) in &changes {
+        disk.is_full.store(true, Ordering::SeqCst);
+        let problem = change().unwrap_err();
+        assert_eq!((problem.status, problem.code), (StatusCode::INSUFFICIENT_STORAGE, "storage"), "{what}");
+        assert_eq!(seen(&service), before, "{what}");
+    }
+    // The checks above would catch a change: with room each of them is one.
+    for (what, change) in changes {
+        let before = seen(&service);
+        disk.is_full.store(false, Ordering::SeqCst);
+        if what == "remove model" {
+            continue; // its versions are looked at
+        }
+        change().unwrap();
+        if what != "swap" {
+            assert_ne!(seen(&service), before, "{what}");
+        }
+    }
+    service.stop();
+}

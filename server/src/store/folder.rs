@@ -1,0 +1,191 @@
+//! `--data DIR`: the folder of one service at a time, and the database in it.
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use isophote_capture::{open_regular, read_regular};
+use redb::backends::{FileBackend, InMemoryBackend};
+use redb::{Database, DatabaseError, StorageBackend};
+
+use super::memory::{MemoryStore, ReadOnlyStore};
+use super::record::{Record, RecordTable, Store, StoreError, Transaction};
+use super::redb::{RedbStore, database};
+
+/// The database's file.
+const FILE: &str = "isophote.redb";
+/// The same before it is complete.
+const FILE_NEW: &str = "isophote.redb.new";
+/// The folder of earlier versions.
+const MODELS: &str = "models";
+/// Bytes of a database that can be read, but not written to, so that it is taken into memory.
+const FILE_BYTES_MAX: u64 = 4 * 1024 * 1024 * 1024;
+
+/// Why a folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}", path.display())]
+pub struct FolderError {
+    path: PathBuf,
+    reason: String,
+}
+
+fn at(path: &Path) -> impl Fn(&dyn std::fmt::Display) -> FolderError {
+    move |reason| FolderError { path: path.to_path_buf(), reason: reason.to_string() }
+}
+
+/// A folder that is taken, with what is in it.
+pub struct Folder {
+    store: Box<dyn Store>,
+    /// Locked for as long as they are open, also against services of other processes; the second as earlier versions do.
+    _locks: Vec<File>,
+}
+
+/// Makes the folder when it is missing, takes it for itself, and opens its database, which is made of the models of an earlier
+/// version where there are some, which `import` reads and counts. A folder that cannot be written to is said and read all the same.
+pub fn open(folder: &Path, import: impl Fn(&Path) -> io::Result<(usize, Transaction)>) -> Result<Folder, FolderError> {
+    fs::create_dir_all(folder).map_err(|error| at(folder)(&error))?;
+    let models = folder.join(MODELS);
+    let mut locks = Vec::from_iter(locked(folder)?);
+    if models.is_dir() {
+        locks.extend(locked(&models)?);
+    }
+    let path = folder.join(FILE);
+    let store: Box<dyn Store> = match file(&path) {
+        Ok(_) => Box::new(opened(&path)?),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => made(folder, import)?,
+        Err(error) if is_read_only(&error) => Box::new(read(&path, &error)?),
+        Err(error) => return Err(at(&path)(&error)),
+    };
+    Ok(Folder { store, _locks: locks })
+}
+
+fn locked(folder: &Path) -> Result<Option<File>, FolderError> {
+    let lock = File::open(folder).map_err(|error| at(folder)(&error))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(Some(lock)),
+        Err(TryLockError::WouldBlock) => {
+            Err(at(folder)(&"another service keeps its models and sessions here; give each a --data of its own"))
+        }
+        // Some network drives have no locks.
+        Err(TryLockError::Error(error)) => {
+            said(folder, &format!("cannot be locked ({error}), used all the same"));
+            Ok(None)
+        }
+    }
+}
+
+fn is_read_only(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem)
+}
+
+/// Opened to be written to; what is there is looked at before, since behind the name may stand a pipe.
+fn file(path: &Path) -> io::Result<File> {
+    open_regular(path)?;
+    OpenOptions::new().read(true).write(true).open(path)
+}
+
+fn of_file(path: &Path) -> Result<Database, DatabaseError> {
+    database(FileBackend::new(file(path)?)?)
+}
+
+fn opened(path: &Path) -> Result<RedbStore, FolderError> {
+    let again = path.to_path_buf();
+    RedbStore::open(move || of_file(&again)).map_err(|error| {
+        at(path)(&format!("{error}; keep a copy of it, and start with another --data to go on without it"))
+    })
+}
+
+/// A new database, complete before it has its name: either it is there with all that the folder had, or it is not.
+fn made(
+    folder: &Path,
+    import: impl Fn(&Path) -> io::Result<(usize, Transaction)>,
+) -> Result<Box<dyn Store>, FolderError> {
+    let (path, new, models) = (folder.join(FILE), folder.join(FILE_NEW), folder.join(MODELS));
+    let found = if models.is_dir() { Some(import(&models).map_err(|error| at(&models)(&error))?) } else { None };
+    match replaced(&new) {
+        Ok(_) => {}
+        Err(error) if is_read_only(&error) => {
+            let records = MemoryStore::default();
+            if let Some((_, transaction)) = &found {
+                records.commit(transaction).map_err(|error| at(&models)(&error))?;
+            }
+            return Ok(Box::new(refusing(folder, records, &error)));
+        }
+        Err(error) => return Err(at(&new)(&error)),
+    }
+    {
+        let store = opened(&new)?;
+        if let Some((_, transaction)) = &found {
+            store.commit(transaction).map_err(|error| at(&new)(&error))?;
+        }
+    }
+    let name = || -> io::Result<()> {
+        fs::rename(&new, &path)?;
+        File::open(folder)?.sync_all()
+    };
+    name().map_err(|error| at(&path)(&error))?;
+    if let Some((count, _)) = found.filter(|(count, _)| *count > 0) {
+        said(&models, &format!("{count} models are now kept in {FILE} beside it; this folder is not read any more"));
+    }
+    Ok(Box::new(opened(&path)?))
+}
+
+/// An empty file in the place of whatever was there, which is never opened: it may be a pipe, or a link to somewhere else.
+fn replaced(path: &Path) -> io::Result<File> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)
+}
+
+/// The records of a database that cannot be written to.
+fn read(path: &Path, why: &io::Error) -> Result<ReadOnlyStore, FolderError> {
+    let bytes = read_regular(path, FILE_BYTES_MAX).map_err(|error| at(path)(&error))?;
+    let copy = InMemoryBackend::new();
+    let fill = || -> io::Result<()> {
+        copy.set_len(bytes.len() as u64)?;
+        copy.write(0, &bytes)
+    };
+    fill().map_err(|error| at(path)(&error))?;
+    let copy = std::sync::Mutex::new(Some(copy));
+    let take = move || {
+        let copy = copy.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+        database(copy.ok_or_else(|| io::Error::other("it was read before"))?)
+    };
+    let whole = || -> Result<MemoryStore, StoreError> {
+        let store = RedbStore::open(take)?;
+        let mut records = Vec::new();
+        for table in RecordTable::ALL {
+            records.extend(store.list(table)?.into_iter().map(|(key, record)| (table, key, record)));
+        }
+        Ok(MemoryStore::of(records))
+    };
+    Ok(refusing(path, whole().map_err(|error| at(path)(&error))?, why))
+}
+
+fn refusing(path: &Path, records: MemoryStore, why: &io::Error) -> ReadOnlyStore {
+    let reason = format!("{} cannot be written to: {why}", path.display());
+    said(path, &format!("cannot be written to, so what is put will be refused: {why}"));
+    ReadOnlyStore { records, reason }
+}
+
+/// For people, who may have put something there.
+pub fn said(path: &Path, what: &str) {
+    tracing::warn!("{}: {what}", path.display());
+}
+
+impl Store for Folder {
+    fn get(&self, table: RecordTable, key: &str) -> Result<Option<Record>, StoreError> {
+        self.store.get(table, key)
+    }
+
+    fn list(&self, table: RecordTable) -> Result<Vec<(String, Record)>, StoreError> {
+        self.store.list(table)
+    }
+
+    fn commit(&self, transaction: &Transaction) -> Result<u64, StoreError> {
+        self.store.commit(transaction)
+    }
+}
