@@ -20,6 +20,7 @@ mod counters;
 mod demo;
 mod documents;
 mod exposition;
+mod gate;
 mod guard;
 mod hub;
 pub mod limits;
