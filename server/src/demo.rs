@@ -20,6 +20,6 @@ pub fn start(service: &Service) -> Result<(), Problem> {
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
     service.put_source(&name, source, None)?;
-    service.put_session(&name, session, None)?;
+    service.put_session(&name, session, None, None)?;
     Ok(())
 }

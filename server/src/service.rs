@@ -1,5 +1,5 @@
-//! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other; read
-//! from anywhere.
+//! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other, from what was
+//! prepared beside it; read from anywhere.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,9 +10,10 @@ use std::time::Instant;
 use isophote_jit::VectorWidth;
 use isophote_machine::monotonic_ns;
 use isophote_symbolic::Precision;
-use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
+use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference};
 use tokio::sync::oneshot;
 
+use crate::capacity::Load;
 use crate::compiler::Compiler;
 use crate::counters::ServiceCounters;
 use crate::hub::End;
@@ -20,16 +21,20 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry, Registry};
-use crate::session::{Session, SourceOf, Swapped};
+use crate::session::{PreparedSession, PreparedSwap, SearchRoom, Session, SourceOf, Swapped, prepare_session};
 use crate::source::{self, Opened, Source};
 use crate::store::StoreError;
 use crate::thread;
+use crate::turns::FairWorkers;
 use crate::watchdog::OwnerWatch;
+use crate::workshop::Workshop;
 
 /// The service without its network.
 pub struct Service {
     /// The thread on which everything changes.
     pub compiler: Compiler,
+    /// Where changes that take their time are prepared.
+    pub workshop: Workshop,
     /// The models.
     pub registry: Registry,
     /// What is counted for all of it.
@@ -38,6 +43,7 @@ pub struct Service {
     pub watch: OwnerWatch,
     sources: Table<Source>,
     sessions: Table<Session>,
+    searches: Arc<SearchRoom>,
     is_draining: AtomicBool,
 }
 
@@ -90,8 +96,10 @@ impl Service {
             compiler: Compiler::start()?,
             counters: ServiceCounters::default(),
             watch: OwnerWatch::default(),
+            workshop: Workshop::of_machine(),
             sources: Table::default(),
             sessions: Table::default(),
+            searches: Arc::new(SearchRoom::of_machine()),
             is_draining: AtomicBool::new(false),
         })
     }
@@ -133,27 +141,31 @@ impl Service {
         list(&self.sources)
     }
 
-    /// Parses, compiles and reports a document; nothing is kept. Only from the compile thread.
-    pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(ModelEntry, ModelAnswer), Problem> {
-        let model = media.model(text).map_err(Problem::wrong_document)?;
+    /// Parses, compiles and reports a document; nothing is kept.
+    pub fn check_model(
+        &self,
+        name: &Name,
+        media: Media,
+        text: &str,
+        workers: &FairWorkers,
+    ) -> Result<(ModelEntry, ModelAnswer), Problem> {
+        let model = workers.piece(|| media.model(text)).map_err(Problem::wrong_document)?;
         let entry = ModelEntry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
-        let report = entry.kernels(Precision::F32)?.report(&monotonic_ns)?;
+        let kernels = entry.kernels_by(Precision::F32, workers)?;
+        let report = workers.piece(|| kernels.report(&monotonic_ns))?;
         let compile_ms: f64 = report.stages.iter().map(|stage| stage.compile_ms).sum();
         self.counters.compile_s.observe(compile_ms / 1e3);
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, report }))
     }
 
-    /// `PUT /v1/models/{name}`. Only from the compile thread.
+    /// `PUT /v1/models/{name}`, prepared by [`Service::check_model`]. Only from the compile thread.
     pub fn put_model(
         &self,
         name: &Name,
         expected: &Expected,
-        media: Media,
-        text: &str,
+        (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Put, Arc<ModelEntry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
-        self.registry.check(name, expected)?;
-        let (entry, mut answer) = self.check_model(name, media, text)?;
         let (is_new, entry) = self.registry.put(name, expected, entry)?;
         answer.version = entry.version;
         tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
@@ -209,6 +221,29 @@ impl Service {
         Ok(())
     }
 
+    /// What takes its time before [`Service::put_session`], and whether there is room for it beside what runs.
+    pub fn prepare_session(
+        &self,
+        document: &SessionDocument,
+        workers: &FairWorkers,
+    ) -> Result<PreparedSession, Problem> {
+        self.refuse_when_draining()?;
+        let entry = self.registry.get(&document.model)?;
+        let (running, own) = match &document.source {
+            SourceReference::Named(source) => (Some(self.source(source)?), None),
+            SourceReference::Own(document) => (None, Some(&**document)),
+        };
+        prepare_session(document, running.as_deref(), own, &entry, workers)
+    }
+
+    /// 429 where the machine has no room for a session of such a cost beside what runs.
+    fn admit(&self, name: &Name, prepared: &PreparedSession) -> Result<(), Problem> {
+        let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
+        let others = self.sessions().into_iter().filter(|(other, _)| other != name);
+        let running = others.filter_map(|(_, session)| session.load()).sum();
+        Load::of_machine(running).admit(name.as_str(), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
+    }
+
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
     /// opened already. Only from the compile thread.
     pub fn put_session(
@@ -216,11 +251,15 @@ impl Service {
         name: &Name,
         document: SessionDocument,
         opened: Option<Opened>,
+        prepared: Option<&PreparedSession>,
     ) -> Result<(Put, Option<oneshot::Receiver<()>>), Problem> {
         self.refuse_when_draining()?;
         let before = self.session(name.as_str()).ok();
         if before.is_none() && self.sessions().len() >= LIMITS.sessions {
             return Err(Problem::over_limit("sessions", LIMITS.sessions));
+        }
+        if let Some(prepared) = prepared {
+            self.admit(name, prepared)?;
         }
         let entry = self.registry.get(&document.model)?;
         // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
@@ -229,7 +268,8 @@ impl Service {
         let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
         let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
         let session = self.session_of(name, document, &entry, opened)?;
-        self.counters.compile_s.observe(session.compile_ms() / 1e3);
+        let prepared_ms = prepared.map_or(0.0, |prepared| prepared.compile_ms);
+        self.counters.compile_s.observe((prepared_ms + session.compile_ms()) / 1e3);
         tracing::info!(session = name.as_str(), frame = 0, model = entry.id(), "session started");
         insert(&self.sessions, name, session);
         let Some(before) = before else { return Ok((Put::Created, None)) };
@@ -246,7 +286,7 @@ impl Service {
         opened: Option<Opened>,
     ) -> Result<Session, Problem> {
         let source = self.source_of(name, &document.source, opened)?;
-        Session::start(name.as_str(), document, source.clone(), entry).inspect_err(|_| {
+        Session::start(name.as_str(), document, source.clone(), entry, &self.searches).inspect_err(|_| {
             if source.is_own {
                 source.source.stop();
             }
@@ -272,23 +312,19 @@ impl Service {
         Ok(ending(name, session))
     }
 
-    /// The first half of a hot swap: compiled and handed over. Only from the compile thread.
-    pub fn begin_swap(&self, session: &str, model: &str) -> Result<(SwapAnswer, oneshot::Receiver<Swapped>), Problem> {
+    /// The second half of a hot swap: what was prepared is handed over. Only from the compile thread.
+    pub fn commit_swap(
+        &self,
+        name: &str,
+        session: &Arc<Session>,
+        prepared: PreparedSwap,
+    ) -> Result<oneshot::Receiver<Swapped>, Problem> {
         self.refuse_when_draining()?;
-        let session = self.session(session)?;
-        let entry = self.registry.get(model)?;
-        let (compile_ms, swapped) = session.begin_swap(&entry)?;
-        self.counters.compile_s.observe(compile_ms / 1e3);
-        let answer = SwapAnswer {
-            requested_model: model.to_string(),
-            active_model: model.to_string(),
-            active_digest: entry.model.digest().to_string(),
-            active_since_frame: 0,
-            carried: Vec::new(),
-            reset: Vec::new(),
-            compile_ms,
-        };
-        Ok((answer, swapped))
+        if !Arc::ptr_eq(&self.session(name)?, session) {
+            return Err(Problem::conflict("not-applicable", "the session was replaced before it took the model"));
+        }
+        self.counters.compile_s.observe(prepared.compile_ms / 1e3);
+        session.commit_swap(prepared)
     }
 
     /// From now on nothing new is taken, and every stream ends.

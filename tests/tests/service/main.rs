@@ -4,6 +4,7 @@
 
 mod access;
 mod bounds;
+mod budgets;
 mod cameras;
 mod client;
 mod clocks;
@@ -13,6 +14,7 @@ mod deploy;
 mod docs;
 mod encryption;
 mod exposure;
+mod fairness;
 mod guards;
 mod hostile;
 mod images;
