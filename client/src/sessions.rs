@@ -70,6 +70,9 @@ pub struct SwapArgs {
     pub name: String,
     /// A model of the service
     pub model: String,
+    /// Take it though its fits take longer than frames of the source may; they then end with their best so far
+    #[arg(long)]
+    pub allow_slow: bool,
     #[command(flatten)]
     service: ServiceArgs,
 }
@@ -158,7 +161,7 @@ pub fn show(args: &SessionNameArgs, out: &mut dyn Write) -> Result<(), Failure> 
 
 /// Swaps the model of one.
 pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let document = SwapDocument { model: args.model.clone() };
+    let document = SwapDocument { model: args.model.clone(), allow_slow: args.allow_slow };
     let answer: SwapAnswer =
         RemoteService::new(&args.service)?.put(&format!("{}/model", path(&args.name)), &document)?;
     if args.service.json {

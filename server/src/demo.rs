@@ -22,7 +22,7 @@ pub fn start(service: &Service) -> Result<(), Problem> {
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
     if service.is_free(&name) {
         service.put_source(&name, source, None, Keeping::Passing)?;
-        service.put_session(&name, session, None, Keeping::Passing)?;
+        service.put_session(&name, session, None, None, Keeping::Passing)?;
     }
     Ok(())
 }

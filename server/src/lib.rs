@@ -8,12 +8,14 @@
 //!  FrameSource      Inbox         Tracker        ▲
 //!                     ▲ swap, between two frames │
 //! HTTP ─► routes ─► compile thread ──────────────┘ Registry, Sessions, Sources
+//!              └─► Workshop ─► what was prepared ─► compile thread
 //! ```
 //! Whoever asks passes `guard` first, which asks `access` who that is.
 //! Only `routes`, `streams`, `access`, `guard` and `listener` know HTTP; only they are async. Sources, sessions and the compiler are
 //! named threads, waited for when the service stops, and never for long.
 
 mod access;
+mod capacity;
 mod check;
 mod compiler;
 mod counters;
@@ -21,6 +23,7 @@ mod declared;
 mod demo;
 mod documents;
 mod exposition;
+mod gate;
 mod guard;
 mod hub;
 pub mod limits;
@@ -39,7 +42,9 @@ mod source;
 mod store;
 mod streams;
 mod thread;
+mod turns;
 mod watchdog;
+mod workshop;
 
 pub use access::{
     AccessError, AccessOptions, HostName, Role, Secret, TlsError, TlsFiles, TokenError, TokenFile, TokenRecord,

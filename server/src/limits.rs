@@ -107,6 +107,21 @@ pub struct ServiceLimits {
     /// For one frame's fits; then the estimate says that there was too much to do. The search for a pose of six alike spots is
     /// the longest that there is.
     pub frame_time: Duration,
+    /// … and of a source whose frames do not wait for fits: its interval, but no more than this. It is counted in the time of
+    /// the thread that fits.
+    pub frame_budget: Duration,
+    /// For a search of such a frame. One that takes longer begins anew with twice as much, up to `frame_time`.
+    pub search_time: Duration,
+    /// For one fit of a model that is tried beside a session; what takes longer is left.
+    pub trial_time: Duration,
+    /// For the search before it, where that is needed.
+    pub settle_time: Duration,
+    /// For the frame that it is tried on to come.
+    pub sample_time: Duration,
+    /// Share of the processors that realtime sessions may keep busy.
+    pub load_share: f64,
+    /// A session keeps its turn for a search for so long without asking for it.
+    pub search_patience: Duration,
     /// A swap waits for a fit that has begun for so long; then the fit is given up.
     pub swap_time: Duration,
 }
@@ -163,6 +178,13 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     start_time: Duration::from_secs(30),
     starts_died: 3,
     frame_time: Duration::from_secs(15),
+    frame_budget: Duration::from_millis(250),
+    search_time: Duration::from_millis(200),
+    trial_time: Duration::from_millis(400),
+    settle_time: Duration::from_secs(1),
+    sample_time: Duration::from_secs(1),
+    load_share: 0.8,
+    search_patience: Duration::from_secs(1),
     swap_time: Duration::from_millis(100),
 };
 

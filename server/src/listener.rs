@@ -22,6 +22,7 @@ use tokio_rustls::TlsAcceptor;
 use tower::util::MapRequest;
 
 use crate::access::{Access, AccessError, AccessOptions, Arrival};
+use crate::gate::GatedSocket;
 use crate::limits::LIMITS;
 use crate::places::{Places, Taken};
 use crate::problem::Problem;
@@ -327,8 +328,10 @@ async fn serve_socket(
     router: Router,
     mut stops: watch::Receiver<bool>,
 ) {
+    let (socket, gate) = GatedSocket::new(socket);
     let arriving = MapRequest::new(router, move |mut request: hyper::Request<hyper::body::Incoming>| {
         request.extensions_mut().insert(arrival);
+        request.extensions_mut().insert(gate.clone());
         request
     });
     let connection = http1::Builder::new()

@@ -1,5 +1,7 @@
 //! `Problem`: every error that a client gets, RFC 9457.
 
+use std::collections::BTreeMap;
+
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use isophote_symbolic::{Diagnostic, Diagnostics};
@@ -18,12 +20,14 @@ pub struct Problem {
     pub detail: String,
     /// Faults of the document.
     pub diagnostics: Diagnostics,
+    /// What was measured, by name.
+    pub figures: BTreeMap<String, f64>,
 }
 
 impl Problem {
     /// Any status.
     pub fn new(status: StatusCode, code: &'static str, detail: impl Into<String>) -> Problem {
-        Problem { status, code, detail: detail.into(), diagnostics: Vec::new() }
+        Problem { status, code, detail: detail.into(), diagnostics: Vec::new(), figures: BTreeMap::new() }
     }
     /// 404: there is no such model, source, session or route.
     pub fn unknown(what: &str, name: &str) -> Problem {
@@ -63,7 +67,7 @@ impl Problem {
             (Some(one), n) => format!("{} (and {} more)", one.message, n - 1),
         };
         let status = StatusCode::UNPROCESSABLE_ENTITY;
-        Problem { status, code: "wrong-document", detail, diagnostics }
+        Problem { diagnostics, ..Problem::new(status, "wrong-document", detail) }
     }
     /// 409: a pushed frame that will not be fitted any more.
     pub fn session_ended() -> Problem {
@@ -100,6 +104,12 @@ impl Problem {
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "bug", detail)
     }
 
+    /// With something that was measured; its unit stands in the name.
+    pub fn with_figure(mut self, name: &str, figure: f64) -> Problem {
+        self.figures.insert(name.to_string(), figure);
+        self
+    }
+
     /// The JSON form.
     pub fn document(&self) -> ProblemDocument {
         ProblemDocument {
@@ -108,6 +118,7 @@ impl Problem {
             status: self.status.as_u16(),
             detail: self.detail.clone(),
             diagnostics: self.diagnostics.clone(),
+            figures: self.figures.clone(),
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other; read
-//! from anywhere. What is put is made ready, written, and only then takes its place: acknowledged means durable, refused means
-//! that nothing was changed.
+//! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other, from what was
+//! prepared beside it; read from anywhere. What is put is made ready, written, and only then takes its place: acknowledged means
+//! durable, refused means that nothing was changed.
 
 mod declare;
 mod restore;
@@ -17,9 +17,10 @@ use std::time::Instant;
 use isophote_jit::VectorWidth;
 use isophote_machine::monotonic_ns;
 use isophote_symbolic::{Model, Precision};
-use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference, SwapAnswer};
+use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference};
 use tokio::sync::oneshot;
 
+use crate::capacity::Load;
 use crate::compiler::Compiler;
 use crate::counters::ServiceCounters;
 use crate::declared::{Declarations, SessionRecord, SourceRecord};
@@ -29,11 +30,15 @@ use crate::name::Name;
 use crate::node::ServiceNode;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry, Placed, Registry, imported};
-use crate::session::{Session, SessionStart, SourceOf, Swapped};
+use crate::session::{
+    PreparedSession, PreparedSwap, SearchRoom, Session, SessionStart, SourceOf, Swapped, prepare_session,
+};
 use crate::source::{self, Opened, Source};
 use crate::store::{self, FolderError, MemoryStore, Store, StoreError};
 use crate::thread;
+use crate::turns::FairWorkers;
 use crate::watchdog::OwnerWatch;
+use crate::workshop::Workshop;
 pub use declare::Keeping;
 use standing::Standing;
 
@@ -41,6 +46,8 @@ use standing::Standing;
 pub struct Service {
     /// The thread on which everything changes.
     pub compiler: Compiler,
+    /// Where changes that take their time are prepared.
+    pub workshop: Workshop,
     /// The models.
     pub registry: Registry,
     /// What is counted for all of it.
@@ -55,6 +62,7 @@ pub struct Service {
     /// Declared, but not running.
     standing_sources: Standing,
     standing_sessions: Standing,
+    searches: Arc<SearchRoom>,
     is_draining: AtomicBool,
 }
 
@@ -145,44 +153,46 @@ impl Service {
         list(&self.sources)
     }
 
-    /// Parses, compiles and reports a document; nothing is kept. Only from the compile thread.
-    pub fn check_model(&self, name: &Name, media: Media, text: &str) -> Result<(ModelEntry, ModelAnswer), Problem> {
-        let model = media.model(text).map_err(Problem::wrong_document)?;
+    /// Parses, compiles and reports a document; nothing is kept.
+    pub fn check_model(
+        &self,
+        name: &Name,
+        media: Media,
+        text: &str,
+        workers: &FairWorkers,
+    ) -> Result<(ModelEntry, ModelAnswer), Problem> {
+        let model = workers.piece(|| media.model(text)).map_err(Problem::wrong_document)?;
         let entry = ModelEntry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
-        let report = entry.kernels(Precision::F32)?.report(&monotonic_ns)?;
+        let kernels = entry.kernels_by(Precision::F32, workers)?;
+        let report = workers.piece(|| kernels.report(&monotonic_ns))?;
         let compile_ms: f64 = report.stages.iter().map(|stage| stage.compile_ms).sum();
         self.counters.compile_s.observe(compile_ms / 1e3);
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, collected: Vec::new(), report }))
     }
 
-    /// `PUT /v1/models/{name}`. Only from the compile thread.
+    /// `PUT /v1/models/{name}`, prepared by [`Service::check_model`]. Only from the compile thread.
     pub fn put_model(
         &self,
         name: &Name,
         expected: &Expected,
-        media: Media,
-        text: &str,
+        (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Put, Arc<ModelEntry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
-        self.registry.check(name, expected)?;
-        let (entry, mut answer) = self.check_model(name, media, text)?;
         let Placed { is_new, entry, collected } = self.registry.put(name, expected, entry, &self.pinned())?;
         (answer.version, answer.collected) = (entry.version, collected);
         tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
         Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
     }
 
-    /// `POST /v1/models/{name}:rollback`. Only from the compile thread.
+    /// `POST /v1/models/{name}:rollback`, prepared by [`Service::check_model`]. Only from the compile thread.
     pub fn roll_back_model(
         &self,
         name: &Name,
         expected: &Expected,
         version: u64,
+        (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Arc<ModelEntry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
-        self.registry.check(name, expected)?;
-        let content = self.registry.version(name, version)?;
-        let (entry, mut answer) = self.check_model(name, content.media, &content.text)?;
         let placed = self.registry.roll_back(name, expected, entry, version, &self.pinned())?;
         answer.version = version;
         Ok((placed.entry, answer))
@@ -256,6 +266,29 @@ impl Service {
         Ok(())
     }
 
+    /// What takes its time before [`Service::put_session`], and whether there is room for it beside what runs.
+    pub fn prepare_session(
+        &self,
+        document: &SessionDocument,
+        workers: &FairWorkers,
+    ) -> Result<PreparedSession, Problem> {
+        self.refuse_when_draining()?;
+        let entry = self.registry.get(&document.model)?;
+        let (running, own) = match &document.source {
+            SourceReference::Named(source) => (Some(self.source(source)?), None),
+            SourceReference::Own(document) => (None, Some(&**document)),
+        };
+        prepare_session(document, running.as_deref(), own, &entry, workers)
+    }
+
+    /// 429 where the machine has no room for a session of such a cost beside what runs.
+    fn admit(&self, name: &Name, prepared: &PreparedSession) -> Result<(), Problem> {
+        let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
+        let others = self.sessions().into_iter().filter(|(other, _)| other != name);
+        let running = others.filter_map(|(_, session)| session.load()).sum();
+        Load::of_machine(running).admit(name.as_str(), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
+    }
+
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
     /// opened already. Only from the compile thread.
     pub fn put_session(
@@ -263,6 +296,7 @@ impl Service {
         name: &Name,
         document: SessionDocument,
         opened: Option<Opened>,
+        prepared: Option<&PreparedSession>,
         keeping: Keeping,
     ) -> Result<(Put, Option<oneshot::Receiver<()>>), Problem> {
         self.refuse_when_draining()?;
@@ -270,6 +304,9 @@ impl Service {
         let is_known = before.is_some() || self.standing_sessions.has(name);
         if !is_known && self.sessions().len() + self.standing_sessions.len() >= LIMITS.sessions {
             return Err(Problem::over_limit("sessions", LIMITS.sessions));
+        }
+        if let Some(prepared) = prepared {
+            self.admit(name, prepared)?;
         }
         let entry = self.registry.get(&document.model)?;
         let source_model = match &document.source {
@@ -286,7 +323,8 @@ impl Service {
         let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
         let source = self.source_of(name, &document.source, opened, find)?;
         let session = self.session_of(name, document.clone(), source, &entry, run)?;
-        self.counters.compile_s.observe(session.compile_ms() / 1e3);
+        let prepared_ms = prepared.map_or(0.0, |prepared| prepared.compile_ms);
+        self.counters.compile_s.observe((prepared_ms + session.compile_ms()) / 1e3);
         let kept = self.keep_session(name, document, &entry, source_model, declared);
         kept.inspect_err(|_| discarded(name, &session))?;
         session.begin();
@@ -309,7 +347,7 @@ impl Service {
         entry: &ModelEntry,
         run: SessionStart,
     ) -> Result<Session, Problem> {
-        Session::start(name.as_str(), document, source.clone(), entry, run).inspect_err(|_| {
+        Session::start(name.as_str(), document, source.clone(), entry, run, &self.searches).inspect_err(|_| {
             if source.is_own {
                 source.source.stop();
             }
@@ -348,24 +386,21 @@ impl Service {
         }
     }
 
-    /// The first half of a hot swap: compiled and handed over. Only from the compile thread.
-    pub fn begin_swap(&self, session: &str, model: &str) -> Result<(SwapAnswer, oneshot::Receiver<Swapped>), Problem> {
+    /// The second half of a hot swap: what was prepared is handed over. Only from the compile thread.
+    pub fn commit_swap(
+        &self,
+        name: &str,
+        session: &Arc<Session>,
+        entry: &ModelEntry,
+        prepared: PreparedSwap,
+    ) -> Result<oneshot::Receiver<Swapped>, Problem> {
         self.refuse_when_draining()?;
-        let name = session;
-        let session = self.session(name)?;
-        let entry = self.registry.get(model)?;
-        let (compile_ms, swapped) = session.begin_swap(&entry, || self.keep_swap(name, &entry))?;
-        self.counters.compile_s.observe(compile_ms / 1e3);
-        let answer = SwapAnswer {
-            requested_model: model.to_string(),
-            active_model: model.to_string(),
-            active_digest: entry.model.digest().to_string(),
-            active_since_frame: 0,
-            carried: Vec::new(),
-            reset: Vec::new(),
-            compile_ms,
-        };
-        Ok((answer, swapped))
+        if !Arc::ptr_eq(&self.session(name)?, session) {
+            return Err(Problem::conflict("not-applicable", "the session was replaced before it took the model"));
+        }
+        self.counters.compile_s.observe(prepared.compile_ms / 1e3);
+        self.keep_swap(name, entry)?;
+        session.commit_swap(prepared)
     }
 
     /// From now on nothing new is taken, and every stream ends.

@@ -54,6 +54,13 @@ pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Rece
     heard
 }
 
+/// From now on others go first on the processors: the calling thread, and those that it starts, are nicer by so much.
+pub fn step_aside(nicer: i32) {
+    if let Err(error) = rustix::process::setpriority_process(None, nicer) {
+        tracing::warn!(%error, "what is prepared is in the way of fits");
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]

@@ -38,11 +38,15 @@ pub enum Ending {
     /// F does not fall along its own gradient: value and derivatives disagree, so nothing that a fit says can be believed.
     /// Parameters are the point at which that was found.
     NotDescending,
-    /// The frame's bound in work or time was reached before anything could be said. Parameters are the last known ones, and
-    /// what is remembered of the target is as it was.
+    /// The frame's bound in work or time was reached. Parameters are the best point reached, a valid fit that is not at its
+    /// minimum, where that can be the target; else the last known ones, and what is remembered of it is as it was.
     Budget,
-    /// Nobody waited for the fit any longer. As for `Budget`.
+    /// Nobody waited for the fit any longer. Parameters are the last known ones, and what is remembered of the target is as it
+    /// was.
     Cancelled,
+    /// The target was not near where it should be, and the search of all that may be looked at is put off: others are at it.
+    /// As for `Cancelled`.
+    Postponed,
     /// Too few pixels are left in the domain. Parameters are the last point that had enough of them.
     DomainVanished,
     /// F or a derivative is NaN or infinite, or no kernel could run. Parameters are the last point where all was finite.
@@ -66,7 +70,7 @@ impl Ending {
 
     /// True when the frame was not looked at to the end: it says nothing about the target.
     pub fn is_unfinished(self) -> bool {
-        matches!(self, Ending::Budget | Ending::Cancelled)
+        matches!(self, Ending::Budget | Ending::Cancelled | Ending::Postponed)
     }
 
     /// The name in documents, e.g. `small-step`.
@@ -78,6 +82,7 @@ impl Ending {
             Ending::NotDescending => "not-descending",
             Ending::Budget => "budget",
             Ending::Cancelled => "cancelled",
+            Ending::Postponed => "postponed",
             Ending::DomainVanished => "domain-vanished",
             Ending::NonFinite => "non-finite",
             Ending::Singular => "singular",
@@ -93,6 +98,7 @@ impl From<Stop> for Ending {
         match stop {
             Stop::Budget => Ending::Budget,
             Stop::Cancelled => Ending::Cancelled,
+            Stop::Postponed => Ending::Postponed,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isophote_jit::{KernelCache, VectorWidth};
 use isophote_machine::Threads;
 use isophote_symbolic::{Diagnostics, Model, Precision};
-use isophote_tracker::Compiled;
+use isophote_tracker::{Compiled, Workers};
 use isophote_wire::{ModelItem, ModelView, model_id};
 use sha2::{Digest, Sha256};
 
@@ -149,12 +149,17 @@ impl ModelEntry {
     /// Kernels for one session, or for a report; its programs are derived at the first call, its kernels are those of the
     /// cache, where they are free to go when the session is done. Two who ask at the same time may both derive them.
     pub fn kernels(&self, precision: Precision) -> Result<Arc<Compiled>, Problem> {
+        self.kernels_by(precision, &Threads)
+    }
+
+    /// The same, its programs derived by `workers`.
+    pub fn kernels_by(&self, precision: Precision, workers: &dyn Workers) -> Result<Arc<Compiled>, Problem> {
         let slot = usize::from(precision == Precision::F64);
         let lock = || self.programs.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(programs) = &lock()[slot] {
             return Ok(Arc::new(programs.share()));
         }
-        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), &Threads)?;
+        let programs = Compiled::with_cache(self.model.clone(), precision, self.cache.clone(), workers)?;
         let kernels = Arc::new(programs.share());
         lock()[slot] = Some(programs);
         Ok(kernels)

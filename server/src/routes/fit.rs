@@ -126,7 +126,7 @@ fn fit(
     mut document: SessionDocument,
     media: FrameMedia,
     bytes: Vec<u8>,
-    watch: isophote_tracker::Watch,
+    watch: &dyn isophote_tracker::Watch,
 ) -> Result<Vec<EstimateView>, Problem> {
     let mut pushed = pushed(&document)?;
     if media == FrameMedia::Image {

@@ -1,5 +1,7 @@
 //! `POST /v1/sessions/{name}/frames`: one frame in, its estimate out. `GET` of the same: a WebSocket for many frames.
 
+use std::sync::Arc;
+
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
@@ -12,6 +14,7 @@ use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, raw, upgraded};
 use crate::access::Visitor;
 use crate::documents::read_body;
+use crate::gate::MessageGate;
 use crate::hub::Mode;
 use crate::problem::Problem;
 use crate::streams::frames;
@@ -54,6 +57,7 @@ pub async fn post(
 pub async fn get(
     State(app): State<App>,
     Extension(visitor): Extension<Visitor>,
+    Extension(gate): Extension<Arc<MessageGate>>,
     name: RawName,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -64,11 +68,11 @@ pub async fn get(
         return Err(Problem::bad_request("frames come with POST, or over a WebSocket"));
     }
     let upgrade = upgraded(&headers, upgrade, pushed.frame_bytes())?;
-    let room = pushed.room_of_socket()?;
     let subscription = session.hub().subscribe(Mode::End)?.of(visitor);
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {
-        frames::serve(socket, pushed, subscription).await;
-        drop((held, room));
+        pushed.close(&gate);
+        frames::serve(socket, pushed, subscription, &gate).await;
+        drop(held);
     }))
 }

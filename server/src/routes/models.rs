@@ -21,6 +21,8 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry};
+use crate::turns::FairWorkers;
+use crate::workshop::Lane;
 
 /// Puts a model under a name, or another in its place.
 #[utoipa::path(put, path = "/v1/models/{name}", tag = "models", operation_id = "put_model", params(NameParam, MatchHeaders),
@@ -39,7 +41,15 @@ pub async fn put(
     let expected = expected(&headers)?;
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
-    let work = move || service.put_model(&name, &expected, media, &text);
+    let _in_order = service.workshop.in_order("model", name.as_str()).await;
+    let (preparing, wanted, asked) = (service.clone(), name.clone(), expected.clone());
+    let prepare = move |workers: &FairWorkers| {
+        preparing.registry.check(&wanted, &asked)?;
+        preparing.check_model(&wanted, media, &text, workers)
+    };
+    let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
+    let committing = service.clone();
+    let work = move || committing.put_model(&name, &expected, prepared);
     let (put, entry, answer) = app.service.compiler.run(work).await?;
     Ok(tagged(json(put_status(put), &answer)?, &entry))
 }
@@ -51,11 +61,11 @@ pub async fn put(
 pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> Answer {
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
-    let work = move || {
+    let work = move |workers: &FairWorkers| {
         let name = Name::parse("check").ok_or_else(|| Problem::bug("check is a name"))?;
-        service.check_model(&name, media, &text)
+        service.check_model(&name, media, &text, workers)
     };
-    let (_, answer) = app.service.compiler.run(work).await?;
+    let (_, answer) = app.service.workshop.prepare(Lane::Uploads, work).await?;
     json(StatusCode::OK, &answer.report)
 }
 
@@ -86,8 +96,17 @@ pub async fn roll_back(app: App, visitor: &Visitor, name: &str, headers: &Header
     keep_shipped(&app, visitor, &name)?;
     let expected = expected(headers)?;
     let (document, _) = read_json::<RollbackDocument>(headers, body).await?;
-    let service = app.service.clone();
-    let work = move || service.roll_back_model(&name, &expected, document.version);
+    let (service, version) = (app.service.clone(), document.version);
+    let _in_order = service.workshop.in_order("model", name.as_str()).await;
+    let (preparing, wanted, asked) = (service.clone(), name.clone(), expected.clone());
+    let prepare = move |workers: &FairWorkers| {
+        preparing.registry.check(&wanted, &asked)?;
+        let content = preparing.registry.version(&wanted, version)?;
+        preparing.check_model(&wanted, content.media, &content.text, workers)
+    };
+    let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
+    let committing = service.clone();
+    let work = move || committing.roll_back_model(&name, &expected, version, prepared);
     let (entry, answer) = app.service.compiler.run(work).await?;
     Ok(tagged(json(StatusCode::OK, &answer)?, &entry))
 }
@@ -163,13 +182,14 @@ pub async fn explain(
 ) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
-    let work = move || {
+    let work = move |workers: &FairWorkers| {
         let subset = query.parameters.as_deref().map(explain::split);
         let show = query.show.as_deref().unwrap_or("derivative");
         let method = query.method.as_deref();
-        explain::explain(&entry.model, subset.as_deref(), method, show, &monotonic_ns).map_err(Problem::from)
+        let explain = || explain::explain(&entry.model, subset.as_deref(), method, show, &monotonic_ns);
+        workers.piece(explain).map_err(Problem::from)
     };
-    json(StatusCode::OK, &app.service.compiler.run(work).await?)
+    json(StatusCode::OK, &app.service.workshop.prepare(Lane::Uploads, work).await?)
 }
 
 /// Where several people use a service, what it is shipped with means the same to all of them.

@@ -12,6 +12,9 @@ use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_st
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 use crate::service::Keeping;
+use crate::session::SlowModels;
+use crate::turns::FairWorkers;
+use crate::workshop::Lane;
 
 /// Starts a session, or another in its place.
 #[utoipa::path(put, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "put_session", params(NameParam),
@@ -29,11 +32,16 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
         SourceReference::Named(_) => None,
     };
     let service = app.service.clone();
+    let in_order = service.workshop.in_order("session", name.as_str()).await;
+    let (preparing, sent) = (service.clone(), document.clone());
+    let prepare = move |workers: &FairWorkers| preparing.prepare_session(&sent, workers);
+    let prepared = service.workshop.prepare(Lane::Sessions, prepare).await.map_err(|problem| place(problem, &text))?;
     let work = move || {
-        let (put, ended) = service.put_session(&name, document, opened, Keeping::Declared)?;
+        let (put, ended) = service.put_session(&name, document, opened, Some(&prepared), Keeping::Declared)?;
         Ok((put, ended, service.session_view(name.as_str())?))
     };
     let (put, ended, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    drop(in_order);
     if let Some(ended) = ended {
         drop(ended.await); // where nobody could wait for it, it ends alone
     }
@@ -72,10 +80,27 @@ pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
 pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = raw(name)?;
     app.service.session(&name)?;
-    let (document, _) = read_json::<SwapDocument>(&headers, body).await?;
+    let (SwapDocument { model, allow_slow }, _) = read_json(&headers, body).await?;
     let service = app.service.clone();
-    let work = move || service.begin_swap(&name, &document.model);
-    let (mut answer, swapped) = app.service.compiler.run(work).await?;
+    let in_order = service.workshop.in_order("session", &name).await;
+    let (session, entry) = (service.session(&name)?, service.registry.get(&model)?);
+    let mut answer = SwapAnswer {
+        requested_model: model.clone(),
+        active_model: model,
+        active_digest: entry.model.digest().to_string(),
+        active_since_frame: 0,
+        carried: Vec::new(),
+        reset: Vec::new(),
+        compile_ms: 0.0,
+    };
+    let slow = if allow_slow { SlowModels::Allowed } else { SlowModels::Refused };
+    let (tried, candidate) = (session.clone(), entry.clone());
+    let prepare = move |workers: &FairWorkers| tried.prepare_swap(&candidate, slow, workers);
+    let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
+    answer.compile_ms = prepared.compile_ms;
+    let work = move || service.commit_swap(&name, &session, &entry, prepared);
+    let swapped = app.service.compiler.run(work).await?;
+    drop(in_order);
     let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
     let swapped = swapped.await.map_err(ended)?;
     answer.active_since_frame = swapped.active_since_frame;

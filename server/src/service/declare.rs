@@ -153,6 +153,12 @@ impl Service {
             declared_at: Some(rfc3339(record.declared.unix_ms)),
             started_at: None,
             restarts: self.node.start().saturating_sub(record.declared.start),
+            frame_budget_ms: None,
+            search_budget_ms: None,
+            over_budget: 0,
+            searches: 0,
+            searches_postponed: 0,
+            cost_ms: None,
             source_camera: None,
             last: None,
         })

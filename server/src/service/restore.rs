@@ -21,9 +21,11 @@ use crate::name::Name;
 use crate::node::{LastStarts, ServiceNode};
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, Registry};
+use crate::session::SearchRoom;
 use crate::source::{self, Opened, Source};
 use crate::store::{RecordTable, Store, said};
 use crate::watchdog::OwnerWatch;
+use crate::workshop::Workshop;
 
 /// A source that waits to be opened, and the model that will look at its frames.
 pub type Awaited = (SourceDocument, Option<Arc<Model>>);
@@ -54,6 +56,8 @@ impl Service {
             compiler: Compiler::start()?,
             counters: ServiceCounters::default(),
             watch: OwnerWatch::default(),
+            workshop: Workshop::of_machine(),
+            searches: Arc::new(SearchRoom::of_machine()),
             sources: Table::default(),
             sessions: Table::default(),
             is_draining: AtomicBool::new(false),
@@ -90,7 +94,8 @@ impl Service {
         if present.is_some_and(|entry| entry.media == media && *entry.text == *text) {
             return Ok(());
         }
-        let put = self.put_model(&name, &Expected::Anything, media, &text);
+        let prepared = self.check_model(&name, media, &text, &self.workshop.at_once());
+        let put = prepared.and_then(|prepared| self.put_model(&name, &Expected::Anything, prepared));
         put.map(drop).map_err(|problem| match problem.diagnostics.first() {
             Some(fault) => format!("{} ({}:{})", fault.message, fault.line, fault.column),
             None => problem.detail,

@@ -9,6 +9,8 @@ use std::thread::{Builder, JoinHandle};
 
 use isophote_tracker::Preparation;
 
+use crate::thread::step_aside;
+
 /// One preparation at a time.
 #[derive(Default)]
 pub struct PreparationThread {
@@ -29,6 +31,7 @@ impl PreparationThread {
         let is_unwanted = Arc::new(AtomicBool::new(false));
         let (told, name) = (is_unwanted.clone(), session.to_string());
         let run = move || {
+            step_aside(10);
             if let Err(failure) = preparation.run(&|| !told.load(Ordering::Relaxed)) {
                 let session = name.as_str();
                 tracing::warn!(session, %failure, "goes on without what was to be prepared for its fits");

@@ -1,21 +1,23 @@
-//! The fit thread: frames and swaps in, estimates out. Between two frames it takes a new model. A frame that takes too long is
-//! left as it is, and so is one that nobody wants any more: the session is stopped, or a swap has waited for long enough.
+//! The fit thread: frames and swaps in, estimates out. Between two frames it takes a new model. A frame that takes too long
+//! ends with the best so far; one that nobody wants any more is left as it is: the session is stopped, or a swap has waited for
+//! long enough.
 
 use std::sync::{Arc, PoisonError};
-use std::time::Duration;
 
 use isophote_capture::Exposure;
-use isophote_machine::monotonic_ns;
-use isophote_tracker::{ControllerOptions, Ending, ExposureController, Stop, Tracker};
+use isophote_machine::{monotonic_ns, thread_ns};
+use isophote_tracker::{ControllerOptions, Ending, ExposureController, Tracker};
 use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
+use super::SessionStart;
 use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
-use super::inbox::{Delivery, Event, SourceEnd, Waiting};
+use super::inbox::{Delivery, Event, FittedFrame, SourceEnd, Waiting};
+use super::searches::SearchRoom;
+use super::shared::Shared;
 use super::swap::{Active, Swap, Swapped};
-use super::{SessionStart, Shared};
+use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;
-use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::source::Source;
 
@@ -27,6 +29,12 @@ pub struct Fitter {
     pub run: SessionStart,
     /// What the rest of the service sees of it.
     pub shared: Arc<Shared>,
+    /// Where its frames come from.
+    pub source: Arc<Source>,
+    /// Places for searches.
+    pub room: Arc<SearchRoom>,
+    /// For how long a frame is worked at, where frames do not wait.
+    pub times: Option<FrameTimes>,
     /// The solver with its state.
     pub tracker: Tracker,
     /// The model in `tracker`: the two change together, here only.
@@ -122,20 +130,21 @@ impl Fitter {
         drop(swap.reply.send(swapped)); // the client may have gone
     }
 
-    fn fit(&mut self, delivery: &Delivery) {
+    fn fit(&mut self, delivery: &Arc<Delivery>) {
         let frame = &delivery.captured.frame;
-        let start_ns = monotonic_ns();
+        let worked_ns = thread_ns();
+        // A camera that comes back may have another rate.
+        if let (Some(times), Some(budget)) = (&mut self.times, self.source.frame_budget()) {
+            times.fit = budget;
+        }
         let inbox = &self.shared.inbox;
-        let watch = || {
-            let spent = Duration::from_nanos(monotonic_ns().saturating_sub(start_ns));
-            match inbox.waiting() {
-                Waiting::End => Some(Stop::Cancelled),
-                Waiting::Swap if spent > LIMITS.swap_time => Some(Stop::Cancelled),
-                Waiting::Swap | Waiting::Nothing => (spent > LIMITS.frame_time).then_some(Stop::Budget),
-            }
-        };
+        let watch = FrameWatch::begin(&self.name, inbox, &self.room, self.times.as_ref());
         let results = self.tracker.track_all_while(frame, &watch);
-        let end_ns = monotonic_ns();
+        let (start_ns, end_ns, outcome) = (watch.start_ns(), monotonic_ns(), watch.outcome());
+        drop(watch);
+        if let Some(times) = &mut self.times {
+            times.follow(&outcome);
+        }
         if inbox.waiting() == Waiting::End && results.iter().any(|result| result.ending == Ending::Cancelled) {
             return; // nobody asked for half a fit
         }
@@ -154,6 +163,7 @@ impl Fitter {
         for remark in self.chronicle.frame(end_ns, lost, &results) {
             remark.say(&self.name, frame.sequence);
         }
+        self.shared.status().spent(&outcome, self.times.as_ref());
         let estimates: Vec<Arc<EstimateView>> =
             results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
         for estimate in &estimates {
@@ -161,6 +171,13 @@ impl Fitter {
         }
         if let Some(first) = estimates.into_iter().next() {
             self.answer(delivery, first);
+        }
+        for wanted in self.shared.inbox.take_samples() {
+            let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
+            drop(wanted.try_send(sample)); // whoever wanted it may have gone
+        }
+        if !outcome.has_searched {
+            self.shared.status().cost(thread_ns().saturating_sub(worked_ns));
         }
     }
 

@@ -1,9 +1,12 @@
 //! What waits for a fit thread: the newest frame, swaps in order, the end of the source.
 
 use std::collections::VecDeque;
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use isophote_capture::Captured;
+use isophote_tracker::Tracker;
 use isophote_wire::EstimateView;
 use tokio::sync::oneshot;
 
@@ -34,6 +37,14 @@ pub enum SourceEnd {
     Finished(String),
     /// The source failed.
     Failed(String),
+}
+
+/// A frame that was fitted, and what the session knew of its target then.
+pub struct FittedFrame {
+    /// The frame.
+    pub delivery: Arc<Delivery>,
+    /// After it.
+    pub tracker: Tracker,
 }
 
 /// What a fit thread does next.
@@ -72,6 +83,8 @@ struct State {
     is_fitting: bool,
     swaps: VecDeque<Box<Swap>>,
     end: Option<SourceEnd>,
+    /// Who wants to try something on the next frame.
+    samples: Vec<SyncSender<FittedFrame>>,
     is_closed: bool,
 }
 
@@ -115,12 +128,31 @@ impl Inbox {
         Ok(())
     }
 
+    /// The next frame, when it is fitted; `None` when none is within that time.
+    pub fn sample(&self, within: Duration) -> Option<FittedFrame> {
+        let (sender, sample) = sync_channel(1);
+        {
+            let mut state = self.lock();
+            if state.is_closed {
+                return None;
+            }
+            state.samples.push(sender);
+        }
+        sample.recv_timeout(within).ok()
+    }
+
+    /// For the fit thread after a fit: who wants to try something on that frame.
+    pub fn take_samples(&self) -> Vec<SyncSender<FittedFrame>> {
+        std::mem::take(&mut self.lock().samples)
+    }
+
     /// Ends the fit thread after what it does now. Swaps and frames that wait are dropped, and with them their replies.
     pub fn close(&self) {
         let (frame, swaps) = {
             let mut state = self.lock();
             state.is_closed = true;
             state.is_fitting = false;
+            state.samples.clear();
             (state.frame.take(), std::mem::take(&mut state.swaps))
         };
         self.changed.notify_all();

@@ -1,54 +1,44 @@
 //! A session: one named fit thread that follows one target in the frames of one source.
 
 mod beside;
+mod change;
 mod checks;
 mod chronicle;
 mod fit;
 pub mod inbox;
 mod once;
+mod searches;
+mod shared;
 mod status;
 mod swap;
+mod trial;
+mod watch;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
-
-use tokio::sync::oneshot;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use crate::counters::SessionCounters;
 use crate::hub::{End, Hub};
+use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::Source;
 use crate::thread::NamedThread;
 use beside::PreparationThread;
+pub use change::{PreparedSession, PreparedSwap, SlowModels, prepare_session};
 use checks::{check_document, check_shape, tracker, wrong_options};
 use chronicle::Chronicle;
 use fit::{ExposureKnob, Fitter};
 use inbox::Inbox;
-use isophote_machine::Threads;
-use isophote_machine::{elapsed_ms, monotonic_ns};
+use isophote_machine::{Threads, elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
 pub use once::fit_once;
+pub use searches::SearchRoom;
+use shared::Shared;
 use status::Status;
+use swap::Active;
 pub use swap::Swapped;
-use swap::{Active, Swap};
-
-/// What the fit thread shares with the rest of the service.
-pub struct Shared {
-    /// What waits for the thread.
-    pub inbox: Arc<Inbox>,
-    /// What it has found.
-    pub hub: Arc<Hub>,
-    /// What is counted of it.
-    pub counters: SessionCounters,
-    status: Mutex<Status>,
-}
-
-impl Shared {
-    fn status(&self) -> MutexGuard<'_, Status> {
-        self.status.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
+use watch::FrameTimes;
 
 /// The source of a session.
 #[derive(Clone)]
@@ -94,6 +84,7 @@ impl Session {
         source: SourceOf,
         entry: &ModelEntry,
         run: SessionStart,
+        room: &Arc<SearchRoom>,
     ) -> Result<Session, Problem> {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
@@ -111,14 +102,15 @@ impl Session {
         let tracker = tracker(compiled, options, source.source.shape());
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
-        let status = Status::new(active.clone(), entry.name.to_string());
-        let (counters, status) = (SessionCounters::default(), Mutex::new(status));
-        let shared = Arc::new(Shared { inbox: Arc::default(), hub: Arc::default(), counters, status });
+        let shared = Arc::new(Shared::new(Status::new(active.clone(), entry.name.to_string())));
         let knob = ExposureKnob::of(&document.options, &source.source, &tracker)?;
         let fitter = Fitter {
             name: name.to_string(),
             run: run.clone(),
             shared: shared.clone(),
+            source: source.source.clone(),
+            room: room.clone(),
+            times: source.source.frame_budget().map(FrameTimes::of),
             tracker,
             active,
             knob,
@@ -172,6 +164,13 @@ impl Session {
         status.active.name == name || status.requested_model == name
     }
 
+    /// Processors that it keeps busy at the rate of its source; `None` where frames wait for their fits.
+    pub fn load(&self) -> Option<f64> {
+        let rate_hz = self.source.source.realtime_hz()?;
+        let cost_ns = self.shared.status().cost_ns.unwrap_or(0);
+        Some(cost_ns as f64 * 1e-9 * rate_hz)
+    }
+
     /// What it does, and why it does not run.
     pub fn state(&self) -> (SessionState, Option<String>) {
         let status = self.shared.status();
@@ -189,6 +188,8 @@ impl Session {
         let (state, reason) = self.state();
         let status = self.shared.status();
         document.model = status.active.name.clone();
+        // Before the first frame as it will be then.
+        let budgets = status.budgets.or_else(|| Some([self.source.source.frame_budget()?, LIMITS.search_time]));
         SessionView {
             name: self.name.clone(),
             document,
@@ -207,53 +208,15 @@ impl Session {
             declared_at: self.run.declared_at.clone(),
             started_at: Some(self.run.started_at.clone()),
             restarts: self.run.restarts,
+            frame_budget_ms: budgets.map(|[fit, _]| milliseconds(fit)),
+            search_budget_ms: budgets.map(|[_, search]| milliseconds(search)),
+            over_budget: status.over_budget,
+            searches: status.searches[0],
+            searches_postponed: status.searches[1],
+            cost_ms: status.cost_ns.map(|cost_ns| cost_ns as f64 / 1e6),
             source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),
         }
-    }
-
-    /// Compiles a model and hands it to the fit thread, which takes it between two frames. Only from the compile thread,
-    /// so that swaps are ordered. `keep` writes it down, when nothing else can refuse it. Answers the compile time and where the
-    /// fit thread's answer will come.
-    pub fn begin_swap(
-        &self,
-        entry: &ModelEntry,
-        keep: impl FnOnce() -> Result<(), Problem>,
-    ) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
-        let before = std::mem::replace(&mut self.shared.status().requested_model, entry.name.to_string());
-        let result = self.try_swap(entry, keep);
-        if result.is_err() {
-            self.shared.status().requested_model = before;
-        }
-        result
-    }
-
-    fn try_swap(
-        &self,
-        entry: &ModelEntry,
-        keep: impl FnOnce() -> Result<(), Problem>,
-    ) -> Result<(f64, oneshot::Receiver<Swapped>), Problem> {
-        let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
-        check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
-        let start_ns = monotonic_ns();
-        let compiled = entry.kernels(self.document.options.precision)?;
-        if let Some(format) = shape.format {
-            compiled.warm(format, &Threads)?;
-        }
-        let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options_known(&self.document, &entry.model);
-        // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
-        let proof = tracker(compiled.clone(), options.clone(), &shape)
-            .map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
-        if self.document.options.exposure.control && !proof.advises_exposure() {
-            return Err(Problem::conflict("not-applicable", fit::UNADVISED));
-        }
-        let (reply, answer) = oneshot::channel();
-        let swap = Box::new(Swap { active: Active::new(entry), compiled, options, reply });
-        keep()?;
-        let gone = |_| Problem::conflict("not-applicable", "the session has ended");
-        self.shared.inbox.swap(swap).map_err(gone)?;
-        Ok((compile_ms, answer))
     }
 
     /// Takes no more frames, and gives up the fit that it is at.
@@ -274,4 +237,8 @@ impl Session {
             self.source.source.wait(until);
         }
     }
+}
+
+fn milliseconds(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
 }

@@ -21,7 +21,7 @@ pub fn fit_once(
     entry: &ModelEntry,
     document: &SessionDocument,
     frame: &Frame,
-    watch: Watch,
+    watch: &dyn Watch,
 ) -> Result<Vec<EstimateView>, Problem> {
     check_document(document)?;
     let shape = FrameShape::of(frame);

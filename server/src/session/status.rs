@@ -1,15 +1,19 @@
 //! What a session tells about itself.
 
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use isophote_tracker::Frame;
 use isophote_wire::SessionState;
 
 use super::swap::Active;
+use super::watch::{FrameTimes, FrameUse};
 use crate::source::{FrameShape, Source};
 
 /// Estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;
+/// Frames over which costs are averaged.
+const COST_FRAMES: u64 = 16;
 /// Without a frame for this long a steady source has stalled, ns; and for this many periods.
 const STALL_NS: u64 = 2_000_000_000;
 const STALL_PERIODS: u64 = 8;
@@ -26,6 +30,14 @@ pub struct Status {
     pub frames: u64,
     /// Frames of the source that were not fitted.
     pub dropped: u64,
+    /// Where frames do not wait: what one may cost, around a prediction and where all of it is searched.
+    pub budgets: Option<[Duration; 2]>,
+    /// Frames whose fits, or searches, took more.
+    pub over_budget: u64,
+    /// Frames that were searched, and those whose search was put off because others were at theirs.
+    pub searches: [u64; 2],
+    /// What a frame without a search costs of a processor, ns: a mean of the last ones.
+    pub cost_ns: Option<u64>,
     /// Why it does not run.
     pub reason: Option<String>,
     /// What the frames look like, as soon as there was one.
@@ -43,6 +55,10 @@ impl Status {
             active_since_frame: 0,
             frames: 0,
             dropped: 0,
+            budgets: None,
+            over_budget: 0,
+            searches: [0; 2],
+            cost_ns: None,
             reason: None,
             shape: None,
             ended: None,
@@ -61,6 +77,20 @@ impl Status {
         if self.shape.is_none() {
             self.shape = Some(FrameShape::of(frame));
         }
+    }
+
+    /// How the frame's time was used.
+    pub fn spent(&mut self, outcome: &FrameUse, times: Option<&FrameTimes>) {
+        self.over_budget += u64::from(outcome.is_over);
+        self.searches[0] += u64::from(outcome.has_searched);
+        self.searches[1] += u64::from(outcome.is_postponed);
+        self.budgets = times.map(|times| [times.fit, times.search]);
+    }
+
+    /// What the frame has cost of a processor, all in all.
+    pub fn cost(&mut self, frame_ns: u64) {
+        let share = |mean_ns: u64| (mean_ns * (COST_FRAMES - 1) + frame_ns) / COST_FRAMES;
+        self.cost_ns = Some(self.cost_ns.map_or(frame_ns, share));
     }
 
     /// The session goes on existing, but not fitting.

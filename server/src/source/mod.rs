@@ -25,7 +25,9 @@ use crate::problem::Problem;
 use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
 use crate::thread::NamedThread;
 use isophote_machine::monotonic_ns;
-use isophote_wire::{Pace, SessionState, SourceDocument, SourceState, SourceView};
+use isophote_wire::{
+    Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
+};
 pub use open::{Opened, camera_problem, open, open_recording, pixel_format};
 use schedule::Ticks;
 
@@ -169,6 +171,19 @@ impl Source {
         !matches!(self.document, SourceDocument::Pushed(_))
     }
 
+    /// Frames a second of a source whose frames do not wait for fits; 0 where a camera does not say. `None` where they wait.
+    pub fn realtime_hz(&self) -> Option<f64> {
+        let is_camera = matches!(self.document, SourceDocument::Camera(_));
+        let promised = || self.shared.lock().camera.as_ref().and_then(|camera| camera.rate_hz);
+        realtime_hz(&self.document, is_camera.then(promised).flatten())
+    }
+
+    /// How much of a thread's time a frame's fits may take: none is left when the next one comes.
+    pub fn frame_budget(&self) -> Option<Duration> {
+        let interval_s = self.realtime_hz()?.recip();
+        Some(Duration::try_from_secs_f64(interval_s).map_or(LIMITS.frame_budget, |one| one.min(LIMITS.frame_budget)))
+    }
+
     /// Its document with its state.
     pub fn view(&self, name: &str) -> SourceView {
         let shared = self.shared.lock();
@@ -197,6 +212,11 @@ impl Source {
             (SourceState::Lost, reason) => Some((SessionState::LostSource, reason)),
             _ => None,
         }
+    }
+
+    /// Of one of its sessions.
+    pub fn first_inbox(&self) -> Option<Arc<Inbox>> {
+        self.shared.lock().sessions.first().cloned()
     }
 
     /// Number of sessions that listen.
@@ -251,6 +271,18 @@ impl Source {
     pub fn stop(&self) {
         self.leave();
         self.wait(Instant::now() + LIMITS.end_time);
+    }
+}
+
+/// The same of a document; `promised`: by the camera's driver.
+pub fn realtime_hz(document: &SourceDocument, promised: Option<f64>) -> Option<f64> {
+    match document {
+        SourceDocument::Synthetic(SyntheticDocument { pace, rate_hz, .. })
+        | SourceDocument::Recording(RecordingDocument { pace, rate_hz, .. }) => {
+            (*pace == Pace::Realtime).then_some(*rate_hz)
+        }
+        SourceDocument::Camera(document) => Some(promised.or(document.rate_hz).unwrap_or(0.0)),
+        SourceDocument::Pushed(_) => None,
     }
 }
 

@@ -12,6 +12,7 @@ use isophote_wire::{EstimateView, FrameTime};
 
 use super::pushed::{DecodedFrame, Pushed, WaitingFrame};
 use super::websocket::{break_off, close, refuse, send};
+use crate::gate::MessageGate;
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -28,7 +29,7 @@ enum Turn {
 }
 
 /// Until one side ends it. `subscription` says when the session does.
-pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subscription) {
+pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subscription, gate: &MessageGate) {
     let pushed = Arc::new(pushed);
     let mut heard = Instant::now();
     let mut ping = tokio::time::interval(LIMITS.ping_time);
@@ -73,6 +74,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
             Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
             Turn::Received(Some(Ok(message))) => {
                 heard = Instant::now();
+                gate.message_over();
                 match message {
                     Message::Binary(bytes) => {
                         let (pushed, FrameTime { time_s }) = (pushed.clone(), std::mem::take(&mut next));

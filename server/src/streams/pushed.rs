@@ -11,6 +11,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio::time::Instant;
 
 use crate::documents::media_type;
+use crate::gate::MessageGate;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::Session;
@@ -130,9 +131,9 @@ impl Pushed {
         room.await.map_err(|_| Problem::stopping())
     }
 
-    /// Room for a socket's message while it is received, or 503.
-    pub fn room_of_socket(&self) -> Result<OwnedSemaphorePermit, Problem> {
-        self.room.sockets.clone().try_acquire_many_owned(permits(self.frame_bytes())).map_err(|_| full())
+    /// From now on each message of that connection takes room while it is received.
+    pub fn close(&self, gate: &MessageGate) {
+        gate.close(self.room.sockets.clone(), permits(self.frame_bytes()));
     }
 
     /// What bytes are that come without a type.

@@ -1,5 +1,7 @@
 //! What the service answers.
 
+use std::collections::BTreeMap;
+
 pub use isophote_capture::camera::{CameraInfo, CameraStatus, ControlInfo, ControlKind};
 use isophote_symbolic::{Diagnostic, Method};
 pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
@@ -23,6 +25,9 @@ pub struct ProblemDocument {
     /// Faults of the document; every 422 carries them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub diagnostics: Vec<Diagnostic>,
+    /// What was measured, by name, with the unit in it: `fit_ms`, `budget_ms`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub figures: BTreeMap<String, f64>,
 }
 
 /// A list.
@@ -241,6 +246,25 @@ pub struct SessionView {
     /// How often the service was started since it was put.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub restarts: u64,
+    /// What the fits of a frame may cost of a processor, ms, where frames do not wait for them: the source's interval, at most
+    /// 250. A fit that takes longer ends with its best so far.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub frame_budget_ms: Option<f64>,
+    /// The same of a frame that is searched all over, ms. It grows as long as searches take longer.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub search_budget_ms: Option<f64>,
+    /// Frames that took longer.
+    #[serde(default)]
+    pub over_budget: u64,
+    /// Frames that were searched all over, where frames do not wait.
+    #[serde(default)]
+    pub searches: u64,
+    /// Frames whose search was put off, since others were at theirs.
+    #[serde(default)]
+    pub searches_postponed: u64,
+    /// What a frame that is not searched costs of a processor, ms, all in all: a mean of the last ones.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub cost_ms: Option<f64>,
     /// Of a session on a camera: how that is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub source_camera: Option<CameraStatus>,

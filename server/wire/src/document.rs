@@ -63,6 +63,9 @@ pub struct SessionOptions {
     /// How far ahead each estimate looks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub predict: Option<PredictDocument>,
+    /// Models are swapped in whose fits take longer than frames of the source may.
+    #[serde(skip_serializing_if = "is_false")]
+    pub allow_slow: bool,
 }
 
 /// Looking ahead.
@@ -84,6 +87,7 @@ impl Default for SessionOptions {
             motion: MotionDocument::default(),
             exposure: ExposureOptions::default(),
             predict: None,
+            allow_slow: false,
         }
     }
 }
@@ -97,6 +101,10 @@ pub struct MotionDocument {
     pub acceleration_px_s2: Option<f64>,
     /// For so long a target that is not seen is predicted; then it is lost. s.
     pub coast_s: f64,
+}
+
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 fn is_one(count: &usize) -> bool {
@@ -390,6 +398,9 @@ pub struct ControlsAnswer {
 pub struct SwapDocument {
     /// Name of a model of the registry.
     pub model: String,
+    /// It is taken though its fits take longer than frames of the source may.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub allow_slow: bool,
 }
 
 /// What a subscriber sends: how many more messages it wants.

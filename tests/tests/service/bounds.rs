@@ -11,7 +11,7 @@ use crate::client::{Answer, DEADLINE, Running, picture};
 const SIDE: usize = 1200;
 
 /// Bumps that explain nothing of what is seen, stage after stage in f64 over the whole picture: minutes of work.
-fn slow() -> String {
+pub fn slow() -> String {
     let mut text = String::from("name = \"slow\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n");
     let mut intensity = String::from("0");
     let mut all = Vec::new();

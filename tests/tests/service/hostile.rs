@@ -209,7 +209,7 @@ fn slow() -> String {
 fn the_service_stops_in_time_whatever_runs() {
     let service = Running::start();
     service.put_text("/v1/models/slow", "application/toml", &slow()).expect(201);
-    let mut source = synthetic("realtime", 30.0);
+    let mut source = synthetic("fit", 30.0); // so many in realtime are refused
     (source["width"], source["height"]) = (json!(640), json!(480));
     source["motion"]["bx"] = json!("320 + 80*sin(2*pi*3*t) + 40*cos(40*t)");
     source["read_noise_e"] = json!(400);

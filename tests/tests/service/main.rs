@@ -4,6 +4,7 @@
 
 mod access;
 mod bounds;
+mod budgets;
 mod cameras;
 mod client;
 mod clocks;
@@ -14,6 +15,7 @@ mod disk;
 mod docs;
 mod encryption;
 mod exposure;
+mod fairness;
 mod guards;
 mod hostile;
 mod images;

@@ -99,6 +99,27 @@ fn sockets_for_frames_that_are_refused() {
     check_still_there(&service);
 }
 
+/// A frame of 2592 × 2592 px may take half of all that there is for messages on their way.
+#[test]
+fn sockets_that_are_silent_take_no_room() {
+    let service = Running::start();
+    pushed(&service, "one");
+    for name in ["large", "wide", "broad"] {
+        let source = json!({"kind": "pushed", "width": 2592, "height": 2592});
+        service.put(&format!("/v1/sessions/{name}"), &json!({"source": source, "model": "spot"})).expect(201);
+    }
+    let mut idle: Vec<_> = ["large", "wide", "broad"].map(|name| service.frames_socket(name).unwrap()).into();
+    check_still_there(&service);
+    // Two that have begun a message have all of it; the next ones wait until these are through, or have gone.
+    let head = [0x82, 0xff, 0, 0, 0, 0, 0, 0x66, 0x84, 0, 1, 2, 3, 4];
+    let mut begun: Vec<_> = idle.drain(..2).collect();
+    begun.iter_mut().for_each(|socket| socket.send_raw(&[&head[..], &[7; 100_000]].concat()));
+    let mut waiting = service.frames_socket("one").unwrap();
+    waiting.send_bytes(&raw(1));
+    drop(begun);
+    check(&waiting.next().unwrap(), 1);
+}
+
 fn check_still_there(service: &Running) {
     let mut socket = service.frames_socket("one").unwrap();
     socket.send_bytes(&raw(0));

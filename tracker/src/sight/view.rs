@@ -151,6 +151,11 @@ impl<'a> View<'a> {
         self.budget.map_or(Ok(()), |budget| budget.spend(pixels as u64))
     }
 
+    /// True where the frame has used up what it may cost: what was reached is all that there will be.
+    pub fn is_over(&self) -> bool {
+        self.budget.is_some_and(FrameBudget::is_over)
+    }
+
     /// Pixels of the window that say nothing about light.
     pub fn gap_pixels(&self) -> usize {
         self.gaps.iter().map(|gap| gap.pixels()).sum()

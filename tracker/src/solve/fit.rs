@@ -29,7 +29,7 @@ pub(crate) struct Fit {
     pub parameters: Vec<f64>,
     pub ending: Ending,
     pub stages: Vec<StageReport>,
-    /// Absent when the ending is not that of a fit.
+    /// Absent when the ending is not that of a fit, nor that of one which the frame's budget has cut short.
     pub worth: Option<Worth>,
     /// What differs from the model, when an alternative was fitted.
     pub choice: Option<Substitute>,
@@ -37,6 +37,13 @@ pub(crate) struct Fit {
     pub chosen: Option<Chosen>,
     /// Of a pose: numbers of the spots that were left out.
     pub unused: Vec<usize>,
+}
+
+impl Fit {
+    /// True when the parameters are those of a fit, or the best point that one had reached when the frame's budget was used up.
+    pub fn is_usable(&self) -> bool {
+        self.ending.is_fit() || self.ending == Ending::Budget && self.worth.is_some()
+    }
 }
 
 /// What the end point is worth, by a last pass that leaves saturated pixels out.
@@ -87,7 +94,7 @@ pub(crate) fn fit(
         return fit_controlled(compiled, view, constants, start, Control::Blind);
     }
     let clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
-    if control != Control::Plain || !clipped {
+    if control != Control::Plain || !clipped || fit.ending.is_unfinished() {
         return Ok(fit);
     }
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
@@ -119,20 +126,26 @@ pub(super) fn fit_controlled(
         fit.ending = report.ending;
         fit.stages.push(report);
         if !fit.ending.is_fit() {
-            return Ok(fit);
+            break;
         }
+    }
+    let is_begun = fit.stages.iter().any(|stage| stage.passes > 0);
+    let is_cut = fit.ending == Ending::Budget && view.is_over() && is_begun;
+    if !fit.ending.is_fit() && !is_cut {
+        return Ok(fit);
     }
     let control = if control == Control::Blind { control } else { Control::Dropping };
     let covariance = compiled.loops(Job::Covariance, control, &view.layout)?;
     let report = if model.has_noise() { Some(compiled.loops(Job::Report, control, &view.layout)?) } else { None };
-    let mut passes = Passes::of(compiled, view, &parts, constants);
+    let mut passes = Passes { is_last: is_cut, ..Passes::of(compiled, view, &parts, constants) };
     match passes.worth(&covariance, report.as_ref(), &fit.parameters) {
         Ok(worth) => {
-            if worth.covariance.is_none() {
+            if worth.covariance.is_none() && !is_cut {
                 fit.ending = Ending::Singular;
             }
             fit.worth = Some(worth);
         }
+        Err(_) if is_cut => {}
         Err(ending) => fit.ending = ending,
     }
     Ok(fit)
@@ -175,10 +188,14 @@ pub(super) fn followed(
         return Ok(Arrival::Lost);
     };
     let moved = DVector::from_iterator(rules.free.len(), rules.free.iter().map(|&i| parameters[i] - start[i]));
+    if stage.ending == Ending::Budget && !view.is_over() {
+        return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
+    }
     let way = (0.5 * moved.dot(&(&pass.quadratic.hessian * &moved)).max(0.0) / variance).sqrt();
     if !is_near(way) {
         return Ok(Arrival::Far { parameters, way, report: stage });
     }
+    problem.passes.is_last = stage.ending == Ending::Budget;
     let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
@@ -272,6 +289,8 @@ struct Passes<'a> {
     /// What a pass costs, in pixels.
     work: usize,
     constants: &'a [f64],
+    /// They are run though the frame's budget is used up: without them nothing could be said of what was reached.
+    is_last: bool,
     /// Of the last pass.
     totals: Totals,
 }
@@ -281,12 +300,14 @@ impl<'a> Passes<'a> {
         let inside = |gap: &Window| parts.iter().filter_map(|part| overlap(*gap, *part)).collect::<Vec<Window>>();
         let gaps: Vec<Window> = view.gaps.iter().flat_map(inside).collect();
         let work = parts.iter().map(|part| part.pixels()).sum::<usize>() + GAP_WORK * gaps.len();
-        Passes { compiled, view, parts, gaps, work, constants, totals: Totals::default() }
+        Passes { compiled, view, parts, gaps, work, constants, is_last: false, totals: Totals::default() }
     }
 
     /// One pass over all parts.
     fn run(&mut self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Result<&Totals, Ending> {
-        self.view.spend(self.work)?;
+        if !self.is_last {
+            self.view.spend(self.work)?;
+        }
         let bindings =
             Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
         let ran = loops.sums(&bindings, &self.view.planes, self.parts, &self.gaps, &mut self.totals);

@@ -164,6 +164,10 @@ impl Sampling {
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
                 *last = last.clone().after(&earlier);
             }
+            if fit.ending.is_unfinished() {
+                fit.chosen = Some(chosen);
+                return Ok(Some(fit));
+            }
             let Some(information) = kernels.information(&fit) else { return Ok(None) };
             let is_changed = |(now, then): (&f64, &f64)| (now / then - 1.0).abs() > CHANGED;
             let fitted = chosen.sampled;

@@ -39,7 +39,10 @@ fn stopped_at(tracker: &mut Tracker, frame: &Frame, asks: u64, stop: Stop) -> (u
 
 fn is_honest(estimate: &Estimate, ending: Ending) -> bool {
     match estimate.state {
-        TrackState::Tracking => estimate.ending != ending && estimate.rejection.is_none(),
+        TrackState::Tracking => {
+            let is_best_so_far = ending == Ending::Budget && !estimate.converged && estimate.covariance.is_some();
+            estimate.rejection.is_none() && (estimate.ending != ending || is_best_so_far)
+        }
         _ => estimate.ending == ending && !estimate.converged,
     }
 }
@@ -82,6 +85,78 @@ fn a_frame_that_is_left_takes_nothing_from_a_track() {
             assert!(next.converged && asked <= warm + 3, "{asked} {warm} {next:?}");
         }
     }
+}
+
+/// A fit that is left goes on from where it began to a better place, whatever stage it is at; what is not believed coasts.
+#[test]
+fn a_fit_that_is_cut_short_hands_back_the_best_so_far() {
+    let document = format!("{SPOT}\n[[stages]]\nparameters = [\"bx\", \"by\"]\n[[stages]]\nparameters = {ALL}\n");
+    for text in [SPOT, &document] {
+        let model = Arc::new(Model::from_toml(text).unwrap());
+        let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
+        let mut followed = tracker(&compiled, u64::MAX);
+        (0..3).for_each(|_| assert!(followed.track(&still(0.0)).converged));
+        let (all, _) = stopped_at(&mut followed.fork(), &still(1.0), u64::MAX, Stop::Budget);
+        let mut errors = Vec::new();
+        for asks in 2..=all {
+            let mut tracker = followed.fork();
+            let (_, left) = stopped_at(&mut tracker, &still(1.0), asks, Stop::Budget);
+            assert!(is_honest(&left, Ending::Budget), "{left:?}");
+            if left.ending == Ending::Budget && left.state == TrackState::Tracking {
+                assert!(left.iterations.iter().sum::<u32>() > 0 && left.reduced_chi_square.is_some(), "{left:?}");
+                errors.push((left.parameters[0] - 61.3).hypot(left.parameters[1] - 50.8));
+                let next = tracker.track(&still(1.0));
+                assert!(next.converged && (next.parameters[0] - 61.3).abs() < 0.05, "{next:?}");
+            }
+        }
+        eprintln!("px off, of the fits that were cut short, from 1 px: {errors:.4?}");
+        assert!(!errors.is_empty() && errors.iter().all(|error| *error < 0.3), "{errors:?}");
+    }
+}
+
+const ALL: &str = "[\"bx\", \"by\", \"a1\", \"a2\", \"a3\", \"v0\", \"v1\"]";
+
+/// The target stands still, so far to the right.
+fn still(right_px: f64) -> Frame {
+    let profile = Falloff::Cubic(-0.5, -0.3);
+    let spot = Spot { centre: [60.3 + right_px, 50.8], half: [20.0, 14.0], angle: 0.4, amplitude: 150.0, profile };
+    TestPicture { noise: 1.0, ..TestPicture::new(160, 100, vec![spot]) }.frame()
+}
+
+/// Lets no search begin.
+struct NoSearch;
+
+impl Watch for NoSearch {
+    fn stop(&self) -> Option<Stop> {
+        None
+    }
+    fn search(&self) -> Option<Stop> {
+        Some(Stop::Postponed)
+    }
+}
+
+/// While others are searched for, a target that has moved farther than a fit reaches is found near where it was, one that is
+/// nowhere near is remembered, and one that was never found waits for its turn.
+#[test]
+fn a_search_that_is_put_off_loses_nothing() {
+    let wide = |x: f64, number: u64| {
+        let profile = Falloff::Cubic(-0.5, -0.3);
+        let spot = Spot { centre: [x, 120.0], half: [9.0, 7.0], angle: 0.4, amplitude: 150.0, profile };
+        let mut frame = TestPicture { noise: 1.0, ..TestPicture::new(400, 240, vec![spot]) }.frame();
+        frame.sequence = number;
+        frame
+    };
+    let mut tracker = tracker(&compiled(), u64::MAX);
+    let waiting = tracker.track_all_while(&wide(60.0, 0), &NoSearch).swap_remove(0);
+    assert_eq!((waiting.state, waiting.ending), (TrackState::Searching, Ending::Postponed));
+    assert!(tracker.track(&wide(60.0, 1)).converged);
+    let near = tracker.track_all_while(&wide(85.0, 2), &NoSearch).swap_remove(0);
+    assert_eq!((near.state, near.ending), (TrackState::Tracking, Ending::SmallStep), "{near:?}");
+    assert!((near.parameters[0] - 85.0).abs() < 0.1, "{near:?}");
+    let far = tracker.track_all_while(&wide(330.0, 3), &NoSearch).swap_remove(0);
+    assert_eq!((far.state, far.ending), (TrackState::Lost, Ending::Postponed), "{far:?}");
+    let found = tracker.track(&wide(330.0, 4));
+    assert!(found.converged && (found.parameters[0] - 330.0).abs() < 0.1, "{found:?}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use super::memory::Memory;
 use super::past::{Past, TURNED_LEAST};
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::estimate::Rejection;
+use crate::estimate::{Ending, Rejection};
 use crate::pose::Geometry;
 use crate::solve::alternatives::{MISFIT, SpotNames, Veil};
 use crate::solve::fit::Begin;
@@ -130,6 +130,9 @@ impl Solver {
         past: &Past,
     ) -> Result<Attempt, CompileFailure> {
         let Some(geometry) = &self.geometry else { return Ok(attempt) };
+        if attempt.ending == Ending::Budget {
+            return Ok(self.judged(attempt, past));
+        }
         if self.is_usual(&attempt, past) || !self.model().has_noise() || look.unfinished().is_some() {
             return Ok(attempt);
         }

@@ -6,7 +6,7 @@
 //! ```text
 //! predict ─► fit around the prediction ─► believed? ──────────────────────────────► remember
 //!            └ astray ─► from the last estimate ┘ └ no ─► search, what is taken masked ─► the best that may be it, or
-//!                                                                                         coast, or lose
+//!                                                           └ not now ─► search nearby     coast, or lose
 //! ```
 
 mod branch;
@@ -18,6 +18,7 @@ mod faint;
 mod levels;
 mod memory;
 pub(crate) mod motion;
+mod nearby;
 mod noise;
 mod past;
 mod posed;

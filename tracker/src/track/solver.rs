@@ -18,7 +18,7 @@ use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::detect::{Bank, Strength};
-use crate::sight::gaps::Gaps;
+use crate::sight::gaps::{Gaps, overlap};
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
@@ -97,6 +97,17 @@ impl<'a> Look<'a> {
     /// How it ended, when it was not looked at to the end.
     pub fn unfinished(&self) -> Option<Ending> {
         self.budget.and_then(FrameBudget::stopped).map(Ending::from)
+    }
+
+    /// The same, of a part of what may be looked at; `None` where that is outside.
+    pub fn narrowed(&self, window: Window) -> Option<Look<'a>> {
+        let (planes, limits, wanted) = (self.planes.clone(), Mutex::default(), OnceLock::new());
+        Some(Look { planes, window: overlap(window, self.window)?, limits, wanted, ..*self })
+    }
+
+    /// Asks for a search of all that may be looked at.
+    pub fn search(&self) -> Result<(), Stop> {
+        self.budget.map_or(Ok(()), FrameBudget::search)
     }
 
     /// Says what a fit went on without.
@@ -343,7 +354,7 @@ impl Solver {
     /// Why a fit is not believed.
     pub(super) fn rejection(&self, fit: &Fit, view: &View, whole: Window) -> Option<Rejection> {
         let model = self.model();
-        if !fit.ending.is_fit() {
+        if !fit.is_usable() {
             return Some(Rejection::Ending);
         }
         // One spot of several leaves the spin open: there is a pose for each of its values.

@@ -10,8 +10,8 @@ use std::sync::Arc;
 
 use isophote_symbolic::Model;
 
-use crate::budget::{FrameBudget, Watch};
-use crate::estimate::{Ending, Estimate, TrackState};
+use crate::budget::{FrameBudget, Stop, Watch};
+use crate::estimate::{Ending, Estimate, Rejection, TrackState};
 use crate::exposure::{Advisor, is_advisable};
 use crate::options::{TrackError, TrackerOptions};
 use crate::solve::compiled::Compiled;
@@ -77,6 +77,13 @@ impl Tracker {
         carried
     }
 
+    /// Another one that remembers what this one does: what it would say of a frame can be tried.
+    pub fn fork(&self) -> Tracker {
+        let solver = Solver::new(self.solver.compiled.clone(), self.solver.options.clone());
+        let (tracks, clock) = (self.tracks.clone(), self.clock);
+        Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None }
+    }
+
     /// True where estimates of this model may carry advice about exposure.
     pub fn advises_exposure(&self) -> bool {
         is_advisable(&self.solver)
@@ -105,7 +112,7 @@ impl Tracker {
 
     /// Fits one frame: what it says about each target, in the order of their numbers; never empty.
     pub fn track_all(&mut self, frame: &Frame) -> Vec<Estimate> {
-        self.track_all_while(frame, &|| None)
+        self.track_all_while(frame, &|| None::<Stop>)
     }
 
     /// What frames since the last call were fitted without, because it is prepared beside them: to be run on another thread.
@@ -114,8 +121,10 @@ impl Tracker {
     }
 
     /// The same, ended by `watch`, which is asked before every pass and every step of a search. A target whose fit was done by
-    /// then is tracked; of the others the frame says nothing, the ending says why, and they are remembered as they were.
-    pub fn track_all_while(&mut self, frame: &Frame, watch: Watch) -> Vec<Estimate> {
+    /// then is tracked, and so is one whose fit had reached a point that may be it when the budget was used up; of the others
+    /// the frame says nothing, the ending says why, and they are remembered as they were. Where `watch` puts the search of all
+    /// that may be looked at off, what was followed is looked for near where it should be.
+    pub fn track_all_while(&mut self, frame: &Frame, watch: &dyn Watch) -> Vec<Estimate> {
         let mended = self.solver.mended(frame);
         let frame = mended.as_ref();
         let grey; // colour frames for a one-channel model
@@ -174,8 +183,8 @@ impl Tracker {
         let followed = self.tracks.iter().map(|track| track.follow(solver, look, time_s));
         let mut followed = followed.collect::<Result<Vec<_>, _>>()?;
         separate(solver, &mut followed);
-        let kept: Vec<Vec<f64>> = followed.iter().filter_map(kept).collect();
-        let mut search = None;
+        let mut kept: Vec<Vec<f64>> = followed.iter().filter_map(kept).collect();
+        let (mut search, mut postponed) = (None, None);
         let mut outcomes: Vec<Option<Finding>> = Vec::new();
         outcomes.resize_with(followed.len(), || None);
         // Those that were seen lately choose before those that were lost, and these before those that were never found.
@@ -190,17 +199,30 @@ impl Tracker {
                 Some(Followed::Kept(candidate)) => Finding::Seen(candidate),
                 Some(Followed::Doubtful(doubtful)) => {
                     let track = &self.tracks[number];
-                    if search.is_none() && look.unfinished().is_none() {
-                        let size_px = track.memory.size_px(solver);
-                        let given = self.given(track, time_s);
-                        search = Some(Search::run(solver, look, &given, kept.clone(), size_px, Scope::Likeliest)?);
+                    if search.is_none() && postponed.is_none() && look.unfinished().is_none() {
+                        postponed = look.search().err().map(Ending::from);
+                        if postponed.is_none() {
+                            let size_px = track.memory.size_px(solver);
+                            let given = self.given(track, time_s);
+                            search = Some(Search::run(solver, look, &given, kept.clone(), size_px, Scope::Likeliest)?);
+                        }
                     }
                     match (look.unfinished(), &mut search) {
                         (None, Some(search)) => track.settle(solver, look, doubtful, search, time_s),
                         // What a search has not come to may be the target.
                         (ending, _) => {
-                            let attempt = Attempt::none(ending.unwrap_or_default());
-                            track.missing(solver, look, attempt, time_s)
+                            let is_begun = ending.is_some();
+                            let near = if is_begun { None } else { track.nearby(solver, look, &kept, time_s)? };
+                            match near {
+                                Some(candidate) => {
+                                    kept.extend(candidate.attempt.fit.iter().map(|fit| fit.parameters.clone()));
+                                    Finding::Seen(candidate)
+                                }
+                                None => {
+                                    let ending = look.unfinished().or(postponed).unwrap_or_default();
+                                    track.missing(solver, look, left(doubtful, ending), time_s)
+                                }
+                            }
                         }
                     }
                 }
@@ -232,6 +254,14 @@ impl Tracker {
             }
         }
         given
+    }
+}
+
+/// What is said of a fit that is not believed when the frame has ended.
+fn left(doubtful: Option<Box<Candidate>>, ending: Ending) -> Attempt {
+    match doubtful.map(|candidate| candidate.attempt).filter(|attempt| attempt.ending == ending) {
+        Some(attempt) => Attempt { rejection: attempt.rejection.or(Some(Rejection::Ending)), ..attempt },
+        None => Attempt::none(ending),
     }
 }
 

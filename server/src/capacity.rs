@@ -1,0 +1,75 @@
+//! What the machine can bear: realtime sessions are admitted by what they cost.
+//!
+//! What comes in: the costs of the sessions that run, as measured frame by frame, and that of one which is to be added. What goes
+//! out: a problem with the figures where the machine would be full. Sessions whose frames wait for their fits take what is left,
+//! and are not counted.
+
+use axum::http::StatusCode;
+
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+
+/// Of all processors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Load {
+    /// Processors that the sessions keep busy at the rates of their sources.
+    pub running: f64,
+    /// Processors that they may keep busy.
+    pub capacity: f64,
+}
+
+impl Load {
+    /// Of this machine: sources, sockets and the system have their share of it.
+    pub fn of_machine(running: f64) -> Load {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        Load { running, capacity: LIMITS.load_share * processors as f64 }
+    }
+
+    /// 429 where one more, which keeps `added` processors busy, is too many. `None`: it could not be measured.
+    pub fn admit(self, session: &str, added: Option<(f64, f64)>) -> Result<(), Problem> {
+        let Load { running, capacity } = self;
+        let (fit_ms, rate_hz) = added.unwrap_or_default();
+        let wanted = fit_ms * rate_hz / 1e3;
+        if running + wanted <= capacity {
+            return Ok(());
+        }
+        let cost = match added {
+            Some(_) => {
+                format!("its fits of {fit_ms:.2} ms at {rate_hz} Hz would keep {wanted:.2} processors busy, and ")
+            }
+            None => String::new(),
+        };
+        let detail = format!(
+            "there is no room for the session `{session}`: {cost}those that run keep {running:.2} of {capacity:.2} busy; \
+             stop one, or give it a smaller window or a lower rate"
+        );
+        let problem = Problem::new(StatusCode::TOO_MANY_REQUESTS, "over-capacity", detail);
+        let problem = problem.with_figure("load", running).with_figure("capacity", capacity);
+        Err(match added {
+            Some(_) => problem.with_figure("fit_ms", fit_ms).with_figure("rate_hz", rate_hz),
+            None => problem,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn what_is_full_takes_nothing_more() {
+        let load = |running| Load { running, capacity: 1.5 };
+        assert!(load(1.0).admit("a", Some((5.0, 100.0))).is_ok());
+        assert!(load(1.5).admit("a", None).is_ok());
+        let problem = load(1.0).admit("a", Some((5.1, 100.0))).unwrap_err();
+        assert_eq!((problem.status.as_u16(), problem.code), (429, "over-capacity"));
+        let figures = problem.document().figures;
+        assert_eq!(
+            (figures["fit_ms"], figures["rate_hz"], figures["load"], figures["capacity"]),
+            (5.1, 100.0, 1.0, 1.5)
+        );
+        let full = load(1.6).admit("a", None).unwrap_err().document().figures;
+        assert_eq!(full.keys().collect::<Vec<_>>(), ["capacity", "load"]);
+    }
+}

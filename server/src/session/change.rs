@@ -1,0 +1,194 @@
+//! A hot swap in two steps: prepared and tried beside the session, then handed to its fit thread.
+//!
+//! What comes in: a model of the registry. What goes out: a [`PreparedSwap`], or why the running model goes on. It never changes
+//! what fits.
+
+use std::sync::Arc;
+
+use isophote_machine::{elapsed_ms, monotonic_ns};
+use isophote_tracker::Compiled;
+use isophote_wire::{SessionDocument, SourceDocument};
+use tokio::sync::oneshot;
+
+use super::checks::{check_document, check_shape, tracker, wrong_options};
+use super::shared::Shared;
+use super::swap::{self, Active, Swap, Swapped};
+use super::trial::{FitCost, TrialResult};
+use super::{Session, fit};
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::registry::ModelEntry;
+use crate::source::{FrameShape, Source, pixel_format, realtime_hz};
+use crate::turns::FairWorkers;
+use isophote_jit::PixelFormat;
+
+/// Whether a model is taken whose fits take longer than frames of the source may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlowModels {
+    /// It is not, unless the session's document says otherwise.
+    Refused,
+    /// It is.
+    Allowed,
+}
+
+/// A model that is ready to be taken.
+pub struct PreparedSwap {
+    swap: Swap,
+    answer: oneshot::Receiver<Swapped>,
+    /// Spent on compilation, ms.
+    pub compile_ms: f64,
+    requested: Requested,
+}
+
+/// The session says that a model is asked for; it takes that back unless the model is handed over.
+struct Requested {
+    shared: Arc<Shared>,
+    before: Option<String>,
+}
+
+impl Requested {
+    fn of(shared: &Arc<Shared>, model: &str) -> Requested {
+        let before = std::mem::replace(&mut shared.status().requested_model, model.to_string());
+        Requested { shared: shared.clone(), before: Some(before) }
+    }
+
+    fn keep(mut self) {
+        self.before = None;
+    }
+}
+
+impl Drop for Requested {
+    fn drop(&mut self) {
+        if let Some(before) = self.before.take() {
+            self.shared.status().requested_model = before;
+        }
+    }
+}
+
+impl Session {
+    /// Compiles a model, and tries it on the newest frame from what the session knows of its target: where that takes longer than
+    /// frames of the source may, it is refused, unless somebody wants it even so.
+    pub fn prepare_swap(
+        &self,
+        entry: &ModelEntry,
+        slow: SlowModels,
+        workers: &FairWorkers,
+    ) -> Result<PreparedSwap, Problem> {
+        let requested = Requested::of(&self.shared, entry.name.as_str());
+        let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
+        check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
+        let start_ns = monotonic_ns();
+        let compiled = entry.kernels_by(self.document.options.precision, workers)?;
+        if let Some(format) = shape.format {
+            compiled.warm(format, workers)?;
+        }
+        let compile_ms = elapsed_ms(start_ns);
+        let options = swap::options_known(&self.document, &entry.model);
+        // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
+        let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
+        let proof = proof.map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
+        if self.document.options.exposure.control && !proof.advises_exposure() {
+            return Err(Problem::conflict("not-applicable", fit::UNADVISED));
+        }
+        let (reply, answer) = oneshot::channel();
+        let swap = Swap { active: Active::new(entry), compiled, options, reply };
+        if slow == SlowModels::Refused && !self.document.options.allow_slow {
+            self.check_cost(&swap, workers)?;
+        }
+        Ok(PreparedSwap { swap, answer, compile_ms, requested })
+    }
+
+    /// 409 where fits would take longer than frames may. Where no frame comes there is nothing to try it on.
+    fn check_cost(&self, swap: &Swap, workers: &FairWorkers) -> Result<(), Problem> {
+        let Some(budget) = self.source.source.frame_budget() else { return Ok(()) };
+        let Some(sample) = self.shared.inbox.sample(LIMITS.sample_time) else { return Ok(()) };
+        let mut candidate = sample.tracker;
+        candidate.swap(swap.compiled.clone(), swap.options.clone());
+        let (cost, what) = match FitCost::measured(&candidate, &sample.delivery.captured.frame, workers) {
+            TrialResult::Fit(cost) => (cost, "a fit, the median of five,"),
+            TrialResult::Search(cost) => (cost, "a search that was left before its end"),
+        };
+        if !cost.exceeds(budget) {
+            return Ok(());
+        }
+        let (fit_ms, budget_ms) = (cost.milliseconds(), budget.as_secs_f64() * 1e3);
+        let detail = format!(
+            "with the model `{}` {what} takes {fit_ms:.1} ms on the newest frame, and frames of the source may take \
+             {budget_ms:.1} ms; the running model goes on. With \"allow_slow\": true it is taken even so: fits then end with \
+             their best so far",
+            swap.active.name
+        );
+        let problem = Problem::conflict("too-slow", detail);
+        Err(problem.with_figure("fit_ms", fit_ms).with_figure("budget_ms", budget_ms))
+    }
+
+    /// Hands a model to the fit thread, which takes it between two frames. Answers where the fit thread's answer will come.
+    pub fn commit_swap(&self, prepared: PreparedSwap) -> Result<oneshot::Receiver<Swapped>, Problem> {
+        let PreparedSwap { swap, answer, requested, .. } = prepared;
+        let gone = |_| Problem::conflict("not-applicable", "the session has ended");
+        self.shared.inbox.swap(Box::new(swap)).map_err(gone)?;
+        requested.keep();
+        Ok(answer)
+    }
+}
+
+/// What a session that is about to begin will find ready, for as long as this is held.
+pub struct PreparedSession {
+    _compiled: Arc<Compiled>,
+    /// Spent on compilation, ms.
+    pub compile_ms: f64,
+    /// Frames a second; `None` where they wait for their fits.
+    pub realtime_hz: Option<f64>,
+    /// A fit of it, ms, where there was a frame to try it on.
+    pub fit_ms: Option<f64>,
+}
+
+/// Compiles the model of a session, and tries it on the newest frame of its source where that runs in realtime.
+pub fn prepare_session(
+    document: &SessionDocument,
+    running: Option<&Source>,
+    own: Option<&SourceDocument>,
+    entry: &ModelEntry,
+    workers: &FairWorkers,
+) -> Result<PreparedSession, Problem> {
+    check_document(document)?;
+    let shape = match (running, own) {
+        (Some(source), _) => source.shape().clone(),
+        (None, own) => FrameShape { format: own.and_then(format_of), ..FrameShape::default() },
+    };
+    let start_ns = monotonic_ns();
+    let compiled = entry.kernels_by(document.options.precision, workers)?;
+    if let Some(format) = shape.format {
+        compiled.warm(format, workers)?;
+    }
+    let compile_ms = elapsed_ms(start_ns);
+    let of_own = || own.and_then(|own| realtime_hz(own, None));
+    let realtime_hz = running.map_or_else(of_own, Source::realtime_hz);
+    let prepared = PreparedSession { _compiled: compiled.clone(), compile_ms, realtime_hz, fit_ms: None };
+    let Some(source) = running.filter(|_| realtime_hz.is_some()) else { return Ok(prepared) };
+    check_shape(&entry.model, &shape).map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
+    let options = swap::options(document);
+    let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
+    proof.map_err(|error| wrong_options(document, entry, &error))?;
+    let Some(sample) = source.first_inbox().and_then(|inbox| inbox.sample(LIMITS.sample_time)) else {
+        return Ok(prepared);
+    };
+    // Sessions on one source see the same: what another one knows of its target is where this one's is likely to be.
+    let mut candidate = sample.tracker;
+    candidate.swap(compiled, options);
+    let fit_ms = match FitCost::measured(&candidate, &sample.delivery.captured.frame, workers) {
+        TrialResult::Fit(cost) => Some(cost.milliseconds()),
+        TrialResult::Search(_) => None,
+    };
+    Ok(PreparedSession { fit_ms, ..prepared })
+}
+
+/// Of a source that does not run yet, as far as that is known.
+fn format_of(document: &SourceDocument) -> Option<PixelFormat> {
+    match document {
+        SourceDocument::Synthetic(synthetic) if synthetic.bits <= 8 => Some(PixelFormat::U8),
+        SourceDocument::Synthetic(_) => Some(PixelFormat::U16),
+        SourceDocument::Pushed(pushed) => Some(pixel_format(pushed.format)),
+        SourceDocument::Recording(_) | SourceDocument::Camera(_) => None,
+    }
+}

@@ -1,0 +1,107 @@
+//! `SearchRoom`: places for searches of whole frames, of all sessions whose sources do not wait.
+//!
+//! What comes in: sessions that have lost their target, each time that a frame shows it. What goes out: a place for one search, to
+//! each in its turn. It never makes anybody wait: who gets no place goes on with the next frame, and has kept its turn.
+//!
+//! A search takes many times as long as a fit. Were all sessions to search at once, each of them would take so long that its
+//! target has moved on when it is done, and is lost again: they would never come to an end.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::limits::LIMITS;
+
+/// Of one process, or of one service in a test.
+pub struct SearchRoom {
+    places: usize,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    taken: usize,
+    /// Who waits, and when it asked last.
+    queue: VecDeque<(String, u64)>,
+}
+
+/// A place, for as long as it is held.
+pub struct SearchPlace(Arc<SearchRoom>);
+
+impl SearchRoom {
+    /// So many searches at a time: half of the processors, and one at least.
+    pub fn of_machine() -> SearchRoom {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        SearchRoom::of(processors.div_ceil(2))
+    }
+
+    fn of(places: usize) -> SearchRoom {
+        SearchRoom { places, state: Mutex::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A place for a session, when there is one and nobody waits for longer. Who does not ask again for a while has found its
+    /// target, or has ended: its turn is over.
+    pub fn enter(self: &Arc<SearchRoom>, session: &str, now_ns: u64) -> Option<SearchPlace> {
+        let mut state = self.lock();
+        let patience_ns = LIMITS.search_patience.as_nanos() as u64;
+        state.queue.retain(|(_, asked_ns)| now_ns.saturating_sub(*asked_ns) <= patience_ns);
+        let turn = match state.queue.iter().position(|(name, _)| name == session) {
+            Some(turn) => {
+                state.queue[turn].1 = now_ns;
+                turn
+            }
+            None => {
+                state.queue.push_back((session.to_string(), now_ns));
+                state.queue.len() - 1
+            }
+        };
+        if turn >= self.places.saturating_sub(state.taken) {
+            return None;
+        }
+        state.queue.remove(turn);
+        state.taken += 1;
+        Some(SearchPlace(self.clone()))
+    }
+}
+
+impl Drop for SearchPlace {
+    fn drop(&mut self) {
+        self.0.lock().taken -= 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_has_its_turn_and_nobody_waits_for_who_has_gone() {
+        let room = Arc::new(SearchRoom::of(1));
+        let held = room.enter("a", 0);
+        assert!(held.is_some());
+        let asks = |name: &str, now_ns| room.enter(name, now_ns).is_some();
+        assert!(!asks("b", 1) && !asks("c", 2) && !asks("a", 3), "the place is taken");
+        drop(held);
+        assert!(!asks("c", 4) && !asks("a", 5), "b was there before");
+        assert!(asks("b", 6) && !asks("a", 7) && asks("c", 8) && asks("a", 9));
+
+        let held = room.enter("a", 20);
+        assert!(!asks("b", 21) && !asks("c", 22));
+        drop(held);
+        let later = LIMITS.search_patience.as_nanos() as u64;
+        assert!(!asks("c", 21 + later), "b may still come");
+        assert!(asks("c", 22 + later), "b has gone");
+    }
+
+    #[test]
+    fn no_more_than_there_are_places() {
+        let room = Arc::new(SearchRoom::of(2));
+        let mut held: Vec<SearchPlace> = ["a", "b", "c"].iter().filter_map(|name| room.enter(name, 1)).collect();
+        assert_eq!(held.len(), 2);
+        held.pop();
+        assert!(room.enter("d", 2).is_none() && room.enter("c", 3).is_some());
+    }
+}

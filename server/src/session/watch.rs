@@ -1,0 +1,138 @@
+//! `FrameWatch`: for how long a frame is worked at.
+//!
+//! What comes in: the bounds of the session's source, and what waits in its inbox. What goes out: go on, or why not. What a fit
+//! may cost is counted in the time of its own thread: where the machine is too busy, frames are left out and those that are
+//! fitted are fitted to the end.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use isophote_machine::{monotonic_ns, thread_ns};
+use isophote_tracker::{Stop, Watch};
+
+use super::inbox::{Inbox, Waiting};
+use super::searches::{SearchPlace, SearchRoom};
+use crate::limits::LIMITS;
+
+/// For how long a session works at a frame of a source whose frames do not wait.
+pub struct FrameTimes {
+    /// Around a prediction.
+    pub fit: Duration,
+    /// Where the whole frame is searched.
+    pub search: Duration,
+}
+
+impl FrameTimes {
+    /// Before anything was searched for.
+    pub fn of(fit: Duration) -> FrameTimes {
+        FrameTimes { fit, search: LIMITS.search_time }
+    }
+
+    /// After a frame: a search that was cut short begins anew with more time; one that was not, as all did.
+    pub fn follow(&mut self, outcome: &FrameUse) {
+        match (outcome.has_searched, outcome.is_over) {
+            (true, true) => self.search = (2 * self.search).min(LIMITS.frame_time),
+            (true, false) => self.search = LIMITS.search_time,
+            (false, _) => {}
+        }
+    }
+}
+
+/// What became of a frame's time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameUse {
+    /// The whole frame was searched.
+    pub has_searched: bool,
+    /// A search was put off.
+    pub is_postponed: bool,
+    /// The time was used up.
+    pub is_over: bool,
+}
+
+/// One frame's.
+pub struct FrameWatch<'a> {
+    session: &'a str,
+    inbox: &'a Inbox,
+    room: &'a Arc<SearchRoom>,
+    /// Absent where frames wait for their fits.
+    times: Option<&'a FrameTimes>,
+    start_ns: u64,
+    worked_ns: u64,
+    /// Since the whole frame is searched, with what had been worked then.
+    search: OnceLock<(SearchPlace, u64)>,
+    is_over: AtomicBool,
+    is_postponed: AtomicBool,
+}
+
+impl<'a> FrameWatch<'a> {
+    /// From now on; on the thread that fits.
+    pub fn begin(
+        session: &'a str,
+        inbox: &'a Inbox,
+        room: &'a Arc<SearchRoom>,
+        times: Option<&'a FrameTimes>,
+    ) -> FrameWatch<'a> {
+        FrameWatch {
+            session,
+            inbox,
+            room,
+            times,
+            start_ns: monotonic_ns(),
+            worked_ns: thread_ns(),
+            search: OnceLock::new(),
+            is_over: AtomicBool::new(false),
+            is_postponed: AtomicBool::new(false),
+        }
+    }
+
+    /// When it began.
+    pub fn start_ns(&self) -> u64 {
+        self.start_ns
+    }
+
+    /// When all is done.
+    pub fn outcome(&self) -> FrameUse {
+        FrameUse {
+            has_searched: self.search.get().is_some(),
+            is_postponed: self.is_postponed.load(Ordering::Relaxed),
+            is_over: self.is_over.load(Ordering::Relaxed),
+        }
+    }
+
+    fn is_used_up(&self, spent: Duration) -> bool {
+        let Some(times) = self.times else { return spent > LIMITS.frame_time };
+        let (from_ns, most) = match self.search.get() {
+            Some((_, from_ns)) => (*from_ns, times.search),
+            None => (self.worked_ns, times.fit),
+        };
+        Duration::from_nanos(thread_ns().saturating_sub(from_ns)) > most
+    }
+}
+
+impl Watch for FrameWatch<'_> {
+    fn stop(&self) -> Option<Stop> {
+        let spent = Duration::from_nanos(monotonic_ns().saturating_sub(self.start_ns));
+        match self.inbox.waiting() {
+            Waiting::End => Some(Stop::Cancelled),
+            Waiting::Swap if spent > LIMITS.swap_time => Some(Stop::Cancelled),
+            Waiting::Swap | Waiting::Nothing if self.is_used_up(spent) => {
+                self.is_over.store(true, Ordering::Relaxed);
+                Some(Stop::Budget)
+            }
+            Waiting::Swap | Waiting::Nothing => None,
+        }
+    }
+
+    fn search(&self) -> Option<Stop> {
+        if self.times.is_none() || self.search.get().is_some() {
+            return None;
+        }
+        let Some(place) = self.room.enter(self.session, monotonic_ns()) else {
+            self.is_postponed.store(true, Ordering::Relaxed);
+            return Some(Stop::Postponed);
+        };
+        self.search.get_or_init(|| (place, thread_ns()));
+        None
+    }
+}

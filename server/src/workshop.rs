@@ -1,0 +1,135 @@
+//! `Workshop`: what takes its time is prepared here, beside the thread that changes the service, which only commits it.
+//!
+//! What comes in: documents to derive and compile, models to try. What goes out: what a change is made of. Changes of one
+//! target, a model or a session, are prepared and committed in the order in which they came; those of different targets do not
+//! wait for each other. Uploads share the processors piece by piece, and sessions have places of their own: whoever sends
+//! documents that take long delays nobody's swap.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::thread::Builder;
+
+use tokio::sync::{OwnedMutexGuard, Semaphore, oneshot};
+
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::thread::step_aside;
+use crate::turns::{FairWorkers, Turns};
+
+/// Whom work is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lane {
+    /// Whoever sends a document.
+    Uploads,
+    /// A session that runs, or is about to.
+    Sessions,
+}
+
+/// Places for work.
+pub struct Workshop {
+    uploads: Arc<Turns>,
+    sessions: Arc<Turns>,
+    jobs: Arc<Semaphore>,
+    targets: Mutex<BTreeMap<String, Weak<Order>>>,
+}
+
+type Order = tokio::sync::Mutex<()>;
+
+impl Workshop {
+    /// As many pieces at a time as there are processors, for either lane.
+    pub fn of_machine() -> Workshop {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        Workshop {
+            uploads: Arc::new(Turns::new(processors)),
+            sessions: Arc::new(Turns::new(processors.max(2))),
+            jobs: Arc::new(Semaphore::new(LIMITS.compile_jobs)),
+            targets: Mutex::default(),
+        }
+    }
+
+    /// Waits until all changes of the target that came before are done. Held until this one is.
+    pub async fn in_order(&self, what: &str, name: &str) -> OwnedMutexGuard<()> {
+        let order = {
+            let mut targets = self.targets.lock().unwrap_or_else(PoisonError::into_inner);
+            targets.retain(|_, order| order.strong_count() > 0);
+            let key = format!("{what} {name}");
+            let known = targets.get(&key).and_then(Weak::upgrade);
+            known.unwrap_or_else(|| {
+                let order = Arc::new(Order::default());
+                targets.insert(key, Arc::downgrade(&order));
+                order
+            })
+        };
+        order.lock_owned().await
+    }
+
+    /// For whoever waits anyway: while the service starts.
+    pub fn at_once(&self) -> FairWorkers {
+        self.uploads.begin()
+    }
+
+    /// Does it on a thread of its own, where fits go first. A panic of `work` is a 500.
+    pub async fn prepare<T: Send + 'static>(
+        &self,
+        lane: Lane,
+        work: impl FnOnce(&FairWorkers) -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let place = self.jobs.clone().try_acquire_owned();
+        let place = place.map_err(|_| Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs))?;
+        let (turns, nicer) = match lane {
+            Lane::Sessions => (&self.sessions, 3),
+            Lane::Uploads => (&self.uploads, 10),
+        };
+        let workers = turns.begin();
+        let (reply, answer) = oneshot::channel();
+        let work = move || {
+            step_aside(nicer);
+            let result = catch_unwind(AssertUnwindSafe(|| work(&workers)));
+            drop((workers, place));
+            let result = result.unwrap_or_else(|_| Err(Problem::bug("the compile job panicked")));
+            drop(reply.send(result)); // the client may have gone
+        };
+        let thread = Builder::new().name("prepare".into()).spawn(work);
+        thread.map_err(|error| Problem::bug(format!("no thread to compile on: {error}")))?;
+        answer.await.map_err(|_| Problem::stopping())?
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::time::Duration;
+    use tokio::time::timeout;
+
+    const SOON: Duration = Duration::from_millis(1);
+
+    #[tokio::test]
+    async fn changes_of_one_target_are_made_in_order() {
+        let workshop = Workshop::of_machine();
+        let first = workshop.in_order("model", "a").await;
+        let mut second = Box::pin(workshop.in_order("model", "a"));
+        assert!(timeout(SOON, &mut second).await.is_err());
+        drop(workshop.in_order("session", "a").await);
+        drop(workshop.in_order("model", "b").await);
+        let mut third = Box::pin(workshop.in_order("model", "a"));
+        assert!(timeout(SOON, &mut third).await.is_err());
+        drop(first);
+        assert!(timeout(SOON, &mut third).await.is_err(), "the second is before it");
+        drop(second.await);
+        drop(third.await);
+        drop(workshop.in_order("model", "c").await);
+        assert_eq!(workshop.targets.lock().unwrap().len(), 1, "only what is under way is kept");
+    }
+
+    #[tokio::test]
+    async fn work_that_panics_is_a_bug_and_leaves_its_place() {
+        let workshop = Workshop::of_machine();
+        for _ in 0..=LIMITS.compile_jobs {
+            let work = |_: &FairWorkers| -> Result<(), Problem> { panic!("planted") };
+            assert_eq!(workshop.prepare(Lane::Uploads, work).await.unwrap_err().code, "bug");
+        }
+        assert_eq!(workshop.prepare(Lane::Sessions, |workers| Ok(workers.piece(|| 7))).await.unwrap(), 7);
+    }
+}

@@ -1,0 +1,199 @@
+//! Frames of sources that do not wait: each has its interval, a swap to a model that takes longer is refused, and searches take
+//! turns.
+
+use serde_json::{Value, json};
+
+use crate::client::{Running, session, synthetic};
+
+/// A spot whose profile takes so long to compute that no frame of 10 ms has time for a fit of it.
+pub fn heavy() -> String {
+    let profile = (1..=40).map(|i| format!("exp(-{i}*s/20)")).collect::<Vec<_>>().join(" + ");
+    format!(
+        r#"
+name = "heavy"
+coordinates = ["x", "y"]
+channels = ["phi"]
+[parameters]
+bx = {{ start = "centroid.x" }}
+by = {{ start = "centroid.y" }}
+a1 = {{ start = "extent.xx", min = 0 }}
+a2 = {{ start = "extent.xy" }}
+a3 = {{ start = "extent.yy", min = 0 }}
+v0 = {{ start = "background" }}
+v1 = {{ start = "amplitude", min = 0 }}
+[roles]
+centre = ["bx", "by"]
+shape = ["a1", "a2", "a3"]
+background = "v0"
+brightness = "v1"
+[definitions]
+s = "a1 * (x - bx)^2 + 2 * a2 * (x - bx) * (y - by) + a3 * (y - by)^2"
+[model]
+intensity = "v0 + v1 * ({profile}) / 40"
+constraint = ["a1*a3 - a2^2 > 0"]
+"#
+    )
+}
+
+/// A spot in frames of 640 × 480 px that moves so many px a frame at most, for sessions to share.
+pub fn large(pace: &str, rate_hz: f64, step_px: f64) -> Value {
+    let angular_hz = step_px * rate_hz / (2.0 * std::f64::consts::PI * 100.0);
+    json!({"kind": "synthetic", "model": "spot", "samples": 1, "rate_hz": rate_hz, "pace": pace,
+           "set": {"a1": 0.003, "a2": 0.0, "a3": 0.004, "v0": 20, "v1": 150},
+           "motion": {"bx": format!("320 + 100*sin(2*pi*{angular_hz}*t)"), "by": format!("240 + 100*cos(2*pi*{angular_hz}*t)")}})
+}
+
+fn number(view: &Value, key: &str) -> f64 {
+    view[key].as_f64().unwrap_or_else(|| panic!("{key}: {view}"))
+}
+
+fn is_tracking(view: &Value) -> bool {
+    view["last"]["state"] == "tracking"
+}
+
+#[test]
+fn a_swap_to_a_model_that_is_too_slow_is_refused() {
+    let service = Running::start();
+    service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
+    service.put("/v1/sessions/one", &json!({"source": large("realtime", 100.0, 1.0), "model": "spot"})).expect(201);
+    let view = service.wait_for("one", is_tracking);
+    assert_eq!((number(&view, "frame_budget_ms"), view["search_budget_ms"].is_number()), (10.0, true), "{view}");
+
+    let refused = service.put("/v1/sessions/one/model", &json!({"model": "heavy"})).expect(409);
+    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    let figures = &refused["figures"];
+    assert!(number(figures, "fit_ms") > number(figures, "budget_ms"), "{refused}");
+    assert_eq!(number(figures, "budget_ms"), 10.0);
+    let view = service.wait_for("one", |now| number(now, "frames") > number(&view, "frames"));
+    for key in ["model", "active_model", "requested_model"] {
+        assert_eq!(view[key], "spot", "{view}");
+    }
+
+    // It is taken where somebody wants it: fits end with their best so far, and say so.
+    service.put("/v1/sessions/one/model", &json!({"model": "heavy", "allow_slow": true})).expect(200);
+    let view = service.wait_for("one", |view| number(view, "over_budget") > 5.0 && view["last"]["ending"] == "budget");
+    assert_eq!((&view["active_model"], &view["last"]["converged"]), (&json!("heavy"), &json!(false)), "{view}");
+    service.put("/v1/sessions/one/model", &json!({"model": "spot"})).expect(200);
+    service.wait_for("one", is_tracking);
+    service.stop();
+}
+
+/// Nothing of what the session knows says where such a model's bumps are.
+#[test]
+fn a_slow_model_that_carries_nothing_over_is_refused() {
+    let service = Running::start();
+    service.put_text("/v1/models/slow", "application/toml", &crate::bounds::slow()).expect(201);
+    let mut source = large("realtime", 30.0, 1.0);
+    (source["width"], source["height"]) = (json!(1200), json!(1200));
+    let document = json!({"source": source, "model": "spot", "options": {"precision": "f64"}});
+    service.put("/v1/sessions/one", &document).expect(201);
+    service.wait_for("one", is_tracking);
+    let refused = service.put("/v1/sessions/one/model", &json!({"model": "slow"})).expect(409);
+    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    assert_eq!(service.get("/v1/sessions/one").expect(200)["requested_model"], "spot");
+    service.stop();
+}
+
+#[test]
+fn a_session_may_allow_slow_models_and_frames_that_wait_have_no_budget() {
+    let service = Running::start();
+    service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
+    let options = json!({"allow_slow": true});
+    let document = json!({"source": large("realtime", 100.0, 1.0), "model": "spot", "options": options});
+    assert_eq!(service.put("/v1/sessions/slow", &document).expect(201)["options"]["allow_slow"], true);
+    service.wait_for("slow", is_tracking);
+    service.put("/v1/sessions/slow/model", &json!({"model": "heavy"})).expect(200);
+    service.delete("/v1/sessions/slow").expect(204);
+
+    let document = json!({"source": large("fit", 100.0, 1.0), "model": "spot"});
+    service.put("/v1/sessions/waits", &document).expect(201);
+    let view = service.wait_for("waits", is_tracking);
+    assert!(view["frame_budget_ms"].is_null() && view["search_budget_ms"].is_null(), "{view}");
+    service.put("/v1/sessions/waits/model", &json!({"model": "heavy"})).expect(200);
+    let since = number(&service.get("/v1/sessions/waits").expect(200), "frames");
+    let view = service.wait_for("waits", |view| number(view, "frames") > since + 1.0);
+    assert_eq!(view["dropped"], 0, "{view}");
+    service.put("/v1/sessions/waits/model", &json!({"model": "spot", "allow_slow": 1})).expect(422);
+    service.stop();
+}
+
+const SESSIONS: usize = 16;
+
+/// Sessions on one source; a machine that is busy with other things may have no room for all of them.
+fn crowd(service: &Running, source: &Value) -> Vec<String> {
+    service.put("/v1/sources/shared", source).expect(201);
+    let names = (0..SESSIONS).map(|number| format!("s{number}"));
+    let is_there = |name: &String| {
+        let document = json!({"source": "shared", "model": "spot"});
+        let answer = service.put(&format!("/v1/sessions/{name}"), &document);
+        match answer.status {
+            201 => true,
+            _ => answer.expect(429)["type"] == "urn:isophote:problem:over-capacity" && name != "s0",
+        }
+    };
+    names.filter(is_there).filter(|name| service.get(&format!("/v1/sessions/{name}")).status == 200).collect()
+}
+
+/// Waits until all of them track, and says what became of the frames of the next two seconds.
+fn settle(service: &Running, what: &str, names: &[String]) {
+    let begin = std::time::Instant::now();
+    let tracking: Vec<Value> = names.iter().map(|name| service.wait_for(name, is_tracking)).collect();
+    eprintln!("{what}: {} sessions track after {:?}", names.len(), begin.elapsed());
+    let (mut frames, mut dropped) = (0.0, 0.0);
+    for (name, before) in names.iter().zip(&tracking) {
+        let is_later = |now: &Value| {
+            number(now, "frames") + number(now, "dropped")
+                >= number(before, "frames") + number(before, "dropped") + 120.0
+        };
+        let now = service.wait_for(name, is_later);
+        frames += number(&now, "frames") - number(before, "frames");
+        dropped += number(&now, "dropped") - number(before, "dropped");
+        assert!(number(&now, "searches") <= number(&now, "frames") && now["searches_postponed"].is_u64(), "{now}");
+    }
+    eprintln!("{what}: then {frames} frames fitted, {dropped} dropped");
+}
+
+/// All of them begin with a search of the whole frame, and their targets move on meanwhile.
+#[test]
+fn sessions_search_in_turn_and_all_of_them_find_their_targets() {
+    let service = Running::start();
+    let mut names = crowd(&service, &large("realtime", 60.0, 8.0));
+    settle(&service, "640 × 480 px, 8 px a frame", &names);
+    for name in names.split_off(names.len() / 2) {
+        service.delete(&format!("/v1/sessions/{name}")).expect(204);
+    }
+    settle(&service, "after half of them have gone", &names);
+    service.stop();
+}
+
+#[test]
+fn sessions_of_small_frames_keep_their_rate() {
+    let service = Running::start();
+    let mut source = synthetic("realtime", 60.0);
+    source["height"] = json!(64);
+    let names = crowd(&service, &source);
+    settle(&service, "64 × 64 px", &names);
+    service.stop();
+}
+
+#[test]
+fn a_session_for_which_there_is_no_room_is_refused() {
+    let service = Running::start();
+    service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
+    service.put("/v1/sources/fast", &large("realtime", 1000.0, 0.1)).expect(201);
+    service.put("/v1/sessions/witness", &session("realtime", 30.0)).expect(201);
+    // Nobody has seen its frames yet, so nothing is known of what they cost.
+    service.put("/v1/sessions/first", &json!({"source": "fast", "model": "thesis-spot"})).expect(201);
+    service.wait_for("first", |view| view["cost_ms"].is_number() && is_tracking(view));
+    let refused = service.put("/v1/sessions/second", &json!({"source": "fast", "model": "heavy"})).expect(429);
+    assert_eq!(refused["type"], "urn:isophote:problem:over-capacity", "{refused}");
+    let figures = &refused["figures"];
+    let wanted = number(figures, "fit_ms") * number(figures, "rate_hz") / 1e3;
+    assert!(number(figures, "load") + wanted > number(figures, "capacity"), "{refused}");
+    service.get("/v1/sessions/second").expect(404);
+    // Frames that wait take what is left.
+    service.put("/v1/sessions/waits", &json!({"source": synthetic("fit", 1000.0), "model": "spot"})).expect(201);
+    let frames = number(&service.get("/v1/sessions/witness").expect(200), "frames");
+    service.wait_for("witness", |view| number(view, "frames") > frames && is_tracking(view));
+    service.stop();
+}
