@@ -93,7 +93,7 @@ impl RemoteService {
     /// `POST` of a JSON document.
     pub fn post<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Failure> {
         let body = serde_json::to_string(document).map_err(Failure::other)?;
-        let request = self.agent.post(format!("{}{path}", self.url)).header("content-type", "application/json");
+        let request = self.prepared(self.agent.post(self.address(path))).header("content-type", "application/json");
         read(&self.text(request.send(body))?)
     }
 
