@@ -230,7 +230,7 @@ fn a_tenant_has_no_more_than_so_many_documents_a_minute_compiled() {
         guarded.status(method, path, &[("authorization", &format!("Bearer {token}"))])
     };
     let begin = Instant::now();
-    let tries = 40;
+    let tries: usize = 40;
     let refused = (0..tries).filter(|_| status("POST", "/v1/models:check", &guarded.operate) == 429).count();
     // What fills up meanwhile, one in two seconds, is had as well.
     let most = 30 + begin.elapsed().as_secs() as usize / 2 + 1;
