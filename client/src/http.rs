@@ -192,7 +192,7 @@ impl Estimates {
 /// Why a request did not succeed.
 pub enum Refusal {
     /// The service's own words.
-    Problem(ProblemDocument),
+    Problem(Box<ProblemDocument>),
     /// No answer.
     Unreachable(Failure),
     /// An answer that is not understood.
@@ -202,7 +202,7 @@ pub enum Refusal {
 impl Refusal {
     fn of(status: u16, body: &str) -> Refusal {
         match serde_json::from_str(body) {
-            Ok(problem) => Refusal::Problem(problem),
+            Ok(problem) => Refusal::Problem(Box::new(problem)),
             Err(_) => Refusal::Failed(Failure::Other(format!("the service answered {status}"))),
         }
     }

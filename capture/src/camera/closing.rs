@@ -28,7 +28,7 @@ impl Closing {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::{Receiver, channel};
+    use std::sync::mpsc::{Receiver, sync_channel};
 
     use super::*;
 
@@ -46,7 +46,7 @@ mod tests {
         let mut closing = Closing::default();
         let now = Instant::now();
         assert!(!closing.is_under_way(now));
-        let (end, ended) = channel();
+        let (end, ended) = sync_channel(1);
         closing.close(Slow(ended)); // would never return in place
         assert!(closing.is_under_way(now));
         assert!(!closing.is_under_way(now + 2 * CLOSE_MAX), "it is looked for again all the same");

@@ -91,6 +91,8 @@ fn seen(service: &Service) -> Value {
     json!([models, versions, service.source_views(), sessions])
 }
 
+type Change<'a> = &'a dyn Fn() -> Result<(), Problem>;
+
 #[test]
 fn a_disk_that_refuses_changes_nothing() {
     let disk = Arc::new(Disk::default());
@@ -100,7 +102,7 @@ fn a_disk_that_refuses_changes_nothing() {
     assert_eq!(put_source(&service, "one", 100), Ok(Put::Created));
     put_session(&service, "one", 100).unwrap();
     let before = seen(&service);
-    let changes: [(&str, &dyn Fn() -> Result<(), Problem>); 11] = [
+    let changes: [(&str, Change); 11] = [
         ("put model", &|| put_model(&service, 3)),
         ("roll back", &|| roll_back(&service, 1)),
         ("remove model", &|| service.remove_model(&name("level"), &Expected::Anything)),

@@ -262,6 +262,8 @@ impl Case {
             Start::Estimator(Estimator::Size(_)) => 8.5,
             Start::Estimator(Estimator::Background) => 20.5,
             Start::Estimator(Estimator::Amplitude) => 150.25,
+            Start::Estimator(Estimator::Frequency) => 0.08,
+            Start::Estimator(Estimator::Angle | Estimator::Direction | Estimator::Phase) => 0.4,
         };
         let entry: Vec<f64> = self.model.parameters().iter().map(|parameter| start(parameter.start)).collect();
         (entry.iter().map(|value| value * 1.01).collect(), entry)
