@@ -52,7 +52,7 @@ pub use limits::LIMITS;
 pub use moving::Moving;
 pub use pixels::{Colour, Encoding, PixelsError};
 pub use recording::Recording;
-pub use regular::{Reach, open_regular, read_regular};
+pub use regular::{ReadableFolder, open_regular, read_regular};
 pub use source::{Captured, FrameSource, SourceError};
 pub use spec::{SyntheticError, SyntheticSpec};
 pub use synthetic::Synthetic;

@@ -9,7 +9,7 @@ use crate::clock::Stamp;
 use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
-use crate::regular::Reach;
+use crate::regular::ReadableFolder;
 use crate::source::SourceError;
 
 /// What a path names: a file or folder, and of a file with several topics the one behind a `#`.
@@ -18,12 +18,12 @@ pub(crate) struct Address {
     pub path: PathBuf,
     pub topic: Option<String>,
     /// Where it may be.
-    pub reach: Reach,
+    pub reach: ReadableFolder,
 }
 
 impl Address {
     /// A file whose own name has the `#` is that file.
-    pub fn of(path: &Path, reach: Reach) -> Address {
+    pub fn of(path: &Path, reach: ReadableFolder) -> Address {
         let text = path.to_str().filter(|_| !path.exists()).unwrap_or_default();
         let small = text.to_ascii_lowercase();
         let found = extensions_with_topics().find_map(|extension| {
@@ -39,7 +39,7 @@ impl Address {
     }
 
     /// What a folder holds.
-    pub fn of_entry(path: PathBuf, reach: &Reach) -> Address {
+    pub fn of_entry(path: PathBuf, reach: &ReadableFolder) -> Address {
         Address { path, topic: None, reach: reach.clone() }
     }
 }
@@ -50,7 +50,7 @@ const SIGNATURE_BYTES_MAX: u64 = 64;
 /// A file of several pictures.
 pub(crate) struct Paged {
     pub path: PathBuf,
-    reach: Reach,
+    reach: ReadableFolder,
     format: &'static Format,
     open: Open,
     words: [&'static str; 2],
@@ -143,7 +143,7 @@ impl Paged {
 /// Reads pages; the file stays open for the page after it.
 pub(crate) struct OpenFile {
     /// Where files may be.
-    pub reach: Reach,
+    pub reach: ReadableFolder,
     open: Option<(Arc<Paged>, Box<dyn Pages>)>,
 }
 
@@ -155,7 +155,7 @@ impl std::fmt::Debug for OpenFile {
 
 impl OpenFile {
     /// Nothing is open yet.
-    pub fn new(reach: Reach) -> OpenFile {
+    pub fn new(reach: ReadableFolder) -> OpenFile {
         OpenFile { reach, open: None }
     }
 

@@ -12,7 +12,7 @@ use crate::files::csv::Columns;
 use crate::files::format_of;
 use crate::limits::LIMITS;
 use crate::paged::{Address, OpenFile, Paged};
-use crate::regular::Reach;
+use crate::regular::ReadableFolder;
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::stack::{StackNode, entries, picture_size, pictures_of, read};
 use crate::truth::{self, Truth};
@@ -47,11 +47,11 @@ impl Recording {
     /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
     /// A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
-        Recording::within(path, dimensions, &Reach::default())
+        Recording::within(path, dimensions, &ReadableFolder::default())
     }
 
     /// The same, of files that are within reach, now and whenever one of them is opened.
-    pub fn within(path: impl AsRef<Path>, dimensions: usize, reach: &Reach) -> Result<Recording, SourceError> {
+    pub fn within(path: impl AsRef<Path>, dimensions: usize, reach: &ReadableFolder) -> Result<Recording, SourceError> {
         let sent = path.as_ref().to_path_buf();
         let wrong = |reason: std::io::Error| match reason.kind() {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: sent.clone() },
@@ -255,7 +255,7 @@ fn stacks(address: Address, dimensions: usize) -> Result<(Vec<StackNode>, bool),
     Ok((frames, is_folder))
 }
 
-fn files_of(folder: &Path, reach: &Reach) -> Result<Vec<PathBuf>, SourceError> {
+fn files_of(folder: &Path, reach: &ReadableFolder) -> Result<Vec<PathBuf>, SourceError> {
     let mut files = entries(folder, reach)?;
     files.retain(|path| path.is_file());
     let pictures = pictures_of(files.clone());

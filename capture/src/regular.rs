@@ -49,7 +49,7 @@ fn read_opened(file: File, bytes_max: u64) -> Result<Vec<u8>> {
 
 /// Where files may be: anywhere, or below one folder, whatever links say.
 #[derive(Clone, Debug, Default)]
-pub struct Reach(Option<Arc<Root>>);
+pub struct ReadableFolder(Option<Arc<Root>>);
 
 #[derive(Debug)]
 struct Root {
@@ -59,17 +59,17 @@ struct Root {
     real: PathBuf,
 }
 
-impl Reach {
+impl ReadableFolder {
     /// Below a folder, to which paths are then relative.
     ///
     /// # Errors
     /// There is no such folder.
-    pub fn below(folder: &Path) -> Result<Reach> {
+    pub fn below(folder: &Path) -> Result<ReadableFolder> {
         let real = folder.canonicalize()?;
         if !real.is_dir() {
             return Err(Error::from(ErrorKind::NotADirectory));
         }
-        Ok(Reach(Some(Arc::new(Root { said: std::path::absolute(folder)?, real }))))
+        Ok(ReadableFolder(Some(Arc::new(Root { said: std::path::absolute(folder)?, real }))))
     }
 
     /// The path of a file or folder that is there, as it is said from the folder; as it is where files may be anywhere.
@@ -160,7 +160,7 @@ mod tests {
         std::os::unix::fs::symlink("root", at("link")).unwrap();
         // The folder may be named through a link; what is sent may begin with either name.
         for root in ["root", "link"] {
-            let reach = Reach::below(&at(root)).unwrap();
+            let reach = ReadableFolder::below(&at(root)).unwrap();
             let real = |name: &str| at("root").canonicalize().unwrap().join(name);
             let sent = [Path::new("inner/file").to_path_buf(), at(root).join("inner/./file"), real("inner/../in")];
             for path in &sent {
@@ -177,8 +177,8 @@ mod tests {
             assert_eq!(reach.open(&link).unwrap_err().kind(), ErrorKind::PermissionDenied);
             assert_eq!(reach.open(&real("absent")).unwrap_err().kind(), ErrorKind::NotFound);
         }
-        assert!(Reach::below(&at("beside")).is_err() && Reach::below(&at("absent")).is_err());
-        let anywhere = Reach::default();
+        assert!(ReadableFolder::below(&at("beside")).is_err() && ReadableFolder::below(&at("absent")).is_err());
+        let anywhere = ReadableFolder::default();
         assert_eq!(anywhere.read(&anywhere.place(&at("root/out")).unwrap(), 9).unwrap(), b"out");
     }
 }

@@ -16,7 +16,7 @@ use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
 use crate::picture::{DecodeError, StoredPicture};
-use crate::regular::Reach;
+use crate::regular::ReadableFolder;
 use crate::source::SourceError;
 
 /// Pictures, and how they lie on each other.
@@ -57,7 +57,7 @@ impl StackNode {
     }
 
     /// One of the files of a folder.
-    pub fn of_entry(path: PathBuf, reach: &Reach) -> Result<StackNode, SourceError> {
+    pub fn of_entry(path: PathBuf, reach: &ReadableFolder) -> Result<StackNode, SourceError> {
         let node = StackNode::of_file(Address::of_entry(path, reach))?;
         if let StackNode::Page(file, _) | StackNode::Pages(file, _) = node.first() {
             file.close();
@@ -241,7 +241,7 @@ impl Stack {
 }
 
 /// The size of a file's first picture.
-pub(crate) fn picture_size(node: &StackNode, reach: &Reach) -> Option<[usize; 2]> {
+pub(crate) fn picture_size(node: &StackNode, reach: &ReadableFolder) -> Option<[usize; 2]> {
     match node {
         StackNode::Image(path) => match format_of(path)?.content {
             Content::Picture { size, .. } => size(&read(path, reach).ok()?).ok(),
@@ -254,7 +254,7 @@ pub(crate) fn picture_size(node: &StackNode, reach: &Reach) -> Option<[usize; 2]
 }
 
 /// What a folder holds, in natural order.
-pub(crate) fn entries(folder: &Path, reach: &Reach) -> Result<Vec<PathBuf>, SourceError> {
+pub(crate) fn entries(folder: &Path, reach: &ReadableFolder) -> Result<Vec<PathBuf>, SourceError> {
     let unreadable = |reason| SourceError::Unreadable { path: folder.into(), reason };
     let mut found = Vec::new();
     for entry in std::fs::read_dir(reach.resolve(folder).map_err(unreadable)?).map_err(unreadable)? {
@@ -285,7 +285,7 @@ fn odd_one(path: &Path, reason: &str) -> SourceError {
 }
 
 /// A file's bytes, if they are not too many.
-pub(crate) fn read(path: &Path, reach: &Reach) -> Result<Vec<u8>, SourceError> {
+pub(crate) fn read(path: &Path, reach: &ReadableFolder) -> Result<Vec<u8>, SourceError> {
     let unreadable = |reason| SourceError::Unreadable { path: path.into(), reason };
     let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
     if bytes > LIMITS.file_bytes {

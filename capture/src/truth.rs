@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::limits::LIMITS;
-use crate::regular::Reach;
+use crate::regular::ReadableFolder;
 use crate::source::SourceError;
 
 /// The file's name in a recording's folder.
@@ -29,7 +29,7 @@ pub(crate) struct Truth {
 }
 
 /// What is known of frames, by file name. A folder without the file has no truth, which is no fault.
-pub(crate) fn read(folder: &Path, reach: &Reach) -> Result<BTreeMap<String, Truth>, SourceError> {
+pub(crate) fn read(folder: &Path, reach: &ReadableFolder) -> Result<BTreeMap<String, Truth>, SourceError> {
     let path = folder.join(FILE);
     let bytes = match reach.read(&path, LIMITS.file_bytes) {
         Ok(bytes) => bytes,

@@ -23,8 +23,8 @@ const TOKEN: &str = "ISOPHOTE_TOKEN";
 const TOKEN_BYTES_MAX: u64 = 4096;
 
 /// What bytes go through, encrypted or not.
-pub trait Stream: Read + Write {}
-impl<T: Read + Write> Stream for T {}
+pub trait ByteStream: Read + Write {}
+impl<T: Read + Write> ByteStream for T {}
 
 /// Where the service is, what it is trusted by, and what it is told of us.
 pub struct Connection {
@@ -84,7 +84,7 @@ impl Connection {
     }
 
     /// For a WebSocket.
-    pub fn open(&self) -> Result<Box<dyn Stream>, Box<dyn std::error::Error>> {
+    pub fn open(&self) -> Result<Box<dyn ByteStream>, Box<dyn std::error::Error>> {
         let stream = TcpStream::connect((self.host.as_str(), self.port))?;
         stream.set_nodelay(true)?;
         let Some(authorities) = &self.authorities else { return Ok(Box::new(stream)) };

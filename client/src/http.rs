@@ -11,7 +11,7 @@ use tungstenite::handshake::HandshakeError;
 use tungstenite::http::{HeaderValue, header};
 use tungstenite::{Error, Message, WebSocket};
 
-use crate::connection::{Connection, Stream};
+use crate::connection::{ByteStream, Connection};
 use crate::failure::Failure;
 
 /// Where the service is, and how results are printed
@@ -157,7 +157,7 @@ impl RemoteService {
 }
 
 /// Estimates as they come.
-pub struct Estimates(WebSocket<Box<dyn Stream>>);
+pub struct Estimates(WebSocket<Box<dyn ByteStream>>);
 
 impl Estimates {
     /// The next one as JSON text; `None` when there will be no more.

@@ -11,6 +11,15 @@ use crate::name::Name;
 use crate::registry::{ModelText, Pin};
 use crate::store::{RecordTable, Store, StoreError, Transaction};
 
+/// Whether what is put is there after a restart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keeping {
+    /// It is.
+    Declared,
+    /// It is not: the demo's.
+    Passing,
+}
+
 /// When something was put.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Declared {

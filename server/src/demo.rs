@@ -2,9 +2,10 @@
 
 use isophote_wire::{SessionDocument, SourceDocument};
 
+use crate::declared::Keeping;
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::service::{Keeping, Service};
+use crate::service::Service;
 
 /// A spot that moves on an ellipse, as an ordinary camera sees it.
 const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "height": 480, "rate_hz": 30,

@@ -11,7 +11,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 
-use crate::access::{Access, Arrival, Secret, Visitor, WEBSOCKET_PREFIX, is_compiling, role_needed};
+use crate::access::{Access, LocalAddress, Secret, Visitor, WEBSOCKET_PREFIX, is_compiling, role_needed};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 
@@ -41,7 +41,7 @@ fn hardened(mut response: Response) -> Response {
 
 fn admit(access: &Access, request: &Request) -> Result<Visitor, Problem> {
     let (uri, headers) = (request.uri(), request.headers());
-    let arrival = request.extensions().get::<Arrival>().ok_or_else(|| Problem::bug("a request from nowhere"))?;
+    let arrival = request.extensions().get::<LocalAddress>().ok_or_else(|| Problem::bug("a request from nowhere"))?;
     access.hosts.check(*arrival, uri.authority().map(|a| a.as_str()), headers)?;
     refuse_tokens_in(uri)?;
     let route = request.extensions().get::<MatchedPath>().map_or(uri.path(), MatchedPath::as_str);

@@ -53,7 +53,7 @@ pub struct Hub {
 
 /// What a session's subscribers are, and cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Load {
+pub struct HubLoad {
     /// How many there are.
     pub subscribers: usize,
     /// Bytes of estimates that are kept for them.
@@ -144,9 +144,9 @@ impl Hub {
     }
 
     /// What subscribers cost now.
-    pub fn load(&self) -> Load {
+    pub fn load(&self) -> HubLoad {
         let state = lock(&self.state);
-        Load { subscribers: state.subscribers, ring_bytes: state.ring_bytes, dropped: self.dropped.count() }
+        HubLoad { subscribers: state.subscribers, ring_bytes: state.ring_bytes, dropped: self.dropped.count() }
     }
 
     /// The last estimate, of the first target where there are several.

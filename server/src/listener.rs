@@ -21,10 +21,10 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_rustls::TlsAcceptor;
 use tower::util::MapRequest;
 
-use crate::access::{Access, AccessError, AccessOptions, Arrival};
+use crate::access::{Access, AccessError, AccessOptions, LocalAddress};
 use crate::gate::GatedSocket;
 use crate::limits::LIMITS;
-use crate::places::{Places, Taken};
+use crate::places::{SocketPlaces, SocketTaken};
 use crate::problem::Problem;
 use crate::restore::restore;
 use crate::routes::{App, full, router};
@@ -239,7 +239,7 @@ fn bound(address: SocketAddr) -> std::io::Result<TcpListener> {
 
 async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>, mut stopped: watch::Receiver<bool>) {
     let (held, mut all_held) = mpsc::channel(1);
-    let places = Places::default();
+    let places = SocketPlaces::default();
     tokio::spawn(watchdog::watch(service.clone()));
     let app = App {
         service,
@@ -267,7 +267,7 @@ async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>
         };
         let (held, tls) = (held.clone(), access.tls.clone());
         match places.take(peer.ip()) {
-            Taken::Place(place) => {
+            SocketTaken::Place(place) => {
                 let connection = serve_client(ClientSocket::new(socket, place), tls, router.clone(), stops.clone());
                 tokio::spawn(async move {
                     connection.await;
@@ -277,7 +277,7 @@ async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>
             taken => {
                 // Where even those who are told are many, the next ones wait to be accepted; not for one address.
                 let place = match taken {
-                    Taken::AllOfAddress => places.try_told(),
+                    SocketTaken::AllOfAddress => places.try_told(),
                     _ => tokio::select! {
                         place = places.told() => place,
                         _ = stopped.wait_for(|stopped| *stopped) => break,
@@ -310,7 +310,7 @@ async fn serve_client(
     mut stops: watch::Receiver<bool>,
 ) {
     let Ok(address) = socket.local_address() else { return }; // it has gone
-    let arrival = Arrival { local: address.ip() };
+    let arrival = LocalAddress { local: address.ip() };
     let Some(tls) = tls else { return serve_socket(socket, arrival, router, stops).await };
     let accepted = tokio::select! {
         accepted = tokio::time::timeout(LIMITS.header_time, tls.accept(socket)) => accepted,
@@ -324,7 +324,7 @@ async fn serve_client(
 /// Until the client leaves or the service stops: then after the answer that is under way.
 async fn serve_socket(
     socket: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
-    arrival: Arrival,
+    arrival: LocalAddress,
     router: Router,
     mut stops: watch::Receiver<bool>,
 ) {

@@ -9,7 +9,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use crate::limits::LIMITS;
 
 /// All places.
-pub struct Places {
+pub struct SocketPlaces {
     sockets: Arc<Semaphore>,
     told: Arc<Semaphore>,
     addresses: Arc<Addresses>,
@@ -18,15 +18,15 @@ pub struct Places {
 type Addresses = Mutex<HashMap<IpAddr, usize>>;
 
 /// A connection's; free again when it is dropped.
-pub struct Place {
+pub struct SocketPlace {
     _socket: OwnedSemaphorePermit,
     _address: Option<AddressPlace>,
 }
 
 /// Whether there was a place.
-pub enum Taken {
+pub enum SocketTaken {
     /// There was.
-    Place(Place),
+    Place(SocketPlace),
     /// All are taken.
     All,
     /// All that this address may have.
@@ -38,9 +38,9 @@ struct AddressPlace {
     address: IpAddr,
 }
 
-impl Default for Places {
-    fn default() -> Places {
-        Places {
+impl Default for SocketPlaces {
+    fn default() -> SocketPlaces {
+        SocketPlaces {
             sockets: Arc::new(Semaphore::new(LIMITS.sockets)),
             told: Arc::new(Semaphore::new(LIMITS.sockets_told)),
             addresses: Arc::default(),
@@ -48,39 +48,39 @@ impl Default for Places {
     }
 }
 
-impl Places {
+impl SocketPlaces {
     /// Those of all connections, to be counted.
     pub fn sockets(&self) -> Arc<Semaphore> {
         self.sockets.clone()
     }
 
     /// One for a connection from there.
-    pub fn take(&self, peer: IpAddr) -> Taken {
-        let Ok(socket) = self.sockets.clone().try_acquire_owned() else { return Taken::All };
+    pub fn take(&self, peer: IpAddr) -> SocketTaken {
+        let Ok(socket) = self.sockets.clone().try_acquire_owned() else { return SocketTaken::All };
         let peer = peer.to_canonical();
         if peer.is_loopback() {
-            return Taken::Place(Place { _socket: socket, _address: None });
+            return SocketTaken::Place(SocketPlace { _socket: socket, _address: None });
         }
         let address = network(peer);
         let mut taken = self.addresses.lock().unwrap_or_else(PoisonError::into_inner);
         let places = taken.entry(address).or_default();
         if *places >= LIMITS.sockets_per_address {
-            return Taken::AllOfAddress;
+            return SocketTaken::AllOfAddress;
         }
         *places += 1;
         drop(taken);
         let address = AddressPlace { addresses: self.addresses.clone(), address };
-        Taken::Place(Place { _socket: socket, _address: Some(address) })
+        SocketTaken::Place(SocketPlace { _socket: socket, _address: Some(address) })
     }
 
     /// One for a connection that is told that there is none, when there is one.
-    pub async fn told(&self) -> Option<Place> {
-        self.told.clone().acquire_owned().await.ok().map(|socket| Place { _socket: socket, _address: None })
+    pub async fn told(&self) -> Option<SocketPlace> {
+        self.told.clone().acquire_owned().await.ok().map(|socket| SocketPlace { _socket: socket, _address: None })
     }
 
     /// The same, if there is one now.
-    pub fn try_told(&self) -> Option<Place> {
-        self.told.clone().try_acquire_owned().ok().map(|socket| Place { _socket: socket, _address: None })
+    pub fn try_told(&self) -> Option<SocketPlace> {
+        self.told.clone().try_acquire_owned().ok().map(|socket| SocketPlace { _socket: socket, _address: None })
     }
 }
 
@@ -111,12 +111,12 @@ mod tests {
 
     #[test]
     fn one_address_takes_no_more_than_its_share_and_gives_it_back() {
-        let places = Places::default();
+        let places = SocketPlaces::default();
         let take = |address: &str| match places.take(address.parse().unwrap()) {
-            Taken::Place(place) => Some(place),
-            Taken::All | Taken::AllOfAddress => None,
+            SocketTaken::Place(place) => Some(place),
+            SocketTaken::All | SocketTaken::AllOfAddress => None,
         };
-        let mut held: Vec<Place> = (0..LIMITS.sockets_per_address).map(|_| take("192.0.2.1").unwrap()).collect();
+        let mut held: Vec<SocketPlace> = (0..LIMITS.sockets_per_address).map(|_| take("192.0.2.1").unwrap()).collect();
         assert!(take("192.0.2.1").is_none() && take("::ffff:192.0.2.1").is_none());
         held.push(take("192.0.2.2").unwrap());
         drop(held.remove(0));
@@ -127,7 +127,7 @@ mod tests {
         held.push(take("2001:db8:0:1::1").unwrap());
         let own = LIMITS.sockets - held.len();
         held.extend((0..own).map(|_| take("127.0.0.1").unwrap()));
-        assert!(matches!(places.take("127.0.0.1".parse().unwrap()), Taken::All));
+        assert!(matches!(places.take("127.0.0.1".parse().unwrap()), SocketTaken::All));
         drop(held);
         assert!(places.addresses.lock().unwrap().is_empty());
     }

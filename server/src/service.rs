@@ -23,7 +23,7 @@ use tokio::sync::oneshot;
 use crate::capacity::Load;
 use crate::compiler::Compiler;
 use crate::counters::ServiceCounters;
-use crate::declared::{Declarations, SessionRecord, SourceRecord};
+use crate::declared::{Declarations, Keeping, SessionRecord, SourceRecord};
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::name::Name;
@@ -39,7 +39,6 @@ use crate::thread;
 use crate::turns::FairWorkers;
 use crate::watchdog::OwnerWatch;
 use crate::workshop::Workshop;
-pub use declare::Keeping;
 use standing::Standing;
 
 /// The service without its network.

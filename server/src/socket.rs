@@ -13,19 +13,19 @@ use tokio::net::TcpStream;
 use tokio::time::{Sleep, sleep};
 
 use crate::limits::LIMITS;
-use crate::places::Place;
+use crate::places::SocketPlace;
 
 /// One connection.
 pub struct ClientSocket {
     stream: TcpStream,
     /// Since something waits to be sent: when the client is left.
     patience: Option<Pin<Box<Sleep>>>,
-    _place: Place,
+    _place: SocketPlace,
 }
 
 impl ClientSocket {
     /// A connection that has just begun.
-    pub fn new(stream: TcpStream, place: Place) -> ClientSocket {
+    pub fn new(stream: TcpStream, place: SocketPlace) -> ClientSocket {
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!(%error, "no TCP_NODELAY");
         }

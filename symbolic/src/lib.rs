@@ -34,10 +34,11 @@ pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
 pub use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use isophote_syntax::limits::{LIMITS, Limits};
+pub use language::estimator::Estimator;
 pub use language::formulas::Formula;
 pub use language::graph::{Bits, Node, NodeId};
 pub use language::model::{
-    Constant, Estimator, Loss, Lowering, Method, Model, Parameter, Quadrature, Roles, Saturated, Stage, Start, Summand,
+    Constant, Loss, Lowering, Method, Model, Parameter, Quadrature, Roles, Saturated, Stage, Start, Summand,
 };
 pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::*;

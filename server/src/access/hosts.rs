@@ -12,7 +12,7 @@ use crate::problem::Problem;
 
 /// How a request came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Arrival {
+pub struct LocalAddress {
     /// The address of this machine that was connected to.
     pub local: IpAddr,
 }
@@ -60,7 +60,7 @@ pub struct Hosts {
 
 impl Hosts {
     /// Refuses what does not ask this service by its name, or comes from another's page.
-    pub fn check(&self, arrival: Arrival, authority: Option<&str>, headers: &HeaderMap) -> Result<(), Problem> {
+    pub fn check(&self, arrival: LocalAddress, authority: Option<&str>, headers: &HeaderMap) -> Result<(), Problem> {
         let text = |name| headers.get(name).map(|value: &HeaderValue| value.to_str().unwrap_or_default());
         let host = authority.or(text(header::HOST)).unwrap_or_default();
         let is_one = |name| headers.get_all(name).iter().count() <= 1;
@@ -100,7 +100,7 @@ impl Hosts {
     }
 }
 
-fn foreign_host(arrival: Arrival) -> Problem {
+fn foreign_host(arrival: LocalAddress) -> Problem {
     let detail = match arrival.local.to_canonical().is_loopback() {
         true => {
             "the Host of a request must be localhost, an address of 127.0.0.0/8, or [::1]; `--host NAME` adds a name"
@@ -134,7 +134,7 @@ mod tests {
     type Case<'a> = (&'a str, Option<&'a str>, u16);
 
     fn check(hosts: &Hosts, local: &str, cases: &[Case]) {
-        let arrival = Arrival { local: local.parse().unwrap() };
+        let arrival = LocalAddress { local: local.parse().unwrap() };
         for (host, origin, status) in cases {
             let mut headers = HeaderMap::new();
             headers.insert(header::HOST, HeaderValue::from_bytes(host.as_bytes()).unwrap());
@@ -252,7 +252,7 @@ mod tests {
     #[test]
     fn what_is_said_twice_is_said_by_nobody() {
         let hosts = Hosts { names: Vec::new(), scheme: Scheme::Http };
-        let arrival = Arrival { local: "127.0.0.1".parse().unwrap() };
+        let arrival = LocalAddress { local: "127.0.0.1".parse().unwrap() };
         for (name, status) in [(header::HOST, 421), (header::ORIGIN, 403)] {
             let mut headers = HeaderMap::new();
             headers.append(header::HOST, "localhost".parse().unwrap());

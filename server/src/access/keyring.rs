@@ -37,13 +37,13 @@ impl Keyring {
     }
 
     /// Whose token that is. All are compared, in full, whichever it is.
-    pub fn identify(&self, secret: &Secret) -> Option<Identity> {
+    pub fn identify(&self, secret: &Secret) -> Option<TokenOwner> {
         let digest = secret.digest();
         let tokens = self.tokens.borrow().clone();
         let mut found = None;
         for token in tokens.iter() {
             if bool::from(token.sha256.ct_eq(&digest)) {
-                found = Some(Identity(token.clone()));
+                found = Some(TokenOwner(token.clone()));
             }
         }
         found
@@ -100,9 +100,9 @@ fn stamp(path: &Path) -> Stamp {
 
 /// Whose token it was.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Identity(TokenRecord);
+pub struct TokenOwner(TokenRecord);
 
-impl Identity {
+impl TokenOwner {
     /// What it may do.
     pub fn role(&self) -> Role {
         self.0.role
@@ -125,13 +125,13 @@ pub enum Visitor {
     /// Someone on this machine, or who reads what anyone may.
     Anyone,
     /// Someone with a token.
-    Known(Identity, Arc<Keyring>),
+    Known(TokenOwner, Arc<Keyring>),
 }
 
 impl Visitor {
     /// When the token is no more what it was; for those who came without, never.
     pub async fn revoked(&self) {
-        let Visitor::Known(Identity(token), keyring) = self else { return std::future::pending().await };
+        let Visitor::Known(TokenOwner(token), keyring) = self else { return std::future::pending().await };
         let mut tokens = keyring.tokens.subscribe();
         // An error would say that the keyring has gone, which is held here.
         tokens.wait_for(|tokens| !tokens.contains(token)).await.ok();

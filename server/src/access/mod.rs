@@ -16,7 +16,7 @@ mod token;
 
 pub use budget::is_compiling;
 pub use file::{TokenError, TokenFile, TokenRecord};
-pub use hosts::{Arrival, HostName};
+pub use hosts::{HostName, LocalAddress};
 pub use keyring::Visitor;
 pub use options::{Access, AccessError, AccessOptions, TlsFiles};
 pub use recordings::Recordings;

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isophote_capture::Reach;
+use isophote_capture::ReadableFolder;
 use tokio_rustls::TlsAcceptor;
 
 use super::file::{TokenError, TokenFile};
@@ -113,10 +113,11 @@ impl AccessOptions {
         let tls = self.tls.as_ref().map(acceptor).transpose()?;
         let recordings = match (&self.recordings, &keyring) {
             (Some(folder), _) => Recordings::Within(
-                Reach::below(folder).map_err(|reason| AccessError::Recordings { folder: folder.clone(), reason })?,
+                ReadableFolder::below(folder)
+                    .map_err(|reason| AccessError::Recordings { folder: folder.clone(), reason })?,
             ),
             (None, Some(_)) => Recordings::Nowhere,
-            (None, None) => Recordings::Within(Reach::default()),
+            (None, None) => Recordings::Within(ReadableFolder::default()),
         };
         Ok(Access { hosts: Hosts { names: self.hosts.clone(), scheme }, keyring, tls, recordings })
     }

@@ -1,6 +1,6 @@
 //! Which recordings may be named: all that this machine has, those below one folder, or none.
 
-use isophote_capture::Reach;
+use isophote_capture::ReadableFolder;
 
 use crate::problem::Problem;
 
@@ -8,14 +8,14 @@ use crate::problem::Problem;
 #[derive(Clone, Debug)]
 pub enum Recordings {
     /// Whatever the reach says.
-    Within(Reach),
+    Within(ReadableFolder),
     /// None: those who come with tokens are not those who may read this machine's files.
     Nowhere,
 }
 
 impl Recordings {
     /// Where they may be; 422 at the path of a document where they may be nowhere.
-    pub fn reach(&self, prefix: &str) -> Result<Reach, Problem> {
+    pub fn reach(&self, prefix: &str) -> Result<ReadableFolder, Problem> {
         let message =
             "this service reads no recordings; started with --recordings DIR it reads those below that folder";
         match self {

@@ -9,9 +9,9 @@ use isophote_wire::{Items, SessionDocument, SessionView, SourceReference, SwapAn
 use super::paging::{PageQuery, RawPage, page};
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
+use crate::declared::Keeping;
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
-use crate::service::Keeping;
 use crate::session::SlowModels;
 use crate::turns::FairWorkers;
 use crate::workshop::Lane;

@@ -9,8 +9,8 @@ use isophote_wire::{Items, SourceDocument, SourceView};
 use super::paging::{PageQuery, RawPage, page};
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
+use crate::declared::Keeping;
 use crate::documents::{place, read_json};
-use crate::service::Keeping;
 
 /// Puts a source under a name, or another in its place.
 #[utoipa::path(put, path = "/v1/sources/{name}", tag = "sources", operation_id = "put_source", params(NameParam),

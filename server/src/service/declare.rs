@@ -8,21 +8,12 @@ use isophote_wire::{SessionDocument, SessionState, SessionView, SourceDocument, 
 
 use super::standing::Why;
 use super::{Service, get};
-use crate::declared::{Declared, SessionRecord, SourceRecord};
+use crate::declared::{Declared, Keeping, SessionRecord, SourceRecord};
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{ModelEntry, ModelText, Pin};
 use crate::session::SessionStart;
 use crate::store::StoreError;
-
-/// Whether what is put is there after a restart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Keeping {
-    /// It is.
-    Declared,
-    /// It is not: the demo's.
-    Passing,
-}
 
 impl Service {
     /// Keys of the contents of models that something declared needs.

@@ -9,7 +9,8 @@ use axum::http::StatusCode;
 use isophote_jit::VectorWidth;
 use serde_json::{Value, json};
 
-use super::{Keeping, Put, Service};
+use super::{Put, Service};
+use crate::declared::Keeping;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media};

@@ -9,12 +9,12 @@ use isophote_machine::{monotonic_ns, thread_ns};
 use isophote_tracker::{ControllerOptions, Ending, ExposureController, Tracker};
 use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
-use super::SessionStart;
 use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
 use super::inbox::{Delivery, Event, FittedFrame, SourceEnd, Waiting};
 use super::searches::SearchRoom;
 use super::shared::Shared;
+use super::start::SessionStart;
 use super::swap::{Active, Swap, Swapped};
 use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;

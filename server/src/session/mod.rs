@@ -9,6 +9,7 @@ pub mod inbox;
 mod once;
 mod searches;
 mod shared;
+mod start;
 mod status;
 mod swap;
 mod trial;
@@ -35,6 +36,7 @@ use isophote_wire::{SessionDocument, SessionState, SessionView};
 pub use once::fit_once;
 pub use searches::SearchRoom;
 use shared::Shared;
+pub use start::SessionStart;
 use status::Status;
 use swap::Active;
 pub use swap::Swapped;
@@ -47,21 +49,6 @@ pub struct SourceOf {
     pub source: Arc<Source>,
     /// It lives and ends with the session.
     pub is_own: bool,
-}
-
-/// One start of a session.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SessionStart {
-    /// Where it runs.
-    pub node: Arc<str>,
-    /// No other start on that node has it.
-    pub epoch: u64,
-    /// When it began, by the wall clock.
-    pub started_at: String,
-    /// When it was put, by the wall clock; nothing of the demo's.
-    pub declared_at: Option<String>,
-    /// How often the service was started since then.
-    pub restarts: u64,
 }
 
 /// A running session.

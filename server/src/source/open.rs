@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use isophote_capture::camera::FormatWanted;
 use isophote_capture::{
-    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, Reach, Recording, SourceError, Synthetic,
+    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, ReadableFolder, Recording, SourceError, Synthetic,
     SyntheticError, SyntheticSpec,
 };
 use isophote_jit::PixelFormat;
@@ -95,7 +95,7 @@ pub fn open_recording(
     document: &RecordingDocument,
     prefix: &str,
     reader: Option<&Model>,
-    reach: &Reach,
+    reach: &ReadableFolder,
 ) -> Result<(String, Opened), Problem> {
     check_rate(document.rate_hz, document.pace, prefix)?;
     let wrong = |error: SourceError| Problem::wrong_key("wrong-source", &format!("{prefix}path"), error.to_string());

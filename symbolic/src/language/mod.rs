@@ -7,6 +7,7 @@ pub(crate) mod budget;
 pub(crate) mod calls;
 pub(crate) mod document;
 pub(crate) mod elaborate;
+pub(crate) mod estimator;
 pub(crate) mod formulas;
 pub(crate) mod graph;
 pub(crate) mod model;

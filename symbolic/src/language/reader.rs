@@ -13,9 +13,10 @@ use sha2::{Digest, Sha256};
 
 use crate::language::document::{Entry, Item, Key, read_json, read_toml, to_json};
 use crate::language::elaborate::{Binding, Matrix};
+use crate::language::estimator::Estimator;
 use crate::language::formulas::{Definition, FormulaReader};
 use crate::language::graph::Graph;
-use crate::language::model::{Constant, Estimator, Model, Parameter, Start};
+use crate::language::model::{Constant, Model, Parameter, Start};
 use crate::program::{ChannelId, ConstantId, CoordinateId, Input, ParameterId};
 pub(crate) use faults::Faults;
 use faults::get;

@@ -3,8 +3,9 @@
 
 use isophote_elementary::Modular;
 
+use crate::language::estimator::Estimator;
 use crate::language::graph::Node;
-use crate::language::model::{Estimator, Model, Parameter, Start};
+use crate::language::model::{Model, Parameter, Start};
 use crate::program::Input;
 use crate::program::interpreter::{Pixels, Slices, Window};
 use crate::proof::evaluate::Number;

@@ -1,7 +1,8 @@
 //! `[roles]`: what parameters mean to the tracker, one table a target.
 
 use crate::language::document::{Entry, Item, Key};
-use crate::language::model::{Estimator, Parameter, Roles, Start};
+use crate::language::estimator::Estimator;
+use crate::language::model::{Parameter, Roles, Start};
 use crate::language::reader::faults::{Faults, get, parameter_named, parameters_named};
 use crate::program::ParameterId;
 
