@@ -53,9 +53,10 @@ impl Recording {
     /// The same, of files that are within reach, now and whenever one of them is opened.
     pub fn within(path: impl AsRef<Path>, dimensions: usize, reach: &ReadableFolder) -> Result<Recording, SourceError> {
         let sent = path.as_ref().to_path_buf();
+        let named = Address::of(&sent, reach.clone()).path;
         let wrong = |reason: std::io::Error| match reason.kind() {
-            std::io::ErrorKind::NotFound => SourceError::Missing { path: sent.clone() },
-            _ => SourceError::Unreadable { path: sent.clone(), reason },
+            std::io::ErrorKind::NotFound => SourceError::Missing { path: named.clone() },
+            _ => SourceError::Unreadable { path: named.clone(), reason },
         };
         let mut address = Address::of(&reach.place(&sent).map_err(wrong)?, reach.clone());
         address.path = reach.resolve(&address.path).map_err(wrong)?;

@@ -18,6 +18,11 @@ pub struct Load {
     pub capacity: f64,
 }
 
+/// Processors that fits of `fit_s` keep busy at `rate_hz`: a session has one thread.
+pub fn busy(fit_s: f64, rate_hz: f64) -> f64 {
+    (fit_s * rate_hz).min(1.0)
+}
+
 impl Load {
     /// Of this machine: sources, sockets and the system have their share of it.
     pub fn of_machine(running: f64) -> Load {
@@ -29,7 +34,7 @@ impl Load {
     pub fn admit(self, session: &str, added: Option<(f64, f64)>) -> Result<(), Problem> {
         let Load { running, capacity } = self;
         let (fit_ms, rate_hz) = added.unwrap_or_default();
-        let wanted = fit_ms * rate_hz / 1e3;
+        let wanted = busy(fit_ms / 1e3, rate_hz);
         if running + wanted <= capacity {
             return Ok(());
         }

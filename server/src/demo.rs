@@ -14,15 +14,16 @@ const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "he
 const SESSION: &str =
     r#"{"source": "demo", "model": "spot", "camera": {"electrons_per_dn": 19.6, "read_noise_e": 15}}"#;
 
-/// Starts both, where nothing is declared under their name: users' own `demo` runs again like any other. Only from the compile
-/// thread.
+/// Starts what nothing is declared in the place of: users' own `demo` runs again like any other. Only from the compile thread.
 pub fn start(service: &Service) -> Result<(), Problem> {
     let read = |error: serde_json::Error| Problem::bug(error.to_string());
     let source: SourceDocument = serde_json::from_str(SOURCE).map_err(read)?;
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
-    if service.is_free(&name) {
+    if !service.has_source(&name) {
         service.put_source(&name, source, None, Keeping::Passing)?;
+    }
+    if !service.has_session(&name) {
         service.put_session(&name, session, None, None, Keeping::Passing)?;
     }
     Ok(())

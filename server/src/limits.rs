@@ -90,6 +90,8 @@ pub struct ServiceLimits {
     /// For a thread to end when it was told to: a session's last fit, a source's last frame, and all of them when the service
     /// stops.
     pub end_time: Duration,
+    /// Models whose fits take less are never too slow to be swapped in.
+    pub slow_fit_time: Duration,
     /// For a camera's driver to answer; after that its source is stalled.
     pub driver_time: Duration,
     /// Between questions whether the owner of all changes still answers.
@@ -170,6 +172,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     images: 16,
     page_items: 1000,
     end_time: Duration::from_millis(1000),
+    slow_fit_time: Duration::from_millis(100),
     driver_time: Duration::from_secs(3),
     watch_time: Duration::from_millis(250),
     answer_time: Duration::from_secs(2),

@@ -95,6 +95,11 @@ impl Server {
     pub fn start(options: &Options) -> Result<Server, StartError> {
         let access = Arc::new(options.access.open(options.listen, options.data.as_deref())?);
         let service = Arc::new(Service::open(options.data.as_deref(), options.width)?);
+        // A start that fails for reasons of its own has not died of what was declared.
+        Server::begin(options, access, service.clone()).inspect_err(|_| service.lived())
+    }
+
+    fn begin(options: &Options, access: Arc<Access>, service: Arc<Service>) -> Result<Server, StartError> {
         if let Some(folder) = &options.models {
             let wrong = |reason| StartError::Models { folder: folder.clone(), reason };
             service.put_folder(folder).map_err(wrong)?;

@@ -282,10 +282,11 @@ impl Service {
 
     /// 429 where the machine has no room for a session of such a cost beside what runs.
     fn admit(&self, name: &Name, prepared: &PreparedSession) -> Result<(), Problem> {
-        let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
+        // What could not be measured is admitted: a session with a source of its own, or before there is a frame.
+        let (Some(rate_hz), Some(fit_ms)) = (prepared.realtime_hz, prepared.fit_ms) else { return Ok(()) };
         let others = self.sessions().into_iter().filter(|(other, _)| other != name);
         let running = others.filter_map(|(_, session)| session.load()).sum();
-        Load::of_machine(running).admit(name.as_str(), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
+        Load::of_machine(running).admit(name.as_str(), Some((fit_ms, rate_hz)))
     }
 
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be

@@ -140,7 +140,7 @@ pub(super) fn compares_numbers(mnemonic: Mnemonic) -> bool {
 pub(super) fn keeps_flags(mnemonic: Mnemonic) -> bool {
     use Mnemonic::*;
     let is_moved = matches!(mnemonic, Mov | Movzx | Lea | Movaps | Movups | Movdqu | Movsd | Movss);
-    is_moved || matches!(mnemonic, Vmovaps | Vmovups | Vmovdqu | Vmovsd | Vmovss) || is_conditional(mnemonic)
+    is_moved || matches!(mnemonic, Vmovaps | Vmovups | Vmovupd | Vmovdqu | Vmovsd | Vmovss) || is_conditional(mnemonic)
 }
 
 /// Whether it wants its memory operand at a multiple of its size.

@@ -419,6 +419,7 @@ impl Emulator {
             Vbroadcastsd => (together([lanes::<8>(at(1))[0]; 8]), 8),
             Vmovups | Vmovss | Vmovsd if stores => (*at(0), 4),
             Vmovups => (*at(1), 4),
+            Vmovupd => (*at(1), 8),
             Vcvtsi2sd => {
                 let mut number = lanes::<8>(at(1));
                 number[0] = (self.register(i.op2_register()) as i64 as f64).to_le_bytes();

@@ -279,7 +279,13 @@ impl Operation {
                 EVEX_Vpmovzxwd_zmm_k1z_ymmm256,
                 EVEX_Vpmovzxwd_ymm_k1z_xmmm128,
             ],
-            Load => alike(VEX_Vmovups_ymm_ymmm256, EVEX_Vmovups_zmm_k1z_zmmm512),
+            // Where some lanes are loaded only, a mask counts elements.
+            Load => [
+                VEX_Vmovups_ymm_ymmm256,
+                VEX_Vmovups_ymm_ymmm256,
+                EVEX_Vmovups_zmm_k1z_zmmm512,
+                EVEX_Vmovupd_zmm_k1z_zmmm512,
+            ],
             LoadHalf => alike(VEX_Vmovups_xmm_xmmm128, EVEX_Vmovups_ymm_k1z_ymmm256),
             Spread => [
                 VEX_Vbroadcastss_ymm_m32,

@@ -35,7 +35,7 @@ impl CompileBudget {
 pub fn is_compiling(method: &Method, route: &str) -> bool {
     matches!(
         (method.as_str(), route),
-        ("PUT", "/v1/models/{name}") | ("POST", "/v1/models:check") | ("GET", "/v1/models/{name}/explain")
+        ("PUT", "/v1/models/{name}") | ("POST", "/v1/models:check") | ("GET" | "HEAD", "/v1/models/{name}/explain")
     )
 }
 

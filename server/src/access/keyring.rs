@@ -69,10 +69,14 @@ impl Keyring {
         if seen == Some(stamp) {
             return seen;
         }
-        let tokens = self.file.read().unwrap_or_else(|error| {
-            tracing::error!(%error, "no token is accepted until its file can be read");
-            Vec::new()
-        });
+        // A read that failed is tried again at the next look.
+        let (tokens, seen) = match self.file.read() {
+            Ok(tokens) => (tokens, Some(stamp)),
+            Err(error) => {
+                tracing::error!(%error, "no token is accepted until its file can be read");
+                (Vec::new(), None)
+            }
+        };
         self.tokens.send_if_modified(|known| {
             let is_other = **known != *tokens;
             if is_other {
@@ -81,7 +85,7 @@ impl Keyring {
             }
             is_other
         });
-        Some(stamp)
+        seen
     }
 }
 

@@ -195,6 +195,9 @@ impl Registry {
     ) -> Result<Placed, Problem> {
         self.check(name, expected)?;
         let mut before = self.before(name);
+        if before.record.find(version).is_none() {
+            return Err(Problem::unknown("version", &version.to_string()));
+        }
         entry.version = version;
         before.record.current = Some(version);
         self.place(name, before, entry, pinned, Vec::new())

@@ -101,7 +101,10 @@ pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, bod
     let work = move || service.commit_swap(&name, &session, &entry, prepared);
     let swapped = app.service.compiler.run(work).await?;
     drop(in_order);
-    let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
+    let ended = |_| match app.service.is_draining() {
+        true => Problem::stopping(),
+        false => Problem::conflict("not-applicable", "the session ended before it took the model"),
+    };
     let swapped = swapped.await.map_err(ended)?;
     answer.active_since_frame = swapped.active_since_frame;
     answer.carried = swapped.carried;

@@ -168,10 +168,14 @@ impl Service {
         }
     }
 
-    /// Whether a name is free for the demo: what users declare is theirs.
-    pub fn is_free(&self, name: &Name) -> bool {
-        let (source, session) = (self.standing_sources.has(name), self.standing_sessions.has(name));
-        !source && !session && get(&self.sessions, "session", name.as_str()).is_err()
+    /// Whether a source of that name runs or is declared.
+    pub fn has_source(&self, name: &Name) -> bool {
+        self.standing_sources.has(name) || get(&self.sources, "source", name.as_str()).is_ok()
+    }
+
+    /// The same of a session.
+    pub fn has_session(&self, name: &Name) -> bool {
+        self.standing_sessions.has(name) || get(&self.sessions, "session", name.as_str()).is_ok()
     }
 
     /// This start has not died early.

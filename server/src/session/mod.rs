@@ -18,6 +18,7 @@ mod watch;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crate::capacity::busy;
 use crate::counters::SessionCounters;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
@@ -154,8 +155,9 @@ impl Session {
     /// Processors that it keeps busy at the rate of its source; `None` where frames wait for their fits.
     pub fn load(&self) -> Option<f64> {
         let rate_hz = self.source.source.realtime_hz()?;
-        let cost_ns = self.shared.status().cost_ns.unwrap_or(0);
-        Some(cost_ns as f64 * 1e-9 * rate_hz)
+        let is_over = matches!(self.state().0, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
+        let cost_ns = self.shared.status().cost_ns.filter(|_| !is_over).unwrap_or(0);
+        Some(busy(cost_ns as f64 * 1e-9, rate_hz))
     }
 
     /// What it does, and why it does not run.

@@ -109,7 +109,7 @@ impl Running {
             media,
             etag,
             authenticate,
-            text: answer.body_mut().read_to_string()?,
+            text: String::from_utf8_lossy(&answer.body_mut().read_to_vec()?).into_owned(),
         })
     }
     pub fn get(&self, path: &str) -> Answer {
