@@ -97,6 +97,11 @@ impl<R: Clone + Serialize + DeserializeOwned + Pins> Declarations<R> {
         Ok(Declarations { store, table, records: Mutex::new(records) })
     }
 
+    /// Whether one of them could not be read.
+    pub fn has_unread(&self) -> bool {
+        self.lock().values().any(|(_, record)| record.is_none())
+    }
+
     /// What was declared under a name.
     pub fn get(&self, name: &Name) -> Option<R> {
         self.lock().get(name).and_then(|(_, record)| record.clone())

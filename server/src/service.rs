@@ -282,11 +282,10 @@ impl Service {
 
     /// 429 where the machine has no room for a session of such a cost beside what runs.
     fn admit(&self, name: &Name, prepared: &PreparedSession) -> Result<(), Problem> {
-        // What could not be measured is admitted: a session with a source of its own, or before there is a frame.
-        let (Some(rate_hz), Some(fit_ms)) = (prepared.realtime_hz, prepared.fit_ms) else { return Ok(()) };
+        let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
         let others = self.sessions().into_iter().filter(|(other, _)| other != name);
         let running = others.filter_map(|(_, session)| session.load()).sum();
-        Load::of_machine(running).admit(name.as_str(), Some((fit_ms, rate_hz)))
+        Load::of_machine(running).admit(name.as_str(), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
     }
 
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
@@ -305,7 +304,8 @@ impl Service {
         if !is_known && self.sessions().len() + self.standing_sessions.len() >= LIMITS.sessions {
             return Err(Problem::over_limit("sessions", LIMITS.sessions));
         }
-        if let Some(prepared) = prepared {
+        // A source of its own has no frames yet on which anything could be measured.
+        if let (Some(prepared), SourceReference::Named(_)) = (prepared, &document.source) {
             self.admit(name, prepared)?;
         }
         let entry = self.registry.get(&document.model)?;

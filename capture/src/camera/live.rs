@@ -9,7 +9,6 @@ use std::time::{Duration, Instant};
 use isophote_frame::Frame;
 use rustix::fd::AsFd;
 
-use super::closing::Closing;
 use super::device::{self, Identity, OpenCamera};
 use super::error::CameraError;
 use super::formats::{self, FormatPlan};
@@ -63,7 +62,6 @@ pub struct LiveCamera {
     last_picture: Instant,
     /// When the stream began.
     since: Instant,
-    closing: Closing,
 }
 
 enum Link {
@@ -128,7 +126,6 @@ impl LiveCamera {
             damage: None,
             last_picture: Instant::now(),
             since: Instant::now(),
-            closing: Closing::default(),
         };
         camera.set_up(&node)?;
         camera.knob = Knob::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
@@ -195,11 +192,7 @@ impl LiveCamera {
             }
             Link::Down { pause, .. } => {
                 let pause = *pause;
-                if self.closing.is_under_way(now) {
-                    self.link = Link::Down { next: now + RETRY_MIN, pause };
-                } else {
-                    self.connect(pause);
-                }
+                self.connect(pause);
                 None
             }
             Link::Streaming { .. } => self.take(limit),
@@ -338,7 +331,7 @@ impl LiveCamera {
         let silence_s = self.last_picture.elapsed().as_secs_f64();
         if self.since.max(self.last_picture).elapsed() > 2 * limit {
             // Some drivers only wake up when they are opened again, or take another format when they are closed.
-            self.let_go(RETRY_MIN);
+            self.link = Link::Down { next: Instant::now() + RETRY_MIN, pause: RETRY_MIN };
         }
         if self.last_picture.elapsed() > limit {
             let damage = self.damage.as_ref().map(|damage| format!("; the last one was {damage}")).unwrap_or_default();
@@ -352,16 +345,9 @@ impl LiveCamera {
             Link::Streaming { pause, .. } | Link::Down { pause, .. } => pause,
             Link::Resting => RETRY_MIN,
         };
-        self.let_go(pause);
+        self.link = Link::Down { next: Instant::now() + pause, pause };
         self.state = CameraState::Lost(reason);
         None
-    }
-
-    fn let_go(&mut self, pause: Duration) {
-        let next = Instant::now() + pause;
-        if let Link::Streaming { stream, .. } = std::mem::replace(&mut self.link, Link::Down { next, pause }) {
-            self.closing.close(stream);
-        }
     }
 
     /// Turns the knob on the device, when it was turned.

@@ -12,7 +12,6 @@
 //! A camera that is lost is looked for again by identity, at growing intervals of one second at most and whenever
 //! something changes in `/dev`.
 
-mod closing;
 mod controls;
 mod device;
 mod error;

@@ -33,6 +33,8 @@ pub struct Registry {
     /// Which are there under their names unless these were put or removed.
     shipped: BTreeMap<Name, Arc<ModelEntry>>,
     state: RwLock<State>,
+    /// Nothing is collected.
+    keeps_all: bool,
 }
 
 #[derive(Default)]
@@ -70,11 +72,13 @@ impl Registry {
         let shipped = shipped(&cache);
         let contents = store.list(RecordTable::Contents)?.into_iter().map(|(key, _)| key).collect();
         let state = State { entries: shipped.clone(), records: BTreeMap::new(), contents };
-        let registry = Registry { cache, store, shipped, state: RwLock::new(state) };
+        let mut registry = Registry { cache, store, shipped, state: RwLock::new(state), keeps_all: false };
+        let mut is_unread = false;
         for (key, record) in registry.store.list(RecordTable::Models)? {
             let Some(name) = Name::parse(&key) else { continue };
             let known = serde_json::from_slice::<ModelRecord>(&record.bytes).unwrap_or_else(|error| {
                 tracing::warn!("the record of the model `{key}` cannot be read, left alone: {error}");
+                is_unread = true;
                 ModelRecord::default()
             });
             let entry = known
@@ -92,7 +96,13 @@ impl Registry {
             }
             state.records.insert(name, (record.revision, known));
         }
+        registry.keeps_all = is_unread;
         Ok(registry)
+    }
+
+    /// Contents that nobody seems to need are kept from now on: a record that cannot be read may need them.
+    pub fn keep_all(&mut self) {
+        self.keeps_all = true;
     }
 
     /// The kernels of all models and sessions.
@@ -258,7 +268,7 @@ impl Registry {
                     transaction = transaction.put(RecordTable::Contents, &key, content.bytes().map_err(unwritten)?);
                 }
             }
-            let is_orphan = |key: &&String| !needed.contains(key) && !pinned.contains(*key);
+            let is_orphan = |key: &&String| !self.keeps_all && !needed.contains(key) && !pinned.contains(*key);
             state.contents.iter().filter(is_orphan).cloned().collect()
         };
         for orphan in &orphans {

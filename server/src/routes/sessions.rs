@@ -99,13 +99,12 @@ pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, bod
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
     answer.compile_ms = prepared.compile_ms;
     let work = move || service.commit_swap(&name, &session, &entry, prepared);
-    let swapped = app.service.compiler.run(work).await?;
+    // Sessions end with the service.
+    let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
+    let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;
     drop(in_order);
-    let ended = |_| match app.service.is_draining() {
-        true => Problem::stopping(),
-        false => Problem::conflict("not-applicable", "the session ended before it took the model"),
-    };
-    let swapped = swapped.await.map_err(ended)?;
+    let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
+    let swapped = swapped.await.map_err(ended).map_err(unless_stopping)?;
     answer.active_since_frame = swapped.active_since_frame;
     answer.carried = swapped.carried;
     answer.reset = swapped.reset;

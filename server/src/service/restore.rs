@@ -33,9 +33,12 @@ pub type Awaited = (SourceDocument, Option<Arc<Model>>);
 impl Service {
     /// Everything that a store knows, and nothing that runs.
     pub(super) fn of_store(store: Arc<dyn Store>, width: VectorWidth) -> Result<Service, OpenError> {
-        let registry = Registry::open(store.clone(), width)?;
+        let mut registry = Registry::open(store.clone(), width)?;
         let declared_sources = Declarations::open(store.clone(), RecordTable::Sources)?;
         let declared_sessions: Declarations<SessionRecord> = Declarations::open(store.clone(), RecordTable::Sessions)?;
+        if declared_sources.has_unread() || declared_sessions.has_unread() {
+            registry.keep_all();
+        }
         let runnable = declared_sessions.all().into_iter().filter(|(_, record)| record.stopped.is_none());
         let runnable: Vec<(Name, SessionRecord)> = runnable.collect();
         let (node, before) = ServiceNode::open(store, runnable.len())?;

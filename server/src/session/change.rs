@@ -43,17 +43,19 @@ pub struct PreparedSwap {
 /// The session says that a model is asked for; it takes that back unless the model is handed over.
 struct Requested {
     shared: Arc<Shared>,
+    model: String,
     before: Option<String>,
 }
 
 impl Requested {
     fn of(shared: &Arc<Shared>, model: &str) -> Requested {
         let before = std::mem::replace(&mut shared.status().requested_model, model.to_string());
-        Requested { shared: shared.clone(), before: Some(before) }
+        Requested { shared: shared.clone(), model: model.to_string(), before: Some(before) }
     }
 
     fn keep(mut self) {
         self.before = None;
+        self.shared.status().requested_model = std::mem::take(&mut self.model);
     }
 }
 
