@@ -145,7 +145,8 @@ impl Client {
                 Some((rate, before)) => {
                     let to = if before == "spot" { "gaussian" } else { "spot" };
                     let path = format!("{session}/model");
-                    self.session.change(Some((rate, to)), &[200], || {
+                    // 409: it is being started again.
+                    self.session.change(Some((rate, to)), &[200, 409], || {
                         // Of a swap that the service's end came between only the next start says whether it was kept.
                         ask("PUT", &path, json!({"model": to})).filter(|status| *status != 503)
                     })
