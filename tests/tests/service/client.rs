@@ -1,5 +1,6 @@
 //! A service of the test's own, and a client that checks nothing.
 
+use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -154,7 +155,7 @@ impl Running {
         request.headers_mut().insert("sec-websocket-protocol", HeaderValue::from_str(protocol).unwrap());
         let stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(DEADLINE)).unwrap();
-        match tungstenite::client(request, stream) {
+        match tungstenite::client(request, Uninterrupted(stream)) {
             Ok((socket, answer)) => {
                 let chosen = answer.headers().get("sec-websocket-protocol");
                 let chosen = chosen.map_or("", |name| name.to_str().unwrap()).to_string();
@@ -169,7 +170,30 @@ impl Running {
 }
 
 /// A WebSocket of the service, which sends JSON.
-pub struct Socket(WebSocket<TcpStream>, String);
+pub struct Socket(WebSocket<Uninterrupted>, String);
+
+/// The system does not begin a read with a time limit again after a signal, such as that of a child's end.
+struct Uninterrupted(TcpStream);
+
+impl Read for Uninterrupted {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        loop {
+            match self.0.read(bytes) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                read => return read,
+            }
+        }
+    }
+}
+
+impl Write for Uninterrupted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
 
 impl Socket {
     /// The subprotocol that the service chose.
@@ -183,8 +207,6 @@ impl Socket {
                 Ok(Message::Text(text)) => return Ok(serde_json::from_str(&text).unwrap()),
                 Ok(Message::Close(frame)) => return Err(frame.map_or(0, |frame| frame.code.into())),
                 Ok(_) => {}
-                // A read with a time limit is not begun again by the system after a signal, such as that of a child's end.
-                Err(tungstenite::Error::Io(error)) if error.kind() == std::io::ErrorKind::Interrupted => {}
                 Err(error) => panic!("{error}"),
             }
         }
@@ -194,7 +216,7 @@ impl Socket {
     }
     /// Bytes that need not be a message.
     pub fn send_raw(&mut self, bytes: &[u8]) {
-        std::io::Write::write_all(self.0.get_mut(), bytes).unwrap();
+        self.0.get_mut().write_all(bytes).unwrap();
     }
     pub fn send_bytes(&mut self, bytes: &[u8]) {
         self.0.send(Message::binary(bytes.to_vec())).unwrap();
