@@ -162,9 +162,7 @@ impl Session {
 
     /// What it does, and why it does not run.
     pub fn state(&self) -> (SessionState, Option<String>) {
-        let status = self.shared.status();
-        let (state, reason) = (status.state(monotonic_ns(), &self.source.source), status.reason.clone());
-        drop(status);
+        let (state, reason) = self.shared.status().state(monotonic_ns(), &self.source.source);
         let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
         let trouble = self.source.source.trouble().filter(|_| !is_over);
         trouble.unwrap_or((state, reason))

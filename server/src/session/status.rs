@@ -99,14 +99,22 @@ impl Status {
         self.reason = Some(reason);
     }
 
-    /// What it does at the time `now_ns`, with frames from that source.
-    pub fn state(&self, now_ns: u64, source: &Source) -> SessionState {
-        let Some(last_ns) = self.times_ns.back() else { return self.ended.unwrap_or(SessionState::Starting) };
+    /// What it does at the time `now_ns`, with frames from that source, and why it does not run.
+    pub fn state(&self, now_ns: u64, source: &Source) -> (SessionState, Option<String>) {
+        let Some(last_ns) = self.times_ns.back() else {
+            return (self.ended.unwrap_or(SessionState::Starting), self.reason.clone());
+        };
         let first_ns = self.times_ns.front().unwrap_or(last_ns);
         let period_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
-        let is_late = now_ns.saturating_sub(*last_ns) > STALL_NS.max(STALL_PERIODS * period_ns);
-        let running = if source.is_steady() && is_late { SessionState::Stalled } else { SessionState::Running };
-        self.ended.unwrap_or(running)
+        let silence_ns = now_ns.saturating_sub(*last_ns);
+        match self.ended {
+            Some(ended) => (ended, self.reason.clone()),
+            None if source.is_steady() && silence_ns > STALL_NS.max(STALL_PERIODS * period_ns) => {
+                let reason = format!("no picture was fitted for {:.0} s", silence_ns as f64 * 1e-9);
+                (SessionState::Stalled, Some(reason))
+            }
+            None => (SessionState::Running, self.reason.clone()),
+        }
     }
 
     /// Estimates a second; falls when none come.
