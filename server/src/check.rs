@@ -6,11 +6,12 @@ use std::net::TcpListener;
 use std::path::Path;
 
 use isophote_capture::{FrameSource, Synthetic, SyntheticSpec};
+use isophote_symbolic::Diagnostic;
 use isophote_tracker::TrackState;
 use isophote_wire::SessionDocument;
 
 use crate::listener::{Options, StartError};
-use crate::registry::Registry;
+use crate::registry::{Registry, models_in};
 use crate::service::store_of;
 use crate::session::fit_once;
 
@@ -37,11 +38,24 @@ pub fn check(options: &Options) -> Vec<StartFinding> {
             (Err(error), fresh.and_then(|registry| kernel(&registry)))
         }
     };
-    vec![
-        StartFinding { what: "address", result: address(options) },
-        StartFinding { what: "data folder", result: data },
-        StartFinding { what: "kernel", result: kernel },
-    ]
+    let models = options.models.as_deref().map(|folder| StartFinding { what: "models", result: models(folder) });
+    let address = StartFinding { what: "address", result: address(options) };
+    let data = StartFinding { what: "data folder", result: data };
+    let kernel = StartFinding { what: "kernel", result: kernel };
+    [address, data].into_iter().chain(models).chain([kernel]).collect()
+}
+
+/// A start would go on without a document that is wrong, which is hardly what the folder is there for.
+fn models(folder: &Path) -> Result<String, String> {
+    let files = models_in(folder).map_err(|error| format!("{}: cannot be read: {error}", folder.display()))?;
+    for file in &files {
+        let parsed = file.read().and_then(|(_, text)| {
+            let wrong = |fault: &Diagnostic| format!("{} ({}:{})", fault.message, fault.line, fault.column);
+            file.media.model(&text).map_err(|faults| faults.first().map(wrong).unwrap_or_default())
+        });
+        parsed.map_err(|why| format!("{}: {why}", file.path.display()))?;
+    }
+    Ok(format!("{}: {} document(s)", folder.display(), files.len()))
 }
 
 fn address(options: &Options) -> Result<String, String> {

@@ -4,11 +4,11 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -19,6 +19,8 @@ type Job = Box<dyn FnOnce() + Send>;
 /// The handle; `stop` ends the thread.
 pub struct Compiler {
     jobs: Mutex<Option<SyncSender<Job>>>,
+    /// A place for each job in the queue.
+    places: Arc<Semaphore>,
     thread: NamedThread,
     is_stopping: Arc<AtomicBool>,
 }
@@ -32,17 +34,38 @@ impl Compiler {
         // Dropped, a job tells who waits for it that the service stops.
         let work = move || receiver.into_iter().take_while(|_| !is_over.load(Ordering::SeqCst)).for_each(|job| job());
         let thread = NamedThread::start("compile".into(), work)?;
-        Ok(Compiler { jobs: Mutex::new(Some(sender)), thread, is_stopping })
+        let places = Arc::new(Semaphore::new(LIMITS.compile_jobs));
+        Ok(Compiler { jobs: Mutex::new(Some(sender)), places, thread, is_stopping })
     }
 
-    /// Runs `work` on the compile thread after everything that was handed in before. A panic of `work` is a 500, not
-    /// the end of the thread.
+    /// Runs `work` on the compile thread after everything that was handed in before; 429 where too much waits there. A panic
+    /// of `work` is a 500, not the end of the thread.
     pub async fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
+        let place = self.places.clone().try_acquire_owned();
+        let place = place.map_err(|_| Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs))?;
+        self.hand_in(place, work).await
+    }
+
+    /// The same for what nobody could try again: it waits for its place.
+    pub async fn run_in_turn<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let place = self.places.clone().acquire_owned().await.map_err(|_| Problem::stopping())?;
+        self.hand_in(place, work).await
+    }
+
+    async fn hand_in<T: Send + 'static>(
+        &self,
+        place: OwnedSemaphorePermit,
+        work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
         let (reply, answer) = oneshot::channel();
         let job: Job = Box::new(move || {
+            drop(place); // it is out of the queue
             let result = catch_unwind(AssertUnwindSafe(work));
             let result = result.unwrap_or_else(|_| Err(Problem::bug("the compile job panicked")));
             drop(reply.send(result)); // the client may have gone
@@ -50,10 +73,8 @@ impl Compiler {
         {
             let jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
             let sender = jobs.as_ref().ok_or_else(Problem::stopping)?;
-            sender.try_send(job).map_err(|error| match error {
-                TrySendError::Full(_) => Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs),
-                TrySendError::Disconnected(_) => Problem::stopping(),
-            })?;
+            // Full it cannot be: who has a place finds room.
+            sender.try_send(job).map_err(|_| Problem::stopping())?;
         }
         answer.await.map_err(|_| Problem::stopping())?
     }

@@ -37,7 +37,7 @@ async fn restore_all(app: &App) {
     while let Some(Ok((name, opened))) = sources.join_next().await {
         let source = name.clone();
         let started = change(app, move |service| service.restore_source(&source, opened)).await;
-        // Where the queue is full of what clients want, it says so.
+        // Only where the service stops.
         started.unwrap_or_else(|problem| service.restore_source(&name, Err(problem)));
     }
     let mut sessions = JoinSet::new();
@@ -57,12 +57,12 @@ async fn restore_all(app: &App) {
     }
 }
 
-/// On the compile thread.
+/// On the compile thread, after what clients want and were first with.
 async fn change(app: &App, work: impl FnOnce(&Service) + Send + 'static) -> Result<(), Problem> {
     let service = app.service.clone();
     let work = move || {
         work(&service);
         Ok(())
     };
-    app.service.compiler.run(work).await
+    app.service.compiler.run_in_turn(work).await
 }

@@ -5,6 +5,7 @@
 //! store, with all its versions and which of them it means: so it moves at once, or not at all.
 
 mod entry;
+mod files;
 mod history;
 mod import;
 mod shipped;
@@ -21,6 +22,7 @@ use crate::name::Name;
 use crate::problem::Problem;
 use crate::store::{RecordTable, Store, StoreError, Transaction};
 pub use entry::{Expected, Media, ModelEntry, ModelText, Pin};
+pub use files::{ModelFile, models_in};
 use history::ModelRecord;
 pub use import::imported;
 use shipped::{refused, shipped};

@@ -116,16 +116,18 @@ pub async fn opened_ahead(
     let SourceDocument::Recording(recording) = document else { return Ok(None) };
     let reach = app.recordings.reach(prefix)?;
     let (sent, openings) = (recording.clone(), app.openings.clone());
-    let opening = async move {
-        let place = openings.acquire_owned().await.map_err(|_| Problem::stopping())?;
-        let open = move || {
-            let _place = place;
-            source::open_recording(&sent, prefix, reader.as_deref(), &reach)
-        };
-        tokio::task::spawn_blocking(open).await.map_err(|_| Problem::bug("opening the recording panicked"))?
+    let seconds = LIMITS.open_time.as_secs();
+    let busy = |_| Problem::late(format!("the recordings before this one were not opened within {seconds} s"));
+    let place = tokio::time::timeout(LIMITS.open_time, openings.acquire_owned()).await.map_err(busy)?;
+    let place = place.map_err(|_| Problem::stopping())?;
+    let open = move || {
+        let _place = place;
+        source::open_recording(&sent, prefix, reader.as_deref(), &reach)
     };
-    let late = |_| Problem::late(format!("the recording was not opened within {} s", LIMITS.open_time.as_secs()));
-    let (address, opened) = tokio::time::timeout(LIMITS.open_time, opening).await.map_err(late)??;
+    let late = |_| Problem::late(format!("the recording was not opened within {seconds} s"));
+    let opening = tokio::time::timeout(LIMITS.open_time, tokio::task::spawn_blocking(open));
+    let opened = opening.await.map_err(late)?.map_err(|_| Problem::bug("opening the recording panicked"))?;
+    let (address, opened) = opened?;
     recording.path = address;
     Ok(Some(opened))
 }

@@ -30,6 +30,8 @@ use crate::registry::ModelEntry;
 use crate::session::fit_once;
 use crate::source;
 use crate::streams::pushed::{FrameMedia, decode, raw_bytes};
+use crate::turns::FairWorkers;
+use crate::workshop::Lane;
 
 /// What a session's document says, as a query. What is not there is as in such a document.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -88,6 +90,10 @@ pub async fn post(app: App, model: &str, uri: &Uri, headers: &HeaderMap, body: B
         Err(problem) => return refuse(body, problem).await,
     };
     let bytes = read_body(body, bytes_max).await?;
+    // Derived in turn with what others send; the fit finds it done.
+    let (deriving, precision) = (entry.clone(), document.options.precision);
+    let derive = move |workers: &FairWorkers| deriving.kernels_by(precision, workers).map(drop);
+    app.service.workshop.prepare(Lane::Uploads, derive).await?;
     let late = |_| Problem::late("the images before this one were not fitted in time");
     let turn = tokio::time::timeout(LIMITS.push_time, app.images.fitting.clone().acquire_owned()).await;
     let turn = turn.map_err(late)?.map_err(|_| Problem::stopping())?;

@@ -13,12 +13,14 @@ mod openapi;
 mod page;
 mod paging;
 mod parameters;
+mod schemas;
 mod sessions;
 mod sources;
 
 use axum::Router;
 use axum::body::Body;
 use axum::http::{StatusCode, Uri, header};
+use axum::middleware::from_fn;
 use axum::routing::{get, post, put};
 
 use crate::documents::read_body;
@@ -45,7 +47,10 @@ pub fn router(app: App) -> Router {
         .route("/openapi.json", get(openapi::get))
         .route("/v1/models", get(models::list))
         .route("/v1/models:check", post(models::check))
-        .route("/v1/models/{name}", put(models::put).get(models::get).delete(models::delete).post(models::act))
+        .route(
+            "/v1/models/{name}",
+            put(models::put).get(models::get).delete(models::delete).post(models::act).layer(from_fn(models::methods)),
+        )
         .route("/v1/models/{name}/explain", get(models::explain))
         .route("/v1/models/{name}/versions", get(models::versions))
         .route("/v1/cameras", get(cameras::list))

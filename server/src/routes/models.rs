@@ -2,8 +2,9 @@
 
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Extension, Query, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
+use axum::extract::{Extension, Query, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
+use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
 use isophote_wire::{
@@ -83,8 +84,20 @@ pub async fn act(
         Some((model, "fit")) => fit::post(app, model, &uri, &headers, body).await,
         Some((model, "rollback")) => roll_back(app, &visitor, model, &headers, body).await,
         Some((_, verb)) => Err(Problem::unknown("action of models", verb)),
-        None => Err(Problem::wrong_method()),
+        None => Err(Problem::wrong_method()), // `methods` was here before
     }
+}
+
+/// A name and a verb behind it share a route, but not the methods.
+pub async fn methods(name: RawName, request: Request, next: Next) -> Response {
+    let has_verb = raw(name).is_ok_and(|name| name.contains(':'));
+    let allowed: &[Method] =
+        if has_verb { &[Method::POST] } else { &[Method::GET, Method::HEAD, Method::PUT, Method::DELETE] };
+    if allowed.contains(request.method()) {
+        return next.run(request).await;
+    }
+    let allowed: Vec<&str> = allowed.iter().map(Method::as_str).collect();
+    ([(header::ALLOW, allowed.join(","))], Problem::wrong_method()).into_response()
 }
 
 /// Gives a model's name to a version that is kept.

@@ -11,10 +11,11 @@ use axum::response::IntoResponse;
 use isophote_tracker::Target;
 use isophote_wire::{CreditDocument, FrameTime, ProblemDocument};
 use utoipa::openapi::path::Operation;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, ResponseBuilder, SchemaFormat, Type};
 use utoipa::{Modify, OpenApi};
 
-use super::{Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, sessions, sources};
+use super::{Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, schemas, sessions, sources};
 use crate::problem::Problem;
 
 #[derive(OpenApi)]
@@ -32,7 +33,7 @@ use crate::problem::Problem;
     components(schemas(ProblemDocument, CreditDocument, FrameTime, Target)),
     tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),
          (name = "operation", description = "Health, metrics, time, and the page.")),
-    modifiers(&Problems, &Bytes)
+    modifiers(&Problems, &Bytes, &Tokens)
 )]
 struct Description;
 
@@ -76,10 +77,29 @@ impl Modify for Bytes {
     }
 }
 
+/// Services off loopback ask for a token.
+struct Tokens;
+
+impl Modify for Tokens {
+    fn modify(&self, api: &mut utoipa::openapi::OpenApi) {
+        let description =
+            "From `isophote token new`; WebSockets may send it as the subprotocol `isophote.token.TOKEN`.";
+        let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some(description)).build();
+        let components = api.components.get_or_insert_default();
+        components.add_security_scheme("token", SecurityScheme::Http(bearer));
+        let none = SecurityRequirement::default(); // on loopback, where no tokens were made
+        api.security = Some(vec![none, SecurityRequirement::new::<_, _, String>("token", [])]);
+    }
+}
+
 /// The text.
 fn text() -> Result<&'static str, Problem> {
     static TEXT: OnceLock<Option<String>> = OnceLock::new();
-    let text = TEXT.get_or_init(|| Description::openapi().to_pretty_json().map(|text| text + "\n").ok());
+    let text = TEXT.get_or_init(|| {
+        let mut api = serde_json::to_value(Description::openapi()).ok()?;
+        schemas::compose(api["components"]["schemas"].as_object_mut()?);
+        serde_json::to_string_pretty(&api).map(|text| text + "\n").ok()
+    });
     text.as_deref().ok_or_else(|| Problem::bug("the description of the API is no JSON"))
 }
 

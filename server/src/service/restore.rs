@@ -6,7 +6,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use isophote_capture::read_regular;
 use isophote_jit::VectorWidth;
 use isophote_symbolic::Model;
 use isophote_wire::{SourceDocument, SourceReference};
@@ -20,7 +19,7 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::node::{LastStarts, ServiceNode};
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, Registry};
+use crate::registry::{Expected, ModelFile, Registry, models_in};
 use crate::session::SearchRoom;
 use crate::source::{self, Opened, Source};
 use crate::store::{RecordTable, Store, said};
@@ -72,32 +71,21 @@ impl Service {
     /// # Errors
     /// The folder cannot be read.
     pub fn put_folder(&self, folder: &Path) -> std::io::Result<()> {
-        let mut paths: Vec<_> =
-            std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>()?;
-        paths.sort();
-        for path in paths {
-            let media = match path.extension().and_then(|extension| extension.to_str()) {
-                Some("toml") => Media::Toml,
-                Some("json") => Media::Json,
-                _ => continue,
-            };
-            if let Err(why) = self.put_file(&path, media) {
-                said(&path, &format!("not put: {why}"));
+        for file in models_in(folder)? {
+            if let Err(why) = self.put_file(&file) {
+                said(&file.path, &format!("not put: {why}"));
             }
         }
         Ok(())
     }
 
-    fn put_file(&self, path: &Path, media: Media) -> Result<(), String> {
-        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        let name = Name::parse(stem).ok_or("the name of a model is made of a-z, 0-9 and -")?;
-        let bytes = read_regular(path, LIMITS.document_bytes as u64).map_err(|error| error.to_string())?;
-        let text = String::from_utf8(bytes).map_err(|_| "it is not UTF-8")?;
+    fn put_file(&self, file: &ModelFile) -> Result<(), String> {
+        let (name, text) = file.read()?;
         let present = self.registry.get(name.as_str()).ok();
-        if present.is_some_and(|entry| entry.media == media && *entry.text == *text) {
+        if present.is_some_and(|entry| entry.media == file.media && *entry.text == *text) {
             return Ok(());
         }
-        let prepared = self.check_model(&name, media, &text, &self.workshop.at_once());
+        let prepared = self.check_model(&name, file.media, &text, &self.workshop.at_once());
         let put = prepared.and_then(|prepared| self.put_model(&name, &Expected::Anything, prepared));
         put.map(drop).map_err(|problem| match problem.diagnostics.first() {
             Some(fault) => format!("{} ({}:{})", fault.message, fault.line, fault.column),

@@ -30,6 +30,8 @@ pub struct Answer {
     pub etag: String,
     /// How to say who asks.
     pub authenticate: String,
+    /// Methods that are allowed, where another was asked for.
+    pub allow: String,
     pub text: String,
 }
 
@@ -110,6 +112,7 @@ impl Running {
             media,
             etag,
             authenticate,
+            allow: header("allow"),
             text: String::from_utf8_lossy(&answer.body_mut().read_to_vec()?).into_owned(),
         })
     }

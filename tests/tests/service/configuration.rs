@@ -1,5 +1,6 @@
 //! Flag, environment, file, default; and whether the service could start.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -86,6 +87,13 @@ fn a_check_says_what_a_start_would() {
     let well = run(&[&with_file[..], &["--listen", "127.0.0.1:0"]].concat(), &[]);
     assert_eq!(well.status, Some(0), "{}{}", well.stdout, well.stderr);
     assert_eq!(well.stdout.lines().filter(|line| line.contains(" ok ")).count(), 3, "{}", well.stdout);
+
+    let models = folder.0.join("models");
+    fs::create_dir(&models).unwrap();
+    fs::write(models.join("level.toml"), "name = \"level\"\n").unwrap();
+    let wrong = run(&["serve", "--check", "--listen", "127.0.0.1:0", "--models", name(&models)], &[]);
+    assert_eq!(wrong.status, Some(1), "{}", wrong.stdout);
+    assert!(wrong.stderr.contains("level.toml") || wrong.stdout.contains("level.toml"), "{}", wrong.stderr);
 
     let service = Service::start(&program().unwrap(), &["--config", name(&path)], &folder.0).unwrap();
     Running::at(service.address()).get("/v1/sessions/demo").expect(200);

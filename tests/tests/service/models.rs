@@ -164,7 +164,15 @@ fn what_is_refused() {
     assert!(diagnostic["line"] == 1 && diagnostic["column"].as_u64().unwrap() > 1, "{diagnostic}");
     assert!(diagnostic["span"].as_array().unwrap().len() == 2);
     service.get("/v1/models/level").expect(404);
-    service.request("POST", "/v1/models/spot", &[], b"").expect(405);
+    for (method, path, allowed) in [
+        ("POST", "/v1/models/spot", "GET,HEAD,PUT,DELETE"),
+        ("PUT", "/v1/models/spot:fit", "POST"),
+        ("GET", "/v1/models/spot%3Arollback", "POST"),
+    ] {
+        let answer = service.request(method, path, &[], b"");
+        assert_eq!(answer.allow, allowed, "{method} {path}");
+        answer.expect(405);
+    }
     service.request("POST", "/v1/models/spot:sing", &[], b"").expect(404);
 }
 

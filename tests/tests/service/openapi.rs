@@ -205,6 +205,7 @@ fn planted_faults_are_caught() {
         media: "application/json".into(),
         etag: String::new(),
         authenticate: String::new(),
+        allow: String::new(),
         text: text.to_string(),
     };
     let mut faults = |text: Value| {
