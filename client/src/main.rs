@@ -108,6 +108,7 @@ enum CameraCommand {
 #[derive(Subcommand)]
 enum CalibrateCommand {
     Colours(calibrate::ColoursArgs),
+    Noise(calibrate::NoiseArgs),
     Pixels(calibrate::PixelsArgs),
     Profile(profile::ProfileArgs),
 }
@@ -202,6 +203,7 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Tune(args) => tune::run(args, out),
         Command::Compare(args) => compare::run(args, out),
         Command::Calibrate(CalibrateCommand::Colours(args)) => calibrate::colours(args, out),
+        Command::Calibrate(CalibrateCommand::Noise(args)) => calibrate::noise(args, out),
         Command::Calibrate(CalibrateCommand::Pixels(args)) => calibrate::pixels(args, out),
         Command::Calibrate(CalibrateCommand::Profile(args)) => profile::run(args, out),
     }

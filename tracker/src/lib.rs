@@ -40,6 +40,7 @@ pub use sight::defective::{DefectFault, DefectMeasurement, DefectOptions, Defect
 pub use sight::detect::Strength;
 pub use sight::mixing::{Mixing, MixingError, MixingMeasurement};
 pub use sight::radial::{MeasuredProfile, ProfileMeasurement};
+pub use sight::transfer::{MeasuredNoise, NoiseFault, NoiseMeasurement, NoiseOptions};
 pub use solve::compiled::Compiled;
 pub use solve::prepare::{Preparation, Preparing};
 pub use solve::stage_kernels::{CompileFailure, StageKernels};

@@ -18,5 +18,6 @@ pub(crate) mod mask;
 pub(crate) mod mixing;
 pub(crate) mod radial;
 pub(crate) mod start;
+pub(crate) mod transfer;
 pub(crate) mod view;
 pub(crate) mod wave;

@@ -1,0 +1,144 @@
+//! `isophote calibrate noise`: electrons per DN and the noise without light, from frames of a scene that stands still.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use isophote_capture::{FrameSource, Recording};
+use isophote_tracker::{Camera, MeasuredNoise, NoiseMeasurement, NoiseOptions};
+use serde::Serialize;
+
+use crate::failure::Failure;
+use crate::{offline, output};
+
+/// Find how noisy the camera is: electrons per DN, and the noise without light; models with a `noise` weigh pixels by them
+///
+/// Frames show one scene that stands still, bright here and dark there, at the gain that is used later: whatever differs from
+/// one frame to the next is taken for noise.
+#[derive(Clone, Debug, clap::Args)]
+pub struct NoiseArgs {
+    /// Folders or files of pictures, all of one size; two at least, the first 64 are looked at
+    #[arg(value_name = "FRAMES", required_unless_present = "folder")]
+    pub frames: Vec<PathBuf>,
+    /// The same as FRAMES
+    #[arg(long = "frames", value_name = "PATH")]
+    pub folder: Option<PathBuf>,
+    /// Frames taken without light, for the black level; else that of --camera, or 0
+    #[arg(long, value_name = "PATH")]
+    pub dark: Option<PathBuf>,
+    /// A JSON document about the camera, which the noise is added to
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Print the answer as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Write the camera's document to a file: for --camera of fit, compare and tune, and for sessions
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// The answer as JSON; each figure with one standard deviation where it has one.
+#[derive(Serialize)]
+struct NoiseAnswer<'a> {
+    frames: usize,
+    electrons_per_dn: f64,
+    electrons_per_dn_sigma: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    read_noise_e: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    read_noise_e_sigma: Option<f64>,
+    black: f64,
+    /// Values that entered, DN.
+    range: [f64; 2],
+    reduced_chi_square: f64,
+    /// The share of pixels that differed by more than noise.
+    left_out: f64,
+    camera: &'a Camera,
+}
+
+/// Looks at all frames, then answers.
+pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let known = offline::camera(args.camera.as_deref())?;
+    let black = args.dark.as_deref().map_or(Ok(known.black), black_of)?;
+    let mut measurement = NoiseMeasurement::new(NoiseOptions { black, saturation: known.saturation });
+    let paths = || args.frames.iter().chain(&args.folder);
+    for path in paths() {
+        let mut recording = Recording::open(path).map_err(Failure::other)?;
+        while let Some(captured) = recording.next().map_err(Failure::other)? {
+            let added = measurement.add(&captured.frame);
+            added.map_err(|fault| Failure::Other(format!("{}: {fault}", path.display())))?;
+        }
+    }
+    let first = paths().next().map(|path| path.display().to_string()).unwrap_or_default();
+    let found = measurement.finish().map_err(|fault| Failure::Other(format!("{first}: {fault}")))?;
+    let camera = Camera {
+        black,
+        electrons_per_dn: Some(rounded(found.electrons_per_dn)),
+        // What is hidden is below the rounding of values; what was known before may be another gain's.
+        read_noise_e: Some(found.read_noise_e.map_or(0.0, rounded)),
+        ..known
+    };
+    if let Some(path) = &args.out {
+        let text = serde_json::to_string(&camera).map_err(Failure::other)? + "\n";
+        output::file(path, text.as_bytes())?;
+    }
+    if args.json {
+        let [electrons_per_dn, electrons_per_dn_sigma] = found.electrons_per_dn;
+        let MeasuredNoise { frames, range, reduced_chi_square, left_out, .. } = found;
+        let (read_noise_e, read_noise_e_sigma) = found.read_noise_e.map(|[value, sigma]| (value, sigma)).unzip();
+        let answer = NoiseAnswer {
+            frames,
+            electrons_per_dn,
+            electrons_per_dn_sigma,
+            read_noise_e,
+            read_noise_e_sigma,
+            black,
+            range,
+            reduced_chi_square,
+            left_out,
+            camera: &camera,
+        };
+        return output::json(out, &answer);
+    }
+    writeln!(out, "{}", sentence(&found, black)).map_err(Failure::output)?;
+    if args.out.is_none() {
+        writeln!(out, "--out FILE writes the camera's document with them").map_err(Failure::output)?;
+    }
+    Ok(())
+}
+
+/// The mean of all pixels of all frames.
+fn black_of(path: &Path) -> Result<f64, Failure> {
+    let mut recording = Recording::open(path).map_err(Failure::other)?;
+    let (mut sum, mut count) = (0.0, 0.0);
+    while let Some(captured) = recording.next().map_err(Failure::other)? {
+        for plane in 0..captured.frame.planes().len() {
+            let view = captured.frame.plane_view(plane);
+            let places = (0..view.height()).flat_map(|y| (0..view.width()).map(move |x| (x, y)));
+            let values = places.map(|(x, y)| view.pixel(x, y)).filter(|value| value.is_finite());
+            values.for_each(|value| (sum, count) = (sum + value, count + 1.0));
+        }
+    }
+    if count > 0.0 { Ok(sum / count) } else { Err(Failure::Other(format!("{}: there is no pixel", path.display()))) }
+}
+
+/// At the digits that it is known to, and one more.
+fn rounded([value, sigma]: [f64; 2]) -> f64 {
+    let digits = (1.0 - sigma.log10().floor()).clamp(0.0, 6.0);
+    (value * 10f64.powf(digits)).round() / 10f64.powf(digits)
+}
+
+fn sentence(found: &MeasuredNoise, black: f64) -> String {
+    let MeasuredNoise { frames, range: [darkest, brightest], reduced_chi_square, left_out, .. } = found;
+    let with_sigma = |both: [f64; 2]| format!("{} ± {}", rounded(both), rounded([both[1], both[1]]));
+    let read = match found.read_noise_e {
+        Some(read) => format!("{} electrons without light", with_sigma(read)),
+        None => "less without light than rounding hides".into(),
+    };
+    format!(
+        "{} electrons per DN, noise of {read}\n\
+         from {frames} frames, values of {darkest:.1} to {brightest:.1} DN, black level {black:.2} DN, χ²/ν of the line \
+         {reduced_chi_square:.2}, {:.2} % of the pixels left out",
+        with_sigma(found.electrons_per_dn),
+        100.0 * left_out,
+    )
+}

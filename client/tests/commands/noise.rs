@@ -1,0 +1,51 @@
+//! `calibrate noise`, run as a user runs it: from frames of a scene that stands still to a camera document that the fit takes.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::{failure, model, output, text};
+
+fn render(out: &Path, scene: &str, frames: &str, seed: &str) {
+    let plane = model("gaussian.toml");
+    let common = ["render", text(&plane), "--out", text(out), "--size", "160x120", "--frames", frames, "--set", scene];
+    let camera = ["--full-well-e", "5000", "--read-noise-e", "15", "--samples", "2", "--seed", seed];
+    output(&[&common[..], &camera[..]].concat());
+}
+
+#[test]
+fn a_scene_that_stands_still_gives_a_camera_whose_fits_are_honest() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (frames, camera) = (path("frames"), path("camera.json"));
+    render(&frames, "bx=80,by=60,a1=0.0005,a2=0,a3=0.0005,v0=20,v1=160", "24", "7");
+    let calibrate = ["calibrate", "noise", text(&frames), "--out", text(&camera)];
+    let answer: Value = serde_json::from_str(&output(&[&calibrate[..], &["--json"]].concat())).unwrap();
+    let near = |name: &str, truth: f64| {
+        let of = |name: &str| answer[name].as_f64().unwrap();
+        let sigma = of(&format!("{name}_sigma"));
+        assert!((of(name) - truth).abs() < 4.0 * sigma && sigma < 0.05 * truth, "{answer}");
+    };
+    near("electrons_per_dn", 5000.0 / 255.0);
+    near("read_noise_e", 15.0);
+    let document: Value = serde_json::from_str(&std::fs::read_to_string(&camera).unwrap()).unwrap();
+    assert_eq!(document, answer["camera"]);
+    let told = output(&calibrate);
+    assert!(told.contains("electrons per DN") && told.contains("from 24 frames"), "{told}");
+
+    // With the camera's noise the fit of other frames of it explains their scatter.
+    render(&frames, "bx=80,by=60,a1=0.007,a2=0,a3=0.007,v0=20,v1=160", "4", "8");
+    let spot = model("gaussian.toml");
+    let fits = output(&["fit", text(&spot), "--frames", text(&frames), "--camera", text(&camera), "--json"]);
+    for line in fits.lines() {
+        let fit: Value = serde_json::from_str(line).unwrap();
+        assert_eq!(fit["state"], "tracking", "{line}");
+    }
+
+    let one = path("one");
+    render(&one, "bx=80,by=60,a1=0.0005,a2=0,a3=0.0005,v0=20,v1=160", "1", "9");
+    assert!(failure(&["calibrate", "noise", text(&one)]).1.contains("two and more"));
+    render(&path("flat"), "bx=80,by=60,a1=0.0005,a2=0,a3=0.0005,v0=20,v1=0", "3", "9");
+    let (_, narrow) = failure(&["calibrate", "noise", "--frames", text(&path("flat"))]);
+    assert!(narrow.contains("too much alike") && narrow.contains("bright here and dark there"), "{narrow}");
+}

@@ -1,0 +1,441 @@
+//! The noise of a camera from frames of a scene that stands still: how much more pixels scatter, the brighter they are.
+//!
+//! What comes in: frames of one size. What goes out: electrons per DN and the noise without light, each with what it is
+//! uncertain by. It never knows a model.
+//!
+//! This is the photon transfer of J. R. Janesick (*Photon Transfer*, SPIE 2007) and EMVA 1288: what differs between two frames
+//! of the same light is noise, and its variance grows along a line, `read² + signal/electrons_per_dn`, in DN².
+//!
+//! 1. Pixels of each pair of frames, one after the other, are sorted by their mean value. A lamp that flickers makes a
+//!    difference that is a straight line in brightness; it is taken out first.
+//! 2. Half the mean square of the differences of one brightness is the variance there; what lies far off, a thing that moved,
+//!    is left out and counted.
+//! 3. A line through the variances, weighted by how sure each is. Where a value may be clipped, at zero or at the limit, none
+//!    is used.
+
+use isophote_frame::Frame;
+use isophote_jit::PixelFormat;
+
+/// Frames that are looked at, the first ones.
+const FRAMES_MAX: usize = 64;
+/// … and bytes of them; two frames are kept whatever their size.
+const BYTES_MAX: usize = 512 * 1024 * 1024;
+/// Steps of brightness.
+const LEVELS: usize = 256;
+/// Pairs of pixels that a step needs.
+const PAIRS_MIN: f64 = 200.0;
+/// So many standard deviations off, a pair is none of noise.
+const FAR: f64 = 4.5;
+/// And so far from a limit, no noise is clipped.
+const CLIPPED: f64 = 3.5;
+/// The share of such pairs beyond which the scene does not stand still.
+const MOVING_MAX: f64 = 0.05;
+/// The least number of standard deviations of the slope.
+const SLOPE_MIN: f64 = 5.0;
+/// The variance of rounding to whole numbers, DN².
+const ROUNDING: f64 = 1.0 / 12.0;
+
+/// The camera as far as it is known before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NoiseOptions {
+    /// The pixel value without light, DN.
+    pub black: f64,
+    /// The pixel value at which the sensor clips, DN; the format's largest where it is absent.
+    pub saturation: Option<f64>,
+}
+
+/// What was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredNoise {
+    /// Electrons that raise the pixel value by one, and one standard deviation of that.
+    pub electrons_per_dn: [f64; 2],
+    /// The same of the scatter of a pixel without light, electrons, without that of rounding; absent where it is hidden by
+    /// rounding or by what is not known of the line.
+    pub read_noise_e: Option<[f64; 2]>,
+    /// Frames that were looked at.
+    pub frames: usize,
+    /// The darkest and the brightest value that entered, DN.
+    pub range: [f64; 2],
+    /// χ² of the line over its degrees of freedom.
+    pub reduced_chi_square: f64,
+    /// The share of pairs that were left out because they differ by more than noise.
+    pub left_out: f64,
+}
+
+/// Why there is no answer.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NoiseFault {
+    /// See the text.
+    #[error("there are {0} frame(s); noise is what differs between two and more")]
+    FewFrames(usize),
+    /// A frame unlike the first.
+    #[error("frames of different sizes or planes: {0}, then {1}")]
+    Unlike(String, String),
+    /// See the text.
+    #[error("the frames are all the same: they are copies, or were made without noise")]
+    Silent,
+    /// See the text.
+    #[error(
+        "{0:.0} % of the pixels differ by more than noise: the scene or the camera moves, or its light flickers unevenly; take \
+         frames of a scene that stands still"
+    )]
+    Moving(f64),
+    /// See the text.
+    #[error(
+        "values from {0:.1} to {1:.1} DN are too much alike to tell the light's noise from the sensor's; take frames of a scene \
+         that is bright here and dark there, not saturated, or more frames"
+    )]
+    Narrow(f64, f64),
+}
+
+/// A measurement that takes frame after frame.
+#[derive(Clone, Debug)]
+pub struct NoiseMeasurement {
+    options: NoiseOptions,
+    kept: Vec<Frame>,
+}
+
+/// Pairs of one brightness.
+#[derive(Clone, Copy, Debug, Default)]
+struct Level {
+    pairs: f64,
+    means: f64,
+    squares: f64,
+    /// Differences beyond this are left out, DN.
+    limit: f64,
+}
+
+impl Level {
+    fn mean(&self) -> f64 {
+        self.means / self.pairs
+    }
+
+    /// Of one pixel, DN².
+    fn variance(&self) -> f64 {
+        0.5 * self.squares / self.pairs
+    }
+}
+
+impl NoiseMeasurement {
+    /// One that has seen nothing yet.
+    pub fn new(options: NoiseOptions) -> NoiseMeasurement {
+        NoiseMeasurement { options, kept: Vec::new() }
+    }
+
+    /// Takes a frame; of many the first are kept.
+    ///
+    /// # Errors
+    /// When it is unlike the first.
+    pub fn add(&mut self, frame: &Frame) -> Result<(), NoiseFault> {
+        let told = |frame: &Frame| {
+            let sides: Vec<String> = frame.sides().iter().map(usize::to_string).collect();
+            format!("{} in {} plane(s)", sides.join(" × "), frame.planes().len())
+        };
+        let bytes = |frame: &Frame| frame.sides().iter().product::<usize>() * frame.planes().len() * 4;
+        if let Some(first) = self.kept.first() {
+            if (first.sides(), first.planes().len()) != (frame.sides(), frame.planes().len()) {
+                return Err(NoiseFault::Unlike(told(first), told(frame)));
+            }
+        }
+        let room = (BYTES_MAX / bytes(frame).max(1)).clamp(2, FRAMES_MAX);
+        if self.kept.len() < room {
+            self.kept.push(frame.clone());
+        }
+        Ok(())
+    }
+
+    /// The answer from all of them.
+    ///
+    /// # Errors
+    /// Where they do not say it.
+    pub fn finish(self) -> Result<MeasuredNoise, NoiseFault> {
+        if self.kept.len() < 2 {
+            return Err(NoiseFault::FewFrames(self.kept.len()));
+        }
+        let pairs = Pairs::of(&self.kept, self.options.saturation);
+        let mut levels = [Level { limit: f64::INFINITY, ..Level::default() }; LEVELS];
+        // The first look has everything in it, the following only what the one before takes for noise.
+        for _ in 0..4 {
+            levels = pairs.levels(&levels);
+        }
+        let counted: f64 = levels.iter().map(|level| level.pairs).sum();
+        if levels.iter().all(|level| level.squares == 0.0) {
+            return Err(NoiseFault::Silent);
+        }
+        let left_out = 1.0 - counted / pairs.count.max(1.0);
+        if left_out > MOVING_MAX {
+            return Err(NoiseFault::Moving(100.0 * left_out));
+        }
+        let is_whole = |level: &Level| {
+            let reach = CLIPPED * level.variance().sqrt();
+            level.pairs >= PAIRS_MIN
+                && (!pairs.has_floor || level.mean() >= reach)
+                && level.mean() + reach <= pairs.limit
+        };
+        let used: Vec<Level> = levels.into_iter().filter(is_whole).collect();
+        let end = |level: Option<&Level>| level.map_or(self.options.black, Level::mean);
+        let range = [end(used.first()), end(used.last())];
+        let narrow = NoiseFault::Narrow(range[0], range[1]);
+        if used.len() < 3 {
+            return Err(narrow);
+        }
+        let line = Line::through(&used, self.options.black);
+        let [slope, slope_sigma] = line.slope;
+        if slope.is_nan() || slope < SLOPE_MIN * slope_sigma {
+            return Err(narrow);
+        }
+        let electrons = 1.0 / slope;
+        let [at_black, at_black_sigma] = line.at_black;
+        let dark = at_black - if pairs.is_rounded { ROUNDING } else { 0.0 };
+        let read_noise_e = (dark > at_black_sigma).then(|| {
+            // Of √dark/slope; the two of the line vary together.
+            let read_dn = dark.sqrt();
+            let by_dark = 0.5 * electrons / read_dn;
+            let by_slope = -read_dn * electrons * electrons;
+            let variance = (by_dark * at_black_sigma).powi(2)
+                + (by_slope * slope_sigma).powi(2)
+                + 2.0 * by_dark * by_slope * line.covariance;
+            [read_dn * electrons, variance.max(0.0).sqrt()]
+        });
+        Ok(MeasuredNoise {
+            electrons_per_dn: [electrons, slope_sigma * electrons * electrons],
+            read_noise_e,
+            frames: self.kept.len(),
+            range,
+            reduced_chi_square: line.reduced_chi_square,
+            left_out,
+        })
+    }
+}
+
+/// All pixels of all pairs of frames.
+struct Pairs<'a> {
+    frames: &'a [Frame],
+    /// Values at and above it are clipped, DN.
+    limit: f64,
+    /// Values end at zero.
+    has_floor: bool,
+    /// Values are whole numbers.
+    is_rounded: bool,
+    /// Of the brightness of the darkest level, and from one to the next, DN.
+    lowest: f64,
+    step: f64,
+    /// By how much the second frame of a pair is brighter: at zero, and for each DN.
+    drifts: Vec<[f64; 2]>,
+    /// Pairs of pixels that are numbers and below the limit.
+    count: f64,
+}
+
+impl<'a> Pairs<'a> {
+    fn of(frames: &'a [Frame], saturation: Option<f64>) -> Pairs<'a> {
+        let format = frames.first().map(|frame| frame.plane_view(0).format());
+        let largest = match format {
+            Some(PixelFormat::U8) => 255.0,
+            Some(PixelFormat::U16) => 65_535.0,
+            _ => f64::INFINITY,
+        };
+        let mut pairs = Pairs {
+            frames,
+            limit: saturation.unwrap_or(largest),
+            has_floor: matches!(format, Some(PixelFormat::U8 | PixelFormat::U16)),
+            is_rounded: true,
+            lowest: 0.0,
+            step: 0.0,
+            drifts: vec![[0.0; 2]; frames.len() - 1],
+            count: 0.0,
+        };
+        let (mut lowest, mut highest, mut is_rounded, mut count) = (f64::INFINITY, f64::NEG_INFINITY, true, 0.0);
+        pairs.each(|_, mean, difference| {
+            (lowest, highest, count) = (lowest.min(mean), highest.max(mean), count + 1.0);
+            is_rounded &= difference.fract() == 0.0;
+        });
+        (pairs.is_rounded, pairs.count) = (is_rounded, count);
+        (pairs.lowest, pairs.step) = (lowest, (highest - lowest).max(f64::MIN_POSITIVE) / LEVELS as f64);
+        pairs.drifts = pairs.drifts();
+        pairs
+    }
+
+    /// Calls with the number of the pair, the mean of two values and by how much the second is larger, the drift taken out.
+    fn each(&self, mut visit: impl FnMut(usize, f64, f64)) {
+        for (number, (two, [at_zero, slope])) in self.frames.windows(2).zip(&self.drifts).enumerate() {
+            let [width, height, depth, length] = two[0].sides();
+            for plane in 0..two[0].planes().len() {
+                let views = [two[0].plane_view(plane), two[1].plane_view(plane)];
+                for place in 0..width * height * depth * length {
+                    let (x, rest) = (place % width, place / width);
+                    let (y, rest) = (rest % height, rest / height);
+                    let [one, other] = [0, 1].map(|at| views[at].pixel_at([x, y, rest % depth, rest / depth]));
+                    if one < self.limit && other < self.limit && one.is_finite() && other.is_finite() {
+                        let mean = 0.5 * (one + other);
+                        visit(number, mean, other - one - at_zero - slope * mean);
+                    }
+                }
+            }
+        }
+    }
+
+    fn level_of(&self, mean: f64) -> usize {
+        (((mean - self.lowest) / self.step) as usize).min(LEVELS - 1)
+    }
+
+    /// By how much each pair's second frame is brighter: a line in brightness through the differences, those of most pixels.
+    fn drifts(&self) -> Vec<[f64; 2]> {
+        let mut sums = vec![[0.0; 2]; self.drifts.len()]; // pixels, and their |d|: a first idea of what is far
+        self.each(|pair, _, difference| {
+            sums[pair][0] += 1.0;
+            sums[pair][1] += difference.abs();
+        });
+        let far: Vec<f64> = sums.iter().map(|sum| 1.25 * FAR * sum[1] / sum[0]).collect();
+        let mut sums = vec![[0.0; 5]; self.drifts.len()];
+        self.each(|pair, mean, difference| {
+            if difference.abs() <= far[pair] {
+                let terms = [1.0, mean, mean * mean, difference, mean * difference];
+                sums[pair].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+            }
+        });
+        let line = |[n, x, xx, y, xy]: [f64; 5]| {
+            let spread = n * xx - x * x;
+            // Of one brightness there is no slope.
+            let slope = if spread > 1e-9 * n * xx { (n * xy - x * y) / spread } else { 0.0 };
+            if n > 0.0 { [(y - slope * x) / n, slope] } else { [0.0; 2] }
+        };
+        sums.into_iter().map(line).collect()
+    }
+
+    /// The pairs by brightness, without those beyond the limits of `before`.
+    fn levels(&self, before: &[Level; LEVELS]) -> [Level; LEVELS] {
+        let mut levels = [Level::default(); LEVELS];
+        self.each(|_, mean, difference| {
+            let at = self.level_of(mean);
+            if difference.abs() <= before[at].limit {
+                let level = &mut levels[at];
+                (level.pairs, level.means) = (level.pairs + 1.0, level.means + mean);
+                level.squares += difference * difference;
+            }
+        });
+        // Values are steps: what differs by one of them is never far.
+        let least = if self.is_rounded { 1.5 } else { 0.0 };
+        for level in &mut levels {
+            level.limit = (FAR * (level.squares / level.pairs.max(1.0)).sqrt()).max(least);
+        }
+        levels
+    }
+}
+
+/// `variance = at_black + slope·(value − black)`, with one standard deviation of each.
+struct Line {
+    at_black: [f64; 2],
+    slope: [f64; 2],
+    covariance: f64,
+    reduced_chi_square: f64,
+}
+
+impl Line {
+    fn through(levels: &[Level], black: f64) -> Line {
+        let (mut at_black, mut slope) = (0.0, 0.0);
+        let mut line = Line { at_black: [f64::NAN; 2], slope: [f64::NAN; 2], covariance: 0.0, reduced_chi_square: 0.0 };
+        // A variance's own is 2 variance²/n, n differences; of what is seen at first, then of the line. Two pairs that share a
+        // frame are correlated by −1/2, which counts as a third fewer of them.
+        for round in 0..4 {
+            let [mut n, mut x, mut xx, mut y, mut xy] = [0.0; 5];
+            let weight = |level: &Level| {
+                let seen = level.variance();
+                let expected = if round == 0 { seen } else { at_black + slope * (level.mean() - black) };
+                level.pairs / (3.0 * expected.max(0.1 * seen).max(f64::MIN_POSITIVE).powi(2))
+            };
+            for level in levels {
+                let (weight, value) = (weight(level), level.mean() - black);
+                n += weight;
+                x += weight * value;
+                xx += weight * value * value;
+                y += weight * level.variance();
+                xy += weight * value * level.variance();
+            }
+            let misfit: f64 =
+                levels.iter().map(|l| weight(l) * (l.variance() - at_black - slope * (l.mean() - black)).powi(2)).sum();
+            let determinant = n * xx - x * x;
+            (at_black, slope) = ((xx * y - x * xy) / determinant, (n * xy - x * y) / determinant);
+            let chi_square = misfit / (levels.len() as f64 - 2.0).max(1.0);
+            let scale = chi_square.max(1.0); // a line that does not fit is no surer than it fits
+            line = Line {
+                at_black: [at_black, (scale * xx / determinant).sqrt()],
+                slope: [slope, (scale * n / determinant).sqrt()],
+                covariance: -scale * x / determinant,
+                reduced_chi_square: chi_square,
+            };
+        }
+        line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::picture::Noise;
+    use isophote_frame::Plane;
+
+    const ELECTRONS: f64 = 19.6;
+    const READ_E: f64 = 15.0;
+
+    /// A ramp of light under a lamp that flickers, something that moves across a corner of it.
+    fn frames(count: usize, brightest: f64, seed: u64) -> Vec<Frame> {
+        let mut random = Noise(seed);
+        let frame = |number: usize| {
+            let lamp = 1.0 + 0.02 * (number % 3) as f64;
+            let mut pixel = |at: usize| {
+                let (x, y) = (at % 128, at / 128);
+                let is_passed = y < 6 && x / 8 == number % 16;
+                let light = if is_passed { 240.0 } else { 12.0 + brightest * x as f64 / 128.0 };
+                let electrons = light * lamp * ELECTRONS;
+                let scatter_e = (electrons + READ_E * READ_E).sqrt(); // so many electrons are as good as normal
+                ((electrons + scatter_e * random.normal()) / ELECTRONS).round().clamp(0.0, 255.0) as u8
+            };
+            frame_of((0..128 * 96).map(&mut pixel).collect(), [128, 96])
+        };
+        (0..count).map(frame).collect()
+    }
+
+    fn frame_of(bytes: Vec<u8>, size: [usize; 2]) -> Frame {
+        Frame::new(&size, vec![Plane::owned(PixelFormat::U8, bytes, size[0])]).unwrap()
+    }
+
+    fn measured(frames: &[Frame]) -> Result<MeasuredNoise, NoiseFault> {
+        let mut measurement = NoiseMeasurement::new(NoiseOptions { black: 0.0, saturation: None });
+        frames.iter().try_for_each(|frame| measurement.add(frame))?;
+        measurement.finish()
+    }
+
+    #[test]
+    fn gain_and_read_noise_are_found_as_surely_as_is_said() {
+        for seed in 1..=5 {
+            let found = measured(&frames(20, 180.0, seed)).unwrap();
+            let [electrons, sigma] = found.electrons_per_dn;
+            assert!((electrons - ELECTRONS).abs() < 4.0 * sigma && sigma < 0.02 * ELECTRONS, "{found:?}");
+            let [read_e, sigma] = found.read_noise_e.unwrap();
+            assert!((read_e - READ_E).abs() < 4.0 * sigma && sigma < 0.1 * READ_E, "{found:?}");
+            assert!(found.reduced_chi_square < 2.0 && (0.001..0.02).contains(&found.left_out), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_refused() {
+        assert_eq!(measured(&frames(1, 180.0, 1)), Err(NoiseFault::FewFrames(1)));
+        let alike = frames(2, 180.0, 1);
+        assert_eq!(measured(&[alike[0].clone(), alike[0].clone()]), Err(NoiseFault::Silent));
+        assert!(matches!(measured(&frames(4, 1.0, 1)), Err(NoiseFault::Narrow(..))));
+        let mut moving = frames(4, 180.0, 1);
+        for (number, frame) in moving.iter_mut().enumerate() {
+            let pixel =
+                |at: usize| if (at / 4 + at / 512 + number).is_multiple_of(5) { 200 } else { 40 + (at % 3) as u8 };
+            *frame = frame_of((0..128 * 96).map(pixel).collect(), [128, 96]);
+        }
+        assert!(
+            matches!(measured(&moving), Err(NoiseFault::Moving(_) | NoiseFault::Narrow(..))),
+            "{:?}",
+            measured(&moving)
+        );
+        let other = frame_of(vec![0; 64], [8, 8]);
+        assert!(matches!(measured(&[alike[0].clone(), other]), Err(NoiseFault::Unlike(..))));
+    }
+}
