@@ -5,7 +5,8 @@ pub use isophote_tracker::PreviewPart;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EstimateView, WindowDocument};
+use crate::document::WindowDocument;
+use crate::estimate::EstimateView;
 
 /// How pixels are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
