@@ -1,5 +1,6 @@
 //! Planes of pixels in, the bytes of a PNG file out (8 or 16 bit): one plane as gray, three as colour. Stacks become TIFF, see [`crate::encode_tiff`].
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use isophote_jit::PixelFormat;
@@ -56,6 +57,25 @@ pub fn encode_png_rgb(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<
     encode(width, height, ExtendedColorType::Rgb8, CompressionType::Default, pixels)
 }
 
+/// Encodes `width` × `height` tightly packed bytes as JPEG: one a pixel as gray, or r, g, b. `quality` from 1 to 100.
+pub fn encode_jpeg(
+    width: usize,
+    height: usize,
+    channels: usize,
+    pixels: &[u8],
+    quality: u8,
+) -> Result<Vec<u8>, EncodeError> {
+    let colour = match channels {
+        1 => ExtendedColorType::L8,
+        3 => ExtendedColorType::Rgb8,
+        _ => return Err(EncodeError::Planes(channels)),
+    };
+    check_length(width, height, colour, pixels)?;
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality).write_image(pixels, width as u32, height as u32, colour)?;
+    Ok(bytes)
+}
+
 fn encode(
     width: usize,
     height: usize,
@@ -63,13 +83,8 @@ fn encode(
     compression: CompressionType,
     pixels: &[u8],
 ) -> Result<Vec<u8>, EncodeError> {
+    check_length(width, height, colour, pixels)?;
     let mut bytes = Vec::new();
-    // The encoder panics on a wrong length: make that an error of the same kind as its own.
-    let expected = (width * height) as u64 * u64::from(colour.bits_per_pixel()) / 8;
-    if pixels.len() as u64 != expected || width == 0 || height == 0 {
-        let kind = image::error::ParameterErrorKind::DimensionMismatch;
-        return Err(image::ImageError::Parameter(image::error::ParameterError::from_kind(kind)).into());
-    }
     PngEncoder::new_with_quality(&mut bytes, compression, FilterType::Adaptive).write_image(
         pixels,
         width as u32,
@@ -77,4 +92,14 @@ fn encode(
         colour,
     )?;
     Ok(bytes)
+}
+
+/// The encoders panic on a wrong length: that becomes an error of the same kind as their own.
+fn check_length(width: usize, height: usize, colour: ExtendedColorType, pixels: &[u8]) -> Result<(), EncodeError> {
+    let expected = (width * height) as u64 * u64::from(colour.bits_per_pixel()) / 8;
+    if pixels.len() as u64 != expected || width == 0 || height == 0 {
+        let kind = image::error::ParameterErrorKind::DimensionMismatch;
+        return Err(image::ImageError::Parameter(image::error::ParameterError::from_kind(kind)).into());
+    }
+    Ok(())
 }

@@ -44,7 +44,7 @@ mod wake;
 
 pub use camera::{CameraError, CameraSpec, CameraState, LiveCamera};
 pub use decode::decode;
-pub use encode::{encode_png, encode_png_planes};
+pub use encode::{encode_jpeg, encode_png, encode_png_planes};
 pub use exposure::Exposure;
 pub use files::tiff::encode_tiff;
 pub use light::Light;

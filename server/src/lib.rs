@@ -31,6 +31,7 @@ mod listener;
 mod name;
 mod node;
 mod places;
+mod preview;
 mod problem;
 mod registry;
 mod restore;

@@ -69,6 +69,10 @@ pub struct ServiceLimits {
     pub message_bytes: usize,
     /// Without a byte taken of what is to be sent, whatever it is.
     pub send_time: Duration,
+    /// For a picture that its viewer takes slowly, but does take.
+    pub picture_time: Duration,
+    /// Pictures a second that a viewer may ask for.
+    pub picture_rate_hz: f64,
     /// Between pings.
     pub ping_time: Duration,
     /// Without any sign of life from a subscriber.
@@ -162,6 +166,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     body_time: Duration::from_secs(10),
     message_bytes: 4096,
     send_time: Duration::from_secs(2),
+    picture_time: Duration::from_secs(10),
+    picture_rate_hz: 60.0,
     ping_time: Duration::from_secs(15),
     silence_time: Duration::from_secs(60),
     signal_time: Duration::from_millis(200),

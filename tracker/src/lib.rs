@@ -18,6 +18,7 @@ mod options;
 #[cfg(test)]
 mod picture;
 mod pose;
+mod preview;
 mod report;
 mod scaled;
 mod sight;
@@ -34,6 +35,9 @@ pub use options::{
     CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions,
 };
 pub use pose::{Alternative, Pose, PoseMismatch, Target, TargetError, TargetSpot, geometry};
+pub use preview::{
+    CrossSection, FrameScene, PixelRun, PoseAxis, PreviewDepth, PreviewOverlay, PreviewPart, PreviewPicture, Viewer,
+};
 pub use report::{Bound, CheckReport, StageCost};
 pub use sight::contour::{Contour, contours};
 pub use sight::defective::{DefectFault, DefectMeasurement, DefectOptions, DefectScene, FoundDefects, PixelKinds};

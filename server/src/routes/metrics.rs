@@ -13,6 +13,7 @@ use crate::counters::{Histogram, STATES, SessionCounters, Tally};
 use crate::exposition::{Exposition, MEDIA};
 use crate::limits::LIMITS;
 use crate::name::Name;
+use crate::preview::Preview;
 use crate::service::Service;
 use crate::session::Session;
 
@@ -42,6 +43,7 @@ pub async fn get(State(app): State<App>) -> Response {
     of_sessions(&mut all, &sessions);
     of_fits(&mut all, &sessions);
     of_subscribers(&mut all, &sessions);
+    of_previews(&mut all, &sessions);
     ([(header::CONTENT_TYPE, MEDIA), (header::CACHE_CONTROL, "no-store")], all.text()).into_response()
 }
 
@@ -128,6 +130,26 @@ fn of_fits(all: &mut Exposition, sessions: &Sessions) {
         let mut family = all.histogram(name, help);
         for (session, one) in sessions {
             family.distribution(&[("session", session.as_str())], histogram(one.counters()));
+        }
+    }
+}
+
+/// Frames that were drawn for viewers; nothing while nobody looks.
+fn of_previews(all: &mut Exposition, sessions: &Sessions) {
+    let mut family = all.gauge("isophote_preview_viewers", "Viewers of a session's picture.");
+    for (session, one) in sessions {
+        family.sample(&[("session", session.as_str())], one.preview().viewers() as f64);
+    }
+    let counted: [(&'static str, &str, fn(&Preview) -> &Tally); 2] = [
+        ("isophote_preview_frames_total", "Frames that were drawn.", |of| &of.frames),
+        ("isophote_preview_messages_total", "Messages that were made of them, for any number of viewers each.", |of| {
+            &of.messages
+        }),
+    ];
+    for (name, help, counter) in counted {
+        let mut family = all.counter(name, help);
+        for (session, one) in sessions {
+            family.sample(&[("session", session.as_str())], counter(one.preview()).count() as f64);
         }
     }
 }

@@ -13,6 +13,7 @@ mod openapi;
 mod page;
 mod paging;
 mod parameters;
+mod preview;
 mod schemas;
 mod sessions;
 mod sources;
@@ -63,7 +64,7 @@ pub fn router(app: App) -> Router {
         .route("/v1/sessions/{name}/model", put(sessions::swap))
         .route("/v1/sessions/{name}/frames", post(frames::post).get(frames::get))
         .route("/v1/sessions/{name}/estimates", get(estimates::get))
-        .route("/v1/sessions/{name}/preview", get(|| absent("preview")))
+        .route("/v1/sessions/{name}/preview", get(preview::get))
         .route("/v1/sessions/{name}/shadow", put(|| absent("shadow models")).delete(|| absent("shadow models")))
         .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
         .method_not_allowed_fallback(async || Problem::wrong_method())

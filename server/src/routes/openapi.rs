@@ -9,13 +9,15 @@ use std::sync::OnceLock;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use isophote_tracker::Target;
-use isophote_wire::{CreditDocument, FrameTime, ProblemDocument};
+use isophote_wire::{CreditDocument, FrameTime, PreviewHeader, ProblemDocument};
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, ResponseBuilder, SchemaFormat, Type};
 use utoipa::{Modify, OpenApi};
 
-use super::{Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, schemas, sessions, sources};
+use super::{
+    Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, preview, schemas, sessions, sources,
+};
 use crate::problem::Problem;
 
 #[derive(OpenApi)]
@@ -28,9 +30,9 @@ use crate::problem::Problem;
         cameras::list, cameras::get, cameras::set,
         sources::list, sources::put, sources::get, sources::delete,
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
-        frames::post, frames::get, estimates::get,
+        frames::post, frames::get, estimates::get, preview::get,
     ),
-    components(schemas(ProblemDocument, CreditDocument, FrameTime, Target)),
+    components(schemas(ProblemDocument, CreditDocument, FrameTime, PreviewHeader, Target)),
     tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),
          (name = "operation", description = "Health, metrics, time, and the page.")),
     modifiers(&Problems, &Bytes, &Tokens)

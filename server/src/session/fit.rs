@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError};
 
 use isophote_capture::Exposure;
 use isophote_machine::{monotonic_ns, thread_ns};
-use isophote_tracker::{ControllerOptions, Ending, ExposureController, Tracker};
+use isophote_tracker::{ControllerOptions, Ending, ExposureController, Tracker, Viewer};
 use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDocument, Timing};
 
 use super::beside::PreparationThread;
@@ -18,6 +18,7 @@ use super::start::SessionStart;
 use super::swap::{Active, Swap, Swapped};
 use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;
+use crate::preview::FittedScene;
 use crate::problem::Problem;
 use crate::source::Source;
 
@@ -43,6 +44,8 @@ pub struct Fitter {
     pub knob: Option<ExposureKnob>,
     /// Prepares what frames were fitted without.
     pub beside: PreparationThread,
+    /// Shows what `tracker` says, as soon as somebody looks.
+    pub viewer: Option<Arc<Viewer>>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
     /// What was said of its frames.
@@ -116,7 +119,7 @@ impl Fitter {
         let carried = self.tracker.swap(swap.compiled, swap.options);
         self.shared.hub.keep(&self.tracker.names());
         self.beside.give_up();
-        self.active = swap.active;
+        (self.active, self.viewer) = (swap.active, None);
         self.shared.counters.swaps.add(1);
         let active_since_frame = self.next_frame.unwrap_or(0);
         let (session, model) = (self.name.as_str(), self.active.id.as_ref());
@@ -169,8 +172,11 @@ impl Fitter {
         for estimate in &estimates {
             self.shared.hub.publish(estimate.clone());
         }
-        if let Some(first) = estimates.into_iter().next() {
-            self.answer(delivery, first);
+        if let Some(first) = estimates.first() {
+            self.answer(delivery, first.clone());
+        }
+        if self.shared.preview.is_wanted() {
+            self.show(&delivery.captured.frame, results, estimates);
         }
         for wanted in self.shared.inbox.take_samples() {
             let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
@@ -206,6 +212,18 @@ impl Fitter {
         let fit = end_ns.saturating_sub(start_ns) / 1000;
         estimate.timing_us = Some(Timing { wait, fit });
         estimate
+    }
+
+    /// Hands a frame to those who look, with what belongs to it; they draw it.
+    fn show(
+        &mut self,
+        frame: &isophote_tracker::Frame,
+        estimates: Vec<isophote_tracker::Estimate>,
+        views: Vec<Arc<EstimateView>>,
+    ) {
+        let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();
+        let (frame, session, epoch) = (frame.clone(), self.name.clone(), self.run.epoch);
+        self.shared.preview.show(FittedScene { frame, estimates, views, viewer, session, epoch });
     }
 
     /// Whoever pushed the frame to this session gets its estimate.

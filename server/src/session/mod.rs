@@ -22,6 +22,7 @@ use crate::capacity::busy;
 use crate::counters::SessionCounters;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
+use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::Source;
@@ -104,6 +105,7 @@ impl Session {
             knob,
             beside: PreparationThread::default(),
             next_frame: None,
+            viewer: None,
             chronicle: Chronicle::default(),
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
@@ -119,6 +121,11 @@ impl Session {
     /// Its estimates.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.shared.hub
+    }
+
+    /// What it looks like.
+    pub fn preview(&self) -> &Arc<Preview> {
+        &self.shared.preview
     }
 
     /// What was counted of it.

@@ -6,6 +6,7 @@ use super::inbox::Inbox;
 use super::status::Status;
 use crate::counters::SessionCounters;
 use crate::hub::Hub;
+use crate::preview::Preview;
 
 /// Of one session.
 pub struct Shared {
@@ -13,6 +14,8 @@ pub struct Shared {
     pub inbox: Arc<Inbox>,
     /// What it has found.
     pub hub: Arc<Hub>,
+    /// What it looks like.
+    pub preview: Arc<Preview>,
     /// What is counted of it.
     pub counters: SessionCounters,
     status: Mutex<Status>,
@@ -24,6 +27,7 @@ impl Shared {
         Shared {
             inbox: Arc::default(),
             hub: Arc::default(),
+            preview: Arc::default(),
             counters: SessionCounters::default(),
             status: Mutex::new(status),
         }

@@ -1,6 +1,8 @@
-//! A subscription in, messages on a socket out; frames on a socket in, their estimates out.
+//! A subscription in, messages on a socket out, pictures among them; frames on a socket in, their estimates out.
 
 pub mod body;
 pub mod frames;
+mod pace;
+pub mod preview;
 pub mod pushed;
 pub mod websocket;

@@ -10,7 +10,7 @@ use crate::limits::LIMITS;
 
 /// How many more messages the client takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Credit {
+pub(super) enum Credit {
     /// As many as the socket takes.
     Open,
     /// So many.
@@ -18,16 +18,16 @@ enum Credit {
 }
 
 impl Credit {
-    fn is_left(self) -> bool {
+    pub fn is_left(self) -> bool {
         self != Credit::Counted(0)
     }
-    fn spend(&mut self) {
+    pub fn spend(&mut self) {
         if let Credit::Counted(n) = self {
             *n = n.saturating_sub(1);
         }
     }
     /// A client that never named a credit starts to count with its first renewal.
-    fn renew(&mut self, more: u32) {
+    pub fn renew(&mut self, more: u32) {
         let left = if let Credit::Counted(n) = *self { n } else { 0 };
         *self = Credit::Counted(left.saturating_add(more).min(LIMITS.credit));
     }
@@ -118,7 +118,7 @@ pub(super) async fn close(socket: &mut WebSocket, end: &End) {
 }
 
 /// Sends the close frame and waits a moment for the client's, so that what was sent before is not lost.
-async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
+pub(super) async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
     let reason: String = reason
         .chars()
         .scan(0, |bytes, c| {

@@ -203,6 +203,10 @@ impl Socket {
     pub fn protocol(&self) -> &str {
         &self.1
     }
+    /// The next message, whatever it is.
+    pub fn read(&mut self) -> Message {
+        self.0.read().unwrap()
+    }
     /// The next message, or the code with which the service closed.
     pub fn next(&mut self) -> Result<Value, u16> {
         loop {

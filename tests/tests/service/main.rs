@@ -27,6 +27,7 @@ mod metrics;
 mod models;
 mod openapi;
 mod paths;
+mod preview;
 mod pushing;
 mod recordings;
 mod restarts;

@@ -193,7 +193,7 @@ fn the_cameras_defects_are_left_out() {
 fn what_this_build_does_not_have_is_said() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
-    service.get("/v1/sessions/one/preview?format=raw8").expect(501);
+    service.get("/v1/sessions/one/preview?format=raw8").expect(400); // no WebSocket
     service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(501);
     service.get("/v1/nothing").expect(404);
     service.request("POST", "/v1/sessions/one/frames", &[("content-type", "image/png")], b"x").expect(409);

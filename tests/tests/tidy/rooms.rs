@@ -18,7 +18,7 @@ const ROOMS: [Rooms; 2] = [
     Rooms { source: "symbolic/src/", folders: &["derive", "language", "program", "proof"], files: &["lib.rs"] },
     Rooms {
         source: "tracker/src/",
-        folders: &["camera", "exposure", "pose", "report", "sight", "solve", "track", "tune"],
+        folders: &["camera", "exposure", "pose", "preview", "report", "sight", "solve", "track", "tune"],
         files: &["budget.rs", "estimate.rs", "lib.rs", "options.rs", "picture.rs", "scaled.rs"],
     },
 ];

@@ -175,6 +175,21 @@ impl Frame {
         self
     }
 
+    /// The same frame in memory of our own: what was on loan goes back with the last clone of the others.
+    pub fn owned(&self) -> Frame {
+        let mut copies: Vec<(*const u8, Buffer)> = Vec::new();
+        let mut frame = self.clone();
+        for plane in frame.planes.iter_mut().filter(|plane| matches!(plane.buffer, Buffer::Leased(_))) {
+            let bytes = plane.buffer.bytes();
+            let known =
+                copies.iter().find(|(first, copy)| *first == bytes.as_ptr() && copy.bytes().len() == bytes.len());
+            let copy = known.map(|(_, copy)| copy.clone()).unwrap_or_else(|| Buffer::Owned(bytes.into()));
+            copies.push((bytes.as_ptr(), copy.clone()));
+            plane.buffer = copy;
+        }
+        frame
+    }
+
     /// What the planes are called, where they have names.
     pub fn names(&self) -> Option<&[String]> {
         self.names.as_deref()
@@ -343,7 +358,9 @@ mod tests {
         let second = frame.clone();
         drop(frame);
         assert_eq!(RETURNED.load(Ordering::SeqCst), 0);
+        let copy = second.owned();
         drop(second);
         assert_eq!(RETURNED.load(Ordering::SeqCst), 1);
+        assert_eq!(copy.plane_view(0).pixel(1, 1), f64::from(u16::from_le_bytes([9, 10])));
     }
 }

@@ -20,7 +20,7 @@ mod mirrored;
 mod mismatch;
 mod p3p;
 mod profile;
-mod rigid;
+pub(crate) mod rigid;
 mod seen;
 mod start;
 mod target;

@@ -14,6 +14,7 @@ use crate::budget::{FrameBudget, Stop, Watch};
 use crate::estimate::{Ending, Estimate, Rejection, TrackState};
 use crate::exposure::{Advisor, is_advisable};
 use crate::options::{TrackError, TrackerOptions};
+use crate::preview::Viewer;
 use crate::solve::compiled::Compiled;
 use crate::solve::prepare::Preparation;
 use crate::solve::stage_kernels::CompileFailure;
@@ -82,6 +83,11 @@ impl Tracker {
         let solver = Solver::new(self.solver.compiled.clone(), self.solver.options.clone());
         let (tracks, clock) = (self.tracks.clone(), self.clock);
         Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None }
+    }
+
+    /// Shows frames with what this tracker says of them, until it takes another model.
+    pub fn viewer(&self) -> Viewer {
+        Viewer::new(Solver::new(self.solver.compiled.clone(), self.solver.options.clone()))
     }
 
     /// True where estimates of this model may carry advice about exposure.

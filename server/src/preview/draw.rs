@@ -1,0 +1,74 @@
+//! One frame, drawn for all who asked for it.
+
+use std::collections::BTreeMap;
+
+use isophote_capture::encode_jpeg;
+use isophote_tracker::{FrameScene, PreviewDepth};
+use isophote_wire::{PreviewDrawing, PreviewFormat, PreviewHeader, PreviewLevels, PreviewPixels};
+use tokio::sync::oneshot;
+
+use super::{Ask, FittedScene, PreviewForm};
+use crate::counters::Tally;
+
+/// A message as it is sent; clones share it.
+pub type PreviewMessage = axum::body::Bytes;
+
+/// Draws each form that is asked for once.
+pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) {
+    let mut wanted: BTreeMap<PreviewForm, Vec<oneshot::Sender<PreviewMessage>>> = BTreeMap::new();
+    for ask in asks {
+        wanted.entry(ask.form).or_default().push(ask.reply);
+    }
+    let FittedScene { frame, estimates, views, viewer, session, epoch } = scene;
+    let frame = { frame }.owned(); // what was on loan goes back before anything is drawn
+    let seen = viewer.scene(&frame, &estimates);
+    let [width, height, ..] = frame.sides();
+    let mut drawing = PreviewDrawing::new(&session, epoch, frame.sequence, [width, height], seen.overlay());
+    drawing.estimate = views.first().map(|view| (**view).clone());
+    if views.len() > 1 {
+        drawing.estimates = views.iter().map(|view| (**view).clone()).collect();
+    }
+    let drawing = match serde_json::to_string(&drawing) {
+        Ok(text) => text,
+        Err(error) => return tracing::error!(session, %error, "bug: a preview is no JSON"),
+    };
+    for (form, replies) in wanted {
+        let message = match message(&seen, form, &drawing) {
+            Ok(message) => PreviewMessage::from(message),
+            Err(error) => {
+                tracing::error!(session, %error, "a preview cannot be encoded");
+                continue;
+            }
+        };
+        messages.add(1);
+        for reply in replies {
+            reply.send(message.clone()).ok(); // the viewer may have gone
+        }
+    }
+}
+
+fn message(seen: &FrameScene<'_>, form: PreviewForm, drawing: &str) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let depth = match form.format {
+        PreviewFormat::Raw8 => PreviewDepth::Eight,
+        PreviewFormat::Raw16 => PreviewDepth::Sixteen,
+        PreviewFormat::Jpeg => PreviewDepth::Colour,
+    };
+    let picture = seen.picture(form.part, form.step, depth);
+    let [low, high] = picture.levels;
+    let pixels = PreviewPixels {
+        part: form.part,
+        format: form.format,
+        width: picture.width,
+        height: picture.height,
+        origin: picture.origin,
+        step: picture.step,
+        levels: PreviewLevels { low, high },
+    };
+    let bytes = match form.format {
+        PreviewFormat::Jpeg => {
+            encode_jpeg(picture.width, picture.height, picture.channels, &picture.bytes, form.quality)?
+        }
+        PreviewFormat::Raw8 | PreviewFormat::Raw16 => picture.bytes,
+    };
+    Ok(PreviewHeader::message(&pixels, drawing, &bytes))
+}

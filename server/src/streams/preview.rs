@@ -1,0 +1,131 @@
+//! A preview over a WebSocket, `isophote.v1`: one binary message a frame. After each message goes a ping, whose answer says that it
+//! was read: so a reader has little more than one message ahead of it, whatever buffers there are.
+
+use std::time::{Duration, Instant};
+
+use axum::extract::ws::{Message, WebSocket, close_code};
+use isophote_wire::CreditDocument;
+use tokio::sync::oneshot;
+
+use super::pace::PreviewPace;
+use super::websocket::{Credit, break_off, close, finish, refuse, send};
+use crate::hub::{Next, Subscription};
+use crate::limits::LIMITS;
+use crate::preview::{PreviewForm, PreviewMessage, PreviewSeat};
+
+/// What a viewer asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PreviewWish {
+    /// What, and how.
+    pub form: PreviewForm,
+    /// Messages a second, at most.
+    pub rate_hz: f64,
+    /// Messages before it renews its credit; absent: as many as it reads.
+    pub credit: Option<u32>,
+}
+
+/// What happened on the socket.
+enum Turn {
+    Ended(Next),
+    Drawn(Result<PreviewMessage, oneshot::error::RecvError>),
+    Received(Option<Result<Message, axum::Error>>),
+    Ping,
+}
+
+/// Until one side ends it. `subscription` says when the session does.
+pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: Subscription, wish: PreviewWish) {
+    let mut credit = wish.credit.map_or(Credit::Open, Credit::Counted);
+    let mut pace = PreviewPace::default();
+    let period = Duration::from_secs_f64(1.0 / wish.rate_hz);
+    let mut due = Instant::now();
+    let mut asked: Option<oneshot::Receiver<PreviewMessage>> = None;
+    let mut heard = Instant::now();
+    let mut ping = tokio::time::interval(LIMITS.ping_time);
+    ping.reset();
+    loop {
+        if asked.is_none() && credit.is_left() && pace.is_free(Instant::now()) {
+            let (quality, step) = pace.level();
+            let form = PreviewForm { quality, step: wish.form.step * step, ..wish.form };
+            let form = if form.format == isophote_wire::PreviewFormat::Jpeg { form } else { wish.form };
+            let from = due.checked_sub(period / 2).unwrap_or(due);
+            asked = Some(seat.ask(form, from, due));
+        }
+        let turn = tokio::select! {
+            end = subscription.end() => Turn::Ended(end),
+            drawn = drawn(&mut asked) => Turn::Drawn(drawn),
+            received = socket.recv() => Turn::Received(received),
+            _ = ping.tick() => Turn::Ping,
+        };
+        match turn {
+            Turn::Ended(Next::End(end)) => return close(&mut socket, &end).await,
+            Turn::Ended(Next::Estimate(_)) => {}
+            Turn::Drawn(drawn) => {
+                asked = None;
+                let Ok(message) = drawn else {
+                    return finish(&mut socket, close_code::ERROR, "the preview cannot be drawn").await;
+                };
+                let now = Instant::now();
+                // One that came late does not make the next ones hurry.
+                due = (due + period).max(now.checked_sub(period).unwrap_or(now));
+                let number = pace.send(message.len(), now);
+                if !deliver(&mut socket, &mut subscription, message, number).await {
+                    return;
+                }
+                credit.spend();
+            }
+            Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
+            Turn::Ping => {
+                if !send(&mut socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await {
+                    return;
+                }
+            }
+            Turn::Received(None) => return,
+            Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
+            Turn::Received(Some(Ok(message))) => {
+                heard = Instant::now();
+                match message {
+                    Message::Text(text) => match serde_json::from_str::<CreditDocument>(&text) {
+                        Ok(more) => credit.renew(more.credit),
+                        Err(error) => return refuse(&mut socket, &error.to_string()).await,
+                    },
+                    Message::Binary(_) => return refuse(&mut socket, "messages are JSON text").await,
+                    Message::Pong(number) => {
+                        if let Ok(number) = <[u8; 8]>::try_from(&number[..]) {
+                            pace.read(u64::from_le_bytes(number), heard);
+                        }
+                    }
+                    Message::Close(_) | Message::Ping(_) => {}
+                }
+            }
+        }
+    }
+}
+
+/// What was asked for, if anything was.
+async fn drawn(
+    asked: &mut Option<oneshot::Receiver<PreviewMessage>>,
+) -> Result<PreviewMessage, oneshot::error::RecvError> {
+    match asked {
+        Some(asked) => asked.await,
+        None => std::future::pending().await,
+    }
+}
+
+/// A message and the ping behind it. A long one has as long as its reader goes on taking bytes of it, and no longer than
+/// `LIMITS.picture_time`; when the session ends meanwhile, only a moment. False when it was not taken.
+async fn deliver(
+    socket: &mut WebSocket,
+    subscription: &mut Subscription,
+    message: PreviewMessage,
+    number: u64,
+) -> bool {
+    let ended = async {
+        subscription.end().await;
+        tokio::time::sleep(LIMITS.drain_time / 2).await;
+    };
+    let sent = tokio::select! {
+        is_sent = send(socket, Message::Binary(message), LIMITS.picture_time) => is_sent,
+        () = ended => false,
+    };
+    sent && send(socket, Message::Ping(number.to_le_bytes().to_vec().into()), LIMITS.send_time).await
+}

@@ -1,0 +1,198 @@
+//! `Viewer`: shows the frames of one session and model. `FrameScene`: one frame with what was estimated from it.
+
+use std::sync::OnceLock;
+
+use isophote_frame::Frame;
+use isophote_jit::{PlaneView, Slices, Window};
+use isophote_symbolic::Model;
+
+use super::predicted::{PredictedPlanes, PredictedValue};
+use crate::estimate::{Estimate, TrackState};
+use crate::pose::Pose;
+use crate::sight::gaps::overlap;
+use crate::sight::grey::Grey;
+use crate::track::solver::{Look, Solver};
+use crate::track::window::Margin;
+use crate::track::{MARGIN_PX, MARGIN_SHARE};
+
+/// Of residuals that are normally distributed, the standard deviation over the median of their magnitudes.
+const NORMAL: f64 = 1.4826;
+
+/// Shows what a tracker of that model and these options sees. Made by [`Tracker::viewer`](crate::Tracker::viewer).
+pub struct Viewer {
+    pub(super) solver: Solver,
+    predicted: OnceLock<PredictedPlanes>,
+}
+
+/// One frame, and what is to be shown of it.
+pub struct FrameScene<'a> {
+    pub(super) viewer: &'a Viewer,
+    /// What the fit looked at: defects mended, and one plane where the model has one channel.
+    pub(super) fitted: Frame,
+    /// What is shown: as it came, colours as luma.
+    pub(super) grey: Frame,
+    /// As it came.
+    pub(super) frame: Frame,
+    /// z, w.
+    pub(super) slice: [usize; 2],
+    /// Those that were found, or are predicted.
+    pub(super) targets: Vec<SeenTarget>,
+    /// Of all of them, in the slice that is shown; else where the session looks, if it says so.
+    pub(super) window: Option<Window>,
+    /// Where pixels clip, of each channel of the model.
+    pub(super) limits: Vec<f64>,
+}
+
+/// A target that was found, or is predicted.
+pub(super) struct SeenTarget {
+    pub parameters: Vec<f64>,
+    /// In the slice that is shown.
+    pub window: Window,
+    pub pose: Option<Pose>,
+    /// The standard deviation of pixels, where the model does not state it: √(χ²/ν).
+    deviation: Option<f64>,
+}
+
+/// What a target leaves unexplained in its window.
+pub(super) struct Unexplained {
+    /// Observed − intensity, in σ; NaN outside of the domain, and where pixels say nothing.
+    pub residuals: Vec<f32>,
+    pub observed: Vec<f64>,
+    /// NaN outside of the domain.
+    pub intensity: Vec<f32>,
+    pub deviation: Vec<f32>,
+    /// From here on what is observed is clipped.
+    pub limit: f64,
+}
+
+impl Viewer {
+    pub(crate) fn new(solver: Solver) -> Viewer {
+        Viewer { solver, predicted: OnceLock::new() }
+    }
+
+    pub(super) fn model(&self) -> &Model {
+        self.solver.model()
+    }
+
+    /// What is predicted of pixels; compiled by the first who asks.
+    pub(super) fn predicted(&self) -> &PredictedPlanes {
+        self.predicted.get_or_init(|| PredictedPlanes::new(self.model(), &self.solver.constants))
+    }
+
+    /// A frame with its estimates: those of the tracker that made this viewer. Any other frame can be shown as well, then without
+    /// what is drawn over it.
+    pub fn scene(&self, frame: &Frame, estimates: &[Estimate]) -> FrameScene<'_> {
+        let mended = self.solver.mended(frame);
+        let is_luma = self.model().channels().len() == 1 && frame.planes().len() == 3;
+        let fitted = if is_luma { mended.luma() } else { mended.into_owned() };
+        let grey = if is_luma && frame.names().is_none() { fitted.clone() } else { frame.luma() };
+        let known = self.model().parameters().len();
+        let is_seen = |one: &&Estimate| {
+            matches!(one.state, TrackState::Tracking | TrackState::Coasting) && one.parameters.len() == known
+        };
+        let seen: Vec<&Estimate> = estimates.iter().filter(is_seen).collect();
+        let mut scene = FrameScene {
+            viewer: self,
+            slice: middle(frame),
+            grey,
+            frame: frame.clone(),
+            fitted: fitted.clone(),
+            targets: Vec::new(),
+            window: None,
+            limits: Vec::new(),
+        };
+        if let Some(look) = self.solver.look(&fitted) {
+            scene.slice = self.slice(&look, seen.first().copied(), scene.slice);
+            scene.targets = seen.iter().filter_map(|one| self.target(&look, one, scene.slice)).collect();
+            let given = self.solver.options.window.and_then(|_| in_slice(look.window, scene.slice));
+            let all = scene.targets.iter().map(|target| target.window).reduce(hull);
+            scene.window = all.or(given);
+            scene.limits = self.solver.view(&look, scene.window.unwrap_or(look.window)).saturation;
+        }
+        scene
+    }
+
+    /// The slice through the first target's centre; where it has none, or none was found, the middle one.
+    fn slice(&self, look: &Look, first: Option<&Estimate>, middle: [usize; 2]) -> [usize; 2] {
+        let centre = self.model().roles().first().map(|roles| &roles.centre[..]).unwrap_or_default();
+        std::array::from_fn(|axis| {
+            let value = first.zip(centre.get(axis + 2)).map(|(one, id)| one.parameters[id.index()].round());
+            let (begin, count) = (look.window.slices.first[axis], look.window.slices.count[axis]);
+            value.map_or(middle[axis], |value| value.max(0.0) as usize).clamp(begin, begin + count - 1)
+        })
+    }
+
+    fn target(&self, look: &Look, estimate: &Estimate, slice: [usize; 2]) -> Option<SeenTarget> {
+        let (solver, parameters) = (&self.solver, &estimate.parameters);
+        let window = match &solver.geometry {
+            Some(geometry) => {
+                let windows = geometry.windows(self.model(), parameters, &solver.constants, look.window);
+                windows.into_iter().reduce(hull)?
+            }
+            None => solver.window(look, parameters, Margin::even(MARGIN_SHARE, MARGIN_PX)),
+        };
+        let deviation = estimate.reduced_chi_square.filter(|_| !self.model().has_noise()).map(f64::sqrt);
+        let (pose, parameters) = (estimate.pose.clone(), parameters.clone());
+        Some(SeenTarget { parameters, window: in_slice(window, slice)?, pose, deviation })
+    }
+}
+
+impl FrameScene<'_> {
+    /// The frame's planes that the model reads; `None` where it does not have them.
+    pub(super) fn planes(&self) -> Option<Vec<PlaneView<'_>>> {
+        let planes = self.fitted.planes_of(self.viewer.model().channels())?;
+        Some(planes.into_iter().map(|plane| self.fitted.plane_view(plane)).collect())
+    }
+
+    /// What one target leaves unexplained in a part of its window, of each observed value.
+    pub(super) fn unexplained(&self, target: &SeenTarget, window: Window) -> Vec<Unexplained> {
+        let Some(planes) = self.planes().filter(|planes| planes.len() == self.limits.len()) else { return Vec::new() };
+        let gaps = self.viewer.solver.gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
+        let one = |PredictedValue { mixture, intensity, deviation }: PredictedValue<'_>| {
+            let mut grey = Grey::as_it_is(&planes, window, &self.limits, mixture);
+            grey.blank(window, &gaps);
+            let limit = grey.saturation;
+            let difference = |(value, predicted): (&f64, &f32)| {
+                let difference = value.min(limit) - f64::from(*predicted);
+                // What is clipped is at least as bright as that.
+                if *value >= limit && difference < 0.0 { 0.0 } else { difference }
+            };
+            let differences: Vec<f64> = grey.values.iter().zip(&intensity).map(difference).collect();
+            let deviation = deviation.unwrap_or_else(|| {
+                let stated = target.deviation.or_else(|| spread(&differences)).unwrap_or(1.0);
+                vec![stated as f32; differences.len()]
+            });
+            let whitened = differences.iter().zip(&deviation).map(|(d, sigma)| (d / f64::from(*sigma)) as f32);
+            Unexplained { residuals: whitened.collect(), observed: grey.values, intensity, deviation, limit }
+        };
+        self.viewer.predicted().of(&target.parameters, window).into_iter().map(one).collect()
+    }
+}
+
+/// The standard deviation of what is normally distributed but for outliers; `None` without numbers, or without spread.
+fn spread(values: &[f64]) -> Option<f64> {
+    let mut known: Vec<f64> = values.iter().filter(|value| value.is_finite()).map(|value| value.abs()).collect();
+    if known.is_empty() {
+        return None;
+    }
+    let middle = known.len() / 2;
+    Some(NORMAL * *known.select_nth_unstable_by(middle, f64::total_cmp).1).filter(|spread| *spread > 0.0)
+}
+
+/// z, w of the middle slice.
+fn middle(frame: &Frame) -> [usize; 2] {
+    let [_, _, depth, length] = frame.sides();
+    [(depth - 1) / 2, (length - 1) / 2]
+}
+
+/// The part of a window in one slice.
+fn in_slice(window: Window, slice: [usize; 2]) -> Option<Window> {
+    overlap(window, Window { slices: Slices { first: slice, count: [1, 1] }, ..window })
+}
+
+/// The smallest window that holds both; they are of one slice.
+fn hull(a: Window, b: Window) -> Window {
+    let (x, y) = (a.x.min(b.x), a.y.min(b.y));
+    let (right, bottom) = ((a.x + a.width).max(b.x + b.width), (a.y + a.height).max(b.y + b.height));
+    Window { x, y, width: right - x, height: bottom - y, slices: a.slices }
+}
