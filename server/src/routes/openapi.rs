@@ -15,7 +15,9 @@ use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement
 use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, ResponseBuilder, SchemaFormat, Type};
 use utoipa::{Modify, OpenApi};
 
-use super::{Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, schemas, sessions, sources};
+use super::{
+    Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, playback, schemas, sessions, sources,
+};
 use crate::problem::Problem;
 
 #[derive(OpenApi)]
@@ -27,6 +29,7 @@ use crate::problem::Problem;
         models::versions, models::roll_back,
         cameras::list, cameras::get, cameras::set,
         sources::list, sources::put, sources::get, sources::delete,
+        playback::scene, playback::set_scene, playback::playback, playback::set_playback,
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
         frames::post, frames::get, estimates::get,
     ),

@@ -9,8 +9,10 @@ mod document;
 mod estimate;
 pub mod explain;
 mod named;
+mod playback;
 
 pub use answer::*;
 pub use document::*;
 pub use estimate::*;
 pub use named::Named;
+pub use playback::*;
