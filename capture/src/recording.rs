@@ -13,7 +13,7 @@ use crate::files::format_of;
 use crate::limits::LIMITS;
 use crate::paged::{Address, OpenFile, Paged};
 use crate::regular::ReadableFolder;
-use crate::source::{Captured, FrameSource, SourceError};
+use crate::source::{Captured, FrameSource, Reel, SourceError};
 use crate::stack::{StackNode, entries, picture_size, pictures_of, read};
 use crate::truth::{self, Truth};
 
@@ -139,8 +139,7 @@ impl Recording {
 
     /// Starts over with the first file; frames go on being counted, and so does the time.
     pub fn rewind(&mut self) {
-        self.next = 0;
-        self.clock.rewind();
+        self.seek(0);
     }
 
     fn load(&mut self, node: &StackNode) -> Result<Frame, SourceError> {
@@ -178,12 +177,31 @@ impl FrameSource for Recording {
         format!("recording {} ({} frames)", self.path.display(), self.frames.len())
     }
 
+    fn reel(&mut self) -> Option<&mut dyn Reel> {
+        Some(self)
+    }
+
     fn size(&self) -> Option<Vec<usize>> {
         let node = &self.frames[0];
         if let StackNode::Table(path) = node {
             return Some(vec![Columns::parse(path, &read(path, &self.file.reach).ok()?).ok()?.columns[0].len()]);
         }
         Some([&picture_size(node.first(), &self.file.reach)?[..], &node.outer().ok()?].concat())
+    }
+}
+
+impl Reel for Recording {
+    fn count(&self) -> usize {
+        self.frames.len()
+    }
+
+    fn place(&self) -> usize {
+        self.next
+    }
+
+    fn seek(&mut self, place: usize) {
+        self.next = place.min(self.frames.len());
+        self.clock.rewind();
     }
 }
 

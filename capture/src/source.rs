@@ -7,6 +7,7 @@ use isophote_frame::Frame;
 
 use crate::exposure::Exposure;
 use crate::limits::LIMITS;
+use crate::scene::SceneKnob;
 
 /// One frame and what is known about it besides its pixels.
 #[derive(Clone, Debug)]
@@ -36,6 +37,33 @@ pub trait FrameSource: Send {
     fn exposure(&self) -> Option<Exposure> {
         None
     }
+
+    /// The knob of a source whose scene can be changed.
+    fn scene(&self) -> Option<SceneKnob> {
+        None
+    }
+
+    /// Where its frames have places.
+    fn reel(&mut self) -> Option<&mut dyn Reel> {
+        None
+    }
+
+    /// Nobody has seen the last frame: it is the next once more, as it is then. False where it is lost.
+    fn take_back(&mut self) -> bool {
+        false
+    }
+}
+
+/// Frames with places, counted from 0, any of which may be the next: a recording.
+pub trait Reel {
+    /// How many frames there are; never 0.
+    fn count(&self) -> usize;
+
+    /// The place of the next frame; behind the last one `count`.
+    fn place(&self) -> usize;
+
+    /// The next frame is the one at that place. Frames go on being counted, and so does the time.
+    fn seek(&mut self, place: usize);
 }
 
 /// Why a source cannot deliver. Every message names the file and says what would help.

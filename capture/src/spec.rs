@@ -123,6 +123,12 @@ pub enum SyntheticError {
         /// What is wrong with it.
         reason: String,
     },
+    /// Another scene, whose formulas say nothing for the next frame.
+    #[error("the next frame could not be seen: {reason}")]
+    Unseen {
+        /// What is wrong then.
+        reason: String,
+    },
     /// The model cannot be rendered.
     #[error("the model `{model}` cannot be rendered: {reason}")]
     Model {

@@ -7,15 +7,12 @@ use isophote_jit::{PixelFormat, Slices, Window};
 
 use crate::exposure::Exposure;
 use crate::light::defocus::Blur;
-use crate::light::shine::Shine;
-use crate::light::{self, Light};
-use crate::movement::{Movement, MovementFault};
-use crate::moving::Law;
-use crate::noise::{ReadOut, Sensor};
+use crate::noise::ReadOut;
 use crate::planes::of_channels;
 use crate::sampling::{BAND_ROWS, RenderedNumbers, Scene, SceneFault, Scratch};
+use crate::scene::{SceneKnob, Seen, StagedScene};
 use crate::source::{Captured, FrameSource, SourceError};
-use crate::spec::{SyntheticError, SyntheticSpec, check, first_message, numbers, unknown, wrong_light};
+use crate::spec::{SyntheticError, SyntheticSpec, check, first_message};
 
 /// Between the seeds of two channels: the golden ratio's bits, so that neighbouring seeds do not meet.
 const CHANNEL_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -32,18 +29,16 @@ pub struct Synthetic {
     /// One a channel, and its read-out.
     scenes: Vec<Scene>,
     read_outs: Vec<ReadOut>,
-    motion: Movement,
-    light: Light<Law>,
-    own_exposure: Law,
-    gain: Law,
-    parameters: Vec<f64>,
-    constants: Vec<f64>,
+    staged: Box<StagedScene>,
+    knob: SceneKnob,
     frame: u64,
     scratch: Scratch,
     means: Vec<f32>,
     exposure: Exposure,
     /// Exposures on their way: that of the next frame is the first.
     exposures: VecDeque<f64>,
+    /// That of the last frame.
+    exposed: f64,
 }
 
 impl Synthetic {
@@ -61,36 +56,24 @@ impl Synthetic {
             })
         };
         let scenes = models.iter().map(scene).collect::<Result<Vec<_>, _>>()?;
-        let motion = Movement::parse(&spec.model, &spec.motion).map_err(|fault| match fault {
-            MovementFault::UnknownName(name) => unknown(&spec.model, "parameter", name),
-            MovementFault::Formula { name, diagnostics } => SyntheticError::Motion { name, diagnostics },
-        })?;
-        let (parameters, constants) = numbers(&spec)?;
-        let light = light::read(&spec.light).map_err(wrong_light)?;
-        let own_exposure = light::read_factor("exposure", &spec.exposure).map_err(wrong_light)?;
-        let gain = light::read_factor("gain", &spec.gain).map_err(wrong_light)?;
-        let electrons_per_dn = spec.full_well_e / spec.saturation;
-        let sensor = Sensor { saturation: spec.saturation, electrons_per_dn, read_noise_e: spec.read_noise_e };
-        let read_outs = scenes.iter().map(|_| ReadOut::new(sensor)).collect();
+        let staged = Box::new(StagedScene::read(&spec)?);
+        let read_outs = scenes.iter().map(|_| ReadOut::new(staged.sensor)).collect();
         let (scratch, means) = (Scratch::default(), Vec::new());
         let exposures = std::iter::repeat_n(1.0, spec.exposure_latency as usize).collect();
         let exposure = Exposure::default();
         Ok(Synthetic {
+            knob: SceneKnob::new(&spec),
             spec,
             size,
             scenes,
             read_outs,
-            motion,
-            light,
-            own_exposure,
-            gain,
-            parameters,
-            constants,
+            staged,
             frame: 0,
             scratch,
             means,
             exposure,
             exposures,
+            exposed: 1.0,
         })
     }
 
@@ -111,32 +94,33 @@ impl Synthetic {
     }
 
     fn parameters_of(&self, frame: u64) -> Result<Vec<f64>, SourceError> {
-        let mut parameters = self.parameters.clone();
-        let t_s = self.t_s(frame);
-        self.motion.apply(t_s, &mut parameters).map_err(|reason| SourceError::Synthetic { frame, reason })?;
-        Ok(parameters)
+        self.staged.parameters_at(self.t_s(frame)).map_err(|reason| SourceError::Synthetic { frame, reason })
+    }
+
+    /// Another scene, where somebody has put one.
+    fn restage(&mut self, frame: u64) {
+        let Some(staged) = self.knob.begin(frame) else { return };
+        // Tables are of the sensor that they were made for.
+        if staged.sensor != self.staged.sensor {
+            self.read_outs = self.scenes.iter().map(|_| ReadOut::new(staged.sensor)).collect();
+        }
+        self.staged = staged;
     }
 
     /// What the knob says of the next frame: what was set so many frames ago.
     fn take_exposure(&mut self) -> f64 {
         self.exposures.push_back(self.exposure.get());
-        self.exposures.pop_front().unwrap_or(1.0)
+        self.exposed = self.exposures.pop_front().unwrap_or(1.0);
+        self.exposed
     }
 
     /// How frame n is seen.
     fn seen(&mut self, frame: u64) -> Result<Seen, SourceError> {
-        let fault = |reason: String| SourceError::Synthetic { frame, reason };
-        let t_s = self.t_s(frame);
-        let own_exposure = light::factor_at("exposure", &self.own_exposure, t_s).map_err(fault)?;
-        let gain = light::factor_at("gain", &self.gain, t_s).map_err(fault)?;
-        let shine = match self.light.is_clean() {
-            true => None,
-            false => {
-                let [width, height, ..] = self.sides();
-                Some(Shine::at(&self.light, t_s, [width, height], self.spec.saturation).map_err(fault)?)
-            }
-        };
-        Ok(Seen { exposure: own_exposure * self.take_exposure(), gain, shine })
+        let [width, height, ..] = self.sides();
+        let seen = self.staged.seen_at(self.t_s(frame), [width, height]);
+        let mut seen = seen.map_err(|reason| SourceError::Synthetic { frame, reason })?;
+        seen.exposure *= self.take_exposure();
+        Ok(seen)
     }
 
     /// Pixels along each axis.
@@ -148,7 +132,7 @@ impl Synthetic {
     fn pixels(&mut self, channel: usize, frame: u64, seen: &Seen) -> Result<Plane, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
-        let numbers = RenderedNumbers { parameters: &parameters, constants: &self.constants, origin: [0.0; 2] };
+        let numbers = RenderedNumbers { parameters: &parameters, constants: &self.staged.constants, origin: [0.0; 2] };
         let [width, height, depth, length] = self.sides();
         let (scene, read_out) = (&self.scenes[channel], &mut self.read_outs[channel]);
         // Every channel has noise of its own; the first that of the seed.
@@ -195,20 +179,6 @@ impl Synthetic {
     }
 }
 
-/// How one frame is seen.
-struct Seen {
-    exposure: f64,
-    gain: f64,
-    /// `None` where nothing is wrong with the light.
-    shine: Option<Shine>,
-}
-
-impl Seen {
-    fn defocus_px(&self) -> Option<f64> {
-        self.shine.as_ref().map(Shine::defocus_px).filter(|sigma_px| *sigma_px > 0.0)
-    }
-}
-
 /// The light of one slice out of focus; its surroundings are rendered as well, since they shine into it.
 fn blurred(
     scene: &Scene,
@@ -232,6 +202,7 @@ impl FrameSource for Synthetic {
     fn next(&mut self) -> Result<Option<Captured>, SourceError> {
         let frame = self.frame;
         self.frame += 1;
+        self.restage(frame);
         let seen = self.seen(frame)?;
         let planes = (0..self.scenes.len()).map(|channel| self.pixels(channel, frame, &seen));
         let planes = planes.collect::<Result<Vec<_>, _>>()?;
@@ -262,5 +233,20 @@ impl FrameSource for Synthetic {
 
     fn exposure(&self) -> Option<Exposure> {
         Some(self.exposure.clone())
+    }
+
+    fn scene(&self) -> Option<SceneKnob> {
+        Some(self.knob.clone())
+    }
+
+    fn take_back(&mut self) -> bool {
+        if self.frame == 0 {
+            return false;
+        }
+        self.frame -= 1;
+        self.exposures.pop_back();
+        self.exposures.push_front(self.exposed);
+        self.knob.take_back(self.frame);
+        true
     }
 }

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use isophote_capture::{FrameSource, Synthetic, SyntheticSpec};
+use isophote_capture::{FrameSource, Light, Moving, SceneSpec, Synthetic, SyntheticSpec};
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
 
@@ -243,4 +243,44 @@ fn an_exposure_is_applied_some_frames_later() {
     }
     let spec = SyntheticSpec { exposure_latency: 65, ..SyntheticSpec::new(model) };
     assert!(Synthetic::new(spec).err().unwrap().to_string().contains("exposure_latency is 65"));
+}
+
+/// A scene that is set while the camera runs is that of a camera which was made with it, from that frame on.
+#[test]
+fn a_scene_is_taken_between_two_frames() {
+    let spec = |height: f64, full_well_e: f64| SyntheticSpec {
+        set: set(&[("height", height)]),
+        motion: BTreeMap::from([("bx".into(), "16 + 30*t".into())]),
+        full_well_e,
+        ..small(model("height*exp(-((x-bx)^2 + (y-by)^2)/40)"))
+    };
+    let scene = |spec: &SyntheticSpec| SceneSpec {
+        set: spec.set.clone(),
+        motion: spec.motion.clone(),
+        exposure: Moving::Number(1.0),
+        gain: Moving::Number(1.0),
+        full_well_e: spec.full_well_e,
+        read_noise_e: 0.0,
+        light: Light::default(),
+    };
+    let (before, after) = (spec(100.0, 0.0), spec(200.0, 9000.0));
+    let frames = |spec: &SyntheticSpec| -> Vec<Vec<f64>> {
+        let mut camera = Synthetic::new(spec.clone()).unwrap();
+        (0..6).map(|_| pixels(&mut camera)).collect()
+    };
+    let (old, new) = (frames(&before), frames(&after));
+    let mut camera = Synthetic::new(before.clone()).unwrap();
+    let knob = camera.scene().unwrap();
+    assert_eq!((pixels(&mut camera), pixels(&mut camera)), (old[0].clone(), old[1].clone()));
+    let wrong = SceneSpec { full_well_e: -1.0, ..scene(&after) };
+    knob.set(wrong).unwrap_err();
+    assert_eq!(pixels(&mut camera), old[2]);
+    assert_eq!(knob.set(scene(&before)).unwrap(), 3);
+    assert_eq!(knob.set(scene(&after)).unwrap(), 3);
+    assert_eq!(pixels(&mut camera), new[3], "the newest wins");
+    assert_eq!(pixels(&mut camera), new[4]);
+    // A frame that nobody saw comes again, as it is then.
+    assert!(camera.take_back());
+    assert_eq!(knob.set(scene(&before)).unwrap(), 4);
+    assert_eq!(pixels(&mut camera), old[4]);
 }

@@ -37,6 +37,10 @@ pub struct ServiceLimits {
     pub rate_hz: f64,
     /// … and at least, where there is a rate.
     pub rate_hz_least: f64,
+    /// Least and most of what a source may be played at, times its rate.
+    pub speed: (f64, f64),
+    /// Frames that a paused source shows at once.
+    pub steps: u64,
     /// Pixels of a frame or window.
     pub window_pixels: usize,
     /// Sockets, those of WebSockets among them.
@@ -150,6 +154,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     pushed_window: 4,
     rate_hz: 10_000.0,
     rate_hz_least: 1e-3,
+    speed: (0.05, 16.0),
+    steps: 1_000_000,
     window_pixels: 16 * 1024 * 1024,
     sockets: 1024,
     sockets_told: 64,

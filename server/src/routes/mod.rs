@@ -13,6 +13,7 @@ mod openapi;
 mod page;
 mod paging;
 mod parameters;
+mod playback;
 mod preview;
 mod schemas;
 mod sessions;
@@ -59,6 +60,8 @@ pub fn router(app: App) -> Router {
         .route("/v1/cameras/{device}/controls", put(cameras::set))
         .route("/v1/sources", get(sources::list))
         .route("/v1/sources/{name}", put(sources::put).get(sources::get).delete(sources::delete))
+        .route("/v1/sources/{name}/scene", put(playback::set_scene).get(playback::scene))
+        .route("/v1/sources/{name}/playback", put(playback::set_playback).get(playback::playback))
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{name}", put(sessions::put).get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{name}/model", put(sessions::swap))

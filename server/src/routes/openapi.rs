@@ -16,7 +16,8 @@ use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, Re
 use utoipa::{Modify, OpenApi};
 
 use super::{
-    Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, preview, schemas, sessions, sources,
+    Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, playback, preview, schemas, sessions,
+    sources,
 };
 use crate::problem::Problem;
 
@@ -29,6 +30,7 @@ use crate::problem::Problem;
         models::versions, models::roll_back,
         cameras::list, cameras::get, cameras::set,
         sources::list, sources::put, sources::get, sources::delete,
+        playback::scene, playback::set_scene, playback::playback, playback::set_playback,
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
         frames::post, frames::get, estimates::get, preview::get,
     ),

@@ -170,7 +170,20 @@ impl Service {
                 };
                 let name = name.to_string();
                 let document = record.document;
-                Ok(SourceView { name, document, state, reason, declared_at, frames: 0, sessions: 0, camera: None })
+                let (position, playback, camera) = (None, None, None);
+                let view = SourceView {
+                    name,
+                    document,
+                    state,
+                    reason,
+                    declared_at,
+                    frames: 0,
+                    sessions: 0,
+                    position,
+                    playback,
+                    camera,
+                };
+                Ok(view)
             }
         }
     }

@@ -48,6 +48,8 @@ pub struct Fitter {
     pub viewer: Option<Arc<Viewer>>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
+    /// How often the source had gone on elsewhere by then.
+    pub jumps: Option<u64>,
     /// What was said of its frames.
     pub chronicle: Chronicle,
 }
@@ -139,6 +141,9 @@ impl Fitter {
         // A camera that comes back may have another rate.
         if let (Some(times), Some(budget)) = (&mut self.times, self.source.frame_budget()) {
             times.fit = budget;
+        }
+        if self.jumps.replace(delivery.jumps).is_some_and(|jumps| jumps != delivery.jumps) {
+            self.tracker.lose();
         }
         let inbox = &self.shared.inbox;
         let watch = FrameWatch::begin(&self.name, inbox, &self.room, self.times.as_ref());

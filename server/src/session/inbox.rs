@@ -18,6 +18,8 @@ pub struct Delivery {
     pub captured: Captured,
     /// When the source handed it on, CLOCK_MONOTONIC.
     pub sent_ns: u64,
+    /// How often the source has gone on elsewhere: where that has grown, what was seen before does not go on.
+    pub jumps: u64,
     /// Who pushed it and waits for its estimate.
     pub reply: Mutex<Option<Reply>>,
 }

@@ -106,6 +106,7 @@ impl Session {
             beside: PreparationThread::default(),
             next_frame: None,
             viewer: None,
+            jumps: None,
             chronicle: Chronicle::default(),
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
@@ -171,6 +172,9 @@ impl Session {
     pub fn state(&self) -> (SessionState, Option<String>) {
         let (state, reason) = self.shared.status().state(monotonic_ns(), &self.source.source);
         let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
+        if !is_over && reason.is_none() && self.source.source.is_still() {
+            return (state, Some("the source is paused".to_string()));
+        }
         let trouble = self.source.source.trouble().filter(|_| !is_over);
         trouble.unwrap_or((state, reason))
     }

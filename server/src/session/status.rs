@@ -105,16 +105,19 @@ impl Status {
             return (self.ended.unwrap_or(SessionState::Starting), self.reason.clone());
         };
         let first_ns = self.times_ns.front().unwrap_or(last_ns);
-        let period_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
-        let silence_ns = now_ns.saturating_sub(*last_ns);
-        match self.ended {
-            Some(ended) => (ended, self.reason.clone()),
-            None if source.is_steady() && silence_ns > STALL_NS.max(STALL_PERIODS * period_ns) => {
-                let reason = format!("no picture was fitted for {:.0} s", silence_ns as f64 * 1e-9);
-                (SessionState::Stalled, Some(reason))
-            }
-            None => (SessionState::Running, self.reason.clone()),
+        let seen_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
+        // It may be slower than it was.
+        let period_ns = seen_ns.max(source.interval().map_or(0, |interval| interval.as_nanos() as u64));
+        if let Some(ended) = self.ended {
+            return (ended, self.reason.clone());
         }
+        let Some(since_ns) = source.steady_since_ns() else { return (SessionState::Running, self.reason.clone()) };
+        let silence_ns = now_ns.saturating_sub(since_ns.max(*last_ns));
+        if silence_ns <= STALL_NS.max(STALL_PERIODS * period_ns) {
+            return (SessionState::Running, self.reason.clone());
+        }
+        let reason = format!("no picture was fitted for {:.0} s", silence_ns as f64 * 1e-9);
+        (SessionState::Stalled, Some(reason))
     }
 
     /// Estimates a second; falls when none come.

@@ -7,6 +7,9 @@
 
 mod live;
 mod open;
+mod playback;
+mod played;
+mod scene;
 mod schedule;
 #[cfg(test)]
 mod tests;
@@ -29,6 +32,8 @@ use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
 };
 pub use open::{Opened, camera_problem, open, open_recording, pixel_format};
+use playback::{Playback, Tape};
+use scene::SceneInForce;
 use schedule::Ticks;
 
 /// What is known about a source's frames before the first one comes.
@@ -74,6 +79,7 @@ pub struct Source {
     document: SourceDocument,
     shape: FrameShape,
     exposure: Option<Exposure>,
+    scene: Option<SceneInForce>,
     /// Ends a camera's wait.
     wake: Option<Wake>,
     shared: Arc<Shared>,
@@ -92,6 +98,8 @@ struct State {
     reason: Option<String>,
     frames: u64,
     camera: Option<CameraStatus>,
+    /// Of frames that are made or read.
+    playback: Option<Playback>,
     /// Since when a camera's driver has had a question to answer.
     asked: Option<Instant>,
     /// A camera is closed, and stays so while `is_paused`.
@@ -124,7 +132,16 @@ impl Shared {
 
 impl Source {
     /// Starts the thread; it waits for the first session.
-    pub fn start(label: &str, document: SourceDocument, opened: Opened) -> Result<Source, Problem> {
+    pub fn start(label: &str, document: SourceDocument, mut opened: Opened) -> Result<Source, Problem> {
+        let (mut scene, mut playback) = (None, None);
+        if let Producer::Frames(frames) = &mut opened.producer {
+            if let (SourceDocument::Synthetic(synthetic), Some(knob)) = (&document, frames.scene()) {
+                scene = Some(SceneInForce::new(knob, synthetic));
+            }
+            let repeat = matches!(&document, SourceDocument::Recording(recording) if recording.repeat);
+            let tape = frames.reel().map(|reel| Tape { count: reel.count(), repeat, shown: None, seek: None });
+            playback = Some(Playback::new(tape));
+        }
         let state = State {
             sessions: Vec::new(),
             pushed: VecDeque::new(),
@@ -132,6 +149,7 @@ impl Source {
             reason: None,
             frames: 0,
             camera: None,
+            playback,
             asked: None,
             is_resting: true,
             is_paused: false,
@@ -144,11 +162,11 @@ impl Source {
             Producer::Pushed => (None, None),
             Producer::Camera(camera) => (camera.exposure(), Some(camera.wake())),
         };
-        let (faults_max, schedule) = (opened.faults_max, Ticks::new(rate_hz));
-        let worker = Worker { shared: shared.clone(), pace, schedule, frame: 0, faults_max, faults: 0 };
+        let schedule = Ticks::new(rate_hz);
+        let worker = Worker { shared: shared.clone(), pace, rate_hz, schedule, frame: 0, faults: 0 };
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
-        Ok(Source { document, shape: opened.shape, exposure, wake, shared, thread })
+        Ok(Source { document, shape: opened.shape, exposure, scene, wake, shared, thread })
     }
 
     /// What is known about its frames.
@@ -166,36 +184,39 @@ impl Source {
         &self.document
     }
 
-    /// Whether a pause between frames is a fault: not when clients push them.
-    pub fn is_steady(&self) -> bool {
-        !matches!(self.document, SourceDocument::Pushed(_))
-    }
-
     /// Frames a second of a source whose frames do not wait for fits; 0 where a camera does not say. `None` where they wait.
     pub fn realtime_hz(&self) -> Option<f64> {
         let is_camera = matches!(self.document, SourceDocument::Camera(_));
         let promised = || self.shared.lock().camera.as_ref().and_then(|camera| camera.rate_hz);
-        realtime_hz(&self.document, is_camera.then(promised).flatten())
+        Some(self.speed() * realtime_hz(&self.document, is_camera.then(promised).flatten())?)
     }
 
     /// How much of a thread's time a frame's fits may take: none is left when the next one comes.
     pub fn frame_budget(&self) -> Option<Duration> {
-        let interval_s = self.realtime_hz()?.recip();
-        Some(Duration::try_from_secs_f64(interval_s).map_or(LIMITS.frame_budget, |one| one.min(LIMITS.frame_budget)))
+        self.realtime_hz()?;
+        Some(self.interval().map_or(LIMITS.frame_budget, |one| one.min(LIMITS.frame_budget)))
+    }
+
+    /// Between its frames, where they do not wait and the rate is known.
+    pub fn interval(&self) -> Option<Duration> {
+        Duration::try_from_secs_f64(self.realtime_hz()?.recip()).ok()
     }
 
     /// Its document with its state.
     pub fn view(&self, name: &str) -> SourceView {
+        let (document, playback) = (self.document_now(), self.playback().ok());
         let shared = self.shared.lock();
         let (state, reason) = shared.state(Instant::now());
         SourceView {
             name: name.to_string(),
-            document: self.document.clone(),
+            document,
             state,
             reason,
             declared_at: None,
             frames: shared.frames,
             sessions: shared.sessions.len(),
+            position: playback.as_ref().and_then(|playback| playback.frame),
+            playback,
             camera: shared.camera.clone(),
         }
     }
@@ -293,11 +314,12 @@ fn end_of(state: SourceState, reason: String) -> SourceEnd {
 struct Worker {
     shared: Arc<Shared>,
     pace: Pace,
+    /// 0: as fast as `pace` allows.
+    rate_hz: f64,
     schedule: Ticks,
+    /// The number of the next frame.
     frame: u64,
-    /// Frames that may fail one after the other.
-    faults_max: usize,
-    /// That have failed since the last that did not.
+    /// Frames that have failed since the last that did not.
     faults: usize,
 }
 
@@ -308,31 +330,6 @@ impl Worker {
             Producer::Frames(frames) => self.run_frames(frames),
             Producer::Pushed => self.run_pushed(),
             Producer::Camera(camera) => self.run_camera(*camera),
-        }
-    }
-
-    fn run_frames(&mut self, mut frames: Box<dyn FrameSource>) {
-        while self.wait_for_sessions() {
-            match frames.next() {
-                Ok(Some(captured)) => {
-                    self.faults = 0;
-                    if !self.wait_until_due() {
-                        return;
-                    }
-                    self.number(captured, None);
-                }
-                // It may be whole when its turn comes again. Its number is missing, and its place in time stays.
-                Err(error) if self.faults < self.faults_max => {
-                    self.faults += 1;
-                    self.frame += 1;
-                    self.shared.lock().reason = Some(format!("a frame is left out: {error}"));
-                    if !self.wait_until_due() {
-                        return;
-                    }
-                }
-                Ok(None) => return finish(&self.shared, SourceState::Ended, "the recording has ended".into()),
-                Err(error) => return finish(&self.shared, SourceState::Failed, error.to_string()),
-            }
         }
     }
 
@@ -361,23 +358,6 @@ impl Worker {
         !state.is_stopping
     }
 
-    /// False when the source stops.
-    fn wait_until_due(&mut self) -> bool {
-        if self.pace == Pace::Fit {
-            self.wait_for_fits();
-        }
-        let due = self.schedule.due(Instant::now());
-        let mut state = self.shared.lock();
-        loop {
-            let now = Instant::now();
-            if state.is_stopping || now >= due {
-                return !state.is_stopping;
-            }
-            let waited = self.shared.changed.wait_timeout(state, due - now);
-            state = waited.unwrap_or_else(PoisonError::into_inner).0;
-        }
-    }
-
     fn wait_for_fits(&self) {
         let sessions = self.shared.lock().sessions.clone();
         sessions.iter().for_each(|inbox| inbox.wait_idle());
@@ -391,12 +371,12 @@ impl Worker {
     }
 
     fn deliver(&mut self, captured: Captured, reply: Option<Reply>) {
-        let delivery = Arc::new(Delivery { captured, sent_ns: monotonic_ns(), reply: Mutex::new(reply) });
-        let sessions = {
+        let (sessions, jumps) = {
             let mut state = self.shared.lock();
             state.frames += 1;
-            state.sessions.clone()
+            (state.sessions.clone(), state.playback.as_ref().map_or(0, |playback| playback.jumps))
         };
+        let delivery = Arc::new(Delivery { captured, sent_ns: monotonic_ns(), jumps, reply: Mutex::new(reply) });
         for inbox in &sessions {
             inbox.deliver(delivery.clone());
         }

@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use isophote_capture::camera::FormatWanted;
 use isophote_capture::{
-    CameraError, CameraSpec, Captured, FrameSource, LiveCamera, ReadableFolder, Recording, SourceError, Synthetic,
-    SyntheticError, SyntheticSpec,
+    CameraError, CameraSpec, FrameSource, LiveCamera, ReadableFolder, Recording, SourceError, Synthetic, SyntheticSpec,
 };
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
@@ -13,6 +12,7 @@ use isophote_wire::{
     CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
 };
 
+use super::scene::synthetic_problem;
 use super::{FrameShape, Producer};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -27,8 +27,6 @@ pub struct Opened {
     pub pace: Pace,
     /// Frames a second, 0: as fast as `pace` allows.
     pub rate_hz: f64,
-    /// Frames that may fail one after the other without an end to the source.
-    pub faults_max: usize,
 }
 
 /// Opens what a document describes, unless that is a recording. `prefix` is where it stands in the document that was sent
@@ -74,10 +72,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         exposure_latency: document.exposure_latency,
         ..typical
     };
-    let source = Synthetic::new(spec).map_err(|error| {
-        let key = if let SyntheticError::Light { key, .. } = &error { key } else { "" };
-        Problem::wrong_key("wrong-source", format!("{prefix}{key}").trim_end_matches('.'), error.to_string())
-    })?;
+    let source = Synthetic::new(spec).map_err(|error| synthetic_problem(&error, document, prefix))?;
     let shape = FrameShape {
         dimensions: Some(model.coordinates().len()),
         planes: Some(model.channels().len()),
@@ -86,7 +81,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         size: source.size(),
     };
     let producer = Producer::Frames(Box::new(source));
-    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, faults_max: 0 })
+    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz })
 }
 
 /// Opens a recording, which may take its time. `reader` is the model that will look at the frames, when that is known; `reach` is
@@ -113,12 +108,9 @@ pub fn open_recording(
         columns,
         size,
     };
-    // Of a recording that is played again and again, one whole round.
-    let faults_max = if document.repeat { recording.len() } else { 0 };
     let address = recording.address();
-    let source: Box<dyn FrameSource> = if document.repeat { Box::new(Loop(recording)) } else { Box::new(recording) };
-    let producer = Producer::Frames(source);
-    Ok((address, Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, faults_max }))
+    let producer = Producer::Frames(Box::new(recording));
+    Ok((address, Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz }))
 }
 
 fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Problem> {
@@ -131,7 +123,7 @@ fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Proble
         columns: None,
         size: Some(vec![document.width, document.height]),
     };
-    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0, faults_max: 0 })
+    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0 })
 }
 
 fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Problem> {
@@ -169,13 +161,7 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         columns: None,
         size: Some(camera.size().to_vec()),
     };
-    Ok(Opened {
-        producer: Producer::Camera(Box::new(camera)),
-        shape,
-        pace: Pace::Realtime,
-        rate_hz: 0.0,
-        faults_max: 0,
-    })
+    Ok(Opened { producer: Producer::Camera(Box::new(camera)), shape, pace: Pace::Realtime, rate_hz: 0.0 })
 }
 
 /// A camera that others use is a conflict; anything else is the document's, at its key.
@@ -224,25 +210,4 @@ fn check_pixels(sides: &[usize], prefix: &str) -> Result<(), Problem> {
         return Err(Problem::wrong_key("out-of-range", &format!("{prefix}width"), message));
     }
     Ok(())
-}
-
-/// A recording that begins again after its last file.
-struct Loop(Recording);
-
-impl FrameSource for Loop {
-    fn next(&mut self) -> Result<Option<Captured>, SourceError> {
-        match self.0.next()? {
-            Some(captured) => Ok(Some(captured)),
-            None => {
-                self.0.rewind();
-                self.0.next()
-            }
-        }
-    }
-    fn description(&self) -> String {
-        format!("{}, again and again", self.0.description())
-    }
-    fn size(&self) -> Option<Vec<usize>> {
-        self.0.size()
-    }
 }

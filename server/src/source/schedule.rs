@@ -8,11 +8,27 @@ pub struct Ticks {
     next: Option<Instant>,
 }
 
+/// Between two at a rate; at 0 nothing.
+fn period(rate_hz: f64) -> Duration {
+    if rate_hz > 0.0 { Duration::from_secs_f64(1.0 / rate_hz) } else { Duration::ZERO }
+}
+
 impl Ticks {
     /// `rate_hz` 0: always due at once.
     pub fn new(rate_hz: f64) -> Ticks {
-        let period = if rate_hz > 0.0 { Duration::from_secs_f64(1.0 / rate_hz) } else { Duration::ZERO };
-        Ticks { period, next: None }
+        Ticks { period: period(rate_hz), next: None }
+    }
+
+    /// When the frame that was due then is due at that rate: so much after the one before.
+    pub fn retimed(&mut self, due: Instant, rate_hz: f64) -> Instant {
+        let (before, now) = (self.period, period(rate_hz));
+        if before == now {
+            return due;
+        }
+        self.period = now;
+        let due = due.checked_sub(before).map_or(due, |begun| begun + now);
+        self.next = Some(due + now);
+        due
     }
 
     /// When the next frame is due, seen from `now`. A schedule that is more than one period behind starts anew from
@@ -47,5 +63,18 @@ mod tests {
         assert_eq!(schedule.due(at(39)), at(30)); // one behind: at once
         assert_eq!(schedule.due(at(95)), at(95)); // far behind: a new grid
         assert_eq!(schedule.due(at(96)), at(105));
+    }
+
+    #[test]
+    fn another_rate_counts_from_the_last_frame() {
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut schedule = Ticks::new(100.0);
+        assert_eq!(schedule.due(at(0)), at(0));
+        let due = schedule.due(at(1));
+        assert_eq!(schedule.retimed(due, 100.0), at(10));
+        assert_eq!(schedule.retimed(due, 10.0), at(100));
+        assert_eq!(schedule.retimed(at(100), 1000.0), at(1));
+        assert_eq!(schedule.due(at(1)), at(2));
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isophote_capture::{Captured, FrameSource, SourceError};
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
-use isophote_wire::{Pace, PushedDocument, PushedFormat, SourceDocument, SourceState};
+use isophote_wire::{Pace, PlaybackDocument, RecordingDocument, SourceDocument, SourceState};
 
 use super::{FrameShape, Opened, Producer, Source};
 use crate::session::inbox::{Event, Inbox, Reply, SourceEnd};
@@ -37,15 +37,12 @@ impl FrameSource for Counted {
 }
 
 fn start(left: u64, panics: bool, pace: Pace) -> (Source, Arc<Inbox>) {
-    let document = SourceDocument::Pushed(PushedDocument { width: 1, height: 1, format: PushedFormat::U8 });
+    let document = RecordingDocument { path: "test".into(), rate_hz: 0.0, pace, repeat: false };
+    let document = SourceDocument::Recording(document);
     let producer = Producer::Frames(Box::new(Counted { left, panics }));
     let rate_hz = if pace == Pace::Fit { 0.0 } else { 10_000.0 };
-    let source = Source::start(
-        "test",
-        document,
-        Opened { producer, shape: FrameShape::default(), pace, rate_hz, faults_max: 0 },
-    )
-    .unwrap();
+    let source =
+        Source::start("test", document, Opened { producer, shape: FrameShape::default(), pace, rate_hz }).unwrap();
     let inbox = Arc::new(Inbox::default());
     assert_eq!(source.view("test").state, SourceState::Idle);
     source.subscribe(&inbox);
@@ -124,4 +121,27 @@ fn a_frame_for_a_source_that_has_stopped_is_told_that_its_session_ended() {
     let reply = Reply { session: inbox, sender };
     let refused = source.push(Captured { frame, file: None, truth: None }, reply).unwrap_err();
     assert_eq!(refused.document().status, 409, "{refused:?}");
+}
+
+/// A source that somebody has paused owes no frames; one that goes on owes them from then on.
+#[test]
+fn a_paused_source_has_not_stalled() {
+    let (source, inbox) = start(u64::MAX, false, Pace::Fit);
+    let play = |paused: bool| {
+        let document = PlaybackDocument { paused: Some(paused), ..PlaybackDocument::default() };
+        source.set_playback(&document).unwrap()
+    };
+    assert_eq!(source.steady_since_ns(), Some(0));
+    assert_eq!(number(inbox.next()), Ok(0));
+    assert_eq!(play(true).next_frame, source.view("test").frames);
+    assert_eq!(source.steady_since_ns(), None);
+    assert!(source.is_still());
+    let begin_ns = isophote_machine::monotonic_ns();
+    play(false);
+    assert!(source.steady_since_ns() >= Some(begin_ns));
+    for frame in 1..10 {
+        assert_eq!(number(inbox.next()), Ok(frame), "none was lost");
+    }
+    inbox.close();
+    source.stop();
 }

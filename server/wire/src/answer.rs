@@ -8,7 +8,7 @@ pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport}
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EstimateView, SessionDocument, SourceDocument};
+use crate::{EstimateView, PlaybackView, SessionDocument, SourceDocument};
 
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -160,6 +160,12 @@ pub struct SourceView {
     pub frames: u64,
     /// Sessions that listen.
     pub sessions: usize,
+    /// Of a recording: the place of the frame that was shown last, from 0. It goes back where the recording does.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub position: Option<u64>,
+    /// Of a source whose frames are made or read: whether it stands still, and how fast it goes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub playback: Option<PlaybackView>,
     /// Of a camera: how it is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub camera: Option<CameraStatus>,

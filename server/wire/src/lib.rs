@@ -9,10 +9,12 @@ mod document;
 mod estimate;
 pub mod explain;
 mod named;
+mod playback;
 mod preview;
 
 pub use answer::*;
 pub use document::*;
 pub use estimate::*;
 pub use named::Named;
+pub use playback::*;
 pub use preview::*;

@@ -172,3 +172,21 @@ fn one_who_was_never_found_has_nothing_to_take_over() {
     assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
     assert_eq!(tracker.track(&frame(0, &[])).state, TrackState::Searching);
 }
+
+/// What was lost on purpose is searched for, wherever it is, and keeps its name.
+#[test]
+fn a_target_is_found_where_the_picture_has_jumped() {
+    let mut tracker = Tracker::new(compiled(PLAIN), TrackerOptions::default()).unwrap();
+    for number in 0..8 {
+        assert_eq!(tracker.track(&frame(number, &[path(number)])).state, TrackState::Tracking, "{number}");
+    }
+    let elsewhere = frame(8, &[[250.0, 40.0]]);
+    tracker.lose();
+    let estimate = tracker.track(&elsewhere);
+    assert_eq!((estimate.state, estimate.target.as_str()), (TrackState::Tracking, "0"));
+    assert!(off(&tracker, &estimate, [250.0, 40.0]) < 0.5);
+    // Nothing is predicted from before: where there is nothing, nothing coasts.
+    tracker.lose();
+    let nothing = frame(9, &[]);
+    assert_eq!(tracker.track(&nothing).state, TrackState::Lost);
+}

@@ -90,6 +90,11 @@ impl Tracker {
         Viewer::new(Solver::new(self.solver.compiled.clone(), self.solver.options.clone()))
     }
 
+    /// What comes next does not go on from what was seen: targets keep their names, and are searched for.
+    pub fn lose(&mut self) {
+        self.tracks.iter_mut().for_each(|track| track.memory.lose());
+    }
+
     /// True where estimates of this model may carry advice about exposure.
     pub fn advises_exposure(&self) -> bool {
         is_advisable(&self.solver)
