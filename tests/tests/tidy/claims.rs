@@ -1,6 +1,8 @@
 //! Sentences of the documentation that would go stale unnoticed: what the build lacks, which commands work alone, how many
 //! models are shipped.
 
+use std::collections::BTreeSet;
+
 use crate::examples::OFFLINE;
 use crate::markdown::prose;
 use crate::{File, expect_none, files};
@@ -54,10 +56,38 @@ fn wrong_numbers(document: &File, models: usize) -> Vec<String> {
     wrong.map(|three| format!("{}: {}: there are {models}", document.path, three.join(" "))).collect()
 }
 
+/// Codes of problems, as the server's source makes them.
+fn problem_codes(source: &str) -> BTreeSet<&str> {
+    let calls = ["Problem::new(", "Problem::conflict("].into_iter().flat_map(|head| source.split(head).skip(1));
+    calls
+        .filter_map(|call| {
+            let (before, rest) = call.split_once('"')?;
+            let is_status = before.chars().all(|c| c.is_alphanumeric() || "_:, \n".contains(c));
+            is_status.then(|| rest.split('"').next().unwrap_or_default())
+        })
+        .collect()
+}
+
+/// Codes without a row, and rows without a code.
+fn wrong_codes(page: &str, sources: &str) -> Vec<String> {
+    let rows = page.lines().filter(|line| line.starts_with("| `")).filter_map(|line| code(line).first().copied());
+    let (told, made): (BTreeSet<&str>, _) = (rows.collect(), problem_codes(sources));
+    let untold = made.difference(&told).map(|code| format!("`{code}` has no row"));
+    untold.chain(told.difference(&made).map(|code| format!("no problem has the code `{code}`"))).collect()
+}
+
 #[test]
 fn what_the_build_lacks_is_what_it_answers_so() {
     let read = |path| files(&[path]).remove(0).text;
     expect_none("docs/api.md", &wrong_absence(&read("docs/api.md"), &read("server/src/routes/mod.rs")));
+}
+
+#[test]
+fn every_code_of_a_problem_has_a_row() {
+    let sources: String = files(&["server/src"]).into_iter().map(|file| file.text).collect();
+    expect_none("docs/errors.md", &wrong_codes(&files(&["docs/errors.md"]).remove(0).text, &sources));
+    let planted = "Problem::new(StatusCode::NOT_FOUND, \"lost\", text) Problem::conflict(\"in-use\", \"it is\") Problem::new(status, code, \"x\")";
+    assert_eq!(wrong_codes("| `in-use` | 409 |\n| `old` | 404 |", planted).len(), 2);
 }
 
 #[test]
