@@ -46,6 +46,8 @@ struct NoiseAnswer<'a> {
     read_noise_e: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     read_noise_e_sigma: Option<f64>,
+    /// What it does not exceed.
+    read_noise_most_e: f64,
     black: f64,
     /// Values that entered, DN.
     range: [f64; 2],
@@ -63,7 +65,8 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let paths = || args.frames.iter().chain(&args.folder);
     for path in paths() {
         let mut recording = Recording::open(path).map_err(Failure::other)?;
-        while let Some(captured) = recording.next().map_err(Failure::other)? {
+        while !measurement.is_full() {
+            let Some(captured) = recording.next().map_err(Failure::other)? else { break };
             let added = measurement.add(&captured.frame);
             added.map_err(|fault| Failure::Other(format!("{}: {fault}", path.display())))?;
         }
@@ -73,8 +76,7 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let camera = Camera {
         black,
         electrons_per_dn: Some(rounded(found.electrons_per_dn)),
-        // What is hidden is below the rounding of values; what was known before may be another gain's.
-        read_noise_e: Some(found.read_noise_e.map_or(0.0, rounded)),
+        read_noise_e: found.read_noise_e.map(rounded).or(known.read_noise_e),
         ..known
     };
     if let Some(path) = &args.out {
@@ -91,6 +93,7 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
             electrons_per_dn_sigma,
             read_noise_e,
             read_noise_e_sigma,
+            read_noise_most_e: found.read_noise_most_e,
             black,
             range,
             reduced_chi_square,
@@ -132,7 +135,7 @@ fn sentence(found: &MeasuredNoise, black: f64) -> String {
     let with_sigma = |both: [f64; 2]| format!("{} ± {}", rounded(both), rounded([both[1], both[1]]));
     let read = match found.read_noise_e {
         Some(read) => format!("{} electrons without light", with_sigma(read)),
-        None => "less without light than rounding hides".into(),
+        None => format!("at most {:.1} electrons without light, too little to be told", found.read_noise_most_e),
     };
     format!(
         "{} electrons per DN, noise of {read}\n\

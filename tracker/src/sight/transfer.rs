@@ -10,11 +10,15 @@
 //!    difference that is a straight line in brightness; it is taken out first.
 //! 2. Half the mean square of the differences of one brightness is the variance there; what lies far off, a thing that moved,
 //!    is left out and counted.
-//! 3. A line through the variances, weighted by how sure each is. Where a value may be clipped, at zero or at the limit, none
-//!    is used.
+//! 3. Noise of a pixel knows nothing of its neighbour's. Where differences of neighbours go together, a thing moves that is too
+//!    smooth to stand out; these brightnesses are left out.
+//! 4. A line through the variances, weighted by how sure each is. Where a value may be clipped, at zero or at the limit, or
+//!    rounding hides the noise, none is used.
 
 use isophote_frame::Frame;
-use isophote_jit::PixelFormat;
+use isophote_jit::{PixelFormat, Window};
+
+use super::view;
 
 /// Frames that are looked at, the first ones.
 const FRAMES_MAX: usize = 64;
@@ -32,8 +36,14 @@ const CLIPPED: f64 = 3.5;
 const MOVING_MAX: f64 = 0.05;
 /// The least number of standard deviations of the slope.
 const SLOPE_MIN: f64 = 5.0;
-/// The variance of rounding to whole numbers, DN².
+/// The variance of rounding to whole numbers, DN², …
 const ROUNDING: f64 = 1.0 / 12.0;
+/// … and the least variance to which that is added as if it were noise.
+const ROUNDED_MIN: f64 = 0.15;
+/// Levels whose pixels are compared with their neighbours together.
+const GROUP: usize = 16;
+/// Correlation of neighbours, along x as along y, that is still noise: by so much variances may be too large.
+const CORRELATION_MAX: f64 = 0.03;
 
 /// The camera as far as it is known before.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,9 +59,10 @@ pub struct NoiseOptions {
 pub struct MeasuredNoise {
     /// Electrons that raise the pixel value by one, and one standard deviation of that.
     pub electrons_per_dn: [f64; 2],
-    /// The same of the scatter of a pixel without light, electrons, without that of rounding; absent where it is hidden by
-    /// rounding or by what is not known of the line.
+    /// The same of the scatter of a pixel without light, electrons, without that of rounding; absent where it may be none.
     pub read_noise_e: Option<[f64; 2]>,
+    /// What the scatter without light does not exceed, two standard deviations farther, electrons.
+    pub read_noise_most_e: f64,
     /// Frames that were looked at.
     pub frames: usize,
     /// The darkest and the brightest value that entered, DN.
@@ -76,8 +87,8 @@ pub enum NoiseFault {
     Silent,
     /// See the text.
     #[error(
-        "{0:.0} % of the pixels differ by more than noise: the scene or the camera moves, or its light flickers unevenly; take \
-         frames of a scene that stands still"
+        "{0:.0} % of the pixels differ by more than noise, or as their neighbours do: the scene or the camera moves, its light \
+         flickers unevenly, or pixels were interpolated; take raw frames of a scene that stands still"
     )]
     Moving(f64),
     /// See the text.
@@ -129,19 +140,26 @@ impl NoiseMeasurement {
     pub fn add(&mut self, frame: &Frame) -> Result<(), NoiseFault> {
         let told = |frame: &Frame| {
             let sides: Vec<String> = frame.sides().iter().map(usize::to_string).collect();
-            format!("{} in {} plane(s)", sides.join(" × "), frame.planes().len())
+            let format = frame.plane_view(0).format();
+            format!("{} in {} plane(s) of {format:?}", sides.join(" × "), frame.planes().len())
         };
-        let bytes = |frame: &Frame| frame.sides().iter().product::<usize>() * frame.planes().len() * 4;
         if let Some(first) = self.kept.first() {
-            if (first.sides(), first.planes().len()) != (frame.sides(), frame.planes().len()) {
+            let kind = |frame: &Frame| (frame.sides(), frame.planes().len(), frame.plane_view(0).format());
+            if kind(first) != kind(frame) {
                 return Err(NoiseFault::Unlike(told(first), told(frame)));
             }
         }
-        let room = (BYTES_MAX / bytes(frame).max(1)).clamp(2, FRAMES_MAX);
-        if self.kept.len() < room {
+        if !self.is_full() {
             self.kept.push(frame.clone());
         }
         Ok(())
+    }
+
+    /// Further frames are not looked at.
+    pub fn is_full(&self) -> bool {
+        let bytes = |frame: &Frame| frame.sides().iter().product::<usize>() * frame.planes().len() * 4;
+        let room = |frame| (BYTES_MAX / bytes(frame).max(1)).clamp(2, FRAMES_MAX);
+        self.kept.first().is_some_and(|first| self.kept.len() >= room(first))
     }
 
     /// The answer from all of them.
@@ -162,20 +180,33 @@ impl NoiseMeasurement {
         if levels.iter().all(|level| level.squares == 0.0) {
             return Err(NoiseFault::Silent);
         }
-        let left_out = 1.0 - counted / pairs.count.max(1.0);
+        let is_moving = pairs.moving(&levels);
+        let moving: f64 =
+            levels.iter().zip(is_moving).map(|(level, moves)| if moves { level.pairs } else { 0.0 }).sum();
+        let left_out = 1.0 - (counted - moving) / pairs.count.max(1.0);
         if left_out > MOVING_MAX {
             return Err(NoiseFault::Moving(100.0 * left_out));
         }
         let is_whole = |level: &Level| {
-            let reach = CLIPPED * level.variance().sqrt();
+            let variance = level.variance();
+            let reach = CLIPPED * variance.sqrt();
             level.pairs >= PAIRS_MIN
                 && (!pairs.has_floor || level.mean() >= reach)
                 && level.mean() + reach <= pairs.limit
+                && (!pairs.is_rounded || variance >= ROUNDED_MIN)
         };
-        let used: Vec<Level> = levels.into_iter().filter(is_whole).collect();
+        let used: Vec<Level> = levels
+            .into_iter()
+            .zip(is_moving)
+            .filter(|(level, moves)| is_whole(level) && !moves)
+            .map(|(level, _)| level)
+            .collect();
         let end = |level: Option<&Level>| level.map_or(self.options.black, Level::mean);
         let range = [end(used.first()), end(used.last())];
-        let narrow = NoiseFault::Narrow(range[0], range[1]);
+        let narrow = match moving > 0.0 {
+            true => NoiseFault::Moving(100.0 * left_out),
+            false => NoiseFault::Narrow(range[0], range[1]),
+        };
         if used.len() < 3 {
             return Err(narrow);
         }
@@ -200,6 +231,7 @@ impl NoiseMeasurement {
         Ok(MeasuredNoise {
             electrons_per_dn: [electrons, slope_sigma * electrons * electrons],
             read_noise_e,
+            read_noise_most_e: (dark.max(0.0) + 2.0 * at_black_sigma).sqrt() * electrons,
             frames: self.kept.len(),
             range,
             reduced_chi_square: line.reduced_chi_square,
@@ -229,14 +261,17 @@ struct Pairs<'a> {
 impl<'a> Pairs<'a> {
     fn of(frames: &'a [Frame], saturation: Option<f64>) -> Pairs<'a> {
         let format = frames.first().map(|frame| frame.plane_view(0).format());
-        let largest = match format {
-            Some(PixelFormat::U8) => 255.0,
-            Some(PixelFormat::U16) => 65_535.0,
-            _ => f64::INFINITY,
+        // Where nobody says it, the least that a frame shows: one that is clipped gives it away for all.
+        let limit_of = |frame: &Frame| {
+            let [width, height, ..] = frame.sides();
+            let whole = Window::whole(width, height);
+            let seen = (0..frame.planes().len()).map(|plane| view::limit(&frame.plane_view(plane), whole));
+            seen.chain(frame.largest).fold(f64::INFINITY, f64::min)
         };
+        let limit = saturation.unwrap_or_else(|| frames.iter().map(limit_of).fold(f64::INFINITY, f64::min));
         let mut pairs = Pairs {
             frames,
-            limit: saturation.unwrap_or(largest),
+            limit,
             has_floor: matches!(format, Some(PixelFormat::U8 | PixelFormat::U16)),
             is_rounded: true,
             lowest: 0.0,
@@ -245,7 +280,7 @@ impl<'a> Pairs<'a> {
             count: 0.0,
         };
         let (mut lowest, mut highest, mut is_rounded, mut count) = (f64::INFINITY, f64::NEG_INFINITY, true, 0.0);
-        pairs.each(|_, mean, difference| {
+        pairs.each(|_, _, mean, difference| {
             (lowest, highest, count) = (lowest.min(mean), highest.max(mean), count + 1.0);
             is_rounded &= difference.fract() == 0.0;
         });
@@ -255,8 +290,9 @@ impl<'a> Pairs<'a> {
         pairs
     }
 
-    /// Calls with the number of the pair, the mean of two values and by how much the second is larger, the drift taken out.
-    fn each(&self, mut visit: impl FnMut(usize, f64, f64)) {
+    /// Calls with the number of the pair, the number of the pixel, the mean of two values and by how much the second is larger,
+    /// the drift taken out.
+    fn each(&self, mut visit: impl FnMut(usize, usize, f64, f64)) {
         for (number, (two, [at_zero, slope])) in self.frames.windows(2).zip(&self.drifts).enumerate() {
             let [width, height, depth, length] = two[0].sides();
             for plane in 0..two[0].planes().len() {
@@ -267,7 +303,7 @@ impl<'a> Pairs<'a> {
                     let [one, other] = [0, 1].map(|at| views[at].pixel_at([x, y, rest % depth, rest / depth]));
                     if one < self.limit && other < self.limit && one.is_finite() && other.is_finite() {
                         let mean = 0.5 * (one + other);
-                        visit(number, mean, other - one - at_zero - slope * mean);
+                        visit(number, place, mean, other - one - at_zero - slope * mean);
                     }
                 }
             }
@@ -281,13 +317,13 @@ impl<'a> Pairs<'a> {
     /// By how much each pair's second frame is brighter: a line in brightness through the differences, those of most pixels.
     fn drifts(&self) -> Vec<[f64; 2]> {
         let mut sums = vec![[0.0; 2]; self.drifts.len()]; // pixels, and their |d|: a first idea of what is far
-        self.each(|pair, _, difference| {
+        self.each(|pair, _, _, difference| {
             sums[pair][0] += 1.0;
             sums[pair][1] += difference.abs();
         });
         let far: Vec<f64> = sums.iter().map(|sum| 1.25 * FAR * sum[1] / sum[0]).collect();
         let mut sums = vec![[0.0; 5]; self.drifts.len()];
-        self.each(|pair, mean, difference| {
+        self.each(|pair, _, mean, difference| {
             if difference.abs() <= far[pair] {
                 let terms = [1.0, mean, mean * mean, difference, mean * difference];
                 sums[pair].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
@@ -305,7 +341,7 @@ impl<'a> Pairs<'a> {
     /// The pairs by brightness, without those beyond the limits of `before`.
     fn levels(&self, before: &[Level; LEVELS]) -> [Level; LEVELS] {
         let mut levels = [Level::default(); LEVELS];
-        self.each(|_, mean, difference| {
+        self.each(|_, _, mean, difference| {
             let at = self.level_of(mean);
             if difference.abs() <= before[at].limit {
                 let level = &mut levels[at];
@@ -319,6 +355,39 @@ impl<'a> Pairs<'a> {
             level.limit = (FAR * (level.squares / level.pairs.max(1.0)).sqrt()).max(least);
         }
         levels
+    }
+}
+
+impl Pairs<'_> {
+    /// Which levels have pixels that differ as their neighbours do, in a row and in a column.
+    fn moving(&self, levels: &[Level; LEVELS]) -> [bool; LEVELS] {
+        let width = self.frames.first().map_or(1, |frame| frame.sides()[0]);
+        // Of each column the pixel that was seen last: its number, and its difference in standard deviations.
+        let mut above = vec![(usize::MAX, 0.0); width];
+        let mut left = (usize::MAX, 0.0);
+        let mut sums = [[0.0; 4]; LEVELS.div_ceil(GROUP)]; // products along x and their number, along y and theirs
+        self.each(|_, place, mean, difference| {
+            let at = self.level_of(mean);
+            let sigma = (levels[at].squares / levels[at].pairs.max(1.0)).sqrt();
+            if sigma == 0.0 || difference.abs() > levels[at].limit {
+                return;
+            }
+            let (x, deviation) = (place % width, difference / sigma);
+            let sum = &mut sums[at / GROUP];
+            if x > 0 && left.0 == place - 1 {
+                (sum[0], sum[1]) = (sum[0] + left.1 * deviation, sum[1] + 1.0);
+            }
+            if place >= width && above[x].0 == place - width {
+                (sum[2], sum[3]) = (sum[2] + above[x].1 * deviation, sum[3] + 1.0);
+            }
+            left = (place, deviation);
+            above[x] = left;
+        });
+        let goes_together = |sum: f64, count: f64| sum > count * CORRELATION_MAX + 4.0 * count.sqrt();
+        std::array::from_fn(|level| {
+            let [x, across, y, down] = sums[level / GROUP];
+            goes_together(x, across) && goes_together(y, down)
+        })
     }
 }
 
@@ -418,12 +487,47 @@ mod tests {
         }
     }
 
+    /// Of a sensor of 12 bits whose values end at 4,095, in words of 16.
+    #[test]
+    fn clipped_pixels_do_not_enter() {
+        let mut random = Noise(3);
+        let mut frame = |_| {
+            let mut pixel = |at: usize| {
+                let light = 40.0 + 36.0 * (at % 128) as f64;
+                let value = light + (light / 4.0 + 9.0).sqrt() * random.normal();
+                (value.round().clamp(0.0, 4095.0) as u16).to_ne_bytes()
+            };
+            let bytes = (0..128 * 96).flat_map(&mut pixel).collect();
+            Frame::new(&[128, 96], vec![Plane::owned(PixelFormat::U16, bytes, 256)]).unwrap()
+        };
+        let frames: Vec<Frame> = (0..16).map(&mut frame).collect();
+        let found = measured(&frames).unwrap();
+        let ([electrons, sigma], [read_e, read_sigma]) = (found.electrons_per_dn, found.read_noise_e.unwrap());
+        assert!((electrons - 4.0).abs() < 4.0 * sigma && (read_e - 12.0).abs() < 4.0 * read_sigma, "{found:?}");
+        assert!(found.range[1] < 4000.0, "{found:?}");
+    }
+
     #[test]
     fn what_cannot_be_told_is_refused() {
         assert_eq!(measured(&frames(1, 180.0, 1)), Err(NoiseFault::FewFrames(1)));
         let alike = frames(2, 180.0, 1);
         assert_eq!(measured(&[alike[0].clone(), alike[0].clone()]), Err(NoiseFault::Silent));
         assert!(matches!(measured(&frames(4, 1.0, 1)), Err(NoiseFault::Narrow(..))));
+        // Smooth, and as slow as a camera that trembles.
+        for step in [0.3, 1.0] {
+            let mut random = Noise(5);
+            let mut moving = |number: usize| {
+                let mut pixel = |at: usize| {
+                    let shift = if number.is_multiple_of(2) { step } else { 0.0 };
+                    let (x, y) = ((at % 128) as f64 - 64.0 - shift, (at / 128) as f64 - 48.0 - shift);
+                    let light = 20.0 + 160.0 * (-(x * x + y * y) / 800.0).exp();
+                    (light + (light / ELECTRONS + 0.6).sqrt() * random.normal()).round().clamp(0.0, 255.0) as u8
+                };
+                frame_of((0..128 * 96).map(&mut pixel).collect(), [128, 96])
+            };
+            let moving: Vec<Frame> = (0..12).map(&mut moving).collect();
+            assert!(matches!(measured(&moving), Err(NoiseFault::Moving(_))), "{step} px: {:?}", measured(&moving));
+        }
         let mut moving = frames(4, 180.0, 1);
         for (number, frame) in moving.iter_mut().enumerate() {
             let pixel =
