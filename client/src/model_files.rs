@@ -34,9 +34,9 @@ pub struct ExplainArgs {
     /// The free parameters [default: those of the last stage]
     #[arg(long, value_name = "bx,by", value_delimiter = ',')]
     pub parameters: Vec<String>,
-    /// derivative, also as latex or mathml; sums, program, clif, asm
+    /// derivative, also as latex or mathml; sums, program, clif, asm; formulas, as they are written, as mathml
     #[arg(long, value_name = "WHAT", default_value = "derivative",
-          value_parser = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml"])]
+          value_parser = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas"])]
     pub show: String,
     /// The method whose derivatives are taken
     #[arg(long, value_name = "METHOD", default_value = "newton",

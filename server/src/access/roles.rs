@@ -33,7 +33,7 @@ impl fmt::Display for Role {
 }
 
 /// What anyone may read: whether the service lives, and the page and the book with their files, which are the same for everybody.
-const OPEN: [&str; 7] = ["/livez", "/", "/page.js", "/page.css", "/docs", "/docs/", "/docs/{*path}"];
+const OPEN: [&str; 8] = ["/livez", "/", "/page.js", "/page.css", "/page/{file}", "/docs", "/docs/", "/docs/{*path}"];
 
 /// What is neither a plain read nor of one role as a whole.
 const EXCEPTIONS: [(&str, &str, Role); 4] = [

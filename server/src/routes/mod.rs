@@ -10,6 +10,7 @@ mod health;
 mod metrics;
 mod models;
 mod openapi;
+mod packed;
 mod page;
 mod paging;
 mod parameters;
@@ -38,10 +39,11 @@ pub fn router(app: App) -> Router {
     Router::new()
         .route("/", get(page::html))
         .route("/page.js", get(page::script))
+        .route("/page.css", get(page::style))
+        .route("/page/{file}", get(page::part))
         .route("/docs", get(docs::start))
         .route("/docs/", get(docs::index))
         .route("/docs/{*path}", get(docs::page))
-        .route("/page.css", get(page::style))
         .route("/livez", get(health::livez))
         .route("/readyz", get(health::readyz))
         .route("/v1/time", get(health::time))

@@ -8,7 +8,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
 use isophote_wire::{
-    Explanation, Items, ModelAnswer, ModelItem, ModelReport, ModelView, RollbackDocument, VersionList, explain,
+    CheckAnswer, Explanation, Items, ModelAnswer, ModelItem, ModelView, RollbackDocument, VersionList, explain,
 };
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -58,7 +58,7 @@ pub async fn put(
 /// What putting a model would answer; nothing is kept.
 #[utoipa::path(post, path = "/v1/models:check", tag = "models", operation_id = "check_model",
     request_body(content((String = "application/toml"), (Object = "application/json")), description = "The model document."),
-    responses((status = 200, description = "It can be compiled.", body = ModelReport)))]
+    responses((status = 200, description = "It can be compiled.", body = CheckAnswer)))]
 pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> Answer {
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
@@ -66,8 +66,8 @@ pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> An
         let name = Name::parse("check").ok_or_else(|| Problem::bug("check is a name"))?;
         service.check_model(&name, media, &text, workers)
     };
-    let (_, answer) = app.service.workshop.prepare(Lane::Uploads, work).await?;
-    json(StatusCode::OK, &answer.report)
+    let (entry, answer) = app.service.workshop.prepare(Lane::Uploads, work).await?;
+    json(StatusCode::OK, &CheckAnswer { report: answer.report, formulas: explain::formulas(&entry.model) })
 }
 
 /// `POST /v1/models/{name}:{verb}`, which the verbs describe themselves: routes know no part of a segment, so the verb is looked up here.
@@ -179,7 +179,7 @@ pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
 pub struct ExplainQuery {
     /// The free parameters, `bx,by`; those of the last stage when absent.
     parameters: Option<String>,
-    /// `derivative` (the default), `sums`, `program`, `clif`, `asm`, `latex` or `mathml`.
+    /// `derivative` (the default), `sums`, `program`, `clif`, `asm`, `latex`, `mathml` or `formulas`.
     show: Option<String>,
     /// `newton` (the default), `gauss-newton` or `levenberg-marquardt`.
     method: Option<String>,

@@ -25,7 +25,7 @@ use crate::problem::Problem;
 #[openapi(
     info(title = "isophote", description = "Models, sources, sessions and their estimates. Errors are problems (RFC 9457)."),
     paths(
-        page::html, page::script, page::style, docs::start, docs::index, docs::page, get, health::livez, health::readyz, health::time, metrics::get,
+        page::html, page::script, page::style, page::part, docs::start, docs::index, docs::page, get, health::livez, health::readyz, health::time, metrics::get,
         models::list, models::check, models::put, models::get, models::delete, models::explain, fit::post,
         models::versions, models::roll_back,
         cameras::list, cameras::get, cameras::set,

@@ -1,37 +1,50 @@
-//! `/`: the sessions and their estimates, live. One page and one script, nothing from elsewhere.
+//! `/`: the page for people, as `server/web/app` was built. Nothing of it comes from elsewhere.
 
-use axum::http::{HeaderMap, HeaderValue, header};
-use axum::response::{IntoResponse, Response};
+use axum::extract::Path;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
+
+use super::packed::{PackedFile, find, sent};
+use crate::problem::Problem;
+
+/// In name order; made by `build.rs`.
+static FILES: &[PackedFile] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
 /// Everything comes from here, and nothing stands in the page itself; its icon is empty.
 const POLICY: &str = "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'none'; \
                       frame-ancestors 'none'";
 
-/// A page for people: sessions and their estimates, live.
+/// A page for people: what is seen and fitted, live; models to edit; sources to set.
 #[utoipa::path(get, path = "/", tag = "operation", operation_id = "page",
     responses((status = 200, description = "The page.", body = String, content_type = "text/html")))]
-pub async fn html() -> Response {
-    asset("text/html; charset=utf-8", include_str!("../../web/index.html"))
+pub async fn html(headers: HeaderMap) -> Result<Response, Problem> {
+    answer("index.html", &headers)
 }
 
 /// Its script.
 #[utoipa::path(get, path = "/page.js", tag = "operation", operation_id = "page_script",
     responses((status = 200, description = "The script.", body = String, content_type = "text/javascript")))]
-pub async fn script() -> Response {
-    asset("text/javascript; charset=utf-8", include_str!("../../web/page.js"))
+pub async fn script(headers: HeaderMap) -> Result<Response, Problem> {
+    answer("page.js", &headers)
 }
 
 /// Its style.
 #[utoipa::path(get, path = "/page.css", tag = "operation", operation_id = "page_style",
     responses((status = 200, description = "The style.", body = String, content_type = "text/css")))]
-pub async fn style() -> Response {
-    asset("text/css; charset=utf-8", include_str!("../../web/page.css"))
+pub async fn style(headers: HeaderMap) -> Result<Response, Problem> {
+    answer("page.css", &headers)
 }
 
-fn asset(media: &'static str, text: &'static str) -> Response {
-    let mut headers = HeaderMap::new();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(media));
-    headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    (headers, text).into_response()
+/// A part of its script that is loaded when it is first needed.
+#[utoipa::path(get, path = "/page/{file}", tag = "operation", operation_id = "page_part",
+    params(("file" = String, Path, description = "Its name.")),
+    responses((status = 200, description = "The script.", body = String, content_type = "text/javascript"),
+              (status = 404, description = "There is no such part.")))]
+pub async fn part(Path(file): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    answer(&format!("page/{file}"), &headers)
+}
+
+fn answer(path: &str, asked: &HeaderMap) -> Result<Response, Problem> {
+    let file = find(FILES, path).ok_or_else(|| Problem::unknown("file of the page", path))?;
+    Ok(sent(file, StatusCode::OK, POLICY, asked))
 }

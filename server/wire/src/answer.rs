@@ -121,6 +121,31 @@ pub struct Explanation {
     pub stage: StageReport,
     /// The text.
     pub text: String,
+    /// Of `program`, `clif` and `asm`: what each line of the text computes, so that they can point to each other and to the
+    /// document.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lines: Vec<LinePlace>,
+}
+
+/// What a line of an explanation belongs to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LinePlace {
+    /// The program's value that it computes: 12 for `v12`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub value: Option<u32>,
+    /// The bytes of the document, as it was sent, that asked for it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub span: Option<[u32; 2]>,
+}
+
+/// Answer of `POST /v1/models:check`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CheckAnswer {
+    /// What `model check` prints.
+    #[serde(flatten)]
+    pub report: ModelReport,
+    /// The document's formulas, as `explain` shows them.
+    pub formulas: String,
 }
 
 /// What `model export --json` prints.

@@ -5,13 +5,15 @@ use std::sync::Arc;
 
 use isophote_jit::{CompileError, Kernel, KernelOptions, Line, PixelFormat, VectorWidth, has_fma};
 use isophote_notation::Show;
-use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Span};
+use isophote_symbolic::{
+    Diagnostic, Diagnostics, Lowering, Method, Model, ParameterId, Precision, Program, Span, Value,
+};
 use isophote_tracker::CompileFailure;
 
-use crate::{Explanation, StageReport};
+use crate::{Explanation, LinePlace, StageReport};
 
 /// What an explanation can show, in this build.
-pub const SHOWN: [&str; 7] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml"];
+pub const SHOWN: [&str; 8] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas"];
 
 /// Why there is no explanation.
 #[derive(Debug, thiserror::Error)]
@@ -70,18 +72,34 @@ pub fn explain(
         KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, packed: formats.len() == 1, formats };
     drop(Kernel::compile(&program, &options)?); // for its time alone
     let compile_ms = clock_ns().saturating_sub(start_ns) as f64 / 1e6;
+    let mut lines = Vec::new();
     let text = match show {
         "sums" => isophote_notation::explain(&objective, Show::Sums),
-        "program" => program.to_string(),
-        "clif" => annotated(model, &program, &isophote_jit::explain(&program, &options)?.clif),
-        "asm" => annotated(model, &program, &isophote_jit::explain(&program, &options)?.machine),
+        "program" => {
+            let text = program.to_string();
+            lines = text.lines().map(|line| LinePlace::of_operation(&program, line)).collect();
+            text
+        }
+        "clif" | "asm" => {
+            let explained = isophote_jit::explain(&program, &options)?;
+            let code = if show == "clif" { explained.clif } else { explained.machine };
+            let (text, places) = annotated(model, &program, &code);
+            lines = places;
+            text
+        }
+        "formulas" => formulas(model),
         "latex" => isophote_notation::explain(&objective, Show::Latex),
         "mathml" => isophote_notation::explain(&objective, Show::MathMl),
         _ => isophote_notation::explain(&objective, Show::Derivative),
     };
     let stage = StageReport::of(model, &objective, method, lowering, compile_ms)?;
     let (name, digest) = (model.name().to_string(), model.digest().to_string());
-    Ok(Explanation { model: name, digest, show: show.to_string(), stage, text })
+    Ok(Explanation { model: name, digest, show: show.to_string(), stage, text, lines })
+}
+
+/// The document's own formulas as MathML, each node with its bytes of the document.
+pub fn formulas(model: &Model) -> String {
+    isophote_notation::written(model)
 }
 
 /// Characters of a formula beside an instruction.
@@ -89,8 +107,22 @@ const EXCERPT_CHARACTERS: usize = 60;
 /// Characters of an instruction, beyond which its comment moves to the right.
 const COLUMN_MAX: usize = 64;
 
-/// Lines of code, each with the value that it computes and the formula that asked for it.
-fn annotated(model: &Model, program: &Program, lines: &[Line]) -> String {
+impl LinePlace {
+    /// Of a line of a program's text, `  v12 = …`.
+    fn of_operation(program: &Program, line: &str) -> LinePlace {
+        let number = line.strip_prefix("  v").and_then(|rest| rest.split(' ').next()).and_then(|n| n.parse().ok());
+        let value = number.filter(|number: &u32| (*number as usize) < program.instructions().len()).map(Value);
+        LinePlace::new(value, value.and_then(|value| program.instruction(value).span))
+    }
+
+    fn new(value: Option<Value>, span: Option<Span>) -> LinePlace {
+        LinePlace { value: value.map(|value| value.0), span: span.map(|span| [span.start, span.end]) }
+    }
+}
+
+/// Lines of code, each with the value that it computes and the formula that asked for it; and the places of the lines.
+fn annotated(model: &Model, program: &Program, lines: &[Line]) -> (String, Vec<LinePlace>) {
+    let mut places = vec![LinePlace::default()];
     let width = lines.iter().map(|line| line.text.chars().count()).filter(|width| *width <= COLUMN_MAX).max();
     let mut text =
         String::from("; beside an instruction: what it computes (see `program`), and the formula behind it\n");
@@ -103,8 +135,9 @@ fn annotated(model: &Model, program: &Program, lines: &[Line]) -> String {
         let (code, comment) = (&line.text, comment.unwrap_or_default());
         text += format!("{code:<width$}  {comment}", width = width.unwrap_or(0)).trim_end();
         text.push('\n');
+        places.extend(code.split('\n').map(|_| LinePlace::new(line.value, line.span)));
     }
-    text
+    (text, places)
 }
 
 /// Words of a formula on one line, cut where they are many.
@@ -171,9 +204,25 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    fn shown(show: &str) -> String {
+    fn explained(show: &str) -> Explanation {
         let model = Model::from_toml(include_str!("../../../models/thesis-spot.toml")).unwrap();
-        explain(&Arc::new(model), Some(&["bx", "by"]), None, show, &|| 0).unwrap().text
+        explain(&Arc::new(model), Some(&["bx", "by"]), None, show, &|| 0).unwrap()
+    }
+
+    fn shown(show: &str) -> String {
+        explained(show).text
+    }
+
+    #[test]
+    fn each_line_of_code_has_a_place() {
+        for show in ["clif", "asm"] {
+            let Explanation { text, lines, .. } = explained(show);
+            assert_eq!(text.lines().count(), lines.len(), "{show}");
+            for (line, place) in text.lines().zip(&lines).skip(1) {
+                let named = line.split_once("; v").and_then(|(_, rest)| rest.split(' ').next());
+                assert_eq!(named, place.value.map(|value| value.to_string()).as_deref(), "{line}");
+            }
+        }
     }
 
     /// How many lines with an instruction that `is_meant` there are, and how many of them name a formula.

@@ -1,4 +1,4 @@
-//! A derivation as people read it: its formulas in plain text, LaTeX and MathML.
+//! A derivation as people read it: its formulas in plain text, LaTeX and MathML; and a document's own formulas, as MathML.
 //!
 //! What comes in: an [`Objective`](isophote_symbolic::Objective), whose expressions carry the span of the formula that they
 //! came from. What goes out: text; in LaTeX and MathML with those spans.
@@ -12,5 +12,7 @@ mod looks;
 mod mathml;
 mod text;
 mod tree;
+mod written;
 
 pub use explain::{Show, explain};
+pub use written::written;

@@ -7,7 +7,7 @@ use crate::looks::{Looks, Stem};
 use crate::text;
 use crate::tree::{Addend, Equation, Expression, Tree, fraction, needs_power_of_ten, scientific};
 
-const TIMES: &str = "<mo lspace=\"0\" rspace=\"0.17em\">\u{2062}</mo>";
+pub(crate) const TIMES: &str = "<mo lspace=\"0\" rspace=\"0.17em\">\u{2062}</mo>";
 const APPLY: &str = "<mo>\u{2061}</mo>";
 
 /// A fragment for a page: nothing but `math` elements, one on a line.
@@ -16,8 +16,10 @@ pub(crate) fn lines(lines: &[Equation], looks: &Looks) -> String {
     lines.iter().map(|line| mathml.line(line)).collect()
 }
 
-struct MathMl<'a> {
-    looks: &'a Looks,
+/// Writes elements, with names as they look.
+#[derive(Clone, Copy)]
+pub(crate) struct MathMl<'a> {
+    pub looks: &'a Looks,
 }
 
 impl MathMl<'_> {
@@ -43,7 +45,7 @@ impl MathMl<'_> {
         format!("<math display=\"block\"{}>{inside}</math>\n", place(span))
     }
 
-    fn name(&self, name: &str) -> String {
+    pub fn name(&self, name: &str) -> String {
         let look = self.looks.of(name);
         let stem = match look.stem {
             Stem::Letter(letter) | Stem::Greek(letter, _) => format!("<mi>{letter}</mi>"),
@@ -198,16 +200,16 @@ fn grouped_row(inside: &str) -> String {
     format!("<mrow>{inside}</mrow>")
 }
 
-fn bracketed(inside: &str) -> String {
+pub(crate) fn bracketed(inside: &str) -> String {
     format!("<mrow><mo>(</mo>{inside}<mo>)</mo></mrow>")
 }
 
-fn call(name: &str, arguments: &str) -> String {
+pub(crate) fn call(name: &str, arguments: &str) -> String {
     format!("<mi>{name}</mi>{APPLY}{}", bracketed(arguments))
 }
 
 /// One element.
-fn number(value: f64) -> String {
+pub(crate) fn number(value: f64) -> String {
     let minus = if value < 0.0 { "<mo form=\"prefix\">−</mo>" } else { "" };
     let digits = match value.abs() {
         size if needs_power_of_ten(size) => {

@@ -38,6 +38,11 @@ impl Model {
         self.text.get(span.start as usize..span.end as usize)
     }
 
+    /// The document's strings in its order: their keys (`definitions.s`), and their bytes, quotes included.
+    pub fn strings(&self) -> impl Iterator<Item = (&str, Span)> {
+        self.places.iter().map(|(span, key)| (key.as_str(), *span))
+    }
+
     /// The key of the formula at `span` (`definitions.s`), and the bytes themselves as the user wrote them. `None` for
     /// bytes that are no part of one string of the document.
     pub fn quote(&self, span: Span) -> Option<(&str, &str)> {

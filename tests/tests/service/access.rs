@@ -71,7 +71,9 @@ fn routes() -> Vec<(String, String)> {
 /// The least role that a route needs, said once more and in another way than the service does.
 fn least(method: &str, path: &str) -> &'static str {
     match (method, path) {
-        ("GET", "/" | "/page.js" | "/page.css" | "/livez" | "/docs" | "/docs/" | "/docs/{*path}") => "nothing",
+        ("GET", "/" | "/page.js" | "/page.css" | "/page/{file}" | "/livez" | "/docs" | "/docs/" | "/docs/{*path}") => {
+            "nothing"
+        }
         ("GET", "/v1/sessions/{name}/frames") => "operate",
         ("GET", _) => "view",
         ("POST", "/v1/models:check") => "operate",

@@ -211,14 +211,24 @@ fn checks_and_explanations_keep_nothing() {
     let check = |text: &str| {
         service.request("POST", "/v1/models:check", &[("content-type", "application/json")], text.as_bytes())
     };
-    assert_eq!(check(&document(1.0).to_string()).expect(200)["model"], "level");
+    let checked = check(&document(1.0).to_string()).expect(200);
+    assert_eq!(checked["model"], "level");
+    assert!(checked["formulas"].as_str().unwrap().contains("data-key=\"model.intensity\""), "{checked}");
     check("{").expect(422);
     service.get("/v1/models/level").expect(404);
 
     let explained = service.get("/v1/models/thesis-spot/explain?parameters=bx,by&show=program").expect(200);
     assert_eq!(explained["parameters"], json!(["bx", "by"]));
     assert!(explained["flops_per_pixel"].as_u64().unwrap() <= 60, "{explained}");
-    assert!(explained["text"].as_str().unwrap().contains("pixel:"), "{explained}");
+    let text = explained["text"].as_str().unwrap();
+    assert!(text.contains("pixel:"), "{explained}");
+    let lines = explained["lines"].as_array().unwrap();
+    assert_eq!(lines.len(), text.lines().count());
+    for (line, place) in text.lines().zip(lines) {
+        let value = line.strip_prefix("  v").and_then(|rest| rest.split(' ').next());
+        assert_eq!(value, place["value"].as_u64().map(|value| value.to_string()).as_deref(), "{line}");
+    }
+    assert!(lines.iter().any(|place| place["span"].is_array()), "{explained}");
     for (query, status) in [
         ("parameters=nobody", 400),
         ("parameters=bx,bx", 400),
@@ -226,6 +236,7 @@ fn checks_and_explanations_keep_nothing() {
         ("colour=red", 400),
         ("show=latex", 200),
         ("show=mathml", 200),
+        ("show=formulas", 200),
         ("", 200),
     ] {
         service.get(&format!("/v1/models/thesis-spot/explain?{query}")).expect(status);

@@ -2,8 +2,8 @@
 
 use crate::{File, expect_none, files};
 
-/// What `book/build` writes, which nobody reads or edits.
-const BUILT: &str = "server/web/docs/";
+/// What `book/build` and the page's build write, which nobody reads or edits.
+const BUILT: [&str; 2] = ["server/web/docs/", "server/web/dist/"];
 
 /// Lines of a source file.
 const LINES_MAX: usize = 500;
@@ -245,8 +245,8 @@ fn faults(file: &File) -> Vec<String> {
 }
 
 fn sources() -> Vec<File> {
-    let mut sources = files(&[".rs", ".js", ".py", ".css", ".html"]);
-    sources.retain(|file| !file.path.starts_with(BUILT));
+    let mut sources = files(&[".rs", ".js", ".ts", ".tsx", ".py", ".css", ".html"]);
+    sources.retain(|file| !BUILT.iter().any(|folder| file.path.starts_with(folder)));
     sources
 }
 

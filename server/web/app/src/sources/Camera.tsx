@@ -1,0 +1,110 @@
+// Cameras of the service's machine: formats, controls with the driver's ranges, and the exposure that fits advise.
+import { useSignal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+import { plain } from "../format";
+import { get, said, segment, send } from "../state/api";
+import { beat, newest, refresh, session } from "../state/store";
+import { Slider } from "./Slider";
+
+interface Control { name: string; kind: "integer" | "boolean" | "menu" | "integer_menu" | "button"; minimum: number; maximum: number; step: number; value?: number; items?: Record<string, string>; is_inactive?: boolean }
+interface Camera { device: string; identity: string; name: string; formats: { format: string; is_read: boolean }[]; controls: Control[] }
+
+export function CameraPanel({ device }: { device: string }) {
+  const camera = useSignal<Camera | null>(null);
+  const fault = useSignal("");
+  const read = async () => {
+    try {
+      camera.value = await get<Camera>(`/v1/cameras/${segment(device)}`);
+    } catch (error) {
+      fault.value = said(error);
+    }
+  };
+  useEffect(() => { void read(); }, [device]);
+  const set = async (name: string, value: number | boolean) => {
+    try {
+      await send("PUT", `/v1/cameras/${segment(device)}/controls`, { [name]: value });
+      fault.value = "";
+      await read(); // drivers clamp without a word, and one control switches another off
+    } catch (error) {
+      fault.value = said(error);
+    }
+  };
+  return (
+    <section class="panel" aria-label="camera">
+      <h3>{camera.value?.name ?? device} <small class="quiet">{camera.value?.formats.filter((one) => one.is_read).map((one) => one.format).join(" ")}</small></h3>
+      <ExposureAdvice />
+      {camera.value?.controls.map((control) => <ControlRow key={control.name} control={control} set={(value) => void set(control.name, value)} />)}
+      {fault.value && <p class="fault" role="alert">{fault.value}</p>}
+    </section>
+  );
+}
+
+function ControlRow({ control, set }: { control: Control; set(value: number | boolean): void }) {
+  const { name, kind, minimum, maximum, step, value, items, is_inactive } = control;
+  const label = name.replace(/_/g, " ");
+  const why = is_inactive ? "an automatic control stands in its way; setting it switches that off" : "";
+  if (kind === "boolean") {
+    return <p><label title={why}><input type="checkbox" checked={value === 1} onChange={(event) => set(event.currentTarget.checked)} /> {label}</label></p>;
+  }
+  if (kind === "menu" || kind === "integer_menu") {
+    return (
+      <p><label title={why}>{label} <select value={String(value)} onChange={(event) => set(Number(event.currentTarget.value))}>
+        {Object.entries(items ?? {}).map(([number, word]) => <option key={number} value={number}>{word}</option>)}
+      </select></label></p>
+    );
+  }
+  if (kind === "button") return <p><button onClick={() => set(1)}>{label}</button></p>;
+  return <Slider label={label} unit={is_inactive ? "automatic" : ""} value={value ?? minimum} min={minimum} max={maximum} step={Math.max(1, step)} set={set} />;
+}
+
+const OF_DOCUMENT = ["source", "model", "constants", "start", "window", "camera", "target", "options"];
+
+/** What exposure the fits advise, and whether the session sets it by itself. */
+export function ExposureAdvice() {
+  const fault = useSignal("");
+  const one = session.value;
+  void beat.value;
+  const advice = newest.peek()?.exposure_advice;
+  const isControlled = one?.options?.exposure?.control ?? false;
+  const toggle = async (control: boolean) => {
+    if (!one) return;
+    const all = one as unknown as Record<string, unknown>;
+    const document = Object.fromEntries(OF_DOCUMENT.filter((key) => all[key] !== undefined && all[key] !== null).map((key) => [key, all[key]]));
+    document["options"] = { ...one.options, exposure: { ...one.options?.exposure, control } };
+    try {
+      await send("PUT", `/v1/sessions/${segment(one.name)}`, document);
+      fault.value = "";
+      await refresh();
+    } catch (error) {
+      fault.value = said(error);
+    }
+  };
+  return (
+    <>
+      <p class="row">
+        <span>Exposure advice: <b>{advice ? `× ${plain(advice.factor, 2)}` : "none yet"}</b> <small class="quiet">{advice?.why}</small></span>
+        <label title="starts the session anew"><input type="checkbox" checked={isControlled} onChange={(event) => void toggle(event.currentTarget.checked)} /> set by itself</label>
+      </p>
+      {fault.value && <p class="fault" role="alert">{fault.value}</p>}
+    </>
+  );
+}
+
+export function CameraList() {
+  const cameras = useSignal<Camera[] | null>(null);
+  const fault = useSignal("");
+  useEffect(() => { get<{ items: Camera[] }>("/v1/cameras").then((found) => { cameras.value = found.items; }, (error) => { fault.value = said(error); }); }, []);
+  return (
+    <section class="panel">
+      <h3>Cameras <small class="quiet">of the service's machine</small></h3>
+      {fault.value && <p class="fault" role="alert">{fault.value}</p>}
+      {cameras.value?.length === 0 && <p class="quiet">None is plugged in.</p>}
+      {cameras.value?.map((camera) => (
+        <details key={camera.identity}>
+          <summary><b>{camera.device}</b> {camera.name} <span class="quiet">{camera.identity}</span></summary>
+          <p>formats {camera.formats.filter((one) => one.is_read).map((one) => one.format).join(" ")} · {camera.controls.length} controls</p>
+        </details>
+      ))}
+    </section>
+  );
+}

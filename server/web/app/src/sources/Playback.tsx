@@ -1,0 +1,41 @@
+// A recording, or a synthetic camera: pause, step, scrub, speed, loop. Frame numbers of estimates only grow.
+import { useSignal } from "@preact/signals";
+import { said, segment, send } from "../state/api";
+import type { Source } from "../types";
+import { Slider } from "./Slider";
+
+interface View { paused: boolean; frame?: number; length?: number; speed: number; loop?: boolean }
+
+export function PlaybackPanel({ source }: { source: Source }) {
+  const fault = useSignal("");
+  const answered = useSignal<View | null>(null);
+  const now = (answered.value ?? source["playback"]) as View | undefined;
+  if (!now) return null;
+  const put = async (change: Record<string, unknown>) => {
+    try {
+      answered.value = await send<View>("PUT", `/v1/sources/${segment(source.name)}/playback`, change);
+      fault.value = "";
+    } catch (error) {
+      fault.value = said(error);
+    }
+  };
+  const position = (source["position"] as number | undefined) ?? now.frame ?? 0;
+  const isRecording = source.kind === "recording";
+  return (
+    <section class="panel" aria-label="playback">
+      <h3>Playback <small class="quiet">{source.name}{isRecording && now.length ? ` · frame ${position + 1} of ${now.length}` : ""}</small></h3>
+      <p class="row">
+        <button class={now.paused ? "primary" : ""} onClick={() => void put({ paused: !now.paused })}>{now.paused ? "Play" : "Hold"}</button>
+        {isRecording && <button disabled={!now.paused} aria-label="a frame back" onClick={() => void put({ step: -1 })}>◂ step</button>}
+        <button disabled={!now.paused} aria-label="a frame on" onClick={() => void put({ step: 1 })}>step ▸</button>
+        {isRecording && <label><input type="checkbox" checked={now.loop ?? false} onChange={(event) => void put({ loop: event.currentTarget.checked })} /> loop</label>}
+      </p>
+      {isRecording && now.length !== undefined && (
+        <Slider label="frame" unit="" value={position} min={0} max={Math.max(0, now.length - 1)} step={1} set={(to) => void put({ frame: to })} />
+      )}
+      <Slider label="pace" unit="×" value={Math.log2(now.speed)} min={-4} max={4} step={0.5} shown={now.speed.toPrecision(2)}
+        set={(to) => void put({ speed: Number((2 ** to).toPrecision(3)) })} />
+      {fault.value && <p class="fault" role="alert">{fault.value}</p>}
+    </section>
+  );
+}

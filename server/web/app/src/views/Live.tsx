@@ -1,0 +1,94 @@
+// The picture with what was fitted, the residual beside it, and what both mean.
+import { useSignal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+import { DIVERGING } from "../draw/colour";
+import { Formulas } from "../parts/Formulas";
+import { Parameters } from "../parts/Parameters";
+import { PictureView } from "../parts/PictureView";
+import { PoseView } from "../parts/Pose";
+import { Screen } from "../parts/Screen";
+import { Section } from "../parts/Section";
+import { Status } from "../parts/Status";
+import { SwapLine } from "../parts/SwapLine";
+import { get, segment } from "../state/api";
+import { beginDemo } from "../state/demo";
+import { lackingResidual, residualPicture, residualRatio, shownHead, usePictures } from "../state/pictures";
+import { standing } from "../state/standing";
+import { centreOf, document_, models, session } from "../state/store";
+import { swap, swapNews } from "../state/swap";
+
+export function Live() {
+  usePictures("frame and residual");
+  if (standing.value.word === "first start") return <FirstStart />;
+  return (
+    <div class="live">
+      <div class="column">
+        <Screen />
+        <TheFormula />
+      </div>
+      <div class="column">
+        <figure class="residual">
+          <figcaption>Residual <small class="quiet">measured − model, in σ</small></figcaption>
+          <PictureView label="residual" palette={DIVERGING} centre={() => centreOf(document_.peek())} picture={residualPicture} ratio={residualRatio.value} />
+          {lackingResidual.value && <p class="quiet">{lackingResidual.value}</p>}
+          <p class="scale"><span>−5 σ</span><i /><span>+5 σ</span></p>
+        </figure>
+        <Section head={shownHead} />
+      </div>
+      <div class="column beside">
+        <Status />
+        <Parameters />
+        <PoseView />
+      </div>
+    </div>
+  );
+}
+
+/** The formula that is fitted, and one button that puts another in its place while the camera runs. */
+function TheFormula() {
+  const text = useSignal("");
+  const one = session.value;
+  const active = one?.active_model ?? "";
+  const digest = one?.active_digest ?? "";
+  useEffect(() => {
+    if (!active) return;
+    // By this method models of any size can be derived; the formulas are the same by each.
+    get<{ text: string }>(`/v1/models/${segment(active)}/explain?show=formulas&method=levenberg-marquardt`)
+      .then((found) => { text.value = found.text; }, () => { text.value = ""; });
+  }, [active, digest]);
+  const other = active === "gaussian" ? "spot" : "gaussian";
+  const offered = models.value.filter((model) => model.name !== active);
+  return (
+    <section class="formula-card">
+      <h3>The formula <small class="quiet">{active}{document_.value?.description ? ` · ${document_.value.description}` : ""}</small></h3>
+      <Formulas key={digest} text={text.value} keys={(key) => /^definitions\.|^model\.(intensity|domain)/.test(key)} />
+      <p class="row">
+        <button class="primary" id="swap" disabled={!one || swapNews.value?.isWaiting} onClick={() => one && void swap(one.name, other)}>
+          Fit {other} instead
+        </button>
+        <label>or <select aria-label="another model" value="" onChange={(event) => one && event.currentTarget.value && void swap(one.name, event.currentTarget.value)}>
+          <option value="">another …</option>
+          {offered.map((model) => <option key={model.name} value={model.name}>{model.name}</option>)}
+        </select></label>
+        <a href="#model">edit it</a>
+      </p>
+      <SwapLine />
+    </section>
+  );
+}
+
+function FirstStart() {
+  const fault = useSignal("");
+  return (
+    <div class="welcome">
+      <h2>A formula in, a tracker out</h2>
+      <p>isophote fits a formula for pixel brightness to every frame of a camera. Nothing runs here yet.</p>
+      <p class="row">
+        <button class="primary" onClick={() => beginDemo().then((said) => { fault.value = said; })}>Start the demo</button>
+        <a class="button" href="#sources">Choose a camera or a recording</a>
+      </p>
+      {fault.value && <p class="fault" role="alert">{fault.value}</p>}
+      <p class="quiet">The demo is a synthetic camera: a spot that moves, with the noise of a real sensor.</p>
+    </div>
+  );
+}

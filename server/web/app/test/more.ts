@@ -1,0 +1,117 @@
+// Tokens, hostile text, a service that goes away, and what the page costs.
+import assert from "node:assert/strict";
+import { writeFileSync } from "node:fs";
+import { join } from "node:path";
+import type { Check } from "./checks.ts";
+import { Visit, folder, json, run, serve } from "./service.ts";
+
+const MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>";
+
+export const more: Record<string, Check> = {
+  async "a token is asked for, and kept nowhere"(browser) {
+    const made = folder();
+    const token = run(["token", "new", "--role", "operate", "--name", "page", "--data", made.path]).trim();
+    const guarded = await serve(["--demo", "--require-token", "--data", made.path]);
+    const visit = await Visit.open(browser, guarded);
+    await visit.go("live");
+    const field = visit.page.locator("#token");
+    await field.fill(`isophote_${"0".repeat(64)}`);
+    await visit.page.keyboard.press("Enter");
+    await visit.page.locator(".entrance .fault").waitFor();
+    await field.fill(token);
+    await visit.page.keyboard.press("Enter");
+    await visit.overlaid();
+    const kept = await visit.page.evaluate(() => JSON.stringify({ ...localStorage, ...sessionStorage }) + document.cookie + location.href);
+    assert.ok(!kept.includes(token.slice(9, 30)), "the token is kept");
+    const others = visit.complaints.filter((complaint) => !/401|WebSocket/.test(complaint)); // the browser tells refusals itself
+    assert.deepEqual(others, []);
+    await visit.close();
+    await guarded.stop();
+    made.remove();
+  },
+
+  async "text full of markup is shown as it is"(browser, service) {
+    const document = `# ${MARKUP}\nname = "evil"\ndescription = "${MARKUP}"\ncoordinates = ["x", "y"]\nchannels = ["phi"]\n[parameters]\nbx = { start = "centroid.x", unit = "<b>px</b>" }\nby = { start = "centroid.y" }\nv = { start = "amplitude" }\n[roles]\ncentre = ["bx", "by"]\n[model]\nintensity = "v * exp(-((x - bx)^2 + (y - by)^2) / 2000)"\n`;
+    const put = await fetch(`${service.url}/v1/models/evil`, { method: "PUT", headers: { "content-type": "application/toml" }, body: document });
+    assert.equal(put.status, 201, await put.text());
+    await json(`${service.url}/v1/sessions/evil`, { method: "PUT", headers: { "content-type": "application/json" }, body: JSON.stringify({ source: "demo", model: "evil" }) });
+    const visit = await Visit.open(browser, service);
+    let isAlerted = false;
+    visit.page.on("dialog", (dialog) => { isAlerted = true; void dialog.dismiss(); });
+    await visit.go("live");
+    await visit.page.getByLabel("session").selectOption("evil");
+    await visit.page.locator(".formula-card h3", { hasText: MARKUP }).waitFor();
+    await visit.page.locator("table.parameters td", { hasText: "<b>px</b>" }).waitFor();
+    for (const view of ["model", "explorer", "sources", "plots"]) {
+      await visit.page.evaluate((to) => { location.hash = to; }, view);
+      await visit.page.locator(`nav a[href="#${view}"][aria-current]`).waitFor();
+      if (view === "model") await visit.page.locator(".cm-line", { hasText: MARKUP }).first().waitFor();
+    }
+    assert.equal(await visit.page.locator("main img, main script, main b:text-is('px')").count(), 0);
+    assert.equal(isAlerted, false);
+    assert.deepEqual(visit.complaints, []);
+    await visit.close();
+    await fetch(`${service.url}/v1/sessions/evil`, { method: "DELETE" });
+    await fetch(`${service.url}/v1/models/evil`, { method: "DELETE" });
+  },
+
+  async "a service that goes away and comes back"(browser) {
+    const first = await serve(["--demo"]);
+    const visit = await Visit.open(browser, first);
+    await visit.go("live");
+    await visit.overlaid();
+    await first.stop();
+    await visit.waitForState("disconnected");
+    const second = await serve(["--demo"], new URL(first.url).host);
+    await visit.waitForState("tracking");
+    await visit.close();
+    await second.stop();
+  },
+
+  async "a service without sessions says how to begin"(browser) {
+    const empty = await serve([]);
+    const visit = await Visit.open(browser, empty);
+    await visit.go("live");
+    await visit.waitForState("first start");
+    await visit.page.getByRole("button", { name: "Start the demo" }).click();
+    await visit.overlaid();
+    assert.deepEqual(visit.complaints, []);
+    await visit.close();
+    await empty.stop();
+  },
+
+  async "what it costs at 30 frames a second"(browser, service) {
+    const visit = await Visit.open(browser, service);
+    await visit.go("live");
+    await visit.overlaid();
+    const client = await visit.context.newCDPSession(visit.page);
+    await client.send("Performance.enable");
+    const busy = async () => (await client.send("Performance.getMetrics")).metrics.find((metric) => metric.name === "TaskDuration")!.value;
+    await visit.page.waitForTimeout(3000);
+    const [before, start] = [await busy(), performance.now()];
+    await visit.page.waitForTimeout(10_000);
+    const share = 100 * (await busy() - before) / ((performance.now() - start) / 1000);
+    await visit.close();
+    return `the page's thread is busy for ${share.toFixed(1)} % of a core`;
+  },
+
+  async "estimates as a file"(browser, service) {
+    const visit = await Visit.open(browser, service);
+    await visit.go("plots");
+    await visit.page.locator(".charts canvas").first().waitFor();
+    const waiting = visit.page.waitForEvent("download");
+    await visit.page.waitForTimeout(500);
+    await visit.page.getByRole("button", { name: "CSV" }).click();
+    const made = folder();
+    const file = join(made.path, "demo.csv");
+    await (await waiting).saveAs(file);
+    const { readFileSync } = await import("node:fs");
+    const [head, first] = readFileSync(file, "utf8").split("\n");
+    assert.match(head!, /^frame,time_s,state,model,bx,.*sigma_bx/);
+    assert.equal(first!.split(",").length, head!.split(",").length);
+    writeFileSync(file, "");
+    made.remove();
+    assert.deepEqual(visit.complaints, []);
+    await visit.close();
+  },
+};
