@@ -62,7 +62,8 @@ fn problem_codes(source: &str) -> BTreeSet<&str> {
     calls
         .filter_map(|call| {
             let (before, rest) = call.split_once('"')?;
-            let is_status = before.chars().all(|c| c.is_alphanumeric() || "_:, \n".contains(c));
+            let is_second = before.matches(',').count() < 2;
+            let is_status = is_second && before.chars().all(|c| c.is_alphanumeric() || "_:, \n".contains(c));
             is_status.then(|| rest.split('"').next().unwrap_or_default())
         })
         .collect()
