@@ -132,6 +132,10 @@ pub struct ServiceLimits {
     pub load_share: f64,
     /// A session keeps its turn for a search for so long without asking for it.
     pub search_patience: Duration,
+    /// Shadows of all sessions.
+    pub shadows: usize,
+    /// After a frame that its session has lost a shadow gets none for so long.
+    pub shed_time: Duration,
     /// A swap waits for a fit that has begun for so long; then the fit is given up.
     pub swap_time: Duration,
 }
@@ -200,6 +204,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     sample_time: Duration::from_secs(1),
     load_share: 0.8,
     search_patience: Duration::from_secs(1),
+    shadows: 16,
+    shed_time: Duration::from_secs(2),
     swap_time: Duration::from_millis(100),
 };
 

@@ -17,6 +17,7 @@ mod playback;
 mod preview;
 mod schemas;
 mod sessions;
+mod shadow;
 mod sources;
 
 use axum::Router;
@@ -68,7 +69,8 @@ pub fn router(app: App) -> Router {
         .route("/v1/sessions/{name}/frames", post(frames::post).get(frames::get))
         .route("/v1/sessions/{name}/estimates", get(estimates::get))
         .route("/v1/sessions/{name}/preview", get(preview::get))
-        .route("/v1/sessions/{name}/shadow", put(|| absent("shadow models")).delete(|| absent("shadow models")))
+        .route("/v1/sessions/{name}/shadow", put(shadow::put).get(shadow::get).delete(shadow::delete))
+        .route("/v1/sessions/{name}/shadow:promote", post(shadow::promote))
         .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
         .method_not_allowed_fallback(async || Problem::wrong_method())
         .with_state(app)
@@ -83,8 +85,4 @@ pub fn full() -> Router {
     };
     let alive = async || ([(header::CONNECTION, "close")], health::livez().await);
     Router::new().route("/livez", get(alive)).fallback(refuse)
-}
-
-async fn absent(what: &'static str) -> Problem {
-    Problem::not_in_this_build(what)
 }

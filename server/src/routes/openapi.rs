@@ -17,7 +17,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::{
     Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, playback, preview, schemas, sessions,
-    sources,
+    shadow, sources,
 };
 use crate::problem::Problem;
 
@@ -33,6 +33,7 @@ use crate::problem::Problem;
         playback::scene, playback::set_scene, playback::playback, playback::set_playback,
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
         frames::post, frames::get, estimates::get, preview::get,
+        shadow::put, shadow::get, shadow::delete, shadow::promote,
     ),
     components(schemas(ProblemDocument, CreditDocument, FrameTime, PreviewHeader, Target)),
     tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),

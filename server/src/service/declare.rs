@@ -150,6 +150,7 @@ impl Service {
             searches: 0,
             searches_postponed: 0,
             cost_ms: None,
+            shadow: None,
             source_camera: None,
             last: None,
         })

@@ -8,10 +8,13 @@ mod fit;
 pub mod inbox;
 mod once;
 mod searches;
+mod shadow;
+mod shadowed;
 mod shared;
 mod start;
 mod status;
 mod swap;
+mod told;
 mod trial;
 mod watch;
 
@@ -37,6 +40,7 @@ use isophote_machine::{Threads, elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
 pub use once::fit_once;
 pub use searches::SearchRoom;
+pub use shadow::PreparedShadow;
 use shared::Shared;
 pub use start::SessionStart;
 use status::Status;
@@ -60,6 +64,7 @@ pub struct Session {
     source: SourceOf,
     shared: Arc<Shared>,
     thread: NamedThread,
+    room: Arc<SearchRoom>,
     compile_ms: f64,
     run: SessionStart,
 }
@@ -111,12 +116,18 @@ impl Session {
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
-        Ok(Session { name: name.to_string(), document, source, shared, thread, compile_ms, run })
+        let room = room.clone();
+        Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run })
     }
 
     /// From now on it has frames.
     pub fn begin(&self) {
         self.source.source.subscribe(&self.shared.inbox);
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// Its estimates.
@@ -156,8 +167,9 @@ impl Session {
 
     /// Whether it fits that model, or is about to.
     pub fn uses_model(&self, name: &str) -> bool {
+        let is_shadow = self.shared.shadow().is_some_and(|shadow| shadow.entry().name.as_str() == name);
         let status = self.shared.status();
-        status.active.name == name || status.requested_model == name
+        is_shadow || status.active.name == name || status.requested_model == name
     }
 
     /// Processors that it keeps busy at the rate of its source; `None` where frames wait for their fits.
@@ -182,6 +194,7 @@ impl Session {
     /// Its document with its state.
     pub fn view(&self) -> SessionView {
         let last = self.shared.hub.last();
+        let shadow = self.shared.shadow().map(|shadow| shadow.view());
         let mut document = self.document.clone();
         let (state, reason) = self.state();
         let status = self.shared.status();
@@ -212,6 +225,7 @@ impl Session {
             searches: status.searches[0],
             searches_postponed: status.searches[1],
             cost_ms: status.cost_ns.map(|cost_ns| cost_ns as f64 / 1e6),
+            shadow,
             source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),
         }
@@ -221,6 +235,7 @@ impl Session {
     pub fn leave(&self) {
         self.source.source.unsubscribe(&self.shared.inbox);
         self.shared.inbox.close();
+        self.shared.shadow().iter().for_each(|shadow| shadow.leave("the session was stopped"));
         if self.source.is_own {
             self.source.source.leave();
         }
@@ -230,6 +245,7 @@ impl Session {
     /// nobody waits for a fit whose result nobody wants.
     pub fn wait(&self, end: End, until: Instant) {
         self.thread.wait(until);
+        self.shared.shadow().iter().for_each(|shadow| shadow.wait(until));
         self.shared.hub.end(end);
         if self.source.is_own {
             self.source.source.wait(until);

@@ -8,7 +8,7 @@ pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport}
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EstimateView, PlaybackView, SessionDocument, SourceDocument};
+use crate::{EstimateView, PlaybackView, SessionDocument, ShadowView, SourceDocument};
 
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -271,6 +271,9 @@ pub struct SessionView {
     /// What a frame that is not searched costs of a processor, ms, all in all: a mean of the last ones.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub cost_ms: Option<f64>,
+    /// Another model on the same frames, beside it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub shadow: Option<ShadowView>,
     /// Of a session on a camera: how that is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub source_camera: Option<CameraStatus>,

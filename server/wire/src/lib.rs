@@ -11,6 +11,7 @@ pub mod explain;
 mod named;
 mod playback;
 mod preview;
+mod shadow;
 
 pub use answer::*;
 pub use document::*;
@@ -18,3 +19,4 @@ pub use estimate::*;
 pub use named::Named;
 pub use playback::*;
 pub use preview::*;
+pub use shadow::*;

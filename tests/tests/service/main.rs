@@ -34,6 +34,7 @@ mod recordings;
 mod restarts;
 mod scenes;
 mod sessions;
+mod shadows;
 mod streams;
 mod swaps;
 mod targets;
