@@ -48,7 +48,7 @@ pub struct CompareArgs {
 
 /// One model's figures; what is not known is absent.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
+pub struct ModelFigures {
     /// Its name.
     pub model: String,
     /// Its document, where that is a file.
@@ -105,7 +105,7 @@ fn followed(
     document: &Path,
     model: &Arc<Model>,
     camera: &Camera,
-) -> Result<Row, Failure> {
+) -> Result<ModelFigures, Failure> {
     let confidence_min = args.confidence_min.unwrap_or(CONFIDENCE_MIN);
     let options = TrackerOptions { camera: camera.clone(), confidence_min, ..TrackerOptions::default() };
     let mut run = OfflineRun::open(document, model, frames, None, (options, Arc::default()))?;
@@ -131,7 +131,7 @@ fn followed(
         places.push(place);
     }
     let tracked = places.iter().flatten().count();
-    Ok(Row {
+    Ok(ModelFigures {
         model: model.name().to_string(),
         file: Some(document.display().to_string()),
         frames: places.len(),
@@ -168,9 +168,9 @@ fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> Opti
 }
 
 /// A line a model.
-pub fn table(out: &mut dyn Write, rows: &[Row]) -> Result<(), Failure> {
+pub fn table(out: &mut dyn Write, rows: &[ModelFigures]) -> Result<(), Failure> {
     let shown = |value: Option<f64>, times: f64| value.map_or("-".to_string(), |value| significant(value * times));
-    let cells = |row: &Row| {
+    let cells = |row: &ModelFigures| {
         vec![
             row.model.clone(),
             row.frames.to_string(),
@@ -194,15 +194,15 @@ pub fn significant(value: f64) -> String {
 }
 
 /// Over the time the first of these that some model has: the error, the stillness, χ².
-fn plot(path: &Path, rows: &[Row]) -> Result<(), Failure> {
-    type Figure = (&'static str, fn(&Row) -> Option<f64>);
+fn plot(path: &Path, rows: &[ModelFigures]) -> Result<(), Failure> {
+    type Figure = (&'static str, fn(&ModelFigures) -> Option<f64>);
     let figures: [Figure; 3] = [
         ("RMSE of the centre, px", |row| row.rmse_px),
         ("rms second difference of the centre, px", |row| row.second_difference_px),
         ("reduced χ²", |row| row.reduced_chi_square),
     ];
     let svg = figures.into_iter().find_map(|(name, figure)| {
-        let dot = |row: &Row| {
+        let dot = |row: &ModelFigures| {
             let ms = |time: Option<f64>| time.map_or(f64::NAN, |us| us / 1e3);
             let at = [ms(row.time_us), figure(row).unwrap_or(f64::NAN)];
             Dot { name: row.model.clone(), at, to_x: ms(row.time_us_95) }

@@ -13,7 +13,7 @@ use isophote_tracker::tune::figures;
 use isophote_wire::{EstimateView, SessionView, ShadowDocument, ShadowView};
 use serde::Serialize;
 
-use crate::compare::{CompareArgs, Row, significant, table};
+use crate::compare::{CompareArgs, ModelFigures, significant, table};
 use crate::failure::Failure;
 use crate::http::{self, RemoteService, segment};
 use crate::output;
@@ -26,7 +26,7 @@ const FRAMES: u64 = 200;
 struct LiveComparison {
     session: String,
     /// The session's model, then the other one.
-    models: Vec<Row>,
+    models: Vec<ModelFigures>,
     /// Frames of the session that the other model did not get to.
     #[serde(skip_serializing_if = "Option::is_none")]
     dropped: Option<u64>,
@@ -167,7 +167,11 @@ fn interrupted(_shadow: &BorrowedShadow) -> Result<Arc<AtomicBool>, Failure> {
 }
 
 /// One model's figures.
-fn row<'a>(model: &str, centres: Option<Centres>, estimates: impl Iterator<Item = &'a EstimateView> + Clone) -> Row {
+fn row<'a>(
+    model: &str,
+    centres: Option<Centres>,
+    estimates: impl Iterator<Item = &'a EstimateView> + Clone,
+) -> ModelFigures {
     let is_tracked = |estimate: &&EstimateView| estimate.state == TrackState::Tracking;
     let tracked = estimates.clone().filter(is_tracked).count();
     let place = |estimate: &EstimateView| -> Option<Vec<f64>> {
@@ -187,7 +191,7 @@ fn row<'a>(model: &str, centres: Option<Centres>, estimates: impl Iterator<Item 
         estimates.clone().filter(is_tracked).filter_map(|estimate| estimate.reduced_chi_square).collect();
     let times: Vec<f64> =
         estimates.clone().filter_map(|estimate| estimate.timing_us).map(|timing| timing.fit as f64).collect();
-    Row {
+    ModelFigures {
         model: model.to_string(),
         file: None,
         frames: places.len(),
@@ -201,7 +205,7 @@ fn row<'a>(model: &str, centres: Option<Centres>, estimates: impl Iterator<Item 
     }
 }
 
-fn compared(session: &str, models: Vec<Row>, dropped: Option<u64>, pairs: &[EstimateView]) -> LiveComparison {
+fn compared(session: &str, models: Vec<ModelFigures>, dropped: Option<u64>, pairs: &[EstimateView]) -> LiveComparison {
     let apart = || pairs.iter().filter_map(|pair| pair.shadow.as_ref()).map(|shadow| &shadow.disagreement);
     let centres: Vec<f64> = apart().filter_map(|one| one.centre_px).collect();
     let mut shifts: BTreeMap<String, [Vec<f64>; 2]> = BTreeMap::new();

@@ -39,6 +39,12 @@ pub struct ServiceLimits {
     pub rate_hz_least: f64,
     /// Least and most of what a source may be played at, times its rate.
     pub speed: (f64, f64),
+    /// Characters of who controls a source.
+    pub owner_characters: usize,
+    /// Least and most of a lease on the knobs of a source, s.
+    pub lease_time_s: (f64, f64),
+    /// Least and most of an exposure, times that of the beginning, where the source does not say.
+    pub exposure: (f64, f64),
     /// Frames that a paused source shows at once.
     pub steps: u64,
     /// Pixels of a frame or window.
@@ -159,6 +165,9 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     rate_hz: 10_000.0,
     rate_hz_least: 1e-3,
     speed: (0.05, 16.0),
+    owner_characters: 64,
+    lease_time_s: (0.1, 3600.0),
+    exposure: (1.0 / 256.0, 256.0),
     steps: 1_000_000,
     window_pixels: 16 * 1024 * 1024,
     sockets: 1024,

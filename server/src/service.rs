@@ -3,6 +3,7 @@
 //! durable, refused means that nothing was changed.
 
 mod declare;
+mod knobs;
 mod restore;
 mod shadows;
 mod standing;

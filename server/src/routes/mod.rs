@@ -2,6 +2,7 @@
 
 mod answer;
 mod cameras;
+mod control;
 mod docs;
 mod estimates;
 mod fit;
@@ -63,6 +64,7 @@ pub fn router(app: App) -> Router {
         .route("/v1/sources/{name}", put(sources::put).get(sources::get).delete(sources::delete))
         .route("/v1/sources/{name}/scene", put(playback::set_scene).get(playback::scene))
         .route("/v1/sources/{name}/playback", put(playback::set_playback).get(playback::playback))
+        .route("/v1/sources/{name}/control", put(control::put).get(control::get).delete(control::delete))
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{name}", put(sessions::put).get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{name}/model", put(sessions::swap))

@@ -14,7 +14,7 @@ use super::checks::{check_document, check_shape, tracker, wrong_options};
 use super::shared::Shared;
 use super::swap::{self, Active, Swap, Swapped};
 use super::trial::{FitCost, TrialResult};
-use super::{Session, fit};
+use super::{Session, exposed};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
@@ -102,7 +102,7 @@ impl Session {
         let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
         let proof = proof.map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
         if self.document.options.exposure.control && !proof.advises_exposure() {
-            return Err(Problem::conflict("not-applicable", fit::UNADVISED));
+            return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
         }
         let (reply, answer) = oneshot::channel();
         let (warm, carried) = (None, Carried::default());

@@ -4,13 +4,13 @@
 
 use std::sync::{Arc, PoisonError};
 
-use isophote_capture::Exposure;
 use isophote_machine::{monotonic_ns, thread_ns};
-use isophote_tracker::{ControllerOptions, Ending, ExposureController, Tracker, Viewer};
-use isophote_wire::{EstimateView, SessionOptions, SessionState, SourceDocument};
+use isophote_tracker::{Ending, Tracker, Viewer};
+use isophote_wire::{EstimateView, SessionState};
 
 use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
+use super::exposed::ExposureKnob;
 use super::inbox::{Delivery, Event, FittedFrame, SourceEnd, Waiting};
 use super::searches::SearchRoom;
 use super::shadow::FittedPair;
@@ -21,7 +21,6 @@ use super::told::Teller;
 use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;
 use crate::preview::FittedScene;
-use crate::problem::Problem;
 use crate::source::Source;
 
 /// What the thread owns.
@@ -54,55 +53,6 @@ pub struct Fitter {
     pub jumps: Option<u64>,
     /// What was said of its frames.
     pub chronicle: Chronicle,
-}
-
-/// A controller and the knob that it turns.
-pub struct ExposureKnob {
-    controller: ExposureController,
-    exposure: Exposure,
-}
-
-/// Why a model's sessions cannot set an exposure.
-pub const UNADVISED: &str = "the model's exposure cannot be controlled: that needs the role `brightness`, and formulas that \
-    are fitted to one channel as it is";
-
-impl ExposureKnob {
-    /// What a session asks for; a problem when its source has no exposure to set, or its model none to advise.
-    pub fn of(options: &SessionOptions, source: &Source, tracker: &Tracker) -> Result<Option<ExposureKnob>, Problem> {
-        if !options.exposure.control {
-            return Ok(None);
-        }
-        if !tracker.advises_exposure() {
-            return Err(Problem::wrong_key("not-applicable", "options.exposure.control", UNADVISED));
-        }
-        let message = "the source has no exposure that could be set";
-        let absent = || Problem::wrong_key("not-applicable", "options.exposure.control", message);
-        let exposure = source.exposure().ok_or_else(absent)?.clone();
-        let mut options = ControllerOptions::default();
-        match source.document() {
-            SourceDocument::Synthetic(synthetic) => options.latency = u64::from(synthetic.exposure_latency),
-            SourceDocument::Camera(camera) => options.latency = u64::from(camera.exposure_latency),
-            SourceDocument::Recording(_) | SourceDocument::Pushed(_) => {}
-        }
-        options.range = exposure.range().unwrap_or(options.range);
-        Ok(Some(ExposureKnob { controller: ExposureController::new(options), exposure }))
-    }
-
-    fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
-        self.controller.took(self.exposure.taken());
-        if let Some(factor) = self.controller.step(estimate) {
-            self.exposure.set(factor);
-        }
-    }
-}
-
-impl Drop for ExposureKnob {
-    /// Whoever comes after finds the light as it was.
-    fn drop(&mut self) {
-        if self.controller.factor() != 1.0 {
-            self.exposure.set(1.0);
-        }
-    }
 }
 
 impl Fitter {
@@ -168,7 +118,8 @@ impl Fitter {
             self.beside.prepare(&self.name, preparation);
         }
         if let (Some(knob), Some(first)) = (&mut self.knob, results.first()) {
-            knob.follow(first);
+            let control = knob.follow(first);
+            self.shared.status().control = Some(control);
         }
         let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
         self.next_frame = Some(frame.sequence + 1);

@@ -4,6 +4,7 @@ mod beside;
 mod change;
 mod checks;
 mod chronicle;
+mod exposed;
 mod fit;
 pub mod inbox;
 mod once;
@@ -34,7 +35,8 @@ use beside::PreparationThread;
 pub use change::{PreparedSession, PreparedSwap, SlowModels, prepare_session};
 use checks::{check_document, check_shape, tracker, wrong_options};
 use chronicle::Chronicle;
-use fit::{ExposureKnob, Fitter};
+use exposed::ExposureKnob;
+use fit::Fitter;
 use inbox::Inbox;
 use isophote_machine::{Threads, elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
@@ -97,7 +99,7 @@ impl Session {
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let shared = Arc::new(Shared::new(Status::new(active.clone(), entry.name.to_string())));
-        let knob = ExposureKnob::of(&document.options, &source.source, &tracker)?;
+        let knob = ExposureKnob::of((name, run.epoch), &document.options, &source.source, &tracker)?;
         let fitter = Fitter {
             name: name.to_string(),
             run: run.clone(),
@@ -225,6 +227,7 @@ impl Session {
             searches: status.searches[0],
             searches_postponed: status.searches[1],
             cost_ms: status.cost_ns.map(|cost_ns| cost_ns as f64 / 1e6),
+            exposure_control: status.control.clone(),
             shadow,
             source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),

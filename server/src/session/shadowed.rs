@@ -13,7 +13,7 @@ use super::checks::{check_shape, tracker, wrong_options};
 use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
 use super::swap::{self, Active, Swap};
 use super::trial::{FitCost, TrialResult};
-use super::{Session, fit};
+use super::{Session, exposed};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
@@ -101,7 +101,7 @@ impl Session {
         let requested = Requested::of(&self.shared, entry.name.as_str());
         let (compiled, options, tracker) = self.shadow()?.tracked()?;
         if self.document.options.exposure.control && !tracker.advises_exposure() {
-            return Err(Problem::conflict("not-applicable", fit::UNADVISED));
+            return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
         }
         let names = entry.model.parameters().iter().map(|parameter| parameter.name.clone()).collect();
         let carried = match tracker.is_following() {

@@ -5,6 +5,7 @@
 //! threads or a clock: times are handed in.
 
 mod answer;
+mod control;
 mod document;
 mod estimate;
 pub mod explain;
@@ -14,6 +15,7 @@ mod preview;
 mod shadow;
 
 pub use answer::*;
+pub use control::*;
 pub use document::*;
 pub use estimate::*;
 pub use named::Named;

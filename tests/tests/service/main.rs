@@ -10,6 +10,7 @@ mod client;
 mod clocks;
 mod commands;
 mod configuration;
+mod control;
 mod deploy;
 mod disk;
 mod docs;

@@ -10,7 +10,7 @@ use isophote_tracker::{Disagreement, Ending, Stop, Tracker, Watch};
 use isophote_wire::{EstimateView, ShadowEstimate};
 
 use super::ShadowShared;
-use super::slot::{FittedPair, Wanted};
+use super::slot::{FittedPair, ShadowTask};
 use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::session::beside::PreparationThread;
@@ -53,9 +53,9 @@ impl ShadowFitter {
         let _guard = EndGuard(self.shared.clone(), self.session.clone());
         loop {
             match self.shared.slot.next() {
-                Wanted::Frame(pair) => self.fit(&pair),
-                Wanted::Tracker(reply) => drop(reply.try_send(self.tracker.fork())), // whoever asked may have gone
-                Wanted::End => break,
+                ShadowTask::Frame(pair) => self.fit(&pair),
+                ShadowTask::Tracker(reply) => drop(reply.try_send(self.tracker.fork())), // whoever asked may have gone
+                ShadowTask::End => break,
             }
         }
     }

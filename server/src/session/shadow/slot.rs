@@ -26,7 +26,7 @@ pub struct FittedPair {
 }
 
 /// What a shadow does next.
-pub enum Wanted {
+pub enum ShadowTask {
     /// Fit.
     Frame(FittedPair),
     /// Say what is known of the target.
@@ -108,17 +108,17 @@ impl ShadowSlot {
     }
 
     /// For the shadow's thread.
-    pub fn next(&self) -> Wanted {
+    pub fn next(&self) -> ShadowTask {
         let mut state = self.lock();
         loop {
             if state.is_closed {
-                return Wanted::End;
+                return ShadowTask::End;
             }
             if let Some(reply) = state.tracker.take() {
-                return Wanted::Tracker(reply);
+                return ShadowTask::Tracker(reply);
             }
             if let Some(pair) = state.frame.take() {
-                return Wanted::Frame(pair);
+                return ShadowTask::Frame(pair);
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
@@ -146,10 +146,10 @@ mod tests {
         FittedPair { delivery, model, results: Vec::new(), estimates: Vec::new() }
     }
 
-    fn number(wanted: Wanted) -> Option<u64> {
+    fn number(wanted: ShadowTask) -> Option<u64> {
         match wanted {
-            Wanted::Frame(pair) => Some(pair.delivery.captured.frame.sequence),
-            Wanted::Tracker(_) | Wanted::End => None,
+            ShadowTask::Frame(pair) => Some(pair.delivery.captured.frame.sequence),
+            ShadowTask::Tracker(_) | ShadowTask::End => None,
         }
     }
 
@@ -165,7 +165,7 @@ mod tests {
         assert_eq!(number(slot.next()), None, "who waits goes before a frame");
         assert_eq!(number(slot.next()), Some(5));
         slot.close();
-        assert!(matches!(slot.next(), Wanted::End));
+        assert!(matches!(slot.next(), ShadowTask::End));
         slot.offer(pair(6), 0, 6);
         let (late, never) = sync_channel(1);
         slot.ask(late);
