@@ -46,7 +46,7 @@ pub(crate) struct StagedScene {
 }
 
 /// How one frame is seen.
-pub(crate) struct Seen {
+pub(crate) struct FrameLight {
     /// So many times the light; the knob of a session comes on top.
     pub exposure: f64,
     /// DN for each DN.
@@ -80,18 +80,18 @@ impl StagedScene {
     }
 
     /// How a frame of so many columns and rows is seen at time `t_s`.
-    pub fn seen_at(&self, t_s: f64, size: [usize; 2]) -> Result<Seen, String> {
+    pub fn seen_at(&self, t_s: f64, size: [usize; 2]) -> Result<FrameLight, String> {
         let exposure = light::factor_at("exposure", &self.exposure, t_s)?;
         let gain = light::factor_at("gain", &self.gain, t_s)?;
         let shine = match self.light.is_clean() {
             true => None,
             false => Some(Shine::at(&self.light, t_s, size, self.sensor.saturation)?),
         };
-        Ok(Seen { exposure, gain, shine })
+        Ok(FrameLight { exposure, gain, shine })
     }
 }
 
-impl Seen {
+impl FrameLight {
     /// Standard deviation of the blur, px, where there is one.
     pub fn defocus_px(&self) -> Option<f64> {
         self.shine.as_ref().map(Shine::defocus_px).filter(|sigma_px| *sigma_px > 0.0)
@@ -146,6 +146,11 @@ impl SceneKnob {
         let mut slot = self.lock();
         slot.wanted = Some(Box::new(staged));
         Ok(slot.next_frame)
+    }
+
+    /// The number of the next frame that is rendered.
+    pub fn next_frame(&self) -> u64 {
+        self.lock().next_frame
     }
 
     /// For the camera, at the beginning of a frame: another scene, if there is one.

@@ -10,7 +10,7 @@ use crate::light::defocus::Blur;
 use crate::noise::ReadOut;
 use crate::planes::of_channels;
 use crate::sampling::{BAND_ROWS, RenderedNumbers, Scene, SceneFault, Scratch};
-use crate::scene::{SceneKnob, Seen, StagedScene};
+use crate::scene::{FrameLight, SceneKnob, StagedScene};
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::spec::{SyntheticError, SyntheticSpec, check, first_message};
 
@@ -115,7 +115,7 @@ impl Synthetic {
     }
 
     /// How frame n is seen.
-    fn seen(&mut self, frame: u64) -> Result<Seen, SourceError> {
+    fn seen(&mut self, frame: u64) -> Result<FrameLight, SourceError> {
         let [width, height, ..] = self.sides();
         let seen = self.staged.seen_at(self.t_s(frame), [width, height]);
         let mut seen = seen.map_err(|reason| SourceError::Synthetic { frame, reason })?;
@@ -129,7 +129,7 @@ impl Synthetic {
     }
 
     /// What one channel reads.
-    fn pixels(&mut self, channel: usize, frame: u64, seen: &Seen) -> Result<Plane, SourceError> {
+    fn pixels(&mut self, channel: usize, frame: u64, seen: &FrameLight) -> Result<Plane, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
         let numbers = RenderedNumbers { parameters: &parameters, constants: &self.staged.constants, origin: [0.0; 2] };

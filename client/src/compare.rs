@@ -13,19 +13,26 @@ use isophote_tracker::{CONFIDENCE_MIN, Camera, Estimate, TrackState, TrackerOpti
 use serde::Serialize;
 
 use crate::failure::Failure;
+use crate::http::ServiceArgs;
 use crate::offline::{self, OfflineRun};
 use crate::scatter::{Dot, Scatter};
-use crate::{model_files, output};
+use crate::{compare_live, model_files, output};
 
 /// Track the same frames with several models: errors, failures, stillness and time of each
 #[derive(Clone, Debug, clap::Args)]
 pub struct CompareArgs {
-    /// Model documents (TOML; JSON if named *.json)
+    /// Model documents (TOML; JSON if named *.json); with --live the name of one model of the service
     #[arg(value_name = "MODEL", required = true)]
     pub models: Vec<PathBuf>,
     /// A folder or file of frames, as for `isophote fit`; errors are known where truth.jsonl lies beside them
-    #[arg(long, value_name = "PATH")]
-    pub frames: PathBuf,
+    #[arg(long, value_name = "PATH", required_unless_present = "live", conflicts_with = "live")]
+    pub frames: Option<PathBuf>,
+    /// Compare with the model of this session of the service, on the frames that it fits, beside it
+    #[arg(long, value_name = "SESSION", conflicts_with_all = ["camera", "confidence_min", "plot"])]
+    pub live: Option<String>,
+    /// With --live: look at so many frames [default: 200]
+    #[arg(long, value_name = "N", requires = "live", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub count: Option<u64>,
     /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects, defect_map
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
@@ -35,44 +42,56 @@ pub struct CompareArgs {
     /// Draw error over time as SVG
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
-    /// One JSON object a model
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    pub service: ServiceArgs,
 }
 
 /// One model's figures; what is not known is absent.
 #[derive(Clone, Debug, Serialize)]
-struct Row {
-    model: String,
-    file: String,
-    frames: usize,
-    tracked: usize,
-    failures: usize,
+pub struct ModelFigures {
+    /// Its name.
+    pub model: String,
+    /// Its document, where that is a file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// How many it was shown.
+    pub frames: usize,
+    /// Those in which it followed the target.
+    pub tracked: usize,
+    /// The others.
+    pub failures: usize,
     /// Root mean square of the centre's distance from the truth, over tracked frames with a truth.
     #[serde(skip_serializing_if = "Option::is_none")]
-    rmse_px: Option<f64>,
+    pub rmse_px: Option<f64>,
     /// Median over tracked frames.
     #[serde(skip_serializing_if = "Option::is_none")]
-    reduced_chi_square: Option<f64>,
+    pub reduced_chi_square: Option<f64>,
     /// Root mean square of the centre's second differences, over three tracked frames in a row.
     #[serde(skip_serializing_if = "Option::is_none")]
-    second_difference_px: Option<f64>,
+    pub second_difference_px: Option<f64>,
+    /// The median of its fits.
     #[serde(skip_serializing_if = "Option::is_none")]
-    time_us: Option<f64>,
+    pub time_us: Option<f64>,
+    /// 95 of 100 took less.
     #[serde(skip_serializing_if = "Option::is_none")]
-    time_us_95: Option<f64>,
+    pub time_us_95: Option<f64>,
 }
 
 /// `isophote compare`.
 pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let frames = match (&args.live, &args.frames) {
+        (Some(session), _) => return compare_live::run(args, session, out),
+        (None, Some(frames)) => frames,
+        (None, None) => return Err(Failure::Usage("say which frames: --frames PATH, or --live SESSION".into())),
+    };
     let camera = offline::camera(args.camera.as_deref())?;
     let models = args.models.iter().map(|path| model_files::read(path)).collect::<Result<Vec<_>, _>>()?;
     let mut rows = Vec::new();
     for (path, model) in args.models.iter().zip(&models) {
         eprintln!("compare: {}", path.display());
-        rows.push(followed(args, path, model, &camera)?);
+        rows.push(followed(args, frames, path, model, &camera)?);
     }
-    match args.json {
+    match args.service.json {
         true => rows.iter().try_for_each(|row| output::json(out, row))?,
         false => table(out, &rows)?,
     }
@@ -80,10 +99,16 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// Follows the target through all frames.
-fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Camera) -> Result<Row, Failure> {
+fn followed(
+    args: &CompareArgs,
+    frames: &Path,
+    document: &Path,
+    model: &Arc<Model>,
+    camera: &Camera,
+) -> Result<ModelFigures, Failure> {
     let confidence_min = args.confidence_min.unwrap_or(CONFIDENCE_MIN);
     let options = TrackerOptions { camera: camera.clone(), confidence_min, ..TrackerOptions::default() };
-    let mut run = OfflineRun::open(document, model, &args.frames, None, (options, Arc::default()))?;
+    let mut run = OfflineRun::open(document, model, frames, None, (options, Arc::default()))?;
     let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     while let Some(captured) = run.recording.next().map_err(Failure::other)? {
@@ -106,9 +131,9 @@ fn followed(args: &CompareArgs, document: &Path, model: &Arc<Model>, camera: &Ca
         places.push(place);
     }
     let tracked = places.iter().flatten().count();
-    Ok(Row {
+    Ok(ModelFigures {
         model: model.name().to_string(),
-        file: document.display().to_string(),
+        file: Some(document.display().to_string()),
         frames: places.len(),
         tracked,
         failures: places.len() - tracked,
@@ -142,9 +167,10 @@ fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> Opti
     (targets > 0).then(|| (squares / targets as f64).sqrt())
 }
 
-fn table(out: &mut dyn Write, rows: &[Row]) -> Result<(), Failure> {
+/// A line a model.
+pub fn table(out: &mut dyn Write, rows: &[ModelFigures]) -> Result<(), Failure> {
     let shown = |value: Option<f64>, times: f64| value.map_or("-".to_string(), |value| significant(value * times));
-    let cells = |row: &Row| {
+    let cells = |row: &ModelFigures| {
         vec![
             row.model.clone(),
             row.frames.to_string(),
@@ -162,21 +188,21 @@ fn table(out: &mut dyn Write, rows: &[Row]) -> Result<(), Failure> {
 }
 
 /// Three digits that count.
-fn significant(value: f64) -> String {
+pub fn significant(value: f64) -> String {
     let decimals = if value > 0.0 { (2 - value.log10().floor() as i32).clamp(0, 9) as usize } else { 0 };
     format!("{value:.decimals$}")
 }
 
 /// Over the time the first of these that some model has: the error, the stillness, χ².
-fn plot(path: &Path, rows: &[Row]) -> Result<(), Failure> {
-    type Figure = (&'static str, fn(&Row) -> Option<f64>);
+fn plot(path: &Path, rows: &[ModelFigures]) -> Result<(), Failure> {
+    type Figure = (&'static str, fn(&ModelFigures) -> Option<f64>);
     let figures: [Figure; 3] = [
         ("RMSE of the centre, px", |row| row.rmse_px),
         ("rms second difference of the centre, px", |row| row.second_difference_px),
         ("reduced χ²", |row| row.reduced_chi_square),
     ];
     let svg = figures.into_iter().find_map(|(name, figure)| {
-        let dot = |row: &Row| {
+        let dot = |row: &ModelFigures| {
             let ms = |time: Option<f64>| time.map_or(f64::NAN, |us| us / 1e3);
             let at = [ms(row.time_us), figure(row).unwrap_or(f64::NAN)];
             Dot { name: row.model.clone(), at, to_x: ms(row.time_us_95) }

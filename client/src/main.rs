@@ -1,13 +1,14 @@
 //! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
-//! `fit`, `render`, `tune`, `compare`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
+//! `fit`, `render`, `tune`, `compare` (but for `--live`), `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
 //! service; the others are its clients, of which `cameras` and `camera` do without it.
 
 mod arguments;
 mod calibrate;
 mod cameras;
 mod compare;
+mod compare_live;
 #[cfg(feature = "serve")]
 mod configuration;
 mod connection;

@@ -30,8 +30,9 @@ impl Load {
         Load { running, capacity: LIMITS.load_share * processors as f64 }
     }
 
-    /// 429 where one more, which keeps `added` processors busy, is too many. `None`: it could not be measured.
-    pub fn admit(self, session: &str, added: Option<(f64, f64)>) -> Result<(), Problem> {
+    /// 429 where one more, the session `a` or its shadow, which keeps `added` processors busy, is too many. `None`: it could not be
+    /// measured.
+    pub fn admit(self, what: &str, added: Option<(f64, f64)>) -> Result<(), Problem> {
         let Load { running, capacity } = self;
         let (fit_ms, rate_hz) = added.unwrap_or_default();
         let wanted = busy(fit_ms / 1e3, rate_hz);
@@ -45,7 +46,7 @@ impl Load {
             None => String::new(),
         };
         let detail = format!(
-            "there is no room for the session `{session}`: {cost}those that run keep {running:.2} of {capacity:.2} busy; \
+            "there is no room for {what}: {cost}those that run keep {running:.2} of {capacity:.2} busy; \
              stop one, or give it a smaller window or a lower rate"
         );
         let problem = Problem::new(StatusCode::TOO_MANY_REQUESTS, "over-capacity", detail);

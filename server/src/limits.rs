@@ -39,6 +39,12 @@ pub struct ServiceLimits {
     pub rate_hz_least: f64,
     /// Least and most of what a source may be played at, times its rate.
     pub speed: (f64, f64),
+    /// Characters of who controls a source.
+    pub owner_characters: usize,
+    /// Least and most of a lease on the knobs of a source, s.
+    pub lease_time_s: (f64, f64),
+    /// Least and most of an exposure, times that of the beginning, where the source does not say.
+    pub exposure: (f64, f64),
     /// Frames that a paused source shows at once.
     pub steps: u64,
     /// Pixels of a frame or window.
@@ -132,6 +138,10 @@ pub struct ServiceLimits {
     pub load_share: f64,
     /// A session keeps its turn for a search for so long without asking for it.
     pub search_patience: Duration,
+    /// Shadows of all sessions.
+    pub shadows: usize,
+    /// After a frame that its session has lost a shadow gets none for so long.
+    pub shed_time: Duration,
     /// A swap waits for a fit that has begun for so long; then the fit is given up.
     pub swap_time: Duration,
 }
@@ -155,6 +165,9 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     rate_hz: 10_000.0,
     rate_hz_least: 1e-3,
     speed: (0.05, 16.0),
+    owner_characters: 64,
+    lease_time_s: (0.1, 3600.0),
+    exposure: (1.0 / 256.0, 256.0),
     steps: 1_000_000,
     window_pixels: 16 * 1024 * 1024,
     sockets: 1024,
@@ -200,6 +213,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     sample_time: Duration::from_secs(1),
     load_share: 0.8,
     search_patience: Duration::from_secs(1),
+    shadows: 16,
+    shed_time: Duration::from_secs(2),
     swap_time: Duration::from_millis(100),
 };
 

@@ -199,7 +199,8 @@ impl Signals {
         Ok(Signals { runtime, interrupt, terminate })
     }
 
-    fn wait(&mut self) {
+    /// Blocks until one comes.
+    pub fn wait(&mut self) {
         let Signals { runtime, interrupt, terminate } = self;
         runtime.block_on(next(interrupt, terminate));
     }

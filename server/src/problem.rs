@@ -83,10 +83,6 @@ impl Problem {
     pub fn over_limit(what: &str, limit: usize) -> Problem {
         Problem::new(StatusCode::TOO_MANY_REQUESTS, "over-limit", format!("there can be no more than {limit} {what}"))
     }
-    /// 501: the contract knows it, this build does not have it.
-    pub fn not_in_this_build(what: &str) -> Problem {
-        Problem::new(StatusCode::NOT_IMPLEMENTED, "not-in-this-build", format!("{what}: not in this build"))
-    }
     /// 503: the service is about to stop.
     pub fn stopping() -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the service is stopping")

@@ -3,7 +3,9 @@
 //! durable, refused means that nothing was changed.
 
 mod declare;
+mod knobs;
 mod restore;
+mod shadows;
 mod standing;
 #[cfg(test)]
 mod tests;
@@ -285,7 +287,8 @@ impl Service {
         let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
         let others = self.sessions().into_iter().filter(|(other, _)| other != name);
         let running = others.filter_map(|(_, session)| session.load()).sum();
-        Load::of_machine(running).admit(name.as_str(), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
+        Load::of_machine(running)
+            .admit(&format!("the session `{name}`"), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
     }
 
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be

@@ -49,6 +49,7 @@ pub use solve::compiled::Compiled;
 pub use solve::prepare::{Preparation, Preparing};
 pub use solve::stage_kernels::{CompileFailure, StageKernels};
 pub use solve::workers::{InTurn, Workers};
+pub use track::disagreement::{Disagreement, ParameterShift};
 pub use track::evidence::Evidence;
 pub use track::search::Sighting;
 pub use track::shared::Carried;

@@ -1,13 +1,14 @@
 //! `/v1/cameras`: the cameras of this machine, and their controls.
 
 use axum::body::Body;
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use isophote_capture::CameraError;
 use isophote_capture::camera::{self, ControlValue, ControlValues};
 use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 
 use super::parameters::DeviceParam;
-use super::{Answer, RawName, json, raw};
+use super::{Answer, App, RawName, json, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 use crate::source::camera_problem;
@@ -28,12 +29,13 @@ pub async fn get(name: RawName) -> Answer {
     json(StatusCode::OK, &found.map_err(|error| problem(&error))?)
 }
 
-/// Sets the controls that are named, also while the camera streams.
+/// Sets the controls that are named, also while the camera streams, unless somebody has a lease on them.
 #[utoipa::path(put, path = "/v1/cameras/{device}/controls", tag = "cameras", operation_id = "set_controls",
     params(DeviceParam), request_body = BTreeMap<String, ControlValue>,
     responses((status = 200, description = "As read back.", body = ControlsAnswer)))]
-pub async fn set(name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn set(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let device = raw(name)?;
+    app.service.refuse_control(&device)?;
     let (values, text) = read_json::<ControlValues>(&headers, body).await?;
     let controls = blocking(move || camera::set_controls(&device, &values)).await?;
     let controls = controls.map_err(|error| place(problem(&error), &text))?;

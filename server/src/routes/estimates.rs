@@ -28,6 +28,9 @@ pub struct EstimatesQuery {
     mode: Mode,
     /// WebSocket only. Absent: as many messages as the socket takes.
     credit: Option<u32>,
+    /// 1: those that the session's shadow has fitted as well, with what it says of them in `shadow`.
+    #[serde(default)]
+    shadow: u8,
 }
 
 /// The estimates of a session as they come.
@@ -52,9 +55,14 @@ pub async fn get(
     if query.credit.is_some_and(|credit| credit > LIMITS.credit) {
         return Err(Problem::bad_request(format!("credit is at most {}", LIMITS.credit)));
     }
+    let hub = match query.shadow {
+        0 => session.hub().clone(),
+        1 => session.shadow()?.hub().clone(),
+        _ => return Err(Problem::bad_request("shadow is 0 or 1")),
+    };
     if headers.contains_key(header::UPGRADE) {
         let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
-        let subscription = session.hub().subscribe(query.mode)?.of(visitor);
+        let subscription = hub.subscribe(query.mode)?.of(visitor);
         let held = app.stream.clone();
         return Ok(upgrade.on_upgrade(async move |socket| {
             websocket::serve(socket, subscription, query.credit).await;
@@ -66,5 +74,5 @@ pub async fn get(
         let detail = "estimates come as text/event-stream, application/x-ndjson, or over a WebSocket";
         Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", detail)
     })?;
-    Ok(body::response(session.hub().subscribe(query.mode)?.of(visitor), format, app.stream.clone()))
+    Ok(body::response(hub.subscribe(query.mode)?.of(visitor), format, app.stream.clone()))
 }

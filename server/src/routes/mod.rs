@@ -2,6 +2,7 @@
 
 mod answer;
 mod cameras;
+mod control;
 mod docs;
 mod estimates;
 mod fit;
@@ -18,6 +19,7 @@ mod playback;
 mod preview;
 mod schemas;
 mod sessions;
+mod shadow;
 mod sources;
 
 use axum::Router;
@@ -64,13 +66,15 @@ pub fn router(app: App) -> Router {
         .route("/v1/sources/{name}", put(sources::put).get(sources::get).delete(sources::delete))
         .route("/v1/sources/{name}/scene", put(playback::set_scene).get(playback::scene))
         .route("/v1/sources/{name}/playback", put(playback::set_playback).get(playback::playback))
+        .route("/v1/sources/{name}/control", put(control::put).get(control::get).delete(control::delete))
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{name}", put(sessions::put).get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{name}/model", put(sessions::swap))
         .route("/v1/sessions/{name}/frames", post(frames::post).get(frames::get))
         .route("/v1/sessions/{name}/estimates", get(estimates::get))
         .route("/v1/sessions/{name}/preview", get(preview::get))
-        .route("/v1/sessions/{name}/shadow", put(|| absent("shadow models")).delete(|| absent("shadow models")))
+        .route("/v1/sessions/{name}/shadow", put(shadow::put).get(shadow::get).delete(shadow::delete))
+        .route("/v1/sessions/{name}/shadow:promote", post(shadow::promote))
         .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
         .method_not_allowed_fallback(async || Problem::wrong_method())
         .with_state(app)
@@ -85,8 +89,4 @@ pub fn full() -> Router {
     };
     let alive = async || ([(header::CONNECTION, "close")], health::livez().await);
     Router::new().route("/livez", get(alive)).fallback(refuse)
-}
-
-async fn absent(what: &'static str) -> Problem {
-    Problem::not_in_this_build(what)
 }

@@ -16,8 +16,8 @@ use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, Re
 use utoipa::{Modify, OpenApi};
 
 use super::{
-    Answer, cameras, docs, estimates, fit, frames, health, metrics, models, page, playback, preview, schemas, sessions,
-    sources,
+    Answer, cameras, control, docs, estimates, fit, frames, health, metrics, models, page, playback, preview, schemas,
+    sessions, shadow, sources,
 };
 use crate::problem::Problem;
 
@@ -31,8 +31,10 @@ use crate::problem::Problem;
         cameras::list, cameras::get, cameras::set,
         sources::list, sources::put, sources::get, sources::delete,
         playback::scene, playback::set_scene, playback::playback, playback::set_playback,
+        control::get, control::put, control::delete,
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
         frames::post, frames::get, estimates::get, preview::get,
+        shadow::put, shadow::get, shadow::delete, shadow::promote,
     ),
     components(schemas(ProblemDocument, CreditDocument, FrameTime, PreviewHeader, Target)),
     tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),

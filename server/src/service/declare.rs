@@ -150,6 +150,8 @@ impl Service {
             searches: 0,
             searches_postponed: 0,
             cost_ms: None,
+            exposure_control: None,
+            shadow: None,
             source_camera: None,
             last: None,
         })
@@ -170,7 +172,7 @@ impl Service {
                 };
                 let name = name.to_string();
                 let document = record.document;
-                let (position, playback, camera) = (None, None, None);
+                let (position, playback, control, camera) = (None, None, None, None);
                 let view = SourceView {
                     name,
                     document,
@@ -181,6 +183,7 @@ impl Service {
                     sessions: 0,
                     position,
                     playback,
+                    control,
                     camera,
                 };
                 Ok(view)

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use isophote_machine::{elapsed_ms, monotonic_ns};
-use isophote_tracker::Compiled;
+use isophote_tracker::{Carried, Compiled};
 use isophote_wire::{SessionDocument, SourceDocument};
 use tokio::sync::oneshot;
 
@@ -14,7 +14,7 @@ use super::checks::{check_document, check_shape, tracker, wrong_options};
 use super::shared::Shared;
 use super::swap::{self, Active, Swap, Swapped};
 use super::trial::{FitCost, TrialResult};
-use super::{Session, fit};
+use super::{Session, exposed};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
@@ -40,15 +40,27 @@ pub struct PreparedSwap {
     requested: Requested,
 }
 
+impl PreparedSwap {
+    /// Where the answer will come, what compilation took, and that it is asked for.
+    pub(super) fn new(
+        swap: Swap,
+        answer: oneshot::Receiver<Swapped>,
+        compile_ms: f64,
+        requested: Requested,
+    ) -> PreparedSwap {
+        PreparedSwap { swap, answer, compile_ms, requested }
+    }
+}
+
 /// The session says that a model is asked for; it takes that back unless the model is handed over.
-struct Requested {
+pub(super) struct Requested {
     shared: Arc<Shared>,
     model: String,
     before: Option<String>,
 }
 
 impl Requested {
-    fn of(shared: &Arc<Shared>, model: &str) -> Requested {
+    pub(super) fn of(shared: &Arc<Shared>, model: &str) -> Requested {
         let before = std::mem::replace(&mut shared.status().requested_model, model.to_string());
         Requested { shared: shared.clone(), model: model.to_string(), before: Some(before) }
     }
@@ -90,10 +102,11 @@ impl Session {
         let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
         let proof = proof.map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
         if self.document.options.exposure.control && !proof.advises_exposure() {
-            return Err(Problem::conflict("not-applicable", fit::UNADVISED));
+            return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
         }
         let (reply, answer) = oneshot::channel();
-        let swap = Swap { active: Active::new(entry), compiled, options, reply };
+        let (warm, carried) = (None, Carried::default());
+        let swap = Swap { active: Active::new(entry), compiled, options, warm, carried, reply };
         if slow == SlowModels::Refused && !self.document.options.allow_slow {
             self.check_cost(&swap, workers)?;
         }

@@ -4,22 +4,23 @@
 
 use std::sync::{Arc, PoisonError};
 
-use isophote_capture::Exposure;
 use isophote_machine::{monotonic_ns, thread_ns};
-use isophote_tracker::{ControllerOptions, Ending, ExposureController, Tracker, Viewer};
-use isophote_wire::{EstimateView, Named, SessionOptions, SessionState, SourceDocument, Timing};
+use isophote_tracker::{Ending, Tracker, Viewer};
+use isophote_wire::{EstimateView, SessionState};
 
 use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
+use super::exposed::ExposureKnob;
 use super::inbox::{Delivery, Event, FittedFrame, SourceEnd, Waiting};
 use super::searches::SearchRoom;
+use super::shadow::FittedPair;
 use super::shared::Shared;
 use super::start::SessionStart;
 use super::swap::{Active, Swap, Swapped};
+use super::told::Teller;
 use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;
 use crate::preview::FittedScene;
-use crate::problem::Problem;
 use crate::source::Source;
 
 /// What the thread owns.
@@ -54,55 +55,6 @@ pub struct Fitter {
     pub chronicle: Chronicle,
 }
 
-/// A controller and the knob that it turns.
-pub struct ExposureKnob {
-    controller: ExposureController,
-    exposure: Exposure,
-}
-
-/// Why a model's sessions cannot set an exposure.
-pub const UNADVISED: &str = "the model's exposure cannot be controlled: that needs the role `brightness`, and formulas that \
-    are fitted to one channel as it is";
-
-impl ExposureKnob {
-    /// What a session asks for; a problem when its source has no exposure to set, or its model none to advise.
-    pub fn of(options: &SessionOptions, source: &Source, tracker: &Tracker) -> Result<Option<ExposureKnob>, Problem> {
-        if !options.exposure.control {
-            return Ok(None);
-        }
-        if !tracker.advises_exposure() {
-            return Err(Problem::wrong_key("not-applicable", "options.exposure.control", UNADVISED));
-        }
-        let message = "the source has no exposure that could be set";
-        let absent = || Problem::wrong_key("not-applicable", "options.exposure.control", message);
-        let exposure = source.exposure().ok_or_else(absent)?.clone();
-        let mut options = ControllerOptions::default();
-        match source.document() {
-            SourceDocument::Synthetic(synthetic) => options.latency = u64::from(synthetic.exposure_latency),
-            SourceDocument::Camera(camera) => options.latency = u64::from(camera.exposure_latency),
-            SourceDocument::Recording(_) | SourceDocument::Pushed(_) => {}
-        }
-        options.range = exposure.range().unwrap_or(options.range);
-        Ok(Some(ExposureKnob { controller: ExposureController::new(options), exposure }))
-    }
-
-    fn follow(&mut self, estimate: &isophote_tracker::Estimate) {
-        self.controller.took(self.exposure.taken());
-        if let Some(factor) = self.controller.step(estimate) {
-            self.exposure.set(factor);
-        }
-    }
-}
-
-impl Drop for ExposureKnob {
-    /// Whoever comes after finds the light as it was.
-    fn drop(&mut self) {
-        if self.controller.factor() != 1.0 {
-            self.exposure.set(1.0);
-        }
-    }
-}
-
 impl Fitter {
     /// Until the inbox is closed.
     pub fn run(mut self) {
@@ -118,7 +70,13 @@ impl Fitter {
     }
 
     fn swap(&mut self, swap: Swap) {
-        let carried = self.tracker.swap(swap.compiled, swap.options);
+        let carried = match swap.warm {
+            Some(tracker) => {
+                self.tracker = *tracker;
+                swap.carried
+            }
+            None => self.tracker.swap(swap.compiled, swap.options),
+        };
         self.shared.hub.keep(&self.tracker.names());
         self.beside.give_up();
         (self.active, self.viewer) = (swap.active, None);
@@ -160,7 +118,8 @@ impl Fitter {
             self.beside.prepare(&self.name, preparation);
         }
         if let (Some(knob), Some(first)) = (&mut self.knob, results.first()) {
-            knob.follow(first);
+            let control = knob.follow(first);
+            self.shared.status().control = Some(control);
         }
         let lost = self.next_frame.map_or(0, |next| frame.sequence.saturating_sub(next));
         self.next_frame = Some(frame.sequence + 1);
@@ -172,8 +131,9 @@ impl Fitter {
             remark.say(&self.name, frame.sequence);
         }
         self.shared.status().spent(&outcome, self.times.as_ref());
-        let estimates: Vec<Arc<EstimateView>> =
-            results.iter().map(|result| Arc::new(self.estimate(delivery, result, start_ns, end_ns))).collect();
+        let teller = Teller { session: &self.name, run: &self.run, active: &self.active };
+        let told = results.iter().map(|result| Arc::new(teller.estimate(delivery, result, [start_ns, end_ns])));
+        let estimates: Vec<Arc<EstimateView>> = told.collect();
         for estimate in &estimates {
             self.shared.hub.publish(estimate.clone());
         }
@@ -181,42 +141,19 @@ impl Fitter {
             self.answer(delivery, first.clone());
         }
         if self.shared.preview.is_wanted() {
-            self.show(&delivery.captured.frame, results, estimates);
+            self.show(&delivery.captured.frame, results.clone(), estimates.clone());
         }
         for wanted in self.shared.inbox.take_samples() {
             let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
             drop(wanted.try_send(sample)); // whoever wanted it may have gone
         }
+        if let Some(shadow) = self.shared.shadow() {
+            let model = self.active.model.clone();
+            shadow.offer(FittedPair { delivery: delivery.clone(), model, results, estimates }, lost);
+        }
         if !outcome.has_searched {
             self.shared.status().cost(thread_ns().saturating_sub(worked_ns));
         }
-    }
-
-    /// The tracker's result with what only the session knows.
-    fn estimate(
-        &self,
-        delivery: &Delivery,
-        result: &isophote_tracker::Estimate,
-        start_ns: u64,
-        end_ns: u64,
-    ) -> EstimateView {
-        let captured = &delivery.captured;
-        let frame = &captured.frame;
-        let mut estimate = EstimateView::new(&self.active.model, &self.active.id, frame.sequence, result);
-        estimate.session = Some(self.name.clone());
-        (estimate.node, estimate.epoch) = (Some(self.run.node.to_string()), Some(self.run.epoch));
-        estimate.file = captured.file.clone();
-        let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
-        estimate.capture_ns = Some(capture_ns);
-        estimate.time_s = frame.time_s;
-        estimate.publish_ns = Some(end_ns);
-        estimate.truth =
-            captured.truth.as_ref().map(|truth| truth.iter().map(|(n, v)| (n.as_str(), *v)).collect::<Named>());
-        // Below 0 where a driver's stamp lies ahead of the clock.
-        let wait = Some((start_ns as i64 - capture_ns as i64) / 1000);
-        let fit = end_ns.saturating_sub(start_ns) / 1000;
-        estimate.timing_us = Some(Timing { wait, fit });
-        estimate
     }
 
     /// Hands a frame to those who look, with what belongs to it; they draw it.

@@ -4,14 +4,18 @@ mod beside;
 mod change;
 mod checks;
 mod chronicle;
+mod exposed;
 mod fit;
 pub mod inbox;
 mod once;
 mod searches;
+mod shadow;
+mod shadowed;
 mod shared;
 mod start;
 mod status;
 mod swap;
+mod told;
 mod trial;
 mod watch;
 
@@ -31,12 +35,14 @@ use beside::PreparationThread;
 pub use change::{PreparedSession, PreparedSwap, SlowModels, prepare_session};
 use checks::{check_document, check_shape, tracker, wrong_options};
 use chronicle::Chronicle;
-use fit::{ExposureKnob, Fitter};
+use exposed::ExposureKnob;
+use fit::Fitter;
 use inbox::Inbox;
 use isophote_machine::{Threads, elapsed_ms, monotonic_ns};
 use isophote_wire::{SessionDocument, SessionState, SessionView};
 pub use once::fit_once;
 pub use searches::SearchRoom;
+pub use shadow::PreparedShadow;
 use shared::Shared;
 pub use start::SessionStart;
 use status::Status;
@@ -60,6 +66,7 @@ pub struct Session {
     source: SourceOf,
     shared: Arc<Shared>,
     thread: NamedThread,
+    room: Arc<SearchRoom>,
     compile_ms: f64,
     run: SessionStart,
 }
@@ -92,7 +99,7 @@ impl Session {
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
         let active = Active::new(entry);
         let shared = Arc::new(Shared::new(Status::new(active.clone(), entry.name.to_string())));
-        let knob = ExposureKnob::of(&document.options, &source.source, &tracker)?;
+        let knob = ExposureKnob::of((name, run.epoch), &document.options, &source.source, &tracker)?;
         let fitter = Fitter {
             name: name.to_string(),
             run: run.clone(),
@@ -111,12 +118,18 @@ impl Session {
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
-        Ok(Session { name: name.to_string(), document, source, shared, thread, compile_ms, run })
+        let room = room.clone();
+        Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run })
     }
 
     /// From now on it has frames.
     pub fn begin(&self) {
         self.source.source.subscribe(&self.shared.inbox);
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// Its estimates.
@@ -156,8 +169,9 @@ impl Session {
 
     /// Whether it fits that model, or is about to.
     pub fn uses_model(&self, name: &str) -> bool {
+        let is_shadow = self.shared.shadow().is_some_and(|shadow| shadow.entry().name.as_str() == name);
         let status = self.shared.status();
-        status.active.name == name || status.requested_model == name
+        is_shadow || status.active.name == name || status.requested_model == name
     }
 
     /// Processors that it keeps busy at the rate of its source; `None` where frames wait for their fits.
@@ -182,6 +196,7 @@ impl Session {
     /// Its document with its state.
     pub fn view(&self) -> SessionView {
         let last = self.shared.hub.last();
+        let shadow = self.shared.shadow().map(|shadow| shadow.view());
         let mut document = self.document.clone();
         let (state, reason) = self.state();
         let status = self.shared.status();
@@ -212,6 +227,8 @@ impl Session {
             searches: status.searches[0],
             searches_postponed: status.searches[1],
             cost_ms: status.cost_ns.map(|cost_ns| cost_ns as f64 / 1e6),
+            exposure_control: status.control.clone(),
+            shadow,
             source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),
         }
@@ -221,6 +238,7 @@ impl Session {
     pub fn leave(&self) {
         self.source.source.unsubscribe(&self.shared.inbox);
         self.shared.inbox.close();
+        self.shared.shadow().iter().for_each(|shadow| shadow.leave("the session was stopped"));
         if self.source.is_own {
             self.source.source.leave();
         }
@@ -230,6 +248,7 @@ impl Session {
     /// nobody waits for a fit whose result nobody wants.
     pub fn wait(&self, end: End, until: Instant) {
         self.thread.wait(until);
+        self.shared.shadow().iter().for_each(|shadow| shadow.wait(until));
         self.shared.hub.end(end);
         if self.source.is_own {
             self.source.source.wait(until);

@@ -65,6 +65,14 @@ impl SearchRoom {
         state.taken += 1;
         Some(SearchPlace(self.clone()))
     }
+
+    /// Whether all places are taken, or somebody waits for one.
+    pub fn is_crowded(&self, now_ns: u64) -> bool {
+        let state = self.lock();
+        let patience_ns = LIMITS.search_patience.as_nanos() as u64;
+        let waits = |(_, asked_ns): &(String, u64)| now_ns.saturating_sub(*asked_ns) <= patience_ns;
+        state.taken >= self.places || state.queue.iter().any(waits)
+    }
 }
 
 impl Drop for SearchPlace {
@@ -101,7 +109,10 @@ mod tests {
         let room = Arc::new(SearchRoom::of(2));
         let mut held: Vec<SearchPlace> = ["a", "b", "c"].iter().filter_map(|name| room.enter(name, 1)).collect();
         assert_eq!(held.len(), 2);
+        assert!(room.is_crowded(1));
         held.pop();
+        assert!(room.is_crowded(1), "c waits");
+        assert!(!room.is_crowded(2 + LIMITS.search_patience.as_nanos() as u64), "c has gone");
         assert!(room.enter("d", 2).is_none() && room.enter("c", 3).is_some());
     }
 }

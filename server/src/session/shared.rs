@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::inbox::Inbox;
+use super::shadow::Shadow;
 use super::status::Status;
 use crate::counters::SessionCounters;
 use crate::hub::Hub;
@@ -19,6 +20,7 @@ pub struct Shared {
     /// What is counted of it.
     pub counters: SessionCounters,
     status: Mutex<Status>,
+    shadow: Mutex<Option<Arc<Shadow>>>,
 }
 
 impl Shared {
@@ -30,7 +32,18 @@ impl Shared {
             preview: Arc::default(),
             counters: SessionCounters::default(),
             status: Mutex::new(status),
+            shadow: Mutex::default(),
         }
+    }
+
+    /// Another model on the same frames, if there is one.
+    pub fn shadow(&self) -> Option<Arc<Shadow>> {
+        self.shadow.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The one in the place of the other, which is handed back.
+    pub fn replace_shadow(&self, shadow: Option<Arc<Shadow>>) -> Option<Arc<Shadow>> {
+        std::mem::replace(&mut *self.shadow.lock().unwrap_or_else(PoisonError::into_inner), shadow)
     }
 
     /// What it tells about itself.

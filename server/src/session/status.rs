@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use isophote_tracker::Frame;
-use isophote_wire::SessionState;
+use isophote_wire::{ExposureControl, SessionState};
 
 use super::swap::Active;
 use super::watch::{FrameTimes, FrameUse};
@@ -38,6 +38,8 @@ pub struct Status {
     pub searches: [u64; 2],
     /// What a frame without a search costs of a processor, ns: a mean of the last ones.
     pub cost_ns: Option<u64>,
+    /// Of one that controls the exposure of its source: whether it may.
+    pub control: Option<ExposureControl>,
     /// Why it does not run.
     pub reason: Option<String>,
     /// What the frames look like, as soon as there was one.
@@ -59,6 +61,7 @@ impl Status {
             over_budget: 0,
             searches: [0; 2],
             cost_ns: None,
+            control: None,
             reason: None,
             shape: None,
             ended: None,

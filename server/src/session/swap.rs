@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use isophote_jit::VectorWidth;
 use isophote_symbolic::Model;
-use isophote_tracker::{Compiled, MotionOptions, PredictOptions, Preparing, TrackerOptions, WORK_MAX};
+use isophote_tracker::{
+    Carried, Compiled, MotionOptions, PredictOptions, Preparing, Tracker, TrackerOptions, WORK_MAX,
+};
 use isophote_wire::{PredictDocument, SessionDocument, WindowDocument};
 use tokio::sync::oneshot;
 
@@ -39,6 +41,10 @@ pub struct Swap {
     pub compiled: Arc<Compiled>,
     /// The session's options as far as they apply to it.
     pub options: TrackerOptions,
+    /// A tracker that has followed the target with it: that one goes on, with these parameters carried.
+    pub warm: Option<Box<Tracker>>,
+    /// See `warm`.
+    pub carried: Carried,
     /// Told when the swap is done; dropped when the session ends before.
     pub reply: oneshot::Sender<Swapped>,
 }

@@ -5,10 +5,13 @@
 //! pace, and rests while no session listens. Numbers of frames count what the source produced, so that gaps say what was
 //! lost.
 
+mod control;
+mod lease;
 mod live;
 mod open;
 mod playback;
 mod played;
+mod playing;
 mod scene;
 mod schedule;
 #[cfg(test)]
@@ -31,6 +34,7 @@ use isophote_machine::monotonic_ns;
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
 };
+pub use lease::{ControlLease, LeaseId};
 pub use open::{Opened, camera_problem, open, open_recording, pixel_format};
 use playback::{Playback, Tape};
 use scene::SceneInForce;
@@ -80,6 +84,7 @@ pub struct Source {
     shape: FrameShape,
     exposure: Option<Exposure>,
     scene: Option<SceneInForce>,
+    lease: ControlLease,
     /// Ends a camera's wait.
     wake: Option<Wake>,
     shared: Arc<Shared>,
@@ -97,6 +102,8 @@ struct State {
     state: SourceState,
     reason: Option<String>,
     frames: u64,
+    /// The number of the newest frame.
+    newest: Option<u64>,
     camera: Option<CameraStatus>,
     /// Of frames that are made or read.
     playback: Option<Playback>,
@@ -148,6 +155,7 @@ impl Source {
             state: SourceState::Idle,
             reason: None,
             frames: 0,
+            newest: None,
             camera: None,
             playback,
             asked: None,
@@ -166,7 +174,16 @@ impl Source {
         let worker = Worker { shared: shared.clone(), pace, rate_hz, schedule, frame: 0, faults: 0 };
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
-        Ok(Source { document, shape: opened.shape, exposure, scene, wake, shared, thread })
+        Ok(Source {
+            document,
+            shape: opened.shape,
+            exposure,
+            scene,
+            lease: ControlLease::default(),
+            wake,
+            shared,
+            thread,
+        })
     }
 
     /// What is known about its frames.
@@ -204,7 +221,9 @@ impl Source {
 
     /// Its document with its state.
     pub fn view(&self, name: &str) -> SourceView {
+        // Whoever turns a knob looks at the state: nothing here is asked while that is held.
         let (document, playback) = (self.document_now(), self.playback().ok());
+        let control = Some(self.lease.view(Instant::now())).filter(|view| view.owner.is_some());
         let shared = self.shared.lock();
         let (state, reason) = shared.state(Instant::now());
         SourceView {
@@ -217,6 +236,7 @@ impl Source {
             sessions: shared.sessions.len(),
             position: playback.as_ref().and_then(|playback| playback.frame),
             playback,
+            control,
             camera: shared.camera.clone(),
         }
     }
@@ -374,6 +394,7 @@ impl Worker {
         let (sessions, jumps) = {
             let mut state = self.shared.lock();
             state.frames += 1;
+            state.newest = Some(captured.frame.sequence);
             (state.sessions.clone(), state.playback.as_ref().map_or(0, |playback| playback.jumps))
         };
         let delivery = Arc::new(Delivery { captured, sent_ns: monotonic_ns(), jumps, reply: Mutex::new(reply) });

@@ -4,17 +4,18 @@
 //! whatever is wished; places in a recording do not.
 
 use isophote_machine::monotonic_ns;
-use isophote_wire::{PlaybackDocument, PlaybackView, SourceState};
+use isophote_wire::{PlaybackDocument, PlaybackView};
 
-use super::{Source, State};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 
 /// Of one source.
-pub(super) struct Playback {
+pub struct Playback {
+    /// Somebody has paused it.
     pub is_paused: bool,
     /// So many times its rate.
     pub speed: f64,
+    /// Where it is, if its frames have places.
     pub tape: Option<Tape>,
     /// Frames that are still to be shown though it is paused.
     pub steps: u64,
@@ -27,8 +28,10 @@ pub(super) struct Playback {
 }
 
 /// A recording's.
-pub(super) struct Tape {
+pub struct Tape {
+    /// How many frames it has.
     pub count: usize,
+    /// It begins again after the last.
     pub repeat: bool,
     /// The place of the frame that was shown last.
     pub shown: Option<usize>,
@@ -37,6 +40,7 @@ pub(super) struct Tape {
 }
 
 impl Playback {
+    /// It plays at its rate.
     pub fn new(tape: Option<Tape>) -> Playback {
         Playback { is_paused: false, speed: 1.0, tape, steps: 0, jumps: 0, changed_ns: 0, number: 0 }
     }
@@ -69,7 +73,7 @@ impl Playback {
     }
 
     /// Takes a client's wishes, all or none.
-    fn change(&mut self, document: &PlaybackDocument) -> Result<(), Problem> {
+    pub fn change(&mut self, document: &PlaybackDocument) -> Result<(), Problem> {
         let PlaybackDocument { paused, frame, step, speed, repeat } = *document;
         let is_paused = paused.unwrap_or(self.is_paused);
         let (least, most) = LIMITS.speed;
@@ -116,7 +120,8 @@ impl Playback {
         Ok(())
     }
 
-    fn view(&self) -> PlaybackView {
+    /// For whoever asks.
+    pub fn view(&self) -> PlaybackView {
         let tape = self.tape.as_ref();
         PlaybackView {
             paused: self.is_paused,
@@ -153,67 +158,6 @@ impl Tape {
             return if is_round { Ok(None) } else { self.place("step", now.saturating_add(step).max(0)).map(|_| None) };
         }
         self.place("step", now.saturating_add(step)).map(Some)
-    }
-}
-
-impl Source {
-    /// Whether it stands still, how fast it goes, and where it is.
-    ///
-    /// # Errors
-    /// 409 of a camera, and where clients push the frames.
-    pub fn playback(&self) -> Result<PlaybackView, Problem> {
-        Ok(self.playing(&self.shared.lock())?.view())
-    }
-
-    /// Pauses, steps, seeks or goes on; from now on.
-    ///
-    /// # Errors
-    /// 409 where that does not apply, 422 where a number is out of its range. Nothing has changed then.
-    pub fn set_playback(&self, document: &PlaybackDocument) -> Result<PlaybackView, Problem> {
-        let mut state = self.shared.lock();
-        self.playing(&state)?;
-        if let SourceState::Ended | SourceState::Failed = state.state {
-            let reason = state.reason.clone().unwrap_or_default();
-            return Err(Problem::conflict("not-applicable", format!("{reason}; put the source again to play it anew")));
-        }
-        let view = match &mut state.playback {
-            Some(playback) => playback.change(document).map(|()| playback.view())?,
-            None => return Err(Problem::bug("there was a playback")),
-        };
-        drop(state);
-        self.shared.changed.notify_all();
-        Ok(view)
-    }
-
-    fn playing<'a>(&self, state: &'a State) -> Result<&'a Playback, Problem> {
-        let kind = self.document.kind();
-        let absent = || {
-            let detail = format!("a {kind} source has no playback: its frames come when they come");
-            Problem::conflict("not-applicable", detail)
-        };
-        state.playback.as_ref().ok_or_else(absent)
-    }
-
-    /// So many times its rate.
-    pub(super) fn speed(&self) -> f64 {
-        self.shared.lock().playback.as_ref().map_or(1.0, |playback| playback.speed)
-    }
-
-    /// Somebody has paused it.
-    pub fn is_still(&self) -> bool {
-        self.shared.lock().playback.as_ref().is_some_and(|playback| playback.is_paused)
-    }
-
-    /// Since when frames should have come, ns: since somebody let it go on, if anybody did. `None` where a pause between frames
-    /// is no fault: clients push them, or it stands still.
-    pub fn steady_since_ns(&self) -> Option<u64> {
-        if matches!(self.document, isophote_wire::SourceDocument::Pushed(_)) {
-            return None;
-        }
-        match &self.shared.lock().playback {
-            Some(playback) => (!playback.is_paused).then_some(playback.changed_ns),
-            None => Some(0),
-        }
     }
 }
 

@@ -8,11 +8,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use isophote_capture::{SceneKnob, SceneSpec, SyntheticError};
 use isophote_wire::{SceneDocument, SceneView, SourceDocument, SyntheticDocument};
 
-use super::Source;
 use crate::problem::Problem;
 
 /// Of one source.
-pub(super) struct SceneInForce {
+pub struct SceneInForce {
     knob: SceneKnob,
     /// Held by whoever changes it: one after the other.
     order: Mutex<()>,
@@ -29,16 +28,24 @@ impl SceneInForce {
         SceneInForce { knob, order: Mutex::new(()), now: Mutex::new((document.clone(), 0)) }
     }
 
-    fn document(&self) -> SourceDocument {
+    /// The source with what it shows now.
+    pub fn document(&self) -> SourceDocument {
         SourceDocument::Synthetic(lock(&self.now).0.clone())
     }
 
-    fn view(&self) -> SceneView {
+    /// The number of the next frame that is made.
+    pub fn next_frame(&self) -> u64 {
+        self.knob.next_frame()
+    }
+
+    /// For whoever asks.
+    pub fn view(&self) -> SceneView {
         let (document, since_frame) = &*lock(&self.now);
         SceneView { scene: SceneDocument::of(document), since_frame: *since_frame }
     }
 
-    fn change(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
+    /// Shows something else; what the document does not name is as it was.
+    pub fn change(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
         let _order = lock(&self.order);
         let document = scene.over(lock(&self.now).0.clone());
         let since_frame = self.knob.set(spec(&document)).map_err(|error| synthetic_problem(&error, &document, ""))?;
@@ -60,7 +67,7 @@ fn spec(document: &SyntheticDocument) -> SceneSpec {
 }
 
 /// 422 at the key that is wrong.
-pub(super) fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocument, prefix: &str) -> Problem {
+pub fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocument, prefix: &str) -> Problem {
     let key = match error {
         SyntheticError::Light { key, .. } => key.clone(),
         SyntheticError::Motion { name, .. } => format!("motion.{name}"),
@@ -70,37 +77,4 @@ pub(super) fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocu
         SyntheticError::Range { .. } | SyntheticError::Unseen { .. } | SyntheticError::Model { .. } => String::new(),
     };
     Problem::wrong_key("wrong-source", format!("{prefix}{key}").trim_end_matches('.'), error.to_string())
-}
-
-impl Source {
-    /// What it shows.
-    ///
-    /// # Errors
-    /// 409 of a source that is not synthetic.
-    pub fn scene(&self) -> Result<SceneView, Problem> {
-        Ok(self.staged()?.view())
-    }
-
-    /// Shows something else from the next frame on that is rendered; what the document does not name is as it was.
-    ///
-    /// # Errors
-    /// 409 of a source that is not synthetic, 422 where the document is wrong. The scene is as it was then.
-    pub fn set_scene(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
-        self.staged()?.change(scene)
-    }
-
-    /// As put, with what it shows now.
-    pub(super) fn document_now(&self) -> SourceDocument {
-        self.scene.as_ref().map_or_else(|| self.document.clone(), SceneInForce::document)
-    }
-
-    fn staged(&self) -> Result<&SceneInForce, Problem> {
-        let kind = self.document.kind();
-        let absent = || {
-            let detail =
-                format!("a {kind} source has no scene that could be set: only synthetic ones make their frames");
-            Problem::conflict("not-applicable", detail)
-        };
-        self.scene.as_ref().ok_or_else(absent)
-    }
 }

@@ -8,7 +8,7 @@ pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport}
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EstimateView, PlaybackView, SessionDocument, SourceDocument};
+use crate::{ControlView, EstimateView, ExposureControl, PlaybackView, SessionDocument, ShadowView, SourceDocument};
 
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -191,6 +191,9 @@ pub struct SourceView {
     /// Of a source whose frames are made or read: whether it stands still, and how fast it goes.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub playback: Option<PlaybackView>,
+    /// Who turns its knobs, where somebody does.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub control: Option<ControlView>,
     /// Of a camera: how it is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub camera: Option<CameraStatus>,
@@ -296,6 +299,12 @@ pub struct SessionView {
     /// What a frame that is not searched costs of a processor, ms, all in all: a mean of the last ones.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub cost_ms: Option<f64>,
+    /// Of a session that controls the exposure of its source: whether it may.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub exposure_control: Option<ExposureControl>,
+    /// Another model on the same frames, beside it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub shadow: Option<ShadowView>,
     /// Of a session on a camera: how that is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub source_camera: Option<CameraStatus>,

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::Named;
+use crate::shadow::ShadowEstimate;
 
 /// What is not known is absent: no `session` and no `capture_ns` offline, no `truth` from a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -119,6 +120,9 @@ pub struct EstimateView {
     /// Where the time went.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub timing_us: Option<Timing>,
+    /// What the session's shadow says of the frame, in a stream that asks for it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub shadow: Option<ShadowEstimate>,
 }
 
 /// The illumination by roles, in pixel values.
@@ -195,6 +199,7 @@ impl EstimateView {
             vector_width: None,
             truth: None,
             timing_us: None,
+            shadow: None,
         }
     }
 }

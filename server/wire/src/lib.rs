@@ -5,16 +5,20 @@
 //! threads or a clock: times are handed in.
 
 mod answer;
+mod control;
 mod document;
 mod estimate;
 pub mod explain;
 mod named;
 mod playback;
 mod preview;
+mod shadow;
 
 pub use answer::*;
+pub use control::*;
 pub use document::*;
 pub use estimate::*;
 pub use named::Named;
 pub use playback::*;
 pub use preview::*;
+pub use shadow::*;

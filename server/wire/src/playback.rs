@@ -6,7 +6,7 @@ use isophote_capture::{Light, Moving};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::SyntheticDocument;
+use crate::document::SyntheticDocument;
 
 /// `PUT /v1/sources/{name}/scene`: the part of a synthetic source that changes while it runs. What is not named is as it was; what
 /// is named is replaced as a whole.

@@ -148,7 +148,7 @@ fn wrong_documents_name_the_key() {
         (source("height", json!(1_000_000)), "source.width"),
         (source("bits", json!(40)), "source"),
         (source("colour", json!("red")), "source.colour"),
-        (source("motion", json!({"bx": "320 +"})), "source"),
+        (source("motion", json!({"bx": "320 +"})), "source.motion.bx"),
     ];
     for (document, key) in cases {
         let answer = service.put("/v1/sessions/one", &document);
@@ -190,11 +190,10 @@ fn the_cameras_defects_are_left_out() {
 }
 
 #[test]
-fn what_this_build_does_not_have_is_said() {
+fn what_does_not_suit_a_session_is_said() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     service.get("/v1/sessions/one/preview?format=raw8").expect(400); // no WebSocket
-    service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(501);
     service.get("/v1/nothing").expect(404);
     service.request("POST", "/v1/sessions/one/frames", &[("content-type", "image/png")], b"x").expect(409);
 }

@@ -82,7 +82,7 @@ fn step(command: &str) -> Step {
         let kept = words.iter().enumerate().filter(|(i, _)| listen.is_none_or(|at| *i != at && *i != at + 1));
         return Step::Serve(kept.map(|(_, word)| word.clone()).collect());
     }
-    let online = !OFFLINE.iter().any(|head| arguments.starts_with(head));
+    let online = !OFFLINE.iter().any(|head| arguments.starts_with(head)) || arguments.contains(" --live ");
     let endless = arguments.starts_with("watch ") && !arguments.contains("--count");
     let shell = if endless { format!("{shell} --count 3") } else { shell };
     Step::Run { shell, online, exit }

@@ -13,6 +13,7 @@ mod branch;
 mod clock;
 mod coordinate;
 mod course;
+pub(crate) mod disagreement;
 pub(crate) mod evidence;
 mod faint;
 mod levels;

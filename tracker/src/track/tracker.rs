@@ -90,6 +90,11 @@ impl Tracker {
         Viewer::new(Solver::new(self.solver.compiled.clone(), self.solver.options.clone()))
     }
 
+    /// Whether one of the targets is known well enough to begin the next fit there.
+    pub fn is_following(&self) -> bool {
+        self.tracks.iter().any(|track| track.memory.last_start().is_some())
+    }
+
     /// What comes next does not go on from what was seen: targets keep their names, and are searched for.
     pub fn lose(&mut self) {
         self.tracks.iter_mut().for_each(|track| track.memory.lose());

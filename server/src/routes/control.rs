@@ -1,0 +1,56 @@
+//! `/v1/sources/{name}/control`: one at a time turns the knobs of a source.
+
+use axum::body::Body;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::IntoResponse;
+use isophote_wire::{ControlDocument, ControlView};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::parameters::NameParam;
+use super::{Answer, App, RawName, json, raw};
+use crate::documents::{place, read_json};
+use crate::problem::Problem;
+
+/// Which lease.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct LeaseQuery {
+    /// The id that taking it answered.
+    lease: Option<String>,
+}
+
+/// Who turns the knobs of a source, and what was set last.
+#[utoipa::path(get, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "get_control", params(NameParam),
+    responses((status = 200, description = "The lease, if there is one.", body = ControlView)))]
+pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+    json(StatusCode::OK, &app.service.source(&raw(name)?)?.control()?)
+}
+
+/// Takes a lease on the knobs of a source, or renews it, and sets them.
+#[utoipa::path(put, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "put_control", params(NameParam),
+    request_body = ControlDocument,
+    responses((status = 201, description = "The lease is new; its id renews and ends it.", body = ControlView),
+              (status = 200, description = "It is renewed.", body = ControlView)))]
+pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+    let source = app.service.source(&raw(name)?)?;
+    source.control()?;
+    let (document, text) = read_json::<ControlDocument>(&headers, body).await?;
+    // A camera's driver may take its time.
+    let taken = tokio::task::spawn_blocking(move || source.take_control(&document)).await;
+    let taken = taken.map_err(|_| Problem::bug("asking a camera panicked"))?;
+    let (is_new, view) = taken.map_err(|problem| place(problem, &text))?;
+    json(if is_new { StatusCode::CREATED } else { StatusCode::OK }, &view)
+}
+
+/// Gives the lease up; what was set stays.
+#[utoipa::path(delete, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "delete_control",
+    params(NameParam, LeaseQuery), responses((status = 204, description = "The knobs are free.")))]
+pub async fn delete(State(app): State<App>, name: RawName, query: Result<Query<LeaseQuery>, QueryRejection>) -> Answer {
+    let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
+    app.service.source(&raw(name)?)?.leave_control(query.lease.as_deref())?;
+    Ok(StatusCode::NO_CONTENT.into_response())
+}

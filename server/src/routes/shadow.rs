@@ -1,0 +1,91 @@
+//! `/v1/sessions/{name}/shadow`: another model on the same frames, until it is dropped or takes over.
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::IntoResponse;
+use isophote_wire::{ShadowDocument, ShadowView, SwapAnswer};
+
+use super::parameters::NameParam;
+use super::{Answer, App, RawName, json, put_status, raw};
+use crate::documents::{place, read_json};
+use crate::problem::Problem;
+use crate::turns::FairWorkers;
+use crate::workshop::Lane;
+
+/// Puts another model beside that of a session, on the same frames.
+#[utoipa::path(put, path = "/v1/sessions/{name}/shadow", tag = "sessions", operation_id = "put_shadow", params(NameParam),
+    request_body = ShadowDocument,
+    responses((status = 201, description = "It begins with the next frame.", body = ShadowView),
+              (status = 200, description = "It took the place of another.", body = ShadowView)))]
+pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+    let name = raw(name)?;
+    app.service.session(&name)?;
+    let (document, text) = read_json::<ShadowDocument>(&headers, body).await?;
+    let service = app.service.clone();
+    let in_order = service.workshop.in_order("session", &name).await;
+    let (session, entry) = (service.session(&name)?, service.registry.get(&document.model)?);
+    let beside = session.clone();
+    let prepare = move |workers: &FairWorkers| beside.prepare_shadow(entry, &document, workers);
+    let prepared = service.workshop.prepare(Lane::Uploads, prepare).await.map_err(|problem| place(problem, &text))?;
+    let work = move || service.put_shadow(&name, &session, prepared);
+    let (put, view) = app.service.compiler.run(work).await?;
+    drop(in_order);
+    json(put_status(put), &view)
+}
+
+/// What the shadow of a session does, and what it found last.
+#[utoipa::path(get, path = "/v1/sessions/{name}/shadow", tag = "sessions", operation_id = "get_shadow", params(NameParam),
+    responses((status = 200, description = "Its model with its state.", body = ShadowView)))]
+pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+    json(StatusCode::OK, &app.service.session(&raw(name)?)?.shadow()?.view())
+}
+
+/// Drops the shadow of a session.
+#[utoipa::path(delete, path = "/v1/sessions/{name}/shadow", tag = "sessions", operation_id = "delete_shadow", params(NameParam),
+    responses((status = 204, description = "It is gone; the session goes on as it was.")))]
+pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
+    let session = app.service.session(&raw(name)?)?;
+    let in_order = app.service.workshop.in_order("session", session.name()).await;
+    app.service.compiler.run(move || session.drop_shadow("the shadow was dropped")).await?;
+    drop(in_order);
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// Gives a session the model of its shadow between two frames, with what the shadow knows of the target; the shadow is gone then.
+#[utoipa::path(post, path = "/v1/sessions/{name}/shadow:promote", tag = "sessions", operation_id = "promote_shadow",
+    params(NameParam),
+    responses((status = 200, description = "From which frame on, and what was carried over.", body = SwapAnswer)))]
+pub async fn promote(State(app): State<App>, name: RawName) -> Answer {
+    let name = raw(name)?;
+    let service = app.service.clone();
+    let in_order = service.workshop.in_order("session", &name).await;
+    let session = service.session(&name)?;
+    let entry = session.shadow()?.entry().clone();
+    let model = entry.name.to_string();
+    let mut answer = SwapAnswer {
+        requested_model: model.clone(),
+        active_model: model,
+        active_digest: entry.model.digest().to_string(),
+        active_since_frame: 0,
+        carried: Vec::new(),
+        reset: Vec::new(),
+        compile_ms: 0.0,
+    };
+    let (tried, candidate) = (session.clone(), entry.clone());
+    let prepare = move |_: &FairWorkers| tried.prepare_promotion(&candidate);
+    let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
+    let (promoted, of) = (session.clone(), name.clone());
+    let work = move || service.commit_swap(&of, &promoted, &entry, prepared);
+    let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
+    let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;
+    let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
+    let swapped = swapped.await.map_err(ended).map_err(unless_stopping)?;
+    // It may have been dropped meanwhile, with its session.
+    let dropped = app.service.compiler.run(move || Ok(session.drop_shadow("the shadow has taken over").is_ok())).await;
+    drop((dropped.map_err(unless_stopping)?, in_order));
+    answer.active_since_frame = swapped.active_since_frame;
+    answer.carried = swapped.carried;
+    answer.reset = swapped.reset;
+    json(StatusCode::OK, &answer)
+}

@@ -1,0 +1,42 @@
+//! Shadows of sessions: how many there may be, and whether there is room for one more beside what runs.
+
+use std::sync::Arc;
+
+use isophote_wire::ShadowView;
+
+use super::{Put, Service};
+use crate::capacity::Load;
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::session::{PreparedShadow, Session};
+
+impl Service {
+    /// Begins the shadow of a session. Sessions never make room for one, nor is one counted where a session asks for room. Only
+    /// from the compile thread.
+    pub fn put_shadow(
+        &self,
+        name: &str,
+        session: &Arc<Session>,
+        prepared: PreparedShadow,
+    ) -> Result<(Put, ShadowView), Problem> {
+        self.refuse_when_draining()?;
+        if !Arc::ptr_eq(&self.session(name)?, session) {
+            return Err(Problem::conflict("not-applicable", "the session was replaced before it had the shadow"));
+        }
+        let sessions = self.sessions();
+        let others = sessions.iter().filter(|(other, _)| other.as_str() != name);
+        let shadows: Vec<_> = others.filter_map(|(_, session)| session.shadow().ok()).collect();
+        if shadows.len() >= LIMITS.shadows {
+            return Err(Problem::over_limit("shadows", LIMITS.shadows));
+        }
+        if let Some(rate_hz) = session.source().source.realtime_hz() {
+            let running: f64 = sessions.iter().filter_map(|(_, session)| session.load()).sum();
+            let running = running + shadows.iter().filter_map(|shadow| shadow.load()).sum::<f64>();
+            let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
+            Load::of_machine(running).admit(&format!("a shadow of the session `{name}`"), added)?;
+        }
+        self.counters.compile_s.observe(prepared.compile_ms / 1e3);
+        let put = if session.put_shadow(prepared)? { Put::Replaced } else { Put::Created };
+        Ok((put, session.shadow()?.view()))
+    }
+}

@@ -1,0 +1,122 @@
+//! The shadow of a session: made ready beside it, begun, dropped, and given its place.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use isophote_machine::{elapsed_ms, monotonic_ns};
+use isophote_tracker::Carried;
+use isophote_wire::ShadowDocument;
+use tokio::sync::oneshot;
+
+use super::change::{PreparedSwap, Requested};
+use super::checks::{check_shape, tracker, wrong_options};
+use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
+use super::swap::{self, Active, Swap};
+use super::trial::{FitCost, TrialResult};
+use super::{Session, exposed};
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+use crate::registry::ModelEntry;
+use crate::thread;
+use crate::turns::FairWorkers;
+
+impl Session {
+    /// Its shadow; 404 where it has none.
+    pub fn shadow(&self) -> Result<Arc<Shadow>, Problem> {
+        self.shared.shadow().ok_or_else(|| Problem::unknown("shadow of the session", &self.name))
+    }
+
+    /// Compiles a model, and gives it what the session knows of its target, as a swap does. How long a fit of it takes is measured
+    /// on the newest frame.
+    pub fn prepare_shadow(
+        &self,
+        entry: Arc<ModelEntry>,
+        document: &ShadowDocument,
+        workers: &FairWorkers,
+    ) -> Result<PreparedShadow, Problem> {
+        if let Some(name) = document.constants.keys().find(|name| entry.model.constant(name).is_none()) {
+            let message = format!("the model `{}` has no constant `{name}`", entry.model.name());
+            return Err(Problem::wrong_key("unknown-name", &format!("constants.{name}"), message));
+        }
+        let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
+        check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
+        let start_ns = monotonic_ns();
+        let compiled = entry.kernels_by(self.document.options.precision, workers)?;
+        if let Some(format) = shape.format {
+            compiled.warm(format, workers)?;
+        }
+        let compile_ms = elapsed_ms(start_ns);
+        let mut options = swap::options_known(&self.document, &entry.model);
+        options.constants.extend(document.constants.clone());
+        let new = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
+        let new = new.map_err(|error| wrong_options(&self.document, &entry, &error))?;
+        let names = || entry.model.parameters().iter().map(|parameter| parameter.name.clone()).collect();
+        let mut prepared = PreparedShadow {
+            compiled: compiled.clone(),
+            options: options.clone(),
+            tracker: new,
+            carried: Vec::new(),
+            reset: names(),
+            compile_ms,
+            fit_ms: None,
+            entry,
+        };
+        // Where no frame comes it begins as a session does.
+        let Some(sample) = self.shared.inbox.sample(LIMITS.sample_time) else { return Ok(prepared) };
+        prepared.tracker = sample.tracker;
+        let told = prepared.tracker.swap(compiled, options);
+        (prepared.carried, prepared.reset) = (told.carried, told.reset);
+        if self.source.source.realtime_hz().is_some() {
+            let measured = FitCost::measured(&prepared.tracker, &sample.delivery.captured.frame, workers);
+            if let TrialResult::Fit(cost) = measured {
+                prepared.fit_ms = Some(cost.milliseconds());
+            }
+        }
+        Ok(prepared)
+    }
+
+    /// Begins it, in the place of another if there is one: whether there was. Only from the compile thread.
+    pub fn put_shadow(&self, prepared: PreparedShadow) -> Result<bool, Problem> {
+        let place = ShadowPlace { session: &self.name, run: &self.run, source: &self.source.source, room: &self.room };
+        let shadow = Arc::new(Shadow::start(&place, prepared)?);
+        let (session, model) = (self.name.as_str(), shadow.entry().id());
+        tracing::info!(session, frame = self.last_frame(), model, "shadow put");
+        let before = self.shared.replace_shadow(Some(shadow));
+        let is_replaced = before.is_some();
+        before.into_iter().for_each(|before| ending(before, "another shadow took its place"));
+        Ok(is_replaced)
+    }
+
+    /// Ends it. Only from the compile thread.
+    pub fn drop_shadow(&self, why: &str) -> Result<(), Problem> {
+        let shadow = self.shared.replace_shadow(None);
+        let shadow = shadow.ok_or_else(|| Problem::unknown("shadow of the session", &self.name))?;
+        tracing::info!(session = self.name.as_str(), frame = self.last_frame(), "{why}");
+        ending(shadow, why);
+        Ok(())
+    }
+
+    /// A swap to the model of the shadow, which goes on where that is. The shadow stays until it is dropped.
+    pub fn prepare_promotion(&self, entry: &ModelEntry) -> Result<PreparedSwap, Problem> {
+        let requested = Requested::of(&self.shared, entry.name.as_str());
+        let (compiled, options, tracker) = self.shadow()?.tracked()?;
+        if self.document.options.exposure.control && !tracker.advises_exposure() {
+            return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
+        }
+        let names = entry.model.parameters().iter().map(|parameter| parameter.name.clone()).collect();
+        let carried = match tracker.is_following() {
+            true => Carried { carried: names, moving: tracker.names(), ..Carried::default() },
+            false => Carried { reset: names, ..Carried::default() },
+        };
+        let (reply, answer) = oneshot::channel();
+        let warm = Some(Box::new(tracker));
+        let swap = Swap { active: Active::new(entry), compiled, options, warm, carried, reply };
+        Ok(PreparedSwap::new(swap, answer, 0.0, requested))
+    }
+}
+
+/// Nobody waits for it.
+fn ending(shadow: Arc<Shadow>, why: &str) {
+    shadow.leave(why);
+    drop(thread::beside("shadow", move || shadow.wait(Instant::now() + LIMITS.end_time)));
+}

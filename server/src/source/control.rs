@@ -1,0 +1,176 @@
+//! Controlling a source from outside: a lease on its knobs, and what is set with it.
+
+use std::time::{Duration, Instant};
+
+use axum::http::StatusCode;
+use isophote_capture::camera;
+use isophote_wire::{ControlCommand, ControlDocument, ControlView, SourceDocument};
+
+use super::{ControlLease, LeaseId, Source, camera_problem};
+use crate::limits::LIMITS;
+use crate::problem::Problem;
+
+impl Source {
+    /// Who turns its knobs.
+    pub fn lease(&self) -> &ControlLease {
+        &self.lease
+    }
+
+    /// Whose the knobs are, and what was set last.
+    ///
+    /// # Errors
+    /// 409 of a source that has none.
+    pub fn control(&self) -> Result<ControlView, Problem> {
+        self.check_knobs()?;
+        Ok(self.lease.view(Instant::now()))
+    }
+
+    /// Takes the lease, or renews it, and sets what the document says; whether it is new. A camera's driver may take its time.
+    ///
+    /// # Errors
+    /// 409 where somebody else has it, and of a source without such knobs; 422 where a number is out of its range. Nothing was set
+    /// then; of a camera's controls those before the wrong one may have been.
+    pub fn take_control(&self, document: &ControlDocument) -> Result<(bool, ControlView), Problem> {
+        self.check_knobs()?;
+        self.check(document)?;
+        let id = match &document.lease {
+            Some(id) => LeaseId::Client(id.clone()),
+            None => LeaseId::Client(random_id()?),
+        };
+        if document.lease.is_some() && !self.lease.has(&id, Instant::now()) {
+            let whose = self.lease.holder(Instant::now()).unwrap_or_else(|| "it has run out; take a new one".into());
+            return Err(Problem::conflict("in-use", format!("this lease is not in force: {whose}")));
+        }
+        let timeout = Duration::from_secs_f64(document.timeout_s);
+        let taken = self.lease.take(&document.owner, &id, Some(timeout), Instant::now());
+        let is_new = taken.map_err(ControlLease::refused)?;
+        let set = self.obey(&id, document);
+        if is_new && set.is_err() {
+            self.lease.release(&id, Instant::now(), || ());
+        }
+        set?;
+        let LeaseId::Client(lease) = id else { return Err(Problem::bug("a client has a client's lease")) };
+        Ok((is_new, ControlView { lease: Some(lease), ..self.lease.view(Instant::now()) }))
+    }
+
+    /// Gives the lease up. What was set stays.
+    ///
+    /// # Errors
+    /// 409 where it is somebody else's, 404 where there is none.
+    pub fn leave_control(&self, lease: Option<&str>) -> Result<(), Problem> {
+        self.check_knobs()?;
+        let id = LeaseId::Client(lease.unwrap_or_default().to_string());
+        if self.lease.release(&id, Instant::now(), || ()) {
+            return Ok(());
+        }
+        match self.lease.holder(Instant::now()) {
+            Some(whose) => {
+                let detail = format!("{whose}; its holder ends it with ?lease=, the id that taking it answered");
+                Err(Problem::conflict("in-use", detail))
+            }
+            None => {
+                Err(Problem::new(StatusCode::NOT_FOUND, "unknown-name", "nobody has a lease on this source's knobs"))
+            }
+        }
+    }
+
+    /// 409 where somebody has the knobs of that camera, by its path or identity, and this is a source of it.
+    pub fn refuse_others(&self, device: &str) -> Result<(), Problem> {
+        let SourceDocument::Camera(camera) = &self.document else { return Ok(()) };
+        let status = self.camera();
+        let names = status.iter().flat_map(|status| [&status.device, &status.identity]).chain([&camera.device]);
+        let is_it = names.into_iter().any(|name| name == device);
+        let whose = self.lease.holder(Instant::now()).filter(|_| is_it);
+        whose.map_or(Ok(()), |whose| Err(ControlLease::refused(whose)))
+    }
+
+    fn check_knobs(&self) -> Result<(), Problem> {
+        if self.exposure.is_some() || matches!(self.document, SourceDocument::Camera(_)) {
+            return Ok(());
+        }
+        let kind = self.document.kind();
+        let detail = format!(
+            "a {kind} source has nothing to control: cameras have exposure and controls, synthetic sources an exposure"
+        );
+        Err(Problem::conflict("not-applicable", detail))
+    }
+
+    fn check(&self, document: &ControlDocument) -> Result<(), Problem> {
+        let out_of_range = |key: &str, message: String| Err(Problem::wrong_key("out-of-range", key, message));
+        let ControlDocument { owner, timeout_s, exposure, controls, .. } = document;
+        if owner.is_empty() || owner.chars().count() > LIMITS.owner_characters || owner.chars().any(char::is_control) {
+            let most = LIMITS.owner_characters;
+            return out_of_range(
+                "owner",
+                format!("an owner is 1 to {most} characters, none of them a control character"),
+            );
+        }
+        let (least, most) = LIMITS.lease_time_s;
+        if !(least..=most).contains(timeout_s) {
+            return out_of_range("timeout_s", format!("timeout_s is {timeout_s}; it may be {least} to {most} s"));
+        }
+        if let Some(factor) = exposure {
+            let Some(knob) = &self.exposure else {
+                return Err(Problem::conflict("not-applicable", "the source has no exposure that could be set"));
+            };
+            let (least, most) = knob.range().map_or(LIMITS.exposure, |[least, most]| (least, most));
+            if !(least..=most).contains(factor) {
+                let message = format!("exposure is {factor}; it may be {least} to {most} times that of the beginning");
+                return out_of_range("exposure", message);
+            }
+        }
+        if !controls.is_empty() && !matches!(self.document, SourceDocument::Camera(_)) {
+            let message = "only cameras have controls; the gain of a synthetic source is a part of its scene";
+            return Err(Problem::conflict("not-applicable", message));
+        }
+        Ok(())
+    }
+
+    /// Sets what is named.
+    fn obey(&self, id: &LeaseId, document: &ControlDocument) -> Result<(), Problem> {
+        let ControlDocument { exposure, controls, .. } = document;
+        if exposure.is_none() && controls.is_empty() {
+            return Ok(());
+        }
+        let mut taken = controls.clone();
+        if let (SourceDocument::Camera(camera), false) = (&self.document, controls.is_empty()) {
+            let set = camera::set_controls(&camera.device, controls);
+            taken = set.map_err(|error| match &error {
+                isophote_capture::CameraError::Control { name, .. } => {
+                    Problem::wrong_key("wrong-value", &format!("controls.{name}"), error.to_string())
+                }
+                _ => camera_problem(&error, ""),
+            })?;
+        }
+        let command = ControlCommand { exposure: *exposure, controls: taken };
+        let is_theirs = self.lease.turn(id, command, Instant::now(), || {
+            if let (Some(knob), Some(factor)) = (&self.exposure, exposure) {
+                knob.set(*factor);
+            }
+            self.shown_from()
+        });
+        let late = || Problem::conflict("in-use", "the lease ran out while the camera took its time; take a new one");
+        if is_theirs { Ok(()) } else { Err(late()) }
+    }
+
+    /// The first frame that shows what has just been set.
+    pub fn shown_from(&self) -> u64 {
+        let next = match &self.scene {
+            Some(scene) => scene.next_frame(),
+            None => self.shared.lock().newest.map_or(0, |newest| newest + 1),
+        };
+        let latency = match &self.document {
+            SourceDocument::Synthetic(synthetic) => synthetic.exposure_latency,
+            SourceDocument::Camera(camera) => camera.exposure_latency,
+            SourceDocument::Recording(_) | SourceDocument::Pushed(_) => 0,
+        };
+        next + u64::from(latency)
+    }
+}
+
+/// 128 random bits.
+fn random_id() -> Result<String, Problem> {
+    let mut bits = [0u8; 16];
+    getrandom::fill(&mut bits).map_err(|error| Problem::bug(format!("no random bits for a lease: {error}")))?;
+    Ok(bits.iter().map(|byte| format!("{byte:02x}")).collect())
+}

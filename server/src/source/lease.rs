@@ -1,0 +1,184 @@
+//! `ControlLease`: who turns the knobs of a source, one at a time.
+//!
+//! What comes in: sessions that follow their own advice, and clients that set exposure and controls themselves. What goes out: the
+//! knobs are theirs, or whose they are and for how long. A client's lease runs out unless it is renewed; a session's ends with the
+//! session. Who has lost the knobs never turns them again, not even back.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use isophote_wire::{ControlCommand, ControlView};
+
+use crate::problem::Problem;
+
+/// Of one source.
+#[derive(Default)]
+pub struct ControlLease(Mutex<State>);
+
+#[derive(Default)]
+struct State {
+    held: Option<Held>,
+    /// What was set last, by whomever, and from which frame on it shows.
+    last: Option<(ControlCommand, u64)>,
+}
+
+struct Held {
+    owner: String,
+    /// Which lease of that owner.
+    id: LeaseId,
+    /// Absent of a session's.
+    until: Option<Instant>,
+}
+
+/// One lease: no two are the same.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LeaseId {
+    /// Of a start of a session.
+    Session(u64),
+    /// Of a client, random.
+    Client(String),
+}
+
+impl Held {
+    fn is_over(&self, now: Instant) -> bool {
+        self.until.is_some_and(|until| until <= now)
+    }
+
+    /// Whose it is, and for how long.
+    fn told(&self, now: Instant) -> String {
+        match self.until {
+            None => format!("the {} controls this source until it stops", self.owner),
+            Some(until) => {
+                let left_s = until.saturating_duration_since(now).as_secs_f64();
+                format!(
+                    "the client `{}` controls this source for another {left_s:.1} s, and longer if it renews",
+                    self.owner
+                )
+            }
+        }
+    }
+}
+
+impl ControlLease {
+    /// Held only for as long as it takes to look: whoever turns a knob that takes its time does so outside.
+    fn lock(&self, now: Instant) -> MutexGuard<'_, State> {
+        let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        state.held.take_if(|held| held.is_over(now));
+        state
+    }
+
+    /// Takes the knobs, or keeps them: the same id renews. Answers whether it is new; the sentence says whose they are.
+    pub fn take(&self, owner: &str, id: &LeaseId, timeout: Option<Duration>, now: Instant) -> Result<bool, String> {
+        let mut state = self.lock(now);
+        let is_new = match &state.held {
+            Some(held) if held.id != *id => return Err(held.told(now)),
+            held => held.is_none(),
+        };
+        let until = timeout.map(|timeout| now + timeout);
+        state.held = Some(Held { owner: owner.to_string(), id: id.clone(), until });
+        Ok(is_new)
+    }
+
+    /// Turns a knob that is turned at once, if it is still theirs; from which frame on that shows.
+    pub fn turn(&self, id: &LeaseId, command: ControlCommand, now: Instant, knob: impl FnOnce() -> u64) -> bool {
+        let mut state = self.lock(now);
+        let is_theirs = state.held.as_ref().is_some_and(|held| held.id == *id);
+        if is_theirs {
+            let since_frame = knob();
+            state.last = Some((command, since_frame));
+        }
+        is_theirs
+    }
+
+    /// Gives the knobs up, after a last turn; whether they were theirs.
+    pub fn release(&self, id: &LeaseId, now: Instant, last: impl FnOnce()) -> bool {
+        let mut state = self.lock(now);
+        let is_theirs = state.held.as_ref().is_some_and(|held| held.id == *id);
+        if is_theirs {
+            last();
+            state.held = None;
+        }
+        is_theirs
+    }
+
+    /// Whether that lease is in force.
+    pub fn has(&self, id: &LeaseId, now: Instant) -> bool {
+        self.lock(now).held.as_ref().is_some_and(|held| held.id == *id)
+    }
+
+    /// Whose the knobs are, and for how long; `None` where they are nobody's.
+    pub fn holder(&self, now: Instant) -> Option<String> {
+        self.lock(now).held.as_ref().map(|held| held.told(now))
+    }
+
+    /// 409 with whose they are.
+    pub fn refused(told: String) -> Problem {
+        Problem::conflict("in-use", told)
+    }
+
+    /// For whoever asks.
+    pub fn view(&self, now: Instant) -> ControlView {
+        let state = self.lock(now);
+        let held = state.held.as_ref();
+        ControlView {
+            owner: held.map(|held| held.owner.clone()),
+            lease: None,
+            expires_in_s: held.and_then(|held| held.until).map(|until| (until - now).as_secs_f64()),
+            last_command: state.last.as_ref().map(|(command, _)| command.clone()),
+            since_frame: state.last.as_ref().map(|(_, since_frame)| *since_frame),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    fn client(id: &str) -> LeaseId {
+        LeaseId::Client(id.to_string())
+    }
+
+    fn exposure(factor: f64) -> ControlCommand {
+        ControlCommand { exposure: Some(factor), ..ControlCommand::default() }
+    }
+
+    #[test]
+    fn one_at_a_time_until_it_runs_out() {
+        let (lease, start) = (ControlLease::default(), Instant::now());
+        let at = |s: f64| start + Duration::from_secs_f64(s);
+        assert_eq!(lease.take("a", &client("1"), Some(5 * SECOND), at(0.0)), Ok(true));
+        assert_eq!(lease.take("a", &client("1"), Some(5 * SECOND), at(3.0)), Ok(false), "renewed");
+        let told = lease.take("b", &client("2"), Some(SECOND), at(6.0)).unwrap_err();
+        assert!(told.contains("`a`") && told.contains("2.0 s"), "{told}");
+        assert!(lease.take("a", &client("3"), Some(SECOND), at(7.9)).is_err(), "another of that name");
+        assert_eq!(lease.view(at(6.0)).expires_in_s, Some(2.0));
+        assert_eq!(lease.take("b", &client("2"), Some(SECOND), at(8.0)), Ok(true));
+        assert!(lease.take("a", &client("1"), Some(SECOND), at(8.5)).is_err());
+        assert!(!lease.release(&client("1"), at(8.5), || panic!("not its own")));
+        assert!(lease.release(&client("2"), at(8.5), || ()));
+        assert_eq!(lease.holder(at(8.5)), None);
+    }
+
+    #[test]
+    fn who_has_lost_the_knobs_turns_none() {
+        let (lease, now) = (ControlLease::default(), Instant::now());
+        let session = LeaseId::Session(7);
+        assert_eq!(lease.take("session `one`", &session, None, now), Ok(true));
+        assert!(lease.turn(&session, exposure(2.0), now + 3600 * SECOND, || 12), "it does not run out");
+        let view = lease.view(now);
+        assert_eq!((view.owner.as_deref(), view.expires_in_s), (Some("session `one`"), None));
+        assert_eq!((view.last_command, view.since_frame), (Some(exposure(2.0)), Some(12)));
+        assert!(!lease.turn(&client("1"), exposure(9.0), now, || panic!("turned")));
+        assert!(lease.take("session `one`", &LeaseId::Session(8), None, now).is_err(), "its next start waits");
+        let mut turned_back = 0;
+        assert!(lease.release(&session, now, || turned_back += 1));
+        assert_eq!(lease.take("c", &client("1"), Some(SECOND), now), Ok(true));
+        assert!(!lease.release(&session, now, || turned_back += 1) && turned_back == 1);
+        assert_eq!(lease.view(now).last_command, Some(exposure(2.0)), "what was set stays");
+        // A lease that has run out turns nothing, though nobody has taken it.
+        assert!(!lease.turn(&client("1"), exposure(3.0), now + SECOND, || panic!("late")));
+    }
+}

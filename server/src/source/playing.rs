@@ -1,0 +1,101 @@
+//! What a source shows and how it goes on, asked and set from outside: [`SceneInForce`] and [`Playback`] do it, for those that
+//! have them.
+
+use isophote_wire::{PlaybackDocument, PlaybackView, SceneDocument, SceneView, SourceDocument, SourceState};
+
+use super::playback::Playback;
+use super::scene::SceneInForce;
+use super::{Source, State};
+use crate::problem::Problem;
+
+impl Source {
+    /// Whether it stands still, how fast it goes, and where it is.
+    ///
+    /// # Errors
+    /// 409 of a camera, and where clients push the frames.
+    pub fn playback(&self) -> Result<PlaybackView, Problem> {
+        Ok(self.playing(&self.shared.lock())?.view())
+    }
+
+    /// Pauses, steps, seeks or goes on; from now on.
+    ///
+    /// # Errors
+    /// 409 where that does not apply, 422 where a number is out of its range. Nothing has changed then.
+    pub fn set_playback(&self, document: &PlaybackDocument) -> Result<PlaybackView, Problem> {
+        let mut state = self.shared.lock();
+        self.playing(&state)?;
+        if let SourceState::Ended | SourceState::Failed = state.state {
+            let reason = state.reason.clone().unwrap_or_default();
+            return Err(Problem::conflict("not-applicable", format!("{reason}; put the source again to play it anew")));
+        }
+        let view = match &mut state.playback {
+            Some(playback) => playback.change(document).map(|()| playback.view())?,
+            None => return Err(Problem::bug("there was a playback")),
+        };
+        drop(state);
+        self.shared.changed.notify_all();
+        Ok(view)
+    }
+
+    fn playing<'a>(&self, state: &'a State) -> Result<&'a Playback, Problem> {
+        let kind = self.document.kind();
+        let absent = || {
+            let detail = format!("a {kind} source has no playback: its frames come when they come");
+            Problem::conflict("not-applicable", detail)
+        };
+        state.playback.as_ref().ok_or_else(absent)
+    }
+
+    /// So many times its rate.
+    pub(super) fn speed(&self) -> f64 {
+        self.shared.lock().playback.as_ref().map_or(1.0, |playback| playback.speed)
+    }
+
+    /// Somebody has paused it.
+    pub fn is_still(&self) -> bool {
+        self.shared.lock().playback.as_ref().is_some_and(|playback| playback.is_paused)
+    }
+
+    /// Since when frames should have come, ns: since somebody let it go on, if anybody did. `None` where a pause between frames
+    /// is no fault: clients push them, or it stands still.
+    pub fn steady_since_ns(&self) -> Option<u64> {
+        if matches!(self.document, SourceDocument::Pushed(_)) {
+            return None;
+        }
+        match &self.shared.lock().playback {
+            Some(playback) => (!playback.is_paused).then_some(playback.changed_ns),
+            None => Some(0),
+        }
+    }
+
+    /// What it shows.
+    ///
+    /// # Errors
+    /// 409 of a source that is not synthetic.
+    pub fn scene(&self) -> Result<SceneView, Problem> {
+        Ok(self.staged()?.view())
+    }
+
+    /// Shows something else from the next frame on that is rendered; what the document does not name is as it was.
+    ///
+    /// # Errors
+    /// 409 of a source that is not synthetic, 422 where the document is wrong. The scene is as it was then.
+    pub fn set_scene(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
+        self.staged()?.change(scene)
+    }
+
+    /// As put, with what it shows now.
+    pub(super) fn document_now(&self) -> SourceDocument {
+        self.scene.as_ref().map_or_else(|| self.document.clone(), SceneInForce::document)
+    }
+
+    fn staged(&self) -> Result<&SceneInForce, Problem> {
+        let kind = self.document.kind();
+        let absent = || {
+            let detail =
+                format!("a {kind} source has no scene that could be set: only synthetic ones make their frames");
+            Problem::conflict("not-applicable", detail)
+        };
+        self.scene.as_ref().ok_or_else(absent)
+    }
+}
