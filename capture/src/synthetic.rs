@@ -244,8 +244,9 @@ impl FrameSource for Synthetic {
             return false;
         }
         self.frame -= 1;
-        self.exposures.pop_back();
+        // In this order: without latency the queue is empty.
         self.exposures.push_front(self.exposed);
+        self.exposures.pop_back();
         self.knob.take_back(self.frame);
         true
     }

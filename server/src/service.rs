@@ -291,6 +291,17 @@ impl Service {
             .admit(&format!("the session `{name}`"), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
     }
 
+    /// 429 where the sessions of a source that goes faster would keep more than the machine busy.
+    pub fn admit_speed(&self, source: &Arc<Source>, speed: Option<f64>) -> Result<(), Problem> {
+        let Some(ratio) = speed.map(|speed| speed / source.speed()).filter(|ratio| *ratio > 1.0) else { return Ok(()) };
+        let load = |(_, session): (Name, Arc<Session>)| {
+            let load = session.load()?;
+            Some(if Arc::ptr_eq(&session.source().source, source) { (load * ratio).min(1.0) } else { load })
+        };
+        let running = self.sessions().into_iter().filter_map(load).sum();
+        Load::of_machine(running).admit("a source at that speed", None)
+    }
+
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
     /// opened already. Only from the compile thread.
     pub fn put_session(

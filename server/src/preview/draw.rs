@@ -7,7 +7,7 @@ use isophote_tracker::{FrameScene, PreviewDepth};
 use isophote_wire::{PreviewDrawing, PreviewFormat, PreviewHeader, PreviewLevels, PreviewPixels};
 use tokio::sync::oneshot;
 
-use super::{Ask, FittedScene, PreviewForm};
+use super::{Ask, FittedScene, PreviewForm, ShownFrame};
 use crate::counters::Tally;
 
 /// A message as it is sent; clones share it.
@@ -15,7 +15,7 @@ pub type PreviewMessage = axum::body::Bytes;
 
 /// Draws each form that is asked for once.
 pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) {
-    let mut wanted: BTreeMap<PreviewForm, Vec<oneshot::Sender<PreviewMessage>>> = BTreeMap::new();
+    let mut wanted: BTreeMap<PreviewForm, Vec<oneshot::Sender<ShownFrame>>> = BTreeMap::new();
     for ask in asks {
         wanted.entry(ask.form).or_default().push(ask.reply);
     }
@@ -33,8 +33,11 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) {
         Err(error) => return tracing::error!(session, %error, "bug: a preview is no JSON"),
     };
     for (form, replies) in wanted {
-        let message = match message(&seen, form, &drawing) {
-            Ok(message) => PreviewMessage::from(message),
+        // A JPEG has no longer sides.
+        let least = width.max(height).div_ceil(JPEG_SIDE_MAX);
+        let step = if form.format == PreviewFormat::Jpeg { form.step.max(least) } else { form.step };
+        let shown = match message(&seen, PreviewForm { step, ..form }, &drawing) {
+            Ok(message) => ShownFrame { number: frame.sequence, message: PreviewMessage::from(message) },
             Err(error) => {
                 tracing::error!(session, %error, "a preview cannot be encoded");
                 continue;
@@ -42,10 +45,13 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) {
         };
         messages.add(1);
         for reply in replies {
-            reply.send(message.clone()).ok(); // the viewer may have gone
+            reply.send(shown.clone()).ok(); // the viewer may have gone
         }
     }
 }
+
+/// Pixels along x or y that a JPEG can have.
+const JPEG_SIDE_MAX: usize = 65_535;
 
 fn message(seen: &FrameScene<'_>, form: PreviewForm, drawing: &str) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let depth = match form.format {

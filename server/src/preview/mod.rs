@@ -3,15 +3,17 @@
 //! What comes in: what viewers ask for, and a frame with its estimates when somebody does. What goes out: messages, each made once
 //! for all who asked for the same. While nobody looks there is no thread, and the fit thread reads one number a frame.
 //!
+//! Where no frame comes, since the source is paused or slow, the fit thread shows the last one to who has not seen it yet.
+//!
 //! A viewer asks for one message at a time, the next frame's: nothing is queued, and what is newest wins. An ask is due at some time,
 //! by the rate that its viewer wants, and may be answered a little before, with those of others.
 
 mod draw;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::Builder;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use isophote_tracker::{Estimate, Frame, Viewer};
 use isophote_wire::{EstimateView, PreviewFormat, PreviewPart};
@@ -51,9 +53,15 @@ pub struct FittedScene {
     pub epoch: u64,
 }
 
+/// For the next frame, before the last one is shown to who has not seen it.
+const NEXT_TIME: Duration = Duration::from_millis(250);
+
 /// Of one session.
-#[derive(Default)]
 pub struct Preview {
+    /// Has the fit thread show the last frame once more.
+    look: Box<dyn Fn() + Send + Sync>,
+    /// The number after that of the newest frame that was fitted.
+    after_newest: AtomicU64,
     state: Mutex<State>,
     changed: Condvar,
     /// Read by the fit thread: the next frame is to be shown.
@@ -79,7 +87,18 @@ struct Ask {
     from: Instant,
     /// From then on the next frame is asked for.
     due: Instant,
-    reply: oneshot::Sender<PreviewMessage>,
+    /// The number after that of the frame that the viewer has.
+    after_seen: u64,
+    reply: oneshot::Sender<ShownFrame>,
+}
+
+/// What a viewer gets.
+#[derive(Clone, Debug)]
+pub struct ShownFrame {
+    /// The frame's number.
+    pub number: u64,
+    /// Of what was asked for.
+    pub message: PreviewMessage,
 }
 
 /// One viewer; it leaves when this is dropped.
@@ -88,6 +107,24 @@ pub struct PreviewSeat {
 }
 
 impl Preview {
+    /// Of the session whose fit thread shows its last frame once more when `look` is called; nobody looks yet.
+    pub fn new(look: impl Fn() + Send + Sync + 'static) -> Preview {
+        Preview {
+            look: Box::new(look),
+            after_newest: AtomicU64::new(0),
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            is_wanted: AtomicBool::new(false),
+            frames: Tally::default(),
+            messages: Tally::default(),
+        }
+    }
+
+    /// For the fit thread after a fit.
+    pub fn has_frame(&self, number: u64) {
+        self.after_newest.store(number + 1, Ordering::Release);
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -179,7 +216,16 @@ impl Preview {
                 return Some((scene, answered));
             }
             self.is_wanted.store(true, Ordering::Release);
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            let newest = self.after_newest.load(Ordering::Acquire);
+            if state.asks.iter().all(|ask| ask.from > now || ask.after_seen == newest) {
+                state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            }
+            let waited = self.changed.wait_timeout(state, NEXT_TIME).unwrap_or_else(PoisonError::into_inner);
+            if waited.1.timed_out() {
+                (self.look)();
+            }
+            state = waited.0;
         }
     }
 }
@@ -203,12 +249,19 @@ impl Drop for DrawGuard {
 }
 
 impl PreviewSeat {
-    /// The first frame that is fitted from `due` on, or some frame from `from` on. An error where the thread that draws has failed.
-    pub fn ask(&self, form: PreviewForm, from: Instant, due: Instant) -> oneshot::Receiver<PreviewMessage> {
+    /// The first frame that is fitted from `due` on, or some frame from `from` on; where none comes, the last one, unless it was
+    /// the one before `after_seen`. An error where the thread that draws has failed.
+    pub fn ask(
+        &self,
+        form: PreviewForm,
+        from: Instant,
+        due: Instant,
+        after_seen: u64,
+    ) -> oneshot::Receiver<ShownFrame> {
         let (reply, message) = oneshot::channel();
         let mut state = self.preview.lock();
         if state.draws {
-            state.asks.push(Ask { form, from, due, reply });
+            state.asks.push(Ask { form, from, due, after_seen, reply });
         }
         drop(state);
         self.preview.changed.notify_all();

@@ -53,5 +53,6 @@ pub async fn set_playback(State(app): State<App>, name: RawName, headers: Header
     let source = source(&app, name)?;
     source.playback()?;
     let (document, text) = read_json::<PlaybackDocument>(&headers, body).await?;
+    app.service.admit_speed(&source, document.speed)?;
     json(StatusCode::OK, &source.set_playback(&document).map_err(|problem| place(problem, &text))?)
 }

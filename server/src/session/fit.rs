@@ -5,7 +5,7 @@
 use std::sync::{Arc, PoisonError};
 
 use isophote_machine::{monotonic_ns, thread_ns};
-use isophote_tracker::{Ending, Tracker, Viewer};
+use isophote_tracker::{Ending, Estimate, Frame, Tracker, Viewer};
 use isophote_wire::{EstimateView, SessionState};
 
 use super::beside::PreparationThread;
@@ -22,6 +22,13 @@ use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;
 use crate::preview::FittedScene;
 use crate::source::Source;
+
+/// A frame that was fitted.
+pub struct LastFit {
+    frame: Frame,
+    results: Vec<Estimate>,
+    estimates: Vec<Arc<EstimateView>>,
+}
 
 /// What the thread owns.
 pub struct Fitter {
@@ -47,6 +54,8 @@ pub struct Fitter {
     pub beside: PreparationThread,
     /// Shows what `tracker` says, as soon as somebody looks.
     pub viewer: Option<Arc<Viewer>>,
+    /// The last frame with what was found, unless its buffer is wanted back or another model has come.
+    pub last: Option<LastFit>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
     /// How often the source had gone on elsewhere by then.
@@ -64,6 +73,7 @@ impl Fitter {
                 Event::Swap(swap) => self.swap(*swap),
                 Event::Frame(delivery) => self.fit(&delivery),
                 Event::SourceEnded(end) => self.source_ended(end),
+                Event::Look => self.look(),
                 Event::Closed => break,
             }
         }
@@ -79,7 +89,7 @@ impl Fitter {
         };
         self.shared.hub.keep(&self.tracker.names());
         self.beside.give_up();
-        (self.active, self.viewer) = (swap.active, None);
+        (self.active, self.viewer, self.last) = (swap.active, None, None);
         self.shared.counters.swaps.add(1);
         let active_since_frame = self.next_frame.unwrap_or(0);
         let (session, model) = (self.name.as_str(), self.active.id.as_ref());
@@ -140,9 +150,12 @@ impl Fitter {
         if let Some(first) = estimates.first() {
             self.answer(delivery, first.clone());
         }
+        self.shared.preview.has_frame(frame.sequence);
         if self.shared.preview.is_wanted() {
-            self.show(&delivery.captured.frame, results.clone(), estimates.clone());
+            self.show(frame, results.clone(), estimates.clone());
         }
+        let last = || LastFit { frame: frame.clone(), results: results.clone(), estimates: estimates.clone() };
+        self.last = (!frame.is_lent()).then(last);
         for wanted in self.shared.inbox.take_samples() {
             let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
             drop(wanted.try_send(sample)); // whoever wanted it may have gone
@@ -156,11 +169,19 @@ impl Fitter {
         }
     }
 
+    /// Nothing has come since the last frame, which somebody wants to see.
+    fn look(&mut self) {
+        if let Some(LastFit { frame, results, estimates }) = self.last.take_if(|_| self.shared.preview.is_wanted()) {
+            self.show(&frame, results.clone(), estimates.clone());
+            self.last = Some(LastFit { frame, results, estimates });
+        }
+    }
+
     /// Hands a frame to those who look, with what belongs to it; they draw it.
     fn show(
         &mut self,
-        frame: &isophote_tracker::Frame,
-        estimates: Vec<isophote_tracker::Estimate>,
+        frame: &Frame,
+        estimates: Vec<Estimate>,
         views: Vec<Arc<EstimateView>>,
     ) {
         let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();

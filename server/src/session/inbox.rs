@@ -57,6 +57,8 @@ pub enum Event {
     Frame(Arc<Delivery>),
     /// Say so and go on waiting: a swap may still come.
     SourceEnded(SourceEnd),
+    /// Show the frame before once more: somebody looks, and no other one comes.
+    Look,
     /// Leave.
     Closed,
 }
@@ -87,6 +89,7 @@ struct State {
     end: Option<SourceEnd>,
     /// Who wants to try something on the next frame.
     samples: Vec<SyncSender<FittedFrame>>,
+    is_looked_for: bool,
     is_closed: bool,
 }
 
@@ -143,6 +146,12 @@ impl Inbox {
         sample.recv_timeout(within).ok()
     }
 
+    /// Somebody looks at a session that has no new frames.
+    pub fn look(&self) {
+        self.lock().is_looked_for = true;
+        self.changed.notify_all();
+    }
+
     /// For the fit thread after a fit: who wants to try something on that frame.
     pub fn take_samples(&self) -> Vec<SyncSender<FittedFrame>> {
         std::mem::take(&mut self.lock().samples)
@@ -191,6 +200,9 @@ impl Inbox {
             }
             if let Some(end) = state.end.take() {
                 return Event::SourceEnded(end);
+            }
+            if std::mem::take(&mut state.is_looked_for) {
+                return Event::Look;
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }

@@ -113,6 +113,7 @@ impl Session {
             beside: PreparationThread::default(),
             next_frame: None,
             viewer: None,
+            last: None,
             jumps: None,
             chronicle: Chronicle::default(),
         };

@@ -26,10 +26,12 @@ pub struct Shared {
 impl Shared {
     /// Before the first frame.
     pub fn new(status: Status) -> Shared {
+        let inbox = Arc::<Inbox>::default();
+        let looked_at = inbox.clone();
         Shared {
-            inbox: Arc::default(),
+            preview: Arc::new(Preview::new(move || looked_at.look())),
+            inbox,
             hub: Arc::default(),
-            preview: Arc::default(),
             counters: SessionCounters::default(),
             status: Mutex::new(status),
             shadow: Mutex::default(),

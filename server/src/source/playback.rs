@@ -93,14 +93,18 @@ impl Playback {
                            go on by steps above 0, and have a speed";
             return Err(Problem::conflict("not-applicable", message));
         }
+        // What a seek leads to is one of the frames that are still to be shown.
+        let pending = self.steps.saturating_sub(u64::from(self.is_sought()));
         let sought = match (&self.tape, frame, step) {
             (Some(tape), Some(frame), _) => Some(tape.place("frame", i64::try_from(frame).unwrap_or(i64::MAX))?),
-            (Some(tape), None, Some(step)) => tape.stepped(step, repeat)?,
+            (Some(tape), None, Some(step)) => tape.stepped(step, pending, repeat)?,
             _ => None,
         };
         let steps = match step {
             // A step back shows one frame.
             Some(step) if step < 0 => 1,
+            // Those before that are not shown yet go on.
+            Some(step) if self.is_paused => self.steps.saturating_add(step as u64),
             Some(step) => step as u64,
             None => u64::from(frame.is_some()),
         };
@@ -150,12 +154,13 @@ impl Tape {
         })
     }
 
-    /// Where a step leads, unless that is just the next frames.
-    fn stepped(&self, step: i64, repeat: Option<bool>) -> Result<Option<usize>, Problem> {
+    /// Where a step leads behind those that are still to be made, unless that is just the next frames.
+    fn stepped(&self, step: i64, pending: u64, repeat: Option<bool>) -> Result<Option<usize>, Problem> {
         let now = self.now().map_or(-1, |place| place as i64);
         if step >= 0 {
             let is_round = repeat.unwrap_or(self.repeat);
-            return if is_round { Ok(None) } else { self.place("step", now.saturating_add(step).max(0)).map(|_| None) };
+            let ahead = step.saturating_add(i64::try_from(pending).unwrap_or(i64::MAX));
+            return if is_round { Ok(None) } else { self.place("step", now.saturating_add(ahead).max(0)).map(|_| None) };
         }
         self.place("step", now.saturating_add(step)).map(Some)
     }
@@ -199,6 +204,18 @@ mod tests {
         assert!(!playback.is_still());
         playback.shows(Some(1), 8);
         assert!(playback.is_still());
+        // Two steps in a row are two, whenever they are made.
+        for left in [1, 2] {
+            change(&mut playback, r#"{"step": 1}"#).unwrap();
+            assert_eq!(playback.steps, left);
+        }
+        assert_eq!(change(&mut playback, r#"{"step": 7}"#), Err(422), "2 + 7 beyond frame 1 of 0 to 9");
+        playback.shows(Some(2), 9);
+        playback.shows(Some(3), 10);
+        change(&mut playback, r#"{"frame": 1}"#).unwrap();
+        playback.take_seek();
+        playback.shows(Some(1), 11);
+        playback.jumps = 0;
         // Back by one: the frame before, once.
         assert_eq!(change(&mut playback, r#"{"step": -1}"#).unwrap().frame, Some(0));
         assert!(playback.is_sought() && playback.steps == 1);

@@ -24,10 +24,7 @@ impl Source {
     pub fn set_playback(&self, document: &PlaybackDocument) -> Result<PlaybackView, Problem> {
         let mut state = self.shared.lock();
         self.playing(&state)?;
-        if let SourceState::Ended | SourceState::Failed = state.state {
-            let reason = state.reason.clone().unwrap_or_default();
-            return Err(Problem::conflict("not-applicable", format!("{reason}; put the source again to play it anew")));
-        }
+        refuse_when_over(&state)?;
         let view = match &mut state.playback {
             Some(playback) => playback.change(document).map(|()| playback.view())?,
             None => return Err(Problem::bug("there was a playback")),
@@ -47,7 +44,7 @@ impl Source {
     }
 
     /// So many times its rate.
-    pub(super) fn speed(&self) -> f64 {
+    pub fn speed(&self) -> f64 {
         self.shared.lock().playback.as_ref().map_or(1.0, |playback| playback.speed)
     }
 
@@ -81,7 +78,9 @@ impl Source {
     /// # Errors
     /// 409 of a source that is not synthetic, 422 where the document is wrong. The scene is as it was then.
     pub fn set_scene(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
-        self.staged()?.change(scene)
+        let staged = self.staged()?;
+        refuse_when_over(&self.shared.lock())?;
+        staged.change(scene)
     }
 
     /// As put, with what it shows now.
@@ -98,4 +97,12 @@ impl Source {
         };
         self.scene.as_ref().ok_or_else(absent)
     }
+}
+
+/// 409 where no more frames come.
+fn refuse_when_over(state: &State) -> Result<(), Problem> {
+    let SourceState::Ended | SourceState::Failed = state.state else { return Ok(()) };
+    let reason = state.reason.as_deref().unwrap_or("it has ended");
+    let detail = format!("{reason}; delete its sessions and put the source again to play it anew");
+    Err(Problem::conflict("not-applicable", detail))
 }

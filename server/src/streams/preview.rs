@@ -11,7 +11,7 @@ use super::pace::PreviewPace;
 use super::websocket::{Credit, break_off, close, finish, refuse, send};
 use crate::hub::{Next, Subscription};
 use crate::limits::LIMITS;
-use crate::preview::{PreviewForm, PreviewMessage, PreviewSeat};
+use crate::preview::{PreviewForm, PreviewMessage, PreviewSeat, ShownFrame};
 
 /// What a viewer asks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,7 +27,7 @@ pub struct PreviewWish {
 /// What happened on the socket.
 enum Turn {
     Ended(Next),
-    Drawn(Result<PreviewMessage, oneshot::error::RecvError>),
+    Drawn(Result<ShownFrame, oneshot::error::RecvError>),
     Received(Option<Result<Message, axum::Error>>),
     Ping,
 }
@@ -38,7 +38,8 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
     let mut pace = PreviewPace::default();
     let period = Duration::from_secs_f64(1.0 / wish.rate_hz);
     let mut due = Instant::now();
-    let mut asked: Option<oneshot::Receiver<PreviewMessage>> = None;
+    let mut asked: Option<oneshot::Receiver<ShownFrame>> = None;
+    let mut after_seen = 0;
     let mut heard = Instant::now();
     let mut ping = tokio::time::interval(LIMITS.ping_time);
     ping.reset();
@@ -48,7 +49,7 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
             let form = PreviewForm { quality, step: wish.form.step * step, ..wish.form };
             let form = if form.format == isophote_wire::PreviewFormat::Jpeg { form } else { wish.form };
             let from = due.checked_sub(period / 2).unwrap_or(due);
-            asked = Some(seat.ask(form, from, due));
+            asked = Some(seat.ask(form, from, due, after_seen));
         }
         let turn = tokio::select! {
             end = subscription.end() => Turn::Ended(end),
@@ -61,9 +62,10 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
             Turn::Ended(Next::Estimate(_)) => {}
             Turn::Drawn(drawn) => {
                 asked = None;
-                let Ok(message) = drawn else {
+                let Ok(ShownFrame { number, message }) = drawn else {
                     return finish(&mut socket, close_code::ERROR, "the preview cannot be drawn").await;
                 };
+                after_seen = number + 1;
                 let now = Instant::now();
                 // One that came late does not make the next ones hurry.
                 due = (due + period).max(now.checked_sub(period).unwrap_or(now));
@@ -103,8 +105,8 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
 
 /// What was asked for, if anything was.
 async fn drawn(
-    asked: &mut Option<oneshot::Receiver<PreviewMessage>>,
-) -> Result<PreviewMessage, oneshot::error::RecvError> {
+    asked: &mut Option<oneshot::Receiver<ShownFrame>>,
+) -> Result<ShownFrame, oneshot::error::RecvError> {
     match asked {
         Some(asked) => asked.await,
         None => std::future::pending().await,

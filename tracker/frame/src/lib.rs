@@ -175,6 +175,11 @@ impl Frame {
         self
     }
 
+    /// Whether a buffer of it is on loan, and wanted back.
+    pub fn is_lent(&self) -> bool {
+        self.planes.iter().any(|plane| matches!(plane.buffer, Buffer::Leased(_)))
+    }
+
     /// The same frame in memory of our own: what was on loan goes back with the last clone of the others.
     pub fn owned(&self) -> Frame {
         let mut copies: Vec<(*const u8, Buffer)> = Vec::new();
