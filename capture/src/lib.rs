@@ -13,6 +13,7 @@
 //! truth.jsonl ─► clock ───────────────────┴─► Recording ──┐
 //! Model ─► sampling ─► light ─► noise ─► Synthetic ───────┴─► FrameSource ─► Frame
 //! V4L2 ─► camera ─► pixels ─► LiveCamera ──────────────────────────────────► Frame
+//! Frame, and what is said of it ─► record ─► MCAP
 //! ```
 
 pub mod camera;
@@ -32,6 +33,7 @@ mod paged;
 mod picture;
 pub mod pixels;
 mod planes;
+pub mod record;
 pub mod recording;
 pub mod regular;
 mod sampling;
@@ -47,6 +49,7 @@ pub use camera::{CameraError, CameraSpec, CameraState, LiveCamera};
 pub use decode::decode;
 pub use encode::{encode_jpeg, encode_png, encode_png_planes};
 pub use exposure::Exposure;
+pub use files::mcap::{LogMessage, LogReader};
 pub use files::tiff::encode_tiff;
 pub use light::Light;
 pub use limits::LIMITS;

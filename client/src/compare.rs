@@ -158,7 +158,7 @@ fn centre(model: &Model, estimate: &Estimate) -> Option<Vec<f64>> {
 
 /// The distance of a centre from the truth: of several targets the root of the mean square. `None` where the truth does not
 /// name them.
-fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> Option<f64> {
+pub fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> Option<f64> {
     let targets = model.roles().iter().filter(|roles| !roles.centre.is_empty()).count();
     let centres = model.roles().iter().flat_map(|roles| &roles.centre);
     let true_place = centres.map(|parameter| truth.get(&model.parameters()[parameter.index()].name).copied());
@@ -214,4 +214,51 @@ fn plot(path: &Path, rows: &[ModelFigures]) -> Result<(), Failure> {
         return Err(Failure::Other("there is nothing to plot: no model tracked anything".into()));
     };
     output::file(path, svg.as_bytes())
+}
+
+/// What another command measured of a model, frame by frame.
+#[derive(Clone, Debug, Default)]
+pub struct MeasuredModel {
+    /// What it is called.
+    pub name: String,
+    /// Where that was.
+    pub file: String,
+    /// The centres of its targets, in a row; `None` where they were not tracked.
+    pub places: Vec<Option<Vec<f64>>>,
+    /// Distances of centres from the truth, where that is known.
+    pub errors_px: Vec<f64>,
+    /// Reduced χ² of tracked frames.
+    pub chi_squares: Vec<f64>,
+    /// What fits took.
+    pub times_us: Vec<f64>,
+}
+
+impl MeasuredModel {
+    fn row(&self) -> ModelFigures {
+        let tracked = self.places.iter().flatten().count();
+        let has_places = self.places.iter().flatten().any(|place| !place.is_empty());
+        let differences = figures::second_differences(&self.places);
+        ModelFigures {
+            model: self.name.clone(),
+            file: self.file.clone().into(),
+            frames: self.places.len(),
+            tracked,
+            failures: self.places.len() - tracked,
+            rmse_px: figures::rms(&self.errors_px),
+            reduced_chi_square: figures::median(&self.chi_squares),
+            second_difference_px: figures::rms(&differences).filter(|_| has_places),
+            time_us: figures::median(&self.times_us),
+            time_us_95: figures::quantile(&self.times_us, 0.95),
+        }
+    }
+}
+
+/// The same figures of models, side by side.
+pub fn measured_table(models: &[MeasuredModel], out: &mut dyn Write) -> Result<(), Failure> {
+    table(out, &models.iter().map(MeasuredModel::row).collect::<Vec<_>>())
+}
+
+/// The same as one JSON object a model.
+pub fn measured_json(models: &[MeasuredModel], out: &mut dyn Write) -> Result<(), Failure> {
+    models.iter().try_for_each(|model| output::json(out, &model.row()))
 }

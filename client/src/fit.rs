@@ -154,7 +154,7 @@ fn in_document_order(model: &Model, truth: &BTreeMap<String, f64>) -> wire::Name
 }
 
 /// A frame's line for people: number, file, state, parameters with standard deviations, χ², saturated share.
-fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> String {
+pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) -> String {
     let state = serde_json::to_value(line.state).ok().and_then(|v| v.as_str().map(str::to_string)).unwrap_or_default();
     let mut text = format!("{:>6}  {:<24}  {state:<9}", line.frame, line.file.as_deref().unwrap_or("-"));
     if line.state == TrackState::Tracking {

@@ -46,6 +46,8 @@ impl ServiceArgs {
 
 /// For every answer; a model compiles in milliseconds, but may wait for others.
 const TIMEOUT: Duration = Duration::from_secs(60);
+/// For a file.
+const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(24 * 3600);
 /// Bytes of an answer.
 const ANSWER_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
@@ -110,6 +112,24 @@ impl RemoteService {
     pub fn delete(&self, path: &str) -> Result<(), Failure> {
         self.text(self.prepared(self.agent.delete(self.address(path))).call())?;
         Ok(())
+    }
+
+    /// `GET` of a file's bytes, however many and however long they take; how many they were.
+    pub fn download(&self, path: &str, file: &mut impl std::io::Write) -> Result<u64, Failure> {
+        let request = self.connection.agent(DOWNLOAD_TIMEOUT).get(self.address(path));
+        let answer = self.prepared(request).call();
+        let mut answer = answer.map_err(|error| self.unreachable(&error))?;
+        let status = answer.status().as_u16();
+        if !(200..300).contains(&status) {
+            return Err(self.text(Ok(answer)).err().map_or_else(|| Failure::Other(status.to_string()), Failure::from));
+        }
+        let expected = answer.body().content_length();
+        let bytes = std::io::copy(&mut answer.body_mut().as_reader(), file)
+            .map_err(|error| Failure::Other(format!("the file did not arrive: {error}")))?;
+        match expected.is_none_or(|expected| expected == bytes) {
+            true => Ok(bytes),
+            false => Err(Failure::Other(format!("the file did not arrive: only {bytes} bytes of it did"))),
+        }
     }
 
     fn address(&self, path: &str) -> String {

@@ -1,7 +1,7 @@
 //! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
 //! success, 2 bad usage, 3 a wrong model, 1 any other failure.
 //!
-//! `fit`, `render`, `tune`, `compare` (but for `--live`), `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
+//! `fit`, `render`, `tune`, `compare` (but for `--live`), `replay`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
 //! service; the others are its clients, of which `cameras` and `camera` do without it.
 
 mod arguments;
@@ -25,7 +25,9 @@ mod offline;
 mod output;
 mod overlay;
 mod profile;
+mod record;
 mod render;
+mod replay;
 mod samples;
 mod scatter;
 #[cfg(feature = "serve")]
@@ -74,6 +76,8 @@ enum Command {
     #[command(subcommand)]
     Session(SessionCommand),
     Watch(watch::WatchArgs),
+    Record(record::RecordArgs),
+    Replay(replay::ReplayArgs),
     /// What the service keeps
     #[command(subcommand)]
     Data(DataCommand),
@@ -196,6 +200,8 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Session(SessionCommand::Swap(args)) => sessions::swap(args, out),
         Command::Session(SessionCommand::Stop(args)) => sessions::stop(args, out),
         Command::Watch(args) => watch::run(args, out),
+        Command::Record(args) => record::run(args, out),
+        Command::Replay(args) => replay::run(args, out),
         Command::Data(DataCommand::Export(args)) => data::export(args, out),
         Command::Cameras(args) => cameras::list(args, out),
         Command::Camera(CameraCommand::Set(args)) => cameras::set(args, out),

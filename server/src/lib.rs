@@ -33,6 +33,7 @@ mod node;
 mod places;
 mod preview;
 mod problem;
+mod recording;
 mod registry;
 mod restore;
 mod routes;

@@ -69,6 +69,18 @@ pub struct ServiceLimits {
     pub pem_bytes: u64,
     /// Bytes that are sent and that a client has not taken yet; the system doubles it.
     pub socket_bytes: u32,
+    /// Bytes of frames of one session that wait to be recorded, …
+    pub recording_bytes: usize,
+    /// … and of what is said of them.
+    pub recording_note_bytes: usize,
+    /// A recording's budget at most, in units of 10⁶ bytes.
+    pub recording_mb: u64,
+    /// For a recording's file to get its end, when its end is asked for.
+    pub recording_end_time: Duration,
+    /// Files of recordings that are sent at a time.
+    pub downloads: usize,
+    /// Bytes of them that are read at a time.
+    pub download_bytes: usize,
     /// Bytes of pushed frames on their way, of all clients together; half of it for messages of WebSockets that are half received.
     pub flight_bytes: usize,
     /// Until a request's head is complete.
@@ -180,6 +192,12 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     token_interval: Duration::from_millis(250),
     pem_bytes: 1024 * 1024,
     socket_bytes: 128 * 1024,
+    recording_bytes: 64 * 1024 * 1024,
+    recording_note_bytes: 16 * 1024 * 1024,
+    recording_mb: 1_000_000,
+    recording_end_time: Duration::from_secs(10),
+    downloads: 8,
+    download_bytes: 256 * 1024,
     flight_bytes: 256 * 1024 * 1024,
     header_time: Duration::from_secs(10),
     body_time: Duration::from_secs(10),

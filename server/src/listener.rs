@@ -26,10 +26,12 @@ use crate::gate::GatedSocket;
 use crate::limits::LIMITS;
 use crate::places::{SocketPlaces, SocketTaken};
 use crate::problem::Problem;
+use crate::recording::RecordingFolder;
 use crate::restore::restore;
 use crate::routes::{App, full, router};
 use crate::service::{OpenError, Service};
 use crate::socket::{ClientSocket, raise_bound_on_files};
+use crate::thread::beside;
 use crate::{demo, guard, watchdog};
 
 /// How the service is started.
@@ -119,12 +121,15 @@ impl Server {
             let started = runtime.block_on(service.compiler.run(move || demo::start(&demo_service)));
             started.map_err(|problem: Problem| StartError::Demo(problem.detail))?;
         }
+        let folder = RecordingFolder::of(options.access.recordings.as_deref(), options.data.as_deref());
+        let unfinished = folder.clone();
+        drop(beside("of recordings", move || unfinished.mend_all())); // nobody waits for it
         let (stop, stopped) = watch::channel(false);
         let serving = service.clone();
         let thread = std::thread::Builder::new()
             .name("listener".into())
             .spawn(move || {
-                runtime.block_on(serve(listener, serving.clone(), access, stopped));
+                runtime.block_on(serve(listener, serving.clone(), (access, folder), stopped));
                 runtime.shutdown_timeout(Duration::from_millis(500));
             })
             .map_err(StartError::Runtime)?;
@@ -243,7 +248,12 @@ fn bound(address: SocketAddr) -> std::io::Result<TcpListener> {
     socket.listen(LIMITS.sockets as u32)
 }
 
-async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>, mut stopped: watch::Receiver<bool>) {
+async fn serve(
+    listener: TcpListener,
+    service: Arc<Service>,
+    (access, folder): (Arc<Access>, RecordingFolder),
+    mut stopped: watch::Receiver<bool>,
+) {
     let (held, mut all_held) = mpsc::channel(1);
     let places = SocketPlaces::default();
     tokio::spawn(watchdog::watch(service.clone()));
@@ -255,6 +265,8 @@ async fn serve(listener: TcpListener, service: Arc<Service>, access: Arc<Access>
         images: Arc::default(),
         sockets: places.sockets(),
         recordings: access.recordings.clone(),
+        folder,
+        downloads: Arc::new(Semaphore::new(LIMITS.downloads)),
     };
     tokio::spawn(restore(app.clone(), stopped.clone()));
     let router = router(app).layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));

@@ -7,7 +7,7 @@ pub(crate) mod csv;
 mod fits;
 mod format;
 pub(crate) mod image;
-mod mcap;
+pub(crate) mod mcap;
 pub(crate) mod tiff;
 mod y4m;
 

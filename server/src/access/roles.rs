@@ -44,7 +44,7 @@ const EXCEPTIONS: [(&str, &str, Role); 4] = [
 ];
 
 /// Below these everything that is no read needs `operate`.
-const OPERATED: [&str; 3] = ["/v1/sessions", "/v1/sources", "/v1/cameras"];
+const OPERATED: [&str; 4] = ["/v1/sessions", "/v1/sources", "/v1/cameras", "/v1/recordings"];
 
 /// The role that a route needs; `None` where nobody needs a token. `route` is the router's pattern, an action of models with its
 /// verb; for a path without a route the path itself, so that a token is needed to learn that there is none.
@@ -76,6 +76,8 @@ mod tests {
             (Method::GET, "/readyz", Some(Role::View)),
             (Method::GET, "/livez/", Some(Role::View)),
             (Method::GET, "/v1/sessions/{name}/estimates", Some(Role::View)),
+            (Method::GET, "/v1/recordings/{file}", Some(Role::View)),
+            (Method::DELETE, "/v1/recordings/{file}", Some(Role::Operate)),
             (Method::GET, "/v1/sessions/{name}/frames", Some(Role::Operate)),
             (Method::POST, "/v1/sessions/{name}/frames", Some(Role::Operate)),
             (Method::PUT, "/v1/sessions/{name}/model", Some(Role::Operate)),

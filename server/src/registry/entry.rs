@@ -24,6 +24,14 @@ pub enum Media {
 }
 
 impl Media {
+    /// As a request has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Media::Toml => "application/toml",
+            Media::Json => "application/json",
+        }
+    }
+
     /// Parses a document of this kind.
     pub fn model(self, text: &str) -> Result<Model, Diagnostics> {
         match self {

@@ -17,6 +17,7 @@ use crate::access::Recordings;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
+use crate::recording::RecordingFolder;
 use crate::service::{Put, Service};
 use crate::source::{self, Opened};
 use crate::streams::pushed::FrameRoom;
@@ -41,6 +42,10 @@ pub struct App {
     pub sockets: Arc<Semaphore>,
     /// Which may be named.
     pub recordings: Recordings,
+    /// Where sessions are recorded.
+    pub folder: RecordingFolder,
+    /// Places for those who read recordings.
+    pub downloads: Arc<Semaphore>,
 }
 
 /// Places for single images.

@@ -17,6 +17,7 @@ mod paging;
 mod parameters;
 mod playback;
 mod preview;
+mod recordings;
 mod schemas;
 mod sessions;
 mod shadow;
@@ -70,6 +71,9 @@ pub fn router(app: App) -> Router {
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{name}", put(sessions::put).get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{name}/model", put(sessions::swap))
+        .route("/v1/sessions/{name}/recording", put(recordings::put).get(recordings::get).delete(recordings::delete))
+        .route("/v1/recordings", get(recordings::list))
+        .route("/v1/recordings/{file}", get(recordings::read).delete(recordings::remove))
         .route("/v1/sessions/{name}/frames", post(frames::post).get(frames::get))
         .route("/v1/sessions/{name}/estimates", get(estimates::get))
         .route("/v1/sessions/{name}/preview", get(preview::get))

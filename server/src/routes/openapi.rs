@@ -16,8 +16,8 @@ use utoipa::openapi::{ContentBuilder, KnownFormat, ObjectBuilder, Ref, RefOr, Re
 use utoipa::{Modify, OpenApi};
 
 use super::{
-    Answer, cameras, control, docs, estimates, fit, frames, health, metrics, models, page, playback, preview, schemas,
-    sessions, shadow, sources,
+    Answer, cameras, control, docs, estimates, fit, frames, health, metrics, models, page, playback, preview,
+    recordings, schemas, sessions, shadow, sources,
 };
 use crate::problem::Problem;
 
@@ -35,6 +35,7 @@ use crate::problem::Problem;
         sessions::list, sessions::put, sessions::get, sessions::delete, sessions::swap,
         frames::post, frames::get, estimates::get, preview::get,
         shadow::put, shadow::get, shadow::delete, shadow::promote,
+        recordings::put, recordings::get, recordings::delete, recordings::list, recordings::read, recordings::remove,
     ),
     components(schemas(ProblemDocument, CreditDocument, FrameTime, PreviewHeader, Target)),
     tags((name = "models"), (name = "sources"), (name = "sessions"), (name = "cameras"),

@@ -21,6 +21,16 @@ pub struct DeviceParam {
     device: String,
 }
 
+/// A finished recording in a path.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code)] // as above
+pub struct FileParam {
+    /// As recordings are listed.
+    #[param(pattern = "^[a-z0-9][a-z0-9-]{0,119}\\.mcap$")]
+    file: String,
+}
+
 /// What a writer expects to be there.
 #[derive(IntoParams)]
 #[into_params(parameter_in = Header)]

@@ -12,6 +12,7 @@ use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
 use super::exposed::ExposureKnob;
 use super::inbox::{Delivery, Event, FittedFrame, SourceEnd, Waiting};
+use super::record::{FitCourse, FitRecorder, Takeover};
 use super::searches::SearchRoom;
 use super::shadow::FittedPair;
 use super::shared::Shared;
@@ -62,6 +63,8 @@ pub struct Fitter {
     pub jumps: Option<u64>,
     /// What was said of its frames.
     pub chronicle: Chronicle,
+    /// What a recording is told.
+    pub recorder: FitRecorder,
 }
 
 impl Fitter {
@@ -80,6 +83,7 @@ impl Fitter {
     }
 
     fn swap(&mut self, swap: Swap) {
+        let takeover = if swap.warm.is_some() { Takeover::Warm } else { Takeover::Swapped };
         let carried = match swap.warm {
             Some(tracker) => {
                 self.tracker = *tracker;
@@ -92,6 +96,8 @@ impl Fitter {
         (self.active, self.viewer, self.last) = (swap.active, None, None);
         self.shared.counters.swaps.add(1);
         let active_since_frame = self.next_frame.unwrap_or(0);
+        let taken = (active_since_frame, takeover);
+        self.recorder.swapped(&self.shared.inbox, &self.tracker, &self.active, taken);
         let (session, model) = (self.name.as_str(), self.active.id.as_ref());
         tracing::info!(session, frame = active_since_frame, model, "model swapped");
         {
@@ -110,13 +116,16 @@ impl Fitter {
         if let (Some(times), Some(budget)) = (&mut self.times, self.source.frame_budget()) {
             times.fit = budget;
         }
-        if self.jumps.replace(delivery.jumps).is_some_and(|jumps| jumps != delivery.jumps) {
+        let inbox = &self.shared.inbox;
+        self.recorder.before(inbox, delivery, &self.tracker, &self.active);
+        let jump = self.jumps.replace(delivery.jumps).filter(|jumps| *jumps != delivery.jumps);
+        if jump.is_some() {
             self.tracker.lose();
         }
-        let inbox = &self.shared.inbox;
         let watch = FrameWatch::begin(&self.name, inbox, &self.room, self.times.as_ref());
         let results = self.tracker.track_all_while(frame, &watch);
         let (start_ns, end_ns, outcome) = (watch.start_ns(), monotonic_ns(), watch.outcome());
+        let course = FitCourse::of(delivery, jump, &self.tracker, &watch);
         drop(watch);
         if let Some(times) = &mut self.times {
             times.follow(&outcome);
@@ -147,6 +156,7 @@ impl Fitter {
         for estimate in &estimates {
             self.shared.hub.publish(estimate.clone());
         }
+        self.recorder.after(delivery, course, &estimates);
         if let Some(first) = estimates.first() {
             self.answer(delivery, first.clone());
         }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::Duration;
 
 use isophote_capture::Captured;
@@ -11,6 +11,7 @@ use isophote_wire::EstimateView;
 use tokio::sync::oneshot;
 
 use super::swap::Swap;
+use crate::recording::Tap;
 
 /// One frame on its way to the sessions that share its source.
 pub struct Delivery {
@@ -22,6 +23,13 @@ pub struct Delivery {
     pub jumps: u64,
     /// Who pushed it and waits for its estimate.
     pub reply: Mutex<Option<Reply>>,
+}
+
+impl Delivery {
+    /// When it was captured, else when it was handed on, CLOCK_MONOTONIC.
+    pub fn at_ns(&self) -> u64 {
+        self.captured.frame.capture_ns.unwrap_or(self.sent_ns)
+    }
 }
 
 /// Where the estimate of a pushed frame goes.
@@ -79,6 +87,8 @@ pub enum Waiting {
 pub struct Inbox {
     state: Mutex<State>,
     changed: Condvar,
+    /// Where a recording of the session takes its frames.
+    tap: RwLock<Option<Arc<Tap>>>,
 }
 
 #[derive(Default)]
@@ -98,8 +108,21 @@ impl Inbox {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// From now on all frames go to that recording as well, or to none.
+    pub fn record(&self, tap: Option<Arc<Tap>>) {
+        *self.tap.write().unwrap_or_else(PoisonError::into_inner) = tap;
+    }
+
+    /// The recording that takes its frames.
+    pub fn tap(&self) -> Option<Arc<Tap>> {
+        self.tap.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     /// A frame from the source; one that still waits is dropped.
     pub fn deliver(&self, frame: Arc<Delivery>) {
+        if let Some(tap) = self.tap() {
+            tap.frame(&frame.captured.frame, frame.at_ns());
+        }
         let replaced = {
             let mut state = self.lock();
             if state.is_closed { Some(frame) } else { state.frame.replace(frame) }

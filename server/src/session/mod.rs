@@ -8,6 +8,8 @@ mod exposed;
 mod fit;
 pub mod inbox;
 mod once;
+mod record;
+mod recording;
 mod searches;
 mod shadow;
 mod shadowed;
@@ -28,6 +30,7 @@ use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
 use crate::preview::Preview;
 use crate::problem::Problem;
+use crate::recording::{RecordingFolder, SessionRecording};
 use crate::registry::ModelEntry;
 use crate::source::Source;
 use crate::thread::NamedThread;
@@ -38,9 +41,13 @@ use chronicle::Chronicle;
 use exposed::ExposureKnob;
 use fit::Fitter;
 use inbox::Inbox;
-use isophote_machine::{Threads, elapsed_ms, monotonic_ns};
-use isophote_wire::{SessionDocument, SessionState, SessionView};
+use isophote_machine::{Threads, elapsed_ms, monotonic_ns, program_checksum};
+use isophote_wire::{
+    LOG_VERSION, LoggedBuild, LoggedSession, RecordDocument, RecordingView, SessionDocument, SessionState, SessionView,
+};
 pub use once::fit_once;
+use record::FitRecorder;
+use recording::LastRecording;
 pub use searches::SearchRoom;
 pub use shadow::PreparedShadow;
 use shared::Shared;
@@ -69,6 +76,7 @@ pub struct Session {
     room: Arc<SearchRoom>,
     compile_ms: f64,
     run: SessionStart,
+    recorded: LastRecording,
 }
 
 impl Session {
@@ -116,11 +124,12 @@ impl Session {
             last: None,
             jumps: None,
             chronicle: Chronicle::default(),
+            recorder: FitRecorder::default(),
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
-        let room = room.clone();
-        Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run })
+        let (room, recorded) = (room.clone(), LastRecording::default());
+        Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run, recorded })
     }
 
     /// From now on it has frames.
@@ -235,11 +244,41 @@ impl Session {
         }
     }
 
+    /// Begins to record it.
+    pub fn record(&self, folder: &RecordingFolder, document: RecordDocument) -> Result<RecordingView, Problem> {
+        let session = LoggedSession {
+            version: LOG_VERSION,
+            session: self.name.clone(),
+            node: self.run.node.to_string(),
+            epoch: self.run.epoch,
+            document: self.document.clone(),
+            frames: document.frames,
+            build: LoggedBuild {
+                version: env!("CARGO_PKG_VERSION").to_string(),
+                checksum: program_checksum(),
+                processor: std::env::consts::ARCH.to_string(),
+            },
+        };
+        self.recorded.begin(folder, document, session, (&self.shared.inbox, self.source.source.clone()))
+    }
+
+    /// What its recording does, or did.
+    pub fn recording(&self) -> Result<RecordingView, Problem> {
+        self.recorded.view().ok_or_else(|| Problem::unknown("recording of the session", &self.name))
+    }
+
+    /// Ends its recording, and forgets it; whoever asked may wait for the end of its file.
+    pub fn stop_recording(&self) -> Result<Arc<SessionRecording>, Problem> {
+        let stopped = self.recorded.stop(&self.shared.inbox);
+        stopped.ok_or_else(|| Problem::unknown("recording of the session", &self.name))
+    }
+
     /// Takes no more frames, and gives up the fit that it is at.
     pub fn leave(&self) {
         self.source.source.unsubscribe(&self.shared.inbox);
         self.shared.inbox.close();
         self.shared.shadow().iter().for_each(|shadow| shadow.leave("the session was stopped"));
+        self.recorded.end(&self.shared.inbox, "the session has ended");
         if self.source.is_own {
             self.source.source.leave();
         }
@@ -250,6 +289,7 @@ impl Session {
     pub fn wait(&self, end: End, until: Instant) {
         self.thread.wait(until);
         self.shared.shadow().iter().for_each(|shadow| shadow.wait(until));
+        self.recorded.wait(until);
         self.shared.hub.end(end);
         if self.source.is_own {
             self.source.source.wait(until);

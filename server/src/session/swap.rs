@@ -4,13 +4,11 @@ use std::sync::Arc;
 
 use isophote_jit::VectorWidth;
 use isophote_symbolic::Model;
-use isophote_tracker::{
-    Carried, Compiled, MotionOptions, PredictOptions, Preparing, Tracker, TrackerOptions, WORK_MAX,
-};
-use isophote_wire::{PredictDocument, SessionDocument, WindowDocument};
+use isophote_tracker::{Carried, Compiled, Tracker, TrackerOptions};
+pub use isophote_wire::{options, options_known};
 use tokio::sync::oneshot;
 
-use crate::registry::ModelEntry;
+use crate::registry::{Media, ModelEntry};
 
 /// A model that fits, or will.
 #[derive(Clone)]
@@ -21,6 +19,10 @@ pub struct Active {
     pub id: Arc<str>,
     /// The checked document.
     pub model: Arc<Model>,
+    /// How it was sent.
+    pub media: Media,
+    /// As it was sent.
+    pub text: Arc<str>,
     /// The vectors of its kernels.
     pub width: VectorWidth,
 }
@@ -29,7 +31,7 @@ impl Active {
     /// The model of a registry's entry.
     pub fn new(entry: &ModelEntry) -> Active {
         let (name, id, model) = (entry.name.to_string(), entry.id().into(), entry.model.clone());
-        Active { name, id, model, width: entry.width() }
+        Active { name, id, model, media: entry.media, text: entry.text.clone(), width: entry.width() }
     }
 }
 
@@ -58,52 +60,4 @@ pub struct Swapped {
     pub carried: Vec<String>,
     /// Parameters that start anew.
     pub reset: Vec<String>,
-}
-
-/// The options of a session for a model to which it is swapped. Constants and starting values that the model does not know are
-/// left out: they belong to the model that ran before, and come back with it.
-pub fn options_known(document: &SessionDocument, model: &Model) -> TrackerOptions {
-    let mut options = options(document);
-    options.start.retain(|name, _| model.parameter(name).is_some());
-    options.constants.retain(|name, _| model.constant(name).is_some());
-    // A model of one spot without a name has no pose of several; the target comes back with the model that has.
-    let is_nameless = model.roles().iter().all(|roles| roles.name.is_none() && roles.position.is_empty());
-    options.target = options.target.filter(|target| !is_nameless || target.spots.len() == 1);
-    options
-}
-
-/// The options of a session.
-pub fn options(document: &SessionDocument) -> TrackerOptions {
-    TrackerOptions {
-        precision: document.options.precision,
-        window: document.window.map(jit_window),
-        start: document.start.clone(),
-        constants: document.constants.clone(),
-        camera: document.camera.clone(),
-        target: document.target.clone(),
-        targets: document.options.targets,
-        motion: MotionOptions {
-            acceleration_px_s2: document.options.motion.acceleration_px_s2,
-            coast_s: document.options.motion.coast_s,
-            ..MotionOptions::default()
-        },
-        confidence_min: document.options.confidence_min,
-        exposure: Some(document.options.exposure.goal),
-        preparing: Preparing::Beside,
-        work_max: WORK_MAX,
-        predict: document
-            .options
-            .predict
-            .map(|PredictDocument { horizon_s, steps }| PredictOptions { horizon_s, steps }),
-    }
-}
-
-fn jit_window(window: WindowDocument) -> isophote_jit::Window {
-    let WindowDocument { x, y, width, height, z, depth, w, length } = window;
-    // What is not named is all there is.
-    let slices = isophote_jit::Slices {
-        first: [z.unwrap_or(0), w.unwrap_or(0)],
-        count: [depth.unwrap_or(usize::MAX), length.unwrap_or(usize::MAX)],
-    };
-    isophote_jit::Window { x, y, width, height, slices }
 }

@@ -4,12 +4,13 @@
 //! may cost is counted in the time of its own thread: where the machine is too busy, frames are left out and those that are
 //! fitted are fitted to the end.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use isophote_machine::{monotonic_ns, thread_ns};
 use isophote_tracker::{Stop, Watch};
+use isophote_wire::{LoggedStop, StopReason};
 
 use super::inbox::{Inbox, Waiting};
 use super::searches::{SearchPlace, SearchRoom};
@@ -62,7 +63,12 @@ pub struct FrameWatch<'a> {
     /// Since the whole frame is searched, with what had been worked then.
     search: OnceLock<(SearchPlace, u64)>,
     is_over: AtomicBool,
-    is_postponed: AtomicBool,
+    /// So many searches were.
+    postponed: AtomicU32,
+    /// How often was asked.
+    asked: AtomicU64,
+    /// What was answered, when it was no.
+    stopped: OnceLock<LoggedStop>,
 }
 
 impl<'a> FrameWatch<'a> {
@@ -82,7 +88,9 @@ impl<'a> FrameWatch<'a> {
             worked_ns: thread_ns(),
             search: OnceLock::new(),
             is_over: AtomicBool::new(false),
-            is_postponed: AtomicBool::new(false),
+            postponed: AtomicU32::new(0),
+            asked: AtomicU64::new(0),
+            stopped: OnceLock::new(),
         }
     }
 
@@ -95,9 +103,19 @@ impl<'a> FrameWatch<'a> {
     pub fn outcome(&self) -> FrameUse {
         FrameUse {
             has_searched: self.search.get().is_some(),
-            is_postponed: self.is_postponed.load(Ordering::Relaxed),
+            is_postponed: self.postponed() > 0,
             is_over: self.is_over.load(Ordering::Relaxed),
         }
+    }
+
+    /// How often a search was put off.
+    pub fn postponed(&self) -> u32 {
+        self.postponed.load(Ordering::Relaxed)
+    }
+
+    /// Where the frame was left before all was done.
+    pub fn stopped(&self) -> Option<LoggedStop> {
+        self.stopped.get().copied()
     }
 
     fn is_used_up(&self, spent: Duration) -> bool {
@@ -112,6 +130,28 @@ impl<'a> FrameWatch<'a> {
 
 impl Watch for FrameWatch<'_> {
     fn stop(&self) -> Option<Stop> {
+        let pass = self.asked.fetch_add(1, Ordering::Relaxed);
+        let stop = self.verdict()?;
+        let why = if stop == Stop::Budget { StopReason::Budget } else { StopReason::Cancelled };
+        self.stopped.get_or_init(|| LoggedStop { pass, why });
+        Some(stop)
+    }
+
+    fn search(&self) -> Option<Stop> {
+        if self.times.is_none() || self.search.get().is_some() {
+            return None;
+        }
+        let Some(place) = self.room.enter(self.session, monotonic_ns()) else {
+            self.postponed.fetch_add(1, Ordering::Relaxed);
+            return Some(Stop::Postponed);
+        };
+        self.search.get_or_init(|| (place, thread_ns()));
+        None
+    }
+}
+
+impl FrameWatch<'_> {
+    fn verdict(&self) -> Option<Stop> {
         let spent = Duration::from_nanos(monotonic_ns().saturating_sub(self.start_ns));
         match self.inbox.waiting() {
             Waiting::End => Some(Stop::Cancelled),
@@ -122,17 +162,5 @@ impl Watch for FrameWatch<'_> {
             }
             Waiting::Swap | Waiting::Nothing => None,
         }
-    }
-
-    fn search(&self) -> Option<Stop> {
-        if self.times.is_none() || self.search.get().is_some() {
-            return None;
-        }
-        let Some(place) = self.room.enter(self.session, monotonic_ns()) else {
-            self.is_postponed.store(true, Ordering::Relaxed);
-            return Some(Stop::Postponed);
-        };
-        self.search.get_or_init(|| (place, thread_ns()));
-        None
     }
 }

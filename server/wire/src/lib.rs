@@ -12,7 +12,9 @@ pub mod explain;
 mod named;
 mod playback;
 mod preview;
+mod recording;
 mod shadow;
+mod tracker_options;
 
 pub use answer::*;
 pub use control::*;
@@ -21,4 +23,6 @@ pub use estimate::*;
 pub use named::Named;
 pub use playback::*;
 pub use preview::*;
+pub use recording::*;
 pub use shadow::*;
+pub use tracker_options::{options, options_known};

@@ -31,7 +31,7 @@ const INTERPRETERS: [(&str, &str); 3] = [
     ("node ", "node -e 'new WebSocket(\"ws://127.0.0.1:9\").onerror = () => 0'"),
 ];
 /// Commands of `isophote` that need no service.
-pub const OFFLINE: [&str; 13] = [
+pub const OFFLINE: [&str; 14] = [
     "model check",
     "model explain",
     "model export",
@@ -39,6 +39,7 @@ pub const OFFLINE: [&str; 13] = [
     "render",
     "tune",
     "compare",
+    "replay",
     "calibrate",
     "token",
     "config show",

@@ -9,10 +9,13 @@
 //! steeper. It does so on the strength of an ever thinner rim, and size and brightness are lost on the way; so for the centre
 //! at most a quarter of the target may be saturated.
 
+use serde::{Deserialize, Serialize};
+
 use super::goal::{ExposureAdvice, ExposureGoal};
 use super::trial::{Kernels, share, tried};
 use crate::estimate::Estimate;
 use crate::sight::grey::Mixture;
+use crate::solve::exact;
 use crate::track::solver::{Look, Solver};
 
 /// The largest share of the target that may be saturated for the sake of the centre.
@@ -31,12 +34,15 @@ const HALVINGS: usize = 4;
 const CHANGED: f64 = 0.1;
 
 /// What is best for a target of some looks.
-#[derive(Clone, Copy, Debug)]
-struct Best {
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct Best {
     /// Of the brightness parameter.
+    #[serde(with = "exact")]
     height: f64,
+    #[serde(with = "exact")]
     share: f64,
     /// ln size and ln (brightness / background) that it is for.
+    #[serde(with = "exact")]
     looks: [f64; 2],
 }
 
@@ -53,6 +59,18 @@ impl Advisor {
     /// For so many targets.
     pub fn new(goal: ExposureGoal, targets: usize, solver: &Solver) -> Advisor {
         Advisor { goal, is_plain: is_plain(solver), kernels: None, best: vec![None; targets] }
+    }
+
+    /// What it remembers.
+    pub fn known(&self) -> Vec<Option<Best>> {
+        self.best.clone()
+    }
+
+    /// Remembers that, where it is of as many targets.
+    pub fn know(&mut self, best: Vec<Option<Best>>) {
+        if best.len() == self.best.len() {
+            self.best = best;
+        }
     }
 
     /// The best exposure for a target that was just fitted; `None` where the model has no brightness or mixes channels, or

@@ -10,7 +10,7 @@ mod goal;
 mod tests;
 mod trial;
 
-pub(crate) use advice::{Advisor, is_advisable, outlook};
+pub(crate) use advice::{Advisor, Best, is_advisable, outlook};
 pub use controller::{ControllerOptions, ExposureController};
 pub use goal::{ExposureAdvice, ExposureGoal};
 pub(crate) use trial::{Kernels, RenderedLight};

@@ -6,10 +6,12 @@
 
 pub(crate) mod alternatives;
 pub(crate) mod compiled;
+pub(crate) mod exact;
 pub(crate) mod fit;
 pub(crate) mod follow;
 pub(crate) mod loops;
 pub(crate) mod prepare;
+pub(crate) mod readiness;
 pub(crate) mod residuals;
 pub(crate) mod sampling;
 pub(crate) mod shelf;

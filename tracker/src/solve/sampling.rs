@@ -16,10 +16,12 @@ use isophote_symbolic::{
     Bindings, Diagnostics, Model, ParameterId, Precision, Prediction, Quadrature, Slopes, Summand,
 };
 use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Sampled, StageReport};
 use crate::scaled::Definite;
 use crate::sight::view::View;
+use crate::solve::exact;
 use crate::solve::fit::{Arrival, Fit, fit_controlled, followed, pass_at};
 use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
@@ -48,12 +50,14 @@ const POINTS_A_PASS: usize = 4;
 const ROUNDS: usize = 3;
 
 /// How a fit samples, and what that was chosen for.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Chosen {
     pub sampled: Sampled,
     /// Of each free parameter, if all others were known: 1/variance. Empty before the first fit.
+    #[serde(with = "exact")]
     information: Vec<f64>,
     /// By this share of a step the plane would have followed.
+    #[serde(with = "exact")]
     lag: f64,
 }
 

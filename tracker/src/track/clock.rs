@@ -5,17 +5,21 @@
 //! says what cannot be moves the time on by a frame.
 
 use isophote_frame::Frame;
+use serde::{Deserialize, Serialize};
+
+use crate::solve::exact;
 
 /// Whose clock a frame's time is of.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize)]
 enum Origin {
     Source,
     Machine,
 }
 
 /// The last frame's time.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Last {
+    #[serde(with = "exact")]
     time_s: f64,
     sequence: u64,
     /// What the last frame with a time said, and by which clock.
@@ -23,10 +27,11 @@ struct Last {
 }
 
 /// See the text above.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct FrameClock {
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct FrameClock {
     last: Option<Last>,
     /// Added to what frames say of their times.
+    #[serde(with = "exact")]
     shift_s: f64,
 }
 

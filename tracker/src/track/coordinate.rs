@@ -3,8 +3,11 @@
 //! What comes in: its measured positions with their variance, and their times. What goes out: a [`Course`] at another time,
 //! and whether a fit had better begin there or at the last position. It never knows the other coordinates.
 
+use serde::{Deserialize, Serialize};
+
 use super::course::Course;
 use super::levels::{Acceleration, Jitter};
+use crate::solve::exact;
 
 /// Velocity that is thought possible of a target just found, px/s or mm/s.
 const SPEED: f64 = 1000.0;
@@ -22,20 +25,26 @@ const REASSURED: f64 = 0.98;
 const STARTS: f64 = 8.0;
 
 /// The filter of one coordinate.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Coordinate {
     course: Course,
+    #[serde(with = "exact")]
     time_s: f64,
     jitter: Jitter,
     acceleration: Acceleration,
     /// The jitter for which the course has its covariance.
+    #[serde(with = "exact")]
     believed: f64,
     measurements: u32,
     /// Of the last step.
+    #[serde(with = "exact")]
     struck_s: f64,
     /// The last measurement, and how far off predictions and last measurements were, squared.
+    #[serde(with = "exact")]
     last: f64,
+    #[serde(with = "exact")]
     predicted_off: f64,
+    #[serde(with = "exact")]
     last_off: f64,
 }
 

@@ -11,15 +11,24 @@
 //! Many short steps come to the same as a long one. With noise that is constant through a step (t⁴/4, t³/2, t²) they do
 //! not, and precise measurements drive the velocity's gain to 2/t, where the filter rings.
 
+use serde::{Deserialize, Serialize};
+
+use crate::solve::exact;
+
 /// At one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Course {
     /// px or mm.
+    #[serde(with = "exact")]
     pub position: f64,
     /// A second.
+    #[serde(with = "exact")]
     pub velocity: f64,
+    #[serde(with = "exact")]
     pub variance: f64,
+    #[serde(with = "exact")]
     pub covariance: f64,
+    #[serde(with = "exact")]
     pub velocity_variance: f64,
 }
 

@@ -21,9 +21,11 @@
 
 use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
 
 use super::solver::{Attempt, Look, Solver};
 use super::structure::Structure;
+use crate::solve::exact;
 use crate::solve::fit::{Fit, Worth};
 
 /// What the weights multiply, in the order of the list above, and the constant.
@@ -50,23 +52,27 @@ const BEYOND_MAX: f64 = 2.5;
 const SCATTER: f64 = 3.0;
 
 /// What a search saw of the pixels beside the target.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Ground {
     /// Of a pixel of the background; of no use to models that say it.
+    #[serde(with = "exact")]
     pub variance: f64,
     /// The largest value that a pixel may have.
+    #[serde(with = "exact")]
     pub limit: f64,
     /// Of the target's own pixels, when they were last looked at one by one.
     pub own: Option<Own>,
 }
 
 /// A target's own pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Own {
     pub structure: Structure,
     /// χ²/ν of that fit.
+    #[serde(with = "exact")]
     pub reduced: f64,
     /// By which factor its pixels are brighter than the background.
+    #[serde(with = "exact")]
     pub light: f64,
 }
 

@@ -20,7 +20,10 @@
 //! later: what their squared errors have beyond the variance that was predicted without acceleration is `q t³/3`. An
 //! acceleration that lasts has a larger q over a longer span, which is why there is one for each of several spans.
 
+use serde::{Deserialize, Serialize};
+
 use super::course::Course;
+use crate::solve::exact;
 
 /// Second differences that are averaged over.
 const DIFFERENCES: f64 = 100.0;
@@ -44,9 +47,11 @@ const DOUBT_MAX: f64 = 0.5;
 const UNSURE: f64 = 9.0;
 
 /// An average that becomes one of the last values.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Mean {
+    #[serde(with = "exact")]
     value: f64,
+    #[serde(with = "exact")]
     count: f64,
 }
 
@@ -58,12 +63,15 @@ impl Mean {
 }
 
 /// The variance of positions that are white from frame to frame, beyond that of the measurements.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Jitter {
+    #[serde(with = "exact")]
     level: f64,
     /// The last measurements, the later one first, and the time between them.
+    #[serde(with = "exact")]
     before: Option<(f64, Option<(f64, f64)>)>,
     /// d of the last frame.
+    #[serde(with = "exact")]
     bend: Option<f64>,
     squares: Mean,
     products: Mean,
@@ -117,21 +125,26 @@ impl Jitter {
 }
 
 /// A prediction on its way.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Launch {
     from: Course,
+    #[serde(with = "exact")]
     time_s: f64,
 }
 
 /// What predictions over one span are worth, in units of q: all divided by t³/3.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Span {
     launches: [Option<Launch>; LAUNCHES],
+    #[serde(with = "exact")]
     square: f64,
     /// The variance that was predicted without jitter and acceleration.
+    #[serde(with = "exact")]
     variance: f64,
     /// What jitter of 1 unit² adds to that.
+    #[serde(with = "exact")]
     jitter: f64,
+    #[serde(with = "exact")]
     count: f64,
 }
 
@@ -157,16 +170,16 @@ impl Span {
 }
 
 /// The density of white acceleration, unit²/s³.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) enum Acceleration {
     /// By whoever knows it.
-    Given(f64),
+    Given(#[serde(with = "exact")] f64),
     /// From errors of predictions.
     Learned(Box<Spans>),
 }
 
 /// The spans, the shortest first.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Spans([Span; SPANS]);
 
 fn length_s(span: usize) -> f64 {

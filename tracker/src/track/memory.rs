@@ -5,6 +5,7 @@
 
 use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 use super::evidence::Ground;
 use super::noise::NoiseLevel;
@@ -16,6 +17,7 @@ use super::solver::{Attempt, Solver};
 use super::window::half_widths;
 use crate::estimate::Ahead;
 use crate::options::PredictOptions;
+use crate::solve::exact;
 use crate::solve::sampling::Chosen;
 use crate::track::motion::{Measured, Mover, Predicted};
 
@@ -25,15 +27,19 @@ const MOVING: u32 = 2;
 const DRIFT: f64 = 1.0;
 
 /// From frame to frame.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Memory {
     /// Where the next fit starts: all parameters, those of a swapped model that have a value, or nothing.
+    #[serde(with = "exact")]
     pub warm: Option<Vec<Option<f64>>>,
     /// The last good parameters; NaN for those that a swapped model does not share.
+    #[serde(with = "exact")]
     pub last: Vec<f64>,
     /// Their covariance, of the free ones of the last stage.
+    #[serde(with = "exact")]
     pub covariance: Option<DMatrix<f64>>,
     /// χ²/ν of the last good fit.
+    #[serde(with = "exact")]
     pub reduced: Option<f64>,
     /// The last good fit met saturated pixels.
     pub clipped: bool,
@@ -82,6 +88,19 @@ impl Memory {
             },
             false => memory,
         }
+    }
+
+    /// Whether it has as many parameters and places as the model.
+    pub fn suits(&self, solver: &Solver) -> bool {
+        let parameters = solver.model().parameters().len();
+        let free = solver.compiled.last_parameters().len();
+        let is_whole = |values: &Vec<f64>| values.len() == parameters;
+        self.warm.as_ref().is_none_or(|warm| warm.len() == parameters)
+            && (self.last.is_empty() || is_whole(&self.last))
+            && self.covariance.as_ref().is_none_or(|covariance| covariance.shape() == (free, free))
+            && self.rival.as_ref().is_none_or(|rival| is_whole(rival.parameters()))
+            && self.past.turned().is_none_or(is_whole)
+            && self.motion.as_ref().is_none_or(|motion| motion.foresees().count() == places(solver).count())
     }
 
     /// Where a fit of this frame starts: the last parameters with the centre where it should be; `None` without a complete

@@ -28,6 +28,7 @@ mod reconsider;
 mod rival;
 pub(crate) mod search;
 pub(crate) mod shared;
+pub(crate) mod snapshot;
 pub(crate) mod solver;
 mod structure;
 pub(crate) mod tracker;
@@ -286,6 +287,8 @@ mod faint_tests;
 mod jitter_tests;
 #[cfg(test)]
 mod sampling_tests;
+#[cfg(test)]
+mod snapshot_tests;
 #[cfg(test)]
 mod swap_tests;
 #[cfg(test)]

@@ -7,9 +7,11 @@
 //! at a fixed height. What one coordinate says of another is left out.
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 use super::coordinate::Coordinate;
 use super::course::Course;
+use crate::solve::exact;
 
 /// A model is never so right that a place is known better than this when one is compared with what was expected, px or mm.
 const FLOOR: f64 = 0.02;
@@ -30,9 +32,10 @@ pub(crate) struct Measured {
 pub(crate) struct Predicted(Vec<Course>);
 
 /// The filters of one target.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Mover {
     coordinates: Vec<Coordinate>,
+    #[serde(with = "exact")]
     time_s: f64,
     /// Measurements so far.
     pub measurements: u32,

@@ -7,7 +7,10 @@
 //! hangs together in neighbouring residuals, which is taken off ([`Structure`](super::structure::Structure)); where that is
 //! much, nothing is learned, so that misfit does not pass for noise.
 
+use serde::{Deserialize, Serialize};
+
 use super::evidence::Own;
+use crate::solve::exact;
 
 /// From so many frames on the noise is known.
 const FRAMES: u32 = 10;
@@ -20,10 +23,11 @@ const LEAST: f64 = 0.5;
 const INDEPENDENT: f64 = 0.8;
 
 /// The mean over frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NoiseLevel {
     frames: u32,
     /// Of the variance over that which is stated.
+    #[serde(with = "exact")]
     variance: f64,
 }
 

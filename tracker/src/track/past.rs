@@ -5,9 +5,11 @@
 //! frame.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::solver::{Attempt, Solver};
 use crate::solve::alternatives::MISFIT;
+use crate::solve::exact;
 use crate::solve::fit::Fit;
 
 /// χ²/ν may be larger than the usual one by so many of its standard deviations, √(2/ν).
@@ -20,15 +22,19 @@ pub(super) const TURNED_LEAST: f64 = 0.02;
 const STEADY: f64 = 0.5;
 
 /// What is remembered of a pose beside its parameters.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Past {
     /// χ²/ν of fits that were believed, in the mean.
+    #[serde(with = "exact")]
     pub usual: Option<f64>,
     /// The angle to the mirrored pose when that one was tried, rad.
+    #[serde(with = "exact")]
     pub tried: Option<f64>,
     /// Parameters with the orientation where it should be by now, if it turns evenly.
+    #[serde(with = "exact")]
     turned: Option<Vec<f64>>,
     /// The last move.
+    #[serde(with = "exact")]
     pub step: Option<Vector3<f64>>,
 }
 

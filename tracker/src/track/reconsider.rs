@@ -50,7 +50,7 @@ impl Solver {
         let view = self.view(look, self.window(look, start, margin));
         let alternatives = match self.options.preparing {
             Preparing::AtOnce => self.compiled.alternatives(&|| true),
-            Preparing::Beside => self.compiled.alternatives_shelf().ready(&view.layout),
+            Preparing::Beside => look.ready.alternatives(&self.compiled, &view.layout),
         };
         let Some(alternatives) = alternatives else {
             look.want(Preparation::new(&self.compiled, &view, Lacking::Alternatives));

@@ -3,18 +3,23 @@
 //! What comes in: fits of a model whose parameters are a pose. What goes out: the likelier one, with the other as its
 //! [`Rival`]. The differences of their log-likelihoods add up from frame to frame, so that noise does not make the pose flip.
 
+use serde::{Deserialize, Serialize};
+
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::pose::{Alternative, DELTA_CHI_SQUARE_MAX, Geometry};
 use crate::sight::view::View;
+use crate::solve::exact;
 use crate::solve::fit::{Begin, difference};
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
 /// The runner-up.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Rival {
+    #[serde(with = "exact")]
     parameters: Vec<f64>,
     /// χ² by which it is worse, in all frames since both were found.
+    #[serde(with = "exact")]
     delta: f64,
 }
 
@@ -26,6 +31,11 @@ const CROSSING: f64 = 0.25;
 const SAME: f64 = 3e-3;
 
 impl Rival {
+    /// All of the model's.
+    pub fn parameters(&self) -> &Vec<f64> {
+        &self.parameters
+    }
+
     /// For publication, while it is close.
     pub fn alternative(&self, geometry: &Geometry) -> Option<Alternative> {
         let pose = geometry.pose(&self.parameters);

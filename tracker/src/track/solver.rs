@@ -24,6 +24,7 @@ use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::readiness::{FrameReadiness, Readiness};
 use crate::solve::residuals::Over;
 use crate::solve::sampling::{Chosen, Sampling, Way};
 use crate::solve::stage::QUANTISATION;
@@ -61,12 +62,19 @@ pub(crate) struct Look<'a> {
     budget: Option<&'a FrameBudget<'a>>,
     /// What a fit went on without.
     wanted: OnceLock<Preparation>,
+    /// What its fits have beside the model's kernels.
+    pub ready: Arc<Readiness>,
 }
 
 impl<'a> Look<'a> {
     /// The same within a bound.
     pub fn within(self, budget: &'a FrameBudget<'a>) -> Look<'a> {
         Look { budget: Some(budget), ..self }
+    }
+
+    /// The same, with what its fits had when it was looked at before.
+    pub fn again(self, ready: Option<FrameReadiness>) -> Look<'a> {
+        Look { ready: Arc::new(Readiness::of(ready)), ..self }
     }
 
     /// The same for a part of its work; what that goes on without is its own.
@@ -80,6 +88,7 @@ impl<'a> Look<'a> {
             limits: Mutex::new(limits),
             budget: Some(budget),
             wanted: OnceLock::new(),
+            ready: self.ready.clone(),
             ..*self
         }
     }
@@ -102,7 +111,8 @@ impl<'a> Look<'a> {
     /// The same, of a part of what may be looked at; `None` where that is outside.
     pub fn narrowed(&self, window: Window) -> Option<Look<'a>> {
         let (planes, limits, wanted) = (self.planes.clone(), Mutex::default(), OnceLock::new());
-        Some(Look { planes, window: overlap(window, self.window)?, limits, wanted, ..*self })
+        let ready = self.ready.clone();
+        Some(Look { planes, window: overlap(window, self.window)?, limits, wanted, ready, ..*self })
     }
 
     /// Asks for a search of all that may be looked at.
@@ -193,7 +203,8 @@ impl Solver {
         let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
         let planes = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
         let largest = frame.largest.unwrap_or(f64::INFINITY);
-        Some(Look { planes, window, largest, limits: Mutex::default(), budget: None, wanted: OnceLock::new() })
+        let (limits, wanted, ready) = (Mutex::default(), OnceLock::new(), Arc::default());
+        Some(Look { planes, window, largest, limits, budget: None, wanted, ready })
     }
 
     /// A part of what may be looked at.
@@ -291,7 +302,7 @@ impl Solver {
         }
         let ready = match self.options.preparing {
             Preparing::AtOnce => Some(self.compiled.sampling()),
-            Preparing::Beside => self.compiled.sampling_shelf().ready(&view.layout),
+            Preparing::Beside => look.ready.sampling(&self.compiled, &view.layout),
         };
         if ready.is_none() {
             look.want(Preparation::new(&self.compiled, view, Lacking::Sampling));

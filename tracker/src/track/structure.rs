@@ -8,6 +8,9 @@
 //! two dimensions). The
 //! fewer such cells a target has, the more of what it is taken for may be the work of one of them.
 
+use serde::{Deserialize, Serialize};
+
+use crate::solve::exact;
 use crate::solve::residuals::Seen;
 
 /// The mean product may be larger than 0 by so many of its standard deviations.
@@ -20,13 +23,16 @@ const FAR: usize = 3;
 const FALL: [f64; 2] = [0.02, 0.98];
 
 /// Of the pixels of a domain that are not saturated.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Structure {
     /// The variance of what the model leaves unexplained over that of its prediction, less what noise may look like.
+    #[serde(with = "exact")]
     pub unexplained: f64,
     /// The share of the domain's pixels that have one residual in common.
+    #[serde(with = "exact")]
     pub cell: f64,
     /// The share of the residuals' variance that neighbours do not have in common: noise. 1 where noise alone may look so.
+    #[serde(with = "exact")]
     pub independent: f64,
 }
 

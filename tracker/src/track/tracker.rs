@@ -17,11 +17,13 @@ use crate::options::{TrackError, TrackerOptions};
 use crate::preview::Viewer;
 use crate::solve::compiled::Compiled;
 use crate::solve::prepare::Preparation;
+use crate::solve::readiness::FrameReadiness;
 use crate::solve::stage_kernels::CompileFailure;
 use crate::track::clock::FrameClock;
 use crate::track::publish::{Told, estimate};
 use crate::track::search::{Candidate, Scope, Search, Sighting};
 use crate::track::shared::{Carried, SharedParameters};
+use crate::track::snapshot::{Restored, Snapshot, SnapshotError};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
 use crate::track::{Finding, Followed, MARGIN_PX, MARGIN_SHARE, Track};
@@ -35,6 +37,8 @@ pub struct Tracker {
     clock: FrameClock,
     /// What frames were fitted without.
     wanted: Option<Preparation>,
+    /// What the last frame was fitted with.
+    ready: FrameReadiness,
 }
 
 impl Tracker {
@@ -49,7 +53,8 @@ impl Tracker {
         }
         let tracks = vec![Track::default(); options.targets];
         let solver = Solver::new(compiled, options);
-        Ok(Tracker { advisor: advisor(&solver), solver, tracks, clock: FrameClock::default(), wanted: None })
+        let (clock, ready) = (FrameClock::default(), FrameReadiness::default());
+        Ok(Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None, ready })
     }
 
     /// The model's kernels.
@@ -82,7 +87,7 @@ impl Tracker {
     pub fn fork(&self) -> Tracker {
         let solver = Solver::new(self.solver.compiled.clone(), self.solver.options.clone());
         let (tracks, clock) = (self.tracks.clone(), self.clock);
-        Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None }
+        Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None, ready: self.ready }
     }
 
     /// Shows frames with what this tracker says of them, until it takes another model.
@@ -98,6 +103,11 @@ impl Tracker {
     /// What comes next does not go on from what was seen: targets keep their names, and are searched for.
     pub fn lose(&mut self) {
         self.tracks.iter_mut().for_each(|track| track.memory.lose());
+    }
+
+    /// What it was told beside the model.
+    pub fn options(&self) -> &TrackerOptions {
+        &self.solver.options
     }
 
     /// True where estimates of this model may carry advice about exposure.
@@ -141,6 +151,43 @@ impl Tracker {
     /// the frame says nothing, the ending says why, and they are remembered as they were. Where `watch` puts the search of all
     /// that may be looked at off, what was followed is looked for near where it should be.
     pub fn track_all_while(&mut self, frame: &Frame, watch: &dyn Watch) -> Vec<Estimate> {
+        self.track_told(frame, None, watch)
+    }
+
+    /// The same of a frame that was fitted before, with what its fits had then ([`Tracker::readiness`]): from the same state, with
+    /// a watch that ends it where it was ended, estimates are the same bit for bit.
+    pub fn track_all_again(&mut self, frame: &Frame, ready: FrameReadiness, watch: &dyn Watch) -> Vec<Estimate> {
+        self.track_told(frame, Some(ready), watch)
+    }
+
+    /// What the fits of the last frame had beside the model's own kernels.
+    pub fn readiness(&self) -> FrameReadiness {
+        self.ready
+    }
+
+    /// All that it remembers: what the next frames will be taken for depends on nothing else but the model and the options.
+    pub fn snapshot(&self) -> Snapshot {
+        let targets = self.tracks.iter().map(|track| track.memory.clone()).collect();
+        Snapshot::of(self.solver.model().digest(), targets, self.clock, self.advisor.as_ref().map(Advisor::known))
+    }
+
+    /// Remembers what another tracker of the same model and options did.
+    ///
+    /// # Errors
+    /// When it is of another version or model, or does not suit the options; nothing is changed then.
+    pub fn restore(&mut self, snapshot: Snapshot) -> Result<(), SnapshotError> {
+        let Restored { targets, clock, advice } = snapshot.open(&self.solver, self.tracks.len())?;
+        self.tracks = targets.into_iter().map(|memory| Track { memory }).collect();
+        self.clock = clock;
+        self.advisor = advisor(&self.solver);
+        if let (Some(advisor), Some(advice)) = (&mut self.advisor, advice) {
+            advisor.know(advice);
+        }
+        self.wanted = None;
+        Ok(())
+    }
+
+    fn track_told(&mut self, frame: &Frame, ready: Option<FrameReadiness>, watch: &dyn Watch) -> Vec<Estimate> {
         let mended = self.solver.mended(frame);
         let frame = mended.as_ref();
         let grey; // colour frames for a one-channel model
@@ -154,7 +201,7 @@ impl Tracker {
         let time_s = self.clock.time_s(frame, self.solver.options.motion.period_s);
         let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending), None)).collect();
         let budget = FrameBudget::new(self.solver.options.work_max, watch);
-        let look = self.solver.look(frame).map(|look| look.within(&budget));
+        let look = self.solver.look(frame).map(|look| look.within(&budget).again(ready));
         let outcomes: Vec<Finding> = match &look {
             Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),
@@ -165,6 +212,7 @@ impl Tracker {
         self.advise(look.as_ref(), &mut estimates);
         let wanted = look.as_ref().and_then(Look::wanted).cloned();
         self.wanted = wanted.or(self.wanted.take());
+        self.ready = look.as_ref().map(|look| look.ready.found()).unwrap_or_default();
         estimates
     }
 

@@ -19,7 +19,7 @@ enum Packing {
 
 /// Where a chunk's records are.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Chunk {
+pub(crate) struct Chunk {
     /// `None` where it is one that is not read.
     packing: Option<Packing>,
     /// The byte of the file where the packed records begin, and how many bytes they are.
@@ -48,7 +48,7 @@ impl Chunk {
 }
 
 /// The records of a chunk.
-pub(super) fn unpack(file: &mut BufReader<File>, chunk: &Chunk) -> Result<Vec<u8>, PageFault> {
+pub(crate) fn unpack(file: &mut BufReader<File>, chunk: &Chunk) -> Result<Vec<u8>, PageFault> {
     let Some(packing) = chunk.packing else {
         return Err(DecodeError::Unsupported("a chunk is compressed by neither lz4 nor zstd".into()).into());
     };

@@ -202,7 +202,7 @@ impl Index {
 }
 
 /// Bytes of a small record, which are there.
-fn content(file: &mut BufReader<File>, begin: u64, bytes: u64) -> Result<Vec<u8>, PageFault> {
+pub(crate) fn content(file: &mut BufReader<File>, begin: u64, bytes: u64) -> Result<Vec<u8>, PageFault> {
     content_of(file, begin, bytes, RECORD_BYTES_MAX)
 }
 

@@ -11,6 +11,7 @@
 mod chunk;
 mod index;
 mod message;
+mod messages;
 mod pixels;
 mod protobuf;
 mod records;
@@ -26,9 +27,15 @@ use crate::clock::Stamp;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
 
+pub(crate) use chunk::{Chunk, unpack};
+pub(crate) use index::content;
+pub use messages::{LogMessage, LogReader};
+pub(crate) use records::{CHUNK_HEAD_BYTES, MAGIC, chunk_header, head, record, split};
+
 use index::{Index, PictureRecord, PictureTopic};
 use message::Image;
-use records::{HEAD_BYTES, Record, op};
+pub(crate) use records::HEAD_BYTES;
+use records::{Record, op};
 
 pub(crate) const FORMAT: Format = Format {
     name: "MCAP",

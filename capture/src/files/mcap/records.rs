@@ -7,11 +7,11 @@
 use std::io::Cursor;
 
 use binrw::BinRead;
-pub(super) use mcap::MAGIC;
+pub(crate) use mcap::MAGIC;
 pub(super) use mcap::records::{ChunkHeader, Record, op};
 
 /// Bytes of a record before its content: an opcode, and the length of the content.
-pub(super) const HEAD_BYTES: usize = 9;
+pub(crate) const HEAD_BYTES: usize = 9;
 
 /// What stands where a recorder made room for records and wrote none.
 pub(super) const NONE: u8 = 0;
@@ -20,29 +20,29 @@ pub(super) const NONE: u8 = 0;
 pub(super) const MESSAGE_BYTES: usize = 22;
 
 /// Bytes in which the fields of a chunk before its records find room.
-pub(super) const CHUNK_HEAD_BYTES: usize = 64;
+pub(crate) const CHUNK_HEAD_BYTES: usize = 64;
 
 /// Opcode and length of the content, of a record's first bytes.
-pub(super) fn head(bytes: &[u8]) -> Option<(u8, u64)> {
+pub(crate) fn head(bytes: &[u8]) -> Option<(u8, u64)> {
     let (opcode, rest) = bytes.split_first()?;
     Some((*opcode, u64::from_le_bytes(*rest.first_chunk()?)))
 }
 
 /// The first of some records, its opcode and content, and what comes behind it.
-pub(super) fn split(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+pub(crate) fn split(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (opcode, bytes) = head(records)?;
     let (content, rest) = records.get(HEAD_BYTES..)?.split_at_checked(usize::try_from(bytes).ok()?)?;
     Some((opcode, content, rest))
 }
 
 /// The fields of a schema, a channel, a message or a message index.
-pub(super) fn record(opcode: u8, content: &[u8]) -> Option<Record<'_>> {
+pub(crate) fn record(opcode: u8, content: &[u8]) -> Option<Record<'_>> {
     let is_known = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::MESSAGE_INDEX);
     (is_known && claims_hold(opcode, content)).then(|| mcap::parse_record(opcode, content).ok())?
 }
 
 /// The fields of a chunk before its records, and how many bytes they have.
-pub(super) fn chunk_header(content: &[u8]) -> Option<(ChunkHeader, u64)> {
+pub(crate) fn chunk_header(content: &[u8]) -> Option<(ChunkHeader, u64)> {
     if !claims_hold(op::CHUNK, content) {
         return None;
     }

@@ -1,0 +1,106 @@
+//! `LogWriter`: messages in, the chunks of an MCAP file out.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Error;
+
+use mcap::records::MessageHeader;
+use mcap::{Attachment, McapError, WriteOptions, Writer};
+
+use super::schemas::descriptors;
+
+/// What the messages of a channel are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LogSchema {
+    /// One of Foxglove's, as Protobuf: `foxglove.RawImage`.
+    Foxglove(&'static str),
+    /// One of ours, as JSON: `isophote.Estimate`.
+    Json(&'static str),
+}
+
+/// A channel of an open file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogChannel(u16);
+
+/// A file that is being written. Every [`LogWriter::flush`] ends a chunk: what was written before is safe from whatever becomes of
+/// the process, and after [`LogWriter::sync`] of the machine.
+pub struct LogWriter {
+    writer: Writer<File>,
+    file: File,
+    counts: BTreeMap<u16, u32>,
+    waiting_bytes: u64,
+}
+
+fn io(error: McapError) -> Error {
+    match error {
+        McapError::Io(error) => error,
+        other => Error::other(other),
+    }
+}
+
+impl LogWriter {
+    /// Begins a file, which is empty.
+    pub fn begin(file: File, library: &str) -> Result<LogWriter, Error> {
+        // Whole chunks or nothing: one whose size is filled in later is none if that never happens.
+        let options = WriteOptions::new().compression(None).chunk_size(None).disable_seeking(true).library(library);
+        let writer = options.create(file.try_clone()?).map_err(io)?;
+        Ok(LogWriter { writer, file, counts: BTreeMap::new(), waiting_bytes: 0 })
+    }
+
+    /// Channels come before the first message: readers then find all of them in the first chunk.
+    pub fn channel(&mut self, topic: &str, schema: LogSchema) -> Result<LogChannel, Error> {
+        let (schema, encoding) = match schema {
+            LogSchema::Foxglove(name) => (self.writer.add_schema(name, "protobuf", &descriptors()), "protobuf"),
+            LogSchema::Json(name) => {
+                let document = format!("{{\"title\":\"{name}\",\"type\":\"object\"}}");
+                (self.writer.add_schema(name, "jsonschema", document.as_bytes()), "json")
+            }
+        };
+        let channel = schema.and_then(|schema| self.writer.add_channel(schema, topic, encoding, &BTreeMap::new()));
+        channel.map(LogChannel).map_err(io)
+    }
+
+    /// One message. Times are ns since 1970: when what it is about was, and when it was said.
+    pub fn write(&mut self, LogChannel(id): LogChannel, log_time: u64, payload: &[u8]) -> Result<(), Error> {
+        let sequence = self.counts.entry(id).or_default();
+        *sequence = sequence.wrapping_add(1);
+        let header = MessageHeader { channel_id: id, sequence: *sequence, log_time, publish_time: log_time };
+        self.waiting_bytes += payload.len() as u64;
+        self.writer.write_to_known_channel(&header, payload).map_err(io)
+    }
+
+    /// A file within the file.
+    pub fn attach(&mut self, name: &str, media_type: &str, time: u64, bytes: &[u8]) -> Result<(), Error> {
+        let (name, media_type) = (name.to_string(), media_type.to_string());
+        let attachment = Attachment { log_time: time, create_time: time, name, media_type, data: bytes.into() };
+        self.writer.attach(&attachment).map_err(io)
+    }
+
+    /// Bytes that wait for the end of their chunk.
+    pub fn waiting_bytes(&self) -> u64 {
+        self.waiting_bytes
+    }
+
+    /// Ends the chunk; how many bytes the file has now.
+    pub fn flush(&mut self) -> Result<u64, Error> {
+        self.writer.flush().map_err(io)?;
+        self.waiting_bytes = 0;
+        self.bytes()
+    }
+
+    fn bytes(&self) -> Result<u64, Error> {
+        Ok(self.file.metadata()?.len())
+    }
+
+    /// Waits until the disk has what was flushed.
+    pub fn sync(&self) -> Result<(), Error> {
+        self.file.sync_data()
+    }
+
+    /// Ends the file with its index; how many bytes it has.
+    pub fn finish(mut self) -> Result<u64, Error> {
+        self.writer.finish().map_err(io)?;
+        self.file.sync_data()?;
+        self.bytes()
+    }
+}

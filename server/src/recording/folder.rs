@@ -1,0 +1,248 @@
+//! `RecordingFolder`: the one folder in which recordings are written, and from which they are handed out.
+//!
+//! What comes in: the operator's folder, names of files. What goes out: files below that folder and nowhere else: names are a few
+//! letters, and links are not followed. A file that is being written ends in `.part.mcap`, and whoever writes it holds its lock.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{Error, ErrorKind};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use axum::http::StatusCode;
+use isophote_capture::record::{MendedFile, mend};
+use isophote_wire::RecordedFile;
+use rustix::fs::{FlockOperation, OFlags, flock};
+
+use crate::problem::Problem;
+
+const END: &str = ".mcap";
+const PART: &str = ".part.mcap";
+
+/// The name of a file in the folder, `[a-z0-9][a-z0-9-]*.mcap`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct FileName(String);
+
+impl FileName {
+    /// Of that form only.
+    pub fn parse(text: &str) -> Option<FileName> {
+        let stem = text.strip_suffix(END)?;
+        let is_plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+        let is_name = (1..=120).contains(&stem.len()) && !stem.starts_with('-') && stem.bytes().all(is_plain);
+        is_name.then(|| FileName(text.to_string()))
+    }
+
+    /// The number-th file of a recording.
+    pub fn of(stem: &str, number: u32) -> Option<FileName> {
+        FileName::parse(&format!("{stem}-{number:04}{END}"))
+    }
+
+    /// The text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    fn stem(&self) -> &str {
+        self.0.trim_end_matches(END)
+    }
+}
+
+/// Why there is no file.
+#[derive(Debug)]
+pub enum FolderFault {
+    /// The service was started without a folder for recordings.
+    None,
+    /// There is one of that name.
+    Taken(String),
+    /// There is none of that name.
+    Missing,
+    /// It is being written.
+    Open,
+    /// The disk.
+    Disk(Error),
+}
+
+impl From<Error> for FolderFault {
+    fn from(error: Error) -> FolderFault {
+        FolderFault::Disk(error)
+    }
+}
+
+impl FolderFault {
+    /// For whoever asked.
+    pub fn problem(self) -> Problem {
+        match self {
+            FolderFault::None => {
+                let detail = "this service has no folder for recordings: start it with --recordings DIR or --data DIR";
+                Problem::conflict("not-applicable", detail)
+            }
+            FolderFault::Taken(name) => {
+                Problem::conflict("in-use", format!("there is a recording {name}; take another name"))
+            }
+            FolderFault::Missing => Problem::unknown("recording", "of that name"),
+            FolderFault::Open => Problem::conflict("in-use", "the file is being written; end the recording first"),
+            FolderFault::Disk(error) => {
+                let detail = format!("the folder of recordings cannot be written or read: {error}");
+                Problem::new(StatusCode::INSUFFICIENT_STORAGE, "storage", detail)
+            }
+        }
+    }
+}
+
+/// See the text above.
+#[derive(Clone, Debug, Default)]
+pub struct RecordingFolder(Option<PathBuf>);
+
+impl RecordingFolder {
+    /// Below the operator's folder of recordings, else below the one where everything is kept.
+    pub fn of(recordings: Option<&Path>, data: Option<&Path>) -> RecordingFolder {
+        RecordingFolder(
+            recordings.map(|folder| folder.join("recorded")).or(data.map(|folder| folder.join("recordings"))),
+        )
+    }
+
+    fn path(&self) -> Result<&Path, FolderFault> {
+        self.0.as_deref().ok_or(FolderFault::None)
+    }
+
+    /// Begins the file of that name; the folder is made where there is none.
+    pub fn begin(&self, name: &FileName) -> Result<File, FolderFault> {
+        let folder = self.path()?;
+        fs::create_dir_all(folder)?;
+        if fs::symlink_metadata(folder.join(&name.0)).is_ok() {
+            return Err(FolderFault::Taken(name.0.clone()));
+        }
+        let opened =
+            OpenOptions::new().read(true).write(true).create_new(true).mode(0o640).open(self.part(folder, name));
+        let file = opened.map_err(|error| match error.kind() {
+            ErrorKind::AlreadyExists => FolderFault::Taken(name.0.clone()),
+            _ => FolderFault::Disk(error),
+        })?;
+        flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(Error::from)?;
+        Ok(file)
+    }
+
+    fn part(&self, folder: &Path, name: &FileName) -> PathBuf {
+        folder.join(format!("{}{PART}", name.stem()))
+    }
+
+    /// A file that has its end gets its name.
+    pub fn finish(&self, name: &FileName) -> Result<(), FolderFault> {
+        let folder = self.path()?;
+        fs::rename(self.part(folder, name), folder.join(&name.0))?;
+        Ok(File::open(folder)?.sync_all()?)
+    }
+
+    /// A file that could not be written to its end: what is whole of it is kept.
+    pub fn give_up(&self, name: &FileName) -> Result<MendedFile, FolderFault> {
+        let part = self.part(self.path()?, name);
+        let mended = mend(&part)?;
+        match mended {
+            MendedFile::Empty => fs::remove_file(part)?,
+            MendedFile::Mended { .. } | MendedFile::Whole => self.finish(name)?,
+        }
+        Ok(mended)
+    }
+
+    /// The files that are finished, by name.
+    pub fn list(&self) -> Result<Vec<RecordedFile>, FolderFault> {
+        let folder = self.path()?;
+        let mut files = Vec::new();
+        for name in self.names(folder, END)? {
+            let about = fs::symlink_metadata(folder.join(&name.0));
+            files.extend(about.ok().filter(fs::Metadata::is_file).map(|about| (name, about.len())));
+        }
+        files.sort();
+        Ok(files.into_iter().map(|(FileName(file), bytes)| RecordedFile { file, bytes }).collect())
+    }
+
+    /// Names of files with that end; none where there is no folder yet.
+    fn names(&self, folder: &Path, end: &str) -> Result<Vec<FileName>, FolderFault> {
+        let entries = match fs::read_dir(folder) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries?,
+        };
+        let name =
+            |entry: fs::DirEntry| FileName::parse(&format!("{}{END}", entry.file_name().to_str()?.strip_suffix(end)?));
+        Ok(entries.filter_map(Result::ok).filter_map(name).collect())
+    }
+
+    /// A finished file, to be read.
+    pub fn open(&self, name: &FileName) -> Result<(File, u64), FolderFault> {
+        let path = self.path()?.join(&name.0);
+        let no_link = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
+        let file = OpenOptions::new().read(true).custom_flags(no_link).open(path);
+        let file = file.map_err(|_| FolderFault::Missing)?;
+        let about = file.metadata()?;
+        if about.is_file() { Ok((file, about.len())) } else { Err(FolderFault::Missing) }
+    }
+
+    /// Deletes a finished file.
+    pub fn remove(&self, name: &FileName) -> Result<(), FolderFault> {
+        let folder = self.path()?;
+        if fs::symlink_metadata(self.part(folder, name)).is_ok() {
+            return Err(FolderFault::Open);
+        }
+        fs::remove_file(folder.join(&name.0)).map_err(|error| match error.kind() {
+            ErrorKind::NotFound => FolderFault::Missing,
+            _ => FolderFault::Disk(error),
+        })?;
+        drop(fs::remove_file(folder.join(format!("{}.csv", name.stem())))); // most have none
+        Ok(())
+    }
+
+    /// The file of estimates beside that one.
+    pub fn table(&self, name: &FileName) -> Result<File, FolderFault> {
+        let path = self.path()?.join(format!("{}.csv", name.stem()));
+        Ok(OpenOptions::new().write(true).create_new(true).mode(0o640).open(path)?)
+    }
+
+    /// After a start: files that a killed service left get their end; those that another one is writing are left alone.
+    pub fn mend_all(&self) {
+        let Ok(folder) = self.path() else { return };
+        for name in self.names(folder, PART).unwrap_or_default() {
+            let file = name.as_str();
+            let lock = File::open(self.part(folder, &name)).and_then(|file| {
+                flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+                Ok(file)
+            });
+            let Ok(_held) = lock else { continue };
+            match self.give_up(&name) {
+                Ok(MendedFile::Mended { messages, lost_bytes }) => {
+                    tracing::info!(file, messages, lost_bytes, "a recording that was cut off has its end");
+                }
+                Ok(MendedFile::Whole) => tracing::info!(file, "a recording that was whole has its name"),
+                Ok(MendedFile::Empty) => tracing::info!(file, "a recording in which nothing was written is gone"),
+                Err(fault) => tracing::warn!(file, ?fault, "a recording that was cut off is left as it is"),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_names_and_nothing_else() {
+        for good in ["a.mcap", "demo-12-1700000000-0001.mcap", "0-.mcap"] {
+            assert!(FileName::parse(good).is_some(), "{good}");
+        }
+        let long = format!("{}.mcap", "a".repeat(121));
+        for bad in [
+            "",
+            ".mcap",
+            "-a.mcap",
+            "a",
+            "a.part.mcap",
+            "../a.mcap",
+            "a/b.mcap",
+            "A.mcap",
+            "a.mcap\0",
+            "ä.mcap",
+            "%2e.mcap",
+            &long,
+        ] {
+            assert!(FileName::parse(bad).is_none(), "{bad}");
+        }
+    }
+}

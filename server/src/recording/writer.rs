@@ -1,0 +1,375 @@
+//! The thread that writes a recording: notes in, files out, one after the other where they are rotated.
+//!
+//! Whatever happens to it, what was written is kept: a budget that is reached, a disk that is full, frames that are no pictures end
+//! the recording with a reason.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use isophote_machine::{monotonic_ns, rfc3339, unix_ms};
+use isophote_symbolic::Model;
+use isophote_tracker::{Frame, Snapshot};
+use isophote_wire::{CameraStatus, LoggedSession, LoggedSwap, RecordDocument, RecordedFrames, RecordingState};
+
+use super::csv::EstimateTable;
+use super::folder::{FileName, FolderFault, RecordingFolder};
+use super::log::{LogFault, SessionLog};
+use super::progress::{SharedProgress, locked};
+use super::tap::{Due, FitNote, ModelNote, Note, Tap};
+
+/// What a killed process loses at most …
+const FLUSH_TIME: Duration = Duration::from_millis(500);
+/// … and a machine without power.
+const SYNC_TIME: Duration = Duration::from_secs(1);
+/// A chunk ends after so many bytes, at most.
+const CHUNK_BYTES: u64 = 4 << 20;
+/// Between snapshots.
+const SNAPSHOT_TIME: Duration = Duration::from_secs(10);
+/// Frames that are remembered, to know whether the pixels of one that was fitted are there.
+const FRAMES_KNOWN: usize = 256;
+/// Room that the end of a file takes, at least.
+const END_BYTES: u64 = 64 << 10;
+const MB: u64 = 1_000_000;
+
+/// The wall clock at the begin, and the monotonic one from then on: it never goes back.
+pub struct RecordingClock {
+    unix_ms: u64,
+    monotonic_ns: u64,
+}
+
+impl RecordingClock {
+    /// From now on.
+    pub fn now() -> RecordingClock {
+        RecordingClock { unix_ms: unix_ms(), monotonic_ns: monotonic_ns() }
+    }
+
+    /// When it began, since 1970.
+    pub fn begin_unix_ms(&self) -> u64 {
+        self.unix_ms
+    }
+
+    /// The same for people.
+    pub fn begin(&self) -> String {
+        rfc3339(self.unix_ms)
+    }
+
+    fn unix_ns(&self, monotonic_ns: u64) -> u64 {
+        (self.unix_ms * 1_000_000).saturating_add_signed(monotonic_ns.wrapping_sub(self.monotonic_ns) as i64)
+    }
+}
+
+/// Why it ended by itself.
+enum Stopped {
+    /// In order.
+    Ended(String),
+    /// It could not go on.
+    Failed(String),
+}
+
+impl From<LogFault> for Stopped {
+    fn from(fault: LogFault) -> Stopped {
+        match fault {
+            LogFault::Disk(error) => Stopped::Failed(format!("the disk: {error}")),
+            LogFault::Frames(reason) => Stopped::Failed(reason),
+        }
+    }
+}
+
+impl From<std::io::Error> for Stopped {
+    fn from(error: std::io::Error) -> Stopped {
+        LogFault::Disk(error).into()
+    }
+}
+
+impl From<FolderFault> for Stopped {
+    fn from(fault: FolderFault) -> Stopped {
+        Stopped::Failed(match fault {
+            FolderFault::Disk(error) => format!("the disk: {error}"),
+            FolderFault::Taken(file) => format!("there is a file {file} already"),
+            FolderFault::None | FolderFault::Missing | FolderFault::Open => "the folder of recordings is gone".into(),
+        })
+    }
+}
+
+/// What the thread owns.
+pub struct Writer {
+    folder: RecordingFolder,
+    stem: String,
+    document: RecordDocument,
+    session: LoggedSession,
+    tap: Arc<Tap>,
+    progress: SharedProgress,
+    clock: RecordingClock,
+    camera: Box<dyn Fn() -> Option<CameraStatus> + Send>,
+    /// The open file.
+    log: Option<SessionLog>,
+    table: Option<EstimateTable>,
+    number: u32,
+    opened: Instant,
+    flushed: Instant,
+    synced: Instant,
+    snapshot: Instant,
+    model: Option<(Arc<Model>, LoggedSwap)>,
+    /// Numbers of the last frames that were written.
+    known: VecDeque<u64>,
+    /// The newest frame, which may still be fitted.
+    newest: Option<(Frame, u64)>,
+    fits: u64,
+    last_camera: Option<CameraStatus>,
+}
+
+impl Writer {
+    /// Opens the first file.
+    pub fn begin(
+        (folder, stem): (RecordingFolder, String),
+        document: RecordDocument,
+        session: LoggedSession,
+        (tap, progress, clock): (Arc<Tap>, SharedProgress, RecordingClock),
+        camera: Box<dyn Fn() -> Option<CameraStatus> + Send>,
+    ) -> Result<Writer, FolderFault> {
+        let now = Instant::now();
+        let mut writer = Writer {
+            folder,
+            stem,
+            document,
+            session,
+            tap,
+            progress,
+            clock,
+            camera,
+            log: None,
+            table: None,
+            number: 0,
+            opened: now,
+            flushed: now,
+            synced: now,
+            snapshot: now,
+            model: None,
+            known: VecDeque::new(),
+            newest: None,
+            fits: 0,
+            last_camera: None,
+        };
+        writer.open()?;
+        Ok(writer)
+    }
+
+    /// The next file.
+    fn open(&mut self) -> Result<(), FolderFault> {
+        self.number += 1;
+        let missing = || FolderFault::Taken(self.stem.clone());
+        let name = FileName::of(&self.stem, self.number).ok_or_else(missing)?;
+        let file = self.folder.begin(&name)?;
+        let begun = SessionLog::begin(file, &self.session, self.clock.unix_ns(monotonic_ns()));
+        self.log = Some(begun.inspect_err(|_| drop(self.folder.give_up(&name)))?);
+        if self.document.csv {
+            self.table = Some(EstimateTable::new(self.folder.table(&name)?));
+        }
+        (self.opened, self.last_camera) = (Instant::now(), None);
+        locked(&self.progress).files.push((name, 0));
+        Ok(())
+    }
+
+    /// Until it is ended, or ends.
+    pub fn run(mut self) {
+        let stopped = loop {
+            let until = self.flushed + FLUSH_TIME;
+            let done = match self.tap.next(until) {
+                Due::Note(note) => self.write(note).and_then(|()| self.tend()),
+                Due::Nothing => self.tend(),
+                Due::End(reason) => Err(Stopped::Ended(reason)),
+            };
+            if let Err(stopped) = done {
+                break stopped;
+            }
+        };
+        self.tap.close();
+        let closed = self.close();
+        let (state, reason) = match (stopped, closed) {
+            (Stopped::Failed(reason), _)
+            | (Stopped::Ended(_), Err(Stopped::Failed(reason) | Stopped::Ended(reason))) => {
+                (RecordingState::Failed, reason)
+            }
+            (Stopped::Ended(reason), Ok(())) => (RecordingState::Ended, reason),
+        };
+        let (session, frames) = (self.session.session.as_str(), locked(&self.progress).frames);
+        match state {
+            RecordingState::Failed => tracing::warn!(session, frames, reason, "a recording has failed"),
+            _ => tracing::info!(session, frames, reason, "a recording has ended"),
+        }
+        let mut progress = locked(&self.progress);
+        (progress.state, progress.reason) = (state, Some(reason));
+    }
+
+    fn write(&mut self, note: Note) -> Result<(), Stopped> {
+        match note {
+            Note::Frame(frame, at_ns) => self.frame(frame, at_ns),
+            Note::Begin(begin) => self.begun(begin.0, &begin.1),
+            Note::Fit(fit) => self.fitted(*fit),
+        }
+    }
+
+    fn log(&mut self) -> Result<&mut SessionLog, Stopped> {
+        self.log.as_mut().ok_or_else(|| Stopped::Failed("bug: no file is open".into()))
+    }
+
+    fn frame(&mut self, frame: Frame, at_ns: u64) -> Result<(), Stopped> {
+        let unix_ns = self.clock.unix_ns(at_ns);
+        self.log()?.frame(unix_ns, &frame)?;
+        self.written(&frame);
+        if self.newest.as_ref().is_none_or(|(newest, _)| newest.sequence < frame.sequence) {
+            self.newest = Some((frame, at_ns));
+        }
+        Ok(())
+    }
+
+    fn written(&mut self, frame: &Frame) {
+        if self.known.len() == FRAMES_KNOWN {
+            self.known.pop_front();
+        }
+        self.known.push_back(frame.sequence);
+        locked(&self.progress).frames += 1;
+    }
+
+    /// A snapshot; where the file is full the next one begins with it.
+    fn begun(&mut self, note: ModelNote, snapshot: &Snapshot) -> Result<(), Stopped> {
+        let is_first = self.model.is_none();
+        let is_rotated = !is_first && !note.is_swap && self.is_full();
+        if is_rotated {
+            self.close()?;
+            self.open()?;
+            // What waits for its fit belongs to the new file.
+            self.known.clear();
+            if let Some((frame, at_ns)) = self.newest.take().filter(|(frame, _)| frame.sequence >= note.swap.frame) {
+                let at_ns = self.clock.unix_ns(at_ns);
+                self.log()?.frame(at_ns, &frame)?;
+                self.known.push_back(frame.sequence);
+            }
+        }
+        let (unix_ns, fits) = (self.clock.unix_ns(monotonic_ns()), self.fits);
+        let log = self.log()?;
+        if is_first || is_rotated || note.is_swap {
+            log.swap(unix_ns, &note.swap)?;
+        }
+        log.snapshot(unix_ns, fits, snapshot)?;
+        if let Some(table) = &mut self.table {
+            table.begin(&note.model)?;
+        }
+        (self.model, self.snapshot) = (Some((note.model, note.swap)), Instant::now());
+        Ok(())
+    }
+
+    fn fitted(&mut self, note: FitNote) -> Result<(), Stopped> {
+        let FitNote { mut fit, at_ns, estimates } = note;
+        let Some((model, _)) = self.model.clone() else { return Ok(()) };
+        fit.fit = self.fits;
+        fit.has_pixels = self.known.contains(&fit.frame);
+        self.fits += 1;
+        let (unix_ns, keeps_pixels) = (self.clock.unix_ns(at_ns), self.document.frames != RecordedFrames::None);
+        if !fit.has_pixels && keeps_pixels {
+            // Without them nobody can repeat the fit; from the next snapshot on it goes on.
+            self.tap.want_snapshot();
+        }
+        self.log()?.fit(unix_ns, &fit, &estimates, &model)?;
+        if let Some(table) = &mut self.table {
+            estimates.iter().try_for_each(|estimate| table.row(unix_ns, estimate))?;
+        }
+        locked(&self.progress).fits = self.fits;
+        Ok(())
+    }
+
+    /// Whether the open file is as long as files are to be.
+    fn is_full(&self) -> bool {
+        let bytes = locked(&self.progress).files.last().map_or(0, |(_, bytes)| *bytes);
+        self.document.rotate_mb.is_some_and(|mb| bytes >= mb * MB)
+            || self.document.rotate_s.is_some_and(|s| self.opened.elapsed() >= Duration::from_secs(s))
+    }
+
+    /// A chunk ends after so many bytes: small files have small ones.
+    fn chunk_bytes(&self) -> u64 {
+        let file = self.document.rotate_mb.unwrap_or(self.document.disk_budget_mb).min(self.document.disk_budget_mb);
+        CHUNK_BYTES.min(file * MB / 8)
+    }
+
+    /// What is due by time and size.
+    fn tend(&mut self) -> Result<(), Stopped> {
+        let waiting = self.log()?.waiting_bytes();
+        if waiting >= self.chunk_bytes() || self.flushed.elapsed() >= FLUSH_TIME {
+            self.flush()?;
+        }
+        if self.model.is_some() && (self.snapshot.elapsed() >= SNAPSHOT_TIME || self.is_full()) {
+            self.snapshot = Instant::now();
+            self.tap.want_snapshot();
+        }
+        self.keep_budget()
+    }
+
+    fn flush(&mut self) -> Result<(), Stopped> {
+        let camera = (self.camera)().filter(|camera| self.last_camera.as_ref() != Some(camera));
+        if let Some(camera) = camera {
+            let unix_ns = self.clock.unix_ns(monotonic_ns());
+            self.log()?.camera(unix_ns, &camera)?;
+            self.last_camera = Some(camera);
+        }
+        let bytes = self.log()?.flush()?;
+        self.flushed = Instant::now();
+        if self.synced.elapsed() >= SYNC_TIME {
+            self.log()?.sync()?;
+            self.synced = Instant::now();
+        }
+        if let Some(table) = &mut self.table {
+            table.flush()?;
+        }
+        if let Some((_, known)) = locked(&self.progress).files.last_mut() {
+            *known = bytes;
+        }
+        Ok(())
+    }
+
+    /// No more bytes than it may have: the oldest files go, or it ends.
+    fn keep_budget(&mut self) -> Result<(), Stopped> {
+        let most = (self.document.disk_budget_mb * MB).saturating_sub(END_BYTES);
+        let waiting = self.log()?.waiting_bytes();
+        loop {
+            let oldest = {
+                let progress = locked(&self.progress);
+                let all: u64 = progress.files.iter().map(|(_, bytes)| bytes).sum();
+                // The chunk that comes next has to find room as well.
+                if all + waiting + self.chunk_bytes() <= most {
+                    return Ok(());
+                }
+                progress.files.first().filter(|_| progress.files.len() > 1).map(|(name, _)| name.clone())
+            };
+            let Some(oldest) = oldest else {
+                return Err(Stopped::Ended(format!("its budget of {} MB is used up", self.document.disk_budget_mb)));
+            };
+            match self.folder.remove(&oldest) {
+                Ok(()) | Err(FolderFault::Missing) => drop(locked(&self.progress).files.remove(0)),
+                Err(fault) => return Err(fault.into()),
+            }
+        }
+    }
+
+    /// Ends the open file.
+    fn close(&mut self) -> Result<(), Stopped> {
+        let Some(log) = self.log.take() else { return Ok(()) };
+        let name = locked(&self.progress).files.last().map(|(name, _)| name.clone());
+        let Some(name) = name else { return Ok(()) };
+        if let Some(mut table) = self.table.take() {
+            table.flush()?;
+        }
+        match log.finish() {
+            Ok(bytes) => {
+                if let Some((_, known)) = locked(&self.progress).files.last_mut() {
+                    *known = bytes;
+                }
+                Ok(self.folder.finish(&name)?)
+            }
+            Err(error) => {
+                self.folder.give_up(&name)?;
+                Err(error.into())
+            }
+        }
+    }
+}

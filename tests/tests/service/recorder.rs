@@ -1,0 +1,80 @@
+//! Sessions that are recorded, and what stands in the files: for tests, and for the example that does more of it.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use isophote_capture::LogReader;
+use serde_json::{Value, json};
+
+use crate::client::{DEADLINE, Running, session};
+
+/// One message of a file.
+pub struct Said {
+    pub schema: String,
+    pub log_time: u64,
+    /// Of our own messages.
+    pub json: Value,
+    /// Of pictures.
+    pub pixels: Option<Vec<f64>>,
+}
+
+/// All messages of a file.
+pub fn said(path: &Path) -> Vec<Said> {
+    let mut reader = LogReader::open(path).unwrap();
+    let mut all = Vec::new();
+    while let Some(message) = reader.next().unwrap() {
+        let schema = message.schema.to_string();
+        let json = schema.starts_with("isophote.").then(|| serde_json::from_slice(&message.payload).unwrap());
+        let pixels = message.frame().map(|frame| {
+            let frame = frame.unwrap();
+            (0..frame.width() * frame.rows()).map(|at| frame.plane_view(0).pixel(at % 64, at / 64)).collect()
+        });
+        all.push(Said { schema, log_time: message.log_time, json: json.unwrap_or_default(), pixels });
+    }
+    all
+}
+
+/// Those of a schema.
+pub fn of<'a>(all: &'a [Said], schema: &str) -> Vec<&'a Said> {
+    all.iter().filter(|one| one.schema == schema).collect()
+}
+
+impl Running {
+    /// Asks again until the recording is as wanted.
+    pub fn recording(&self, session: &str, is_there: impl Fn(&Value) -> bool) -> Value {
+        let start = Instant::now();
+        loop {
+            let view = self.get(&format!("/v1/sessions/{session}/recording")).expect(200);
+            if is_there(&view) {
+                return view;
+            }
+            assert!(start.elapsed() < DEADLINE, "{view}");
+            std::thread::yield_now();
+        }
+    }
+}
+
+/// Frames that were fitted since.
+pub fn fits(view: &Value) -> u64 {
+    view["fits"].as_u64().unwrap()
+}
+
+/// Records a session of a source that waits for its fits, with two swaps; the file.
+pub fn recorded(service: &Running, folder: &Path, name: &str, fits_wanted: u64) -> PathBuf {
+    let mut document = session("fit", 100.0);
+    document["source"]["full_well_e"] = json!(5000);
+    service.put(&format!("/v1/sessions/{name}"), &document).expect(201);
+    service.wait_for(name, |view| view["frames"].as_u64() > Some(20));
+    let at = format!("/v1/sessions/{name}/recording");
+    let view = service.put(&at, &json!({"name": name})).expect(201);
+    assert_eq!((&view["state"], &view["frames"]), (&json!("recording"), &json!("raw")), "{view}");
+    for (part, model) in [(1, "gaussian"), (2, "spot")] {
+        service.recording(name, |view| fits(view) > part * fits_wanted / 3);
+        service.put(&format!("/v1/sessions/{name}/model"), &json!({"model": model})).expect(200);
+    }
+    let view = service.recording(name, |view| fits(view) >= fits_wanted);
+    assert_eq!((&view["dropped"], &view["state"]), (&json!(0), &json!("recording")), "{view}");
+    assert_eq!(service.delete(&at).status, 204);
+    service.get(&at).expect(404);
+    folder.join(format!("{name}-0001.mcap"))
+}

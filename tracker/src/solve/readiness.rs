@@ -1,0 +1,61 @@
+//! `Readiness`: what of a frame's fits was prepared beside them, and was there.
+//!
+//! What comes in: shelves that somebody else fills at any time. What goes out: for one frame always the same answer, which can be
+//! told again: the same frame, after the same ones, then has the same estimates.
+
+use std::sync::{Arc, OnceLock};
+
+use serde::{Deserialize, Serialize};
+
+use super::alternatives::Alternatives;
+use super::compiled::Compiled;
+use super::sampling::Sampling;
+use crate::sight::view::PlaneLayout;
+
+/// What a frame's fits could use beside the model's own kernels; absent where none of them asked for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameReadiness {
+    /// Alternatives to the model.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub alternatives: Option<bool>,
+    /// Finer sampling of pixels.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub sampling: Option<bool>,
+}
+
+/// One frame's.
+#[derive(Debug, Default)]
+pub(crate) struct Readiness {
+    /// As it was for the same frame before.
+    told: Option<FrameReadiness>,
+    alternatives: OnceLock<bool>,
+    sampling: OnceLock<bool>,
+}
+
+impl Readiness {
+    /// As it was told, else as it turns out.
+    pub fn of(told: Option<FrameReadiness>) -> Readiness {
+        Readiness { told, ..Readiness::default() }
+    }
+
+    /// Alternatives, where they were there when the frame first asked for them.
+    pub fn alternatives(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<Arc<Alternatives>> {
+        let told = self.told.map(|told| told.alternatives == Some(true));
+        let is_ready = || told.unwrap_or_else(|| compiled.alternatives_shelf().ready(layout).is_some());
+        let is_ready = *self.alternatives.get_or_init(is_ready);
+        is_ready.then(|| compiled.alternatives(&|| true)).flatten()
+    }
+
+    /// Finer sampling, where it was there when the frame first asked for it.
+    pub fn sampling(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<Arc<Sampling>> {
+        let told = self.told.map(|told| told.sampling == Some(true));
+        let is_ready = || told.unwrap_or_else(|| compiled.sampling_shelf().ready(layout).is_some());
+        let is_ready = *self.sampling.get_or_init(is_ready);
+        is_ready.then(|| compiled.sampling())
+    }
+
+    /// As it turned out.
+    pub fn found(&self) -> FrameReadiness {
+        FrameReadiness { alternatives: self.alternatives.get().copied(), sampling: self.sampling.get().copied() }
+    }
+}
