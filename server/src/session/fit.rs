@@ -188,12 +188,7 @@ impl Fitter {
     }
 
     /// Hands a frame to those who look, with what belongs to it; they draw it.
-    fn show(
-        &mut self,
-        frame: &Frame,
-        estimates: Vec<Estimate>,
-        views: Vec<Arc<EstimateView>>,
-    ) {
+    fn show(&mut self, frame: &Frame, estimates: Vec<Estimate>, views: Vec<Arc<EstimateView>>) {
         let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();
         let (frame, session, epoch) = (frame.clone(), self.name.clone(), self.run.epoch);
         self.shared.preview.show(FittedScene { frame, estimates, views, viewer, session, epoch });

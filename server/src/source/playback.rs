@@ -160,7 +160,11 @@ impl Tape {
         if step >= 0 {
             let is_round = repeat.unwrap_or(self.repeat);
             let ahead = step.saturating_add(i64::try_from(pending).unwrap_or(i64::MAX));
-            return if is_round { Ok(None) } else { self.place("step", now.saturating_add(ahead).max(0)).map(|_| None) };
+            return if is_round {
+                Ok(None)
+            } else {
+                self.place("step", now.saturating_add(ahead).max(0)).map(|_| None)
+            };
         }
         self.place("step", now.saturating_add(step)).map(Some)
     }

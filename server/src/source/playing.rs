@@ -101,7 +101,7 @@ impl Source {
 
 /// 409 where no more frames come.
 fn refuse_when_over(state: &State) -> Result<(), Problem> {
-    let SourceState::Ended | SourceState::Failed = state.state else { return Ok(()) };
+    let (SourceState::Ended | SourceState::Failed) = state.state else { return Ok(()) };
     let reason = state.reason.as_deref().unwrap_or("it has ended");
     let detail = format!("{reason}; delete its sessions and put the source again to play it anew");
     Err(Problem::conflict("not-applicable", detail))

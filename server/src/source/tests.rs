@@ -53,7 +53,7 @@ fn number(event: Event) -> Result<u64, SourceEnd> {
     match event {
         Event::Frame(delivery) => Ok(delivery.captured.frame.sequence),
         Event::SourceEnded(end) => Err(end),
-        Event::Swap(_) | Event::Closed => panic!("neither was asked for"),
+        Event::Swap(_) | Event::Look | Event::Closed => panic!("none of them was asked for"),
     }
 }
 

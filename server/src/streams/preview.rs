@@ -104,9 +104,7 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
 }
 
 /// What was asked for, if anything was.
-async fn drawn(
-    asked: &mut Option<oneshot::Receiver<ShownFrame>>,
-) -> Result<ShownFrame, oneshot::error::RecvError> {
+async fn drawn(asked: &mut Option<oneshot::Receiver<ShownFrame>>) -> Result<ShownFrame, oneshot::error::RecvError> {
     match asked {
         Some(asked) => asked.await,
         None => std::future::pending().await,
