@@ -33,6 +33,7 @@ async function route() {
     const made = await load();
     loaded.value = { ...loaded.value, [id]: made };
   }
+  if (shown.value && shown.value !== id) scrollTo(0, 0);
   shown.value = id;
 }
 

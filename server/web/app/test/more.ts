@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
 import { join } from "node:path";
 import type { Check } from "./checks.ts";
+import { slowed } from "./slow.ts";
 import { Visit, folder, json, run, serve } from "./service.ts";
 
 const MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>";
@@ -80,6 +81,43 @@ export const more: Record<string, Check> = {
     await empty.stop();
   },
 
+  async "a shadow beside the session, promoted"(browser, service) {
+    const { paths } = await json<{ paths: Record<string, object> }>(`${service.url}/openapi.json`);
+    if (!("get" in (paths["/v1/sessions/{name}/shadow"] ?? {}))) return "not in this build";
+    const visit = await Visit.open(browser, service);
+    await visit.go("model");
+    await visit.page.getByLabel("open a model").selectOption("gaussian");
+    await visit.page.locator(".said [data-key='model.intensity']", { hasText: "exp" }).waitFor();
+    await visit.page.locator("#shadow").click();
+    const panel = visit.page.getByLabel("shadow", { exact: true });
+    await panel.locator("tr", { hasText: "χ²/ν" }).filter({ hasText: /\d.*\d/ }).waitFor();
+    await panel.getByRole("button", { name: "Promote" }).click();
+    await visit.page.locator(".swap", { hasText: /gaussian active at frame/ }).waitFor();
+    await fetch(`${service.url}/v1/sessions/demo/model`, { method: "PUT", headers: { "content-type": "application/json" }, body: '{"model": "spot"}' });
+    assert.deepEqual(visit.complaints, []);
+    await visit.close();
+  },
+
+  async "a link of 4 Mbit/s keeps going, compressed"(browser, service) {
+    const slow = await slowed(service, 4_000_000);
+    const visit = await Visit.open(browser, slow);
+    let pictures = 0;
+    visit.page.on("websocket", (socket) => {
+      if (/preview\?part=frame/.test(socket.url())) socket.on("framereceived", () => { pictures += 1; });
+    });
+    await visit.go("live");
+    await visit.overlaid();
+    await visit.page.locator(".key", { hasText: "JPEG" }).waitFor({ timeout: 30_000 });
+    await visit.page.waitForTimeout(9000); // until the rate has settled
+    pictures = 0;
+    await visit.page.waitForTimeout(5000);
+    const told = await visit.page.locator(".stage .key .quiet").textContent();
+    assert.ok(pictures > 5, `${pictures} pictures in 5 s`);
+    await visit.close();
+    await slow.stop();
+    return `${(pictures / 5).toFixed(1)} pictures a second; ${told}`;
+  },
+
   async "what it costs at 30 frames a second"(browser, service) {
     const visit = await Visit.open(browser, service);
     await visit.go("live");
@@ -91,8 +129,9 @@ export const more: Record<string, Check> = {
     const [before, start] = [await busy(), performance.now()];
     await visit.page.waitForTimeout(10_000);
     const share = 100 * (await busy() - before) / ((performance.now() - start) / 1000);
+    const told = await visit.page.locator(".stage .key .quiet").textContent();
     await visit.close();
-    return `the page's thread is busy for ${share.toFixed(1)} % of a core`;
+    return `the page's thread is busy for ${share.toFixed(1)} % of a core, with ${told}`;
   },
 
   async "estimates as a file"(browser, service) {

@@ -82,7 +82,7 @@ export function ScenePanel({ source }: { source: Source }) {
       <Slider label="exposure" unit="×" value={Math.log2(exposure.value)} min={-5} max={3} step={0.1} shown={exposure.value.toPrecision(2)}
         set={(to) => { exposure.value = 2 ** to; void change({ exposure: Number((2 ** to).toPrecision(3)) }); }} />
       <Slider label="read noise" unit="e⁻" value={noise.value} min={0} max={400} step={5} set={(to) => { noise.value = to; void change({ read_noise_e: to }); }} />
-      <Slider label="photon noise" unit="× fewer electrons" value={Math.log2(fewer.value)} min={0} max={7} step={0.1} shown={fewer.value.toPrecision(2)}
+      <Slider label="photon noise" unit="× fewer e⁻" value={Math.log2(fewer.value)} min={0} max={7} step={0.1} shown={fewer.value.toPrecision(2)}
         set={(to) => { fewer.value = 2 ** to; void change({ full_well_e: FULL_WELL_E / 2 ** to }); }} />
       <Slider label="glare" unit="DN" value={glare.value} min={0} max={250} step={5} set={(to) => { glare.value = to; void sendLight(); }} />
       <Slider label="slope of the light" unit="DN/px" value={slope.value} min={0} max={0.4} step={0.01} set={(to) => { slope.value = to; void sendLight(); }} />

@@ -23,6 +23,10 @@ export function enter(given: string) {
   entered.value += 1;
 }
 
+export function hasToken(): boolean {
+  return token !== "";
+}
+
 /** A page can set no other header of a socket. */
 export function protocols(): string[] {
   return token ? ["isophote.v1", `isophote.token.${token}`] : ["isophote.v1"];

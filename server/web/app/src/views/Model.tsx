@@ -6,13 +6,16 @@ import { apply, draft, faults, open, readVersions, report, rollBack, trouble, ve
 import { plain } from "../format";
 import { Formulas } from "../parts/Formulas";
 import { ShadowButton, ShadowPanel } from "../parts/Shadow";
+import { Parameters } from "../parts/Parameters";
 import { Screen } from "../parts/Screen";
 import { SwapLine } from "../parts/SwapLine";
+import { features, useFeatures } from "../state/features";
 import { usePictures } from "../state/pictures";
 import { models, session } from "../state/store";
 
 export function ModelView() {
   usePictures("frame");
+  useFeatures();
   const isChanged = useComputed(() => draft.text.value !== draft.saved.value);
   const active = session.value?.active_model ?? models.value[0]?.name ?? "";
   useEffect(() => { if (!draft.name.peek() && active) void open(active); }, [active]);
@@ -27,7 +30,7 @@ export function ModelView() {
           </select></label>
           <label>put as <input size={14} value={draft.name} pattern="[a-z0-9][a-z0-9\-]{0,63}" onInput={(event) => { draft.name.value = event.currentTarget.value; void readVersions(); }} /></label>
           <button class="primary" id="apply" disabled={faults.value.length > 0} onClick={() => void apply()} title="put it and fit it (Ctrl-Enter)">Apply</button>
-          <ShadowButton model={draft.name.value} />
+          {features.value.shadow && <ShadowButton model={draft.name.value} />}
           <span class="quiet">{isChanged.value ? "changed" : ""}</span>
         </p>
         <Editor apply={() => void apply()} />
@@ -36,6 +39,7 @@ export function ModelView() {
       <div class="said">
         <Faults />
         {session.value && <Screen />}
+        {session.value && <section class="panel" aria-label="parameters"><Parameters /></section>}
         <ShadowPanel />
         <section class="panel" aria-label="formulas">
           <h3>As mathematics <small class="quiet">point at a term to see where it stands</small></h3>

@@ -5,6 +5,8 @@ import type uPlot from "uplot";
 import { chart, type ChartLook } from "../draw/chart";
 import { sigmaOf } from "../draw/ellipse";
 import { modelName, powerOfTen } from "../format";
+import { Trace } from "../parts/Trace";
+import { features, useFeatures } from "../state/features";
 import { pause } from "../state/pictures";
 import { beat, document_, history, newest, paused, session } from "../state/store";
 import type { Estimate } from "../types";
@@ -17,6 +19,7 @@ const BEATS = 2;
 const POINTS_MAX = 900;
 
 export function Plots() {
+  useFeatures();
   const span = useSignal(20);
   const back = useSignal(0);
   const order = orderShown.value ? orderShown.value.split(" ") : [];
@@ -41,6 +44,7 @@ export function Plots() {
         <Chart title="brightness" unit="DN" span={span.value} back={back.value} series={(e) => [e.illumination?.brightness]} />
         <Chart title="exposure advised" unit="times as much light" span={span.value} back={back.value} series={(e) => [e.exposure_advice?.factor]} />
         <Chart title="confidence" unit="" span={span.value} back={back.value} series={(e) => [e.confidence]} />
+        {features.value.trace && <Trace />}
         <Latency span={span.value} back={back.value} />
       </div>
     </div>

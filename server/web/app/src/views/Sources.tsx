@@ -6,14 +6,17 @@ import { beginDemo } from "../state/demo";
 import { said, segment, send } from "../state/api";
 import { chosen, look, models, refresh, session, sessions, sources } from "../state/store";
 import { Screen } from "../parts/Screen";
+import { features, useFeatures } from "../state/features";
 import { usePictures } from "../state/pictures";
 import { CameraList, CameraPanel } from "../sources/Camera";
 import { ImageFit } from "../sources/ImageFit";
 import { PlaybackPanel } from "../sources/Playback";
+import { RecordingPanel } from "../sources/Recording";
 import { ScenePanel } from "../sources/Scene";
 
 export function Sources() {
   usePictures("frame");
+  useFeatures();
   const one = session.value;
   const name = typeof one?.source === "string" ? one.source : "";
   const source = sources.value.find((each) => each.name === name);
@@ -33,6 +36,7 @@ export function Sources() {
             <p>Your program sends them: <code>POST /v1/sessions/{one?.name}/frames</code> (<a href="/docs/api.html#pushed-frames">how</a>).</p></section>
         )}
         {one && !source && <p class="panel quiet">The source of {one.name} is its own, without a name: it can be neither set nor shared. Start it under a name to do that.</p>}
+        {one && features.value.recording && <RecordingPanel key={`record-${one.name}`} session={one.name} />}
         <ImageFit />
         <CameraList />
       </div>
@@ -57,7 +61,7 @@ function SessionList() {
     }
   };
   return (
-    <section class="panel">
+    <section class="panel late">
       <h3>Sessions <small class="quiet">a model fitted to every frame of a source</small></h3>
       {sessions.value.length === 0 && <p class="row"><span class="quiet">None yet.</span>
         <button onClick={() => beginDemo().then((told) => { fault.value = told; })}>Start the demo</button></p>}
@@ -112,7 +116,7 @@ function StartForm() {
     }
   };
   return (
-    <form class="panel fields" onSubmit={(event) => void start(event)}>
+    <form class="panel fields late" onSubmit={(event) => void start(event)}>
       <h3>Start a session</h3>
       <label>name <input value={name} placeholder="session" pattern="[a-z0-9][a-z0-9\-]{0,63}" onInput={(event) => { name.value = event.currentTarget.value; }} /></label>
       <label>model <select value={model} onChange={(event) => { model.value = event.currentTarget.value; }}>
