@@ -7,7 +7,7 @@ import { chromium, type Browser, type BrowserContext, type Page } from "playwrig
 
 /** npm runs scripts where their package.json is. */
 export const TOP = resolve("../../..");
-const PROGRAM = process.env["ISOPHOTE"] ?? join(process.env["CARGO_TARGET_DIR"] ?? join(TOP, "target"), "debug/isophote");
+const PROGRAM = process.env["ISOPHOTE"] ?? resolve(TOP, process.env["CARGO_TARGET_DIR"] ?? "target", "debug/isophote");
 const BROWSERS = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
 
 /** Where pictures and files of a run go. */
