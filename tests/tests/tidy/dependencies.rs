@@ -10,7 +10,7 @@ const MAY_USE: [(&str, &[&str]); 15] = [
     ("isophote-syntax", &["isophote-elementary"]),
     ("isophote-symbolic", &["isophote-elementary", "isophote-syntax"]),
     ("isophote-export", &["isophote-symbolic"]),
-    ("isophote-notation", &["isophote-symbolic"]),
+    ("isophote-notation", &["isophote-syntax", "isophote-symbolic"]),
     ("isophote-jit", &["isophote-elementary", "isophote-symbolic"]),
     ("isophote-frame", &["isophote-jit"]),
     ("isophote-tracker", &["isophote-symbolic", "isophote-jit", "isophote-frame"]),
