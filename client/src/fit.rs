@@ -9,7 +9,9 @@ use isophote_capture::encode::encode_png_rgb;
 use isophote_capture::{Captured, FrameSource};
 use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{CONFIDENCE_MIN, Estimate, ExposureGoal, Pose, TrackState, TrackerOptions, contours};
+use isophote_tracker::{
+    CONFIDENCE_MIN, Estimate, ExposureGoal, Pose, Stop, TrackState, TrackerOptions, Watch, contours,
+};
 use isophote_wire as wire;
 
 use crate::arguments::{NumberArgs, PrecisionArgument, VectorWidthArgument, WindowArgument};
@@ -63,9 +65,24 @@ pub struct FitArgs {
     /// Write a picture of each frame with the fitted contour and centre
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
+    /// Say of each frame which points its fit tried, and how F fell there (`trace`); with --json
+    #[arg(long, requires = "json")]
+    pub trace: bool,
     /// One JSON object a line
     #[arg(long)]
     pub json: bool,
+}
+
+/// A frame is fitted to its end, and the points that are tried are kept.
+struct Traced;
+
+impl Watch for Traced {
+    fn stop(&self) -> Option<Stop> {
+        None
+    }
+    fn is_traced(&self) -> bool {
+        true
+    }
 }
 
 /// Fits all frames. A frame whose target is lost is a line with its state; a file that cannot be read ends the run.
@@ -84,9 +101,13 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     while let Some(captured) = run.recording.next().map_err(Failure::other)? {
         check_frame(args, &model, &captured, &run.options)?;
         let start = std::time::Instant::now();
-        let estimate = tracker.track(&captured.frame);
+        let estimate = match args.trace {
+            true => tracker.track_all_while(&captured.frame, &Traced).swap_remove(0),
+            false => tracker.track(&captured.frame),
+        };
         let fit_us = start.elapsed().as_micros() as u64;
         let mut line = wire::EstimateView::new(&model, &model_id, captured.frame.sequence, &estimate);
+        line.trace = wire::trace(&estimate);
         line.file = captured.file.clone();
         line.time_s = captured.frame.time_s;
         line.vector_width = Some(8 * width.bytes());

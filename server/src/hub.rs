@@ -3,15 +3,17 @@
 //! Each target is a stream of its own: what is newest, and what was dropped, is told for each.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use isophote_wire::EstimateView;
+use isophote_wire::{EstimateView, TraceView};
 use tokio::sync::Notify;
 
 use crate::access::Visitor;
 use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::written::{SentEstimate, TraceWish, WrittenEstimate};
 
 /// What a subscriber gets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize, utoipa::ToSchema)]
@@ -49,6 +51,8 @@ pub struct Hub {
     changed: Notify,
     /// Frames that subscribers were told to have missed.
     dropped: Tally,
+    /// Subscribers who want the steps of the fits.
+    tracers: AtomicUsize,
 }
 
 /// What a session's subscribers are, and cost.
@@ -80,32 +84,9 @@ struct State {
 struct Last {
     number: u64,
     estimate: Arc<EstimateView>,
+    trace: Arc<[TraceView]>,
     /// Written by the first who needs it.
     written: Arc<OnceLock<Arc<WrittenEstimate>>>,
-}
-
-/// An estimate as JSON, but for the one number that is another for each subscriber.
-#[derive(Debug, PartialEq)]
-struct WrittenEstimate {
-    frame: u64,
-    target: String,
-    before: String,
-    after: String,
-}
-
-impl WrittenEstimate {
-    fn of(estimate: &EstimateView) -> Arc<WrittenEstimate> {
-        // In a string of the user's the quotes would be escaped, and objects with names of the user's come later.
-        const KEY: &str = "\"dropped\":";
-        let mut before = serde_json::to_string(estimate).unwrap_or_default();
-        let at = before.find(KEY).map_or(before.len(), |at| at + KEY.len());
-        let after = before.split_off(at).trim_start_matches(|c: char| c.is_ascii_digit()).to_string();
-        Arc::new(WrittenEstimate { frame: estimate.frame, target: estimate.target.clone(), before, after })
-    }
-
-    fn bytes(&self) -> usize {
-        size_of::<WrittenEstimate>() + self.target.len() + self.before.capacity() + self.after.capacity()
-    }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -115,16 +96,26 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Hub {
     /// Hands an estimate to every subscriber.
     pub fn publish(&self, estimate: Arc<EstimateView>) {
+        self.publish_traced(estimate, &[]);
+    }
+
+    /// Whether anybody wants the steps of the fits.
+    pub fn is_traced(&self) -> bool {
+        self.tracers.load(Ordering::Relaxed) > 0
+    }
+
+    /// The same with the steps of its fit, for those who want them.
+    pub fn publish_traced(&self, estimate: Arc<EstimateView>, trace: &[TraceView]) {
         let is_wanted = lock(&self.state).subscribers_of_all > 0;
         let written = Arc::new(OnceLock::new());
         if is_wanted {
-            written.get_or_init(|| WrittenEstimate::of(&estimate));
+            written.get_or_init(|| WrittenEstimate::of(&estimate, trace));
         }
         let mut state = lock(&self.state);
         let number = state.next;
         state.next += 1;
         if state.subscribers_of_all > 0 {
-            let one = written.get_or_init(|| WrittenEstimate::of(&estimate)).clone();
+            let one = written.get_or_init(|| WrittenEstimate::of(&estimate, trace)).clone();
             state.ring_bytes += one.bytes();
             state.ring.push_back(one);
             while state.ring_bytes > LIMITS.ring_bytes && state.ring.len() > 1 {
@@ -132,7 +123,7 @@ impl Hub {
                 state.ring_bytes -= oldest.map_or(0, |oldest| oldest.bytes());
             }
         }
-        state.last.insert(estimate.target.clone(), Last { number, estimate, written });
+        state.last.insert(estimate.target.clone(), Last { number, estimate, trace: trace.into(), written });
         drop(state);
         self.changed.notify_waiters();
     }
@@ -169,7 +160,8 @@ impl Hub {
         state.subscribers_of_all += usize::from(mode == Mode::All);
         let next = if mode == Mode::All { state.next } else { 0 };
         drop(state);
-        Ok(Subscription { hub: self.clone(), mode, next, last_frames: BTreeMap::new(), visitor: Visitor::Anyone })
+        let (hub, last_frames, visitor, wish) = (self.clone(), BTreeMap::new(), Visitor::Anyone, TraceWish::Without);
+        Ok(Subscription { hub, mode, next, last_frames, visitor, wish })
     }
 }
 
@@ -186,7 +178,7 @@ impl State {
             Mode::Latest => {
                 let newer = self.last.values().filter(|last| last.number >= from);
                 let last = newer.min_by_key(|last| last.number)?;
-                Some((last.number, Found::Last(last.estimate.clone(), last.written.clone())))
+                Some((last.number, Found::Last(last.estimate.clone(), last.trace.clone(), last.written.clone())))
             }
         }
     }
@@ -195,7 +187,7 @@ impl State {
 /// What is written, or will be outside of the lock.
 enum Found {
     Written(Arc<WrittenEstimate>),
-    Last(Arc<EstimateView>, Arc<OnceLock<Arc<WrittenEstimate>>>),
+    Last(Arc<EstimateView>, Arc<[TraceView]>, Arc<OnceLock<Arc<WrittenEstimate>>>),
 }
 
 /// What a subscriber is handed.
@@ -207,26 +199,6 @@ pub enum Next {
     End(End),
 }
 
-/// An estimate for one subscriber.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SentEstimate {
-    written: Arc<WrittenEstimate>,
-    dropped: u64,
-}
-
-impl SentEstimate {
-    /// The number of its frame.
-    pub fn frame(&self) -> u64 {
-        self.written.frame
-    }
-
-    /// As JSON, `dropped` filled in.
-    pub fn json(&self) -> String {
-        let WrittenEstimate { before, after, .. } = &*self.written;
-        format!("{before}{}{after}", self.dropped)
-    }
-}
-
 /// One subscriber; dropping it unsubscribes.
 pub struct Subscription {
     hub: Arc<Hub>,
@@ -236,12 +208,22 @@ pub struct Subscription {
     /// By target.
     last_frames: BTreeMap<String, u64>,
     visitor: Visitor,
+    wish: TraceWish,
 }
 
 impl Subscription {
     /// It ends when this visitor's token is revoked.
     pub fn of(mut self, visitor: Visitor) -> Subscription {
         self.visitor = visitor;
+        self
+    }
+
+    /// It has the steps of the fits as well, if it wants them.
+    pub fn with_trace(mut self, wish: TraceWish) -> Subscription {
+        if wish == TraceWish::With && self.wish == TraceWish::Without {
+            self.hub.tracers.fetch_add(1, Ordering::Relaxed);
+            self.wish = wish;
+        }
         self
     }
 
@@ -300,17 +282,22 @@ impl Subscription {
         self.next = number + 1;
         let written = match found {
             Found::Written(written) => written,
-            Found::Last(estimate, written) => written.get_or_init(|| WrittenEstimate::of(&estimate)).clone(),
+            Found::Last(estimate, trace, written) => {
+                written.get_or_init(|| WrittenEstimate::of(&estimate, &trace)).clone()
+            }
         };
         let last = self.last_frames.insert(written.target.clone(), written.frame);
         let dropped = last.map_or(0, |last| written.frame.saturating_sub(last).saturating_sub(1));
         self.hub.dropped.add(dropped);
-        Some(Next::Estimate(SentEstimate { written, dropped }))
+        Some(Next::Estimate(SentEstimate::new(written, dropped, self.wish)))
     }
 }
 
 impl Drop for Subscription {
     fn drop(&mut self) {
+        if self.wish == TraceWish::With {
+            self.hub.tracers.fetch_sub(1, Ordering::Relaxed);
+        }
         let mut state = lock(&self.hub.state);
         state.subscribers -= 1;
         state.subscribers_of_all -= usize::from(self.mode == Mode::All);
@@ -422,9 +409,30 @@ mod tests {
         estimate.session = Some("\"dropped\":1".into());
         estimate.file = Some("dropped".into());
         estimate.parameters = [("dropped", 5.0)].into_iter().collect();
-        let told = SentEstimate { written: WrittenEstimate::of(&estimate), dropped: 12 };
+        let told = SentEstimate::new(WrittenEstimate::of(&estimate, &[]), 12, TraceWish::With);
         estimate.dropped = 12;
         assert_eq!(serde_json::from_str::<EstimateView>(&told.json()).unwrap(), estimate);
+    }
+
+    /// Only those who asked are told the steps, in either mode, and only as long as one asks are there any.
+    #[test]
+    fn steps_are_told_to_those_who_ask() {
+        let hub = Arc::new(Hub::default());
+        let trace = [TraceView { stage: 0, pass: 1, objective: Some(2.5), radius: None, ratio: Some(0.9) }];
+        let mut told = Vec::new();
+        for mode in [Mode::All, Mode::Latest] {
+            let (mut plain, asking) = (hub.subscribe(mode).unwrap(), hub.subscribe(mode).unwrap());
+            assert!(!hub.is_traced());
+            let mut asking = asking.with_trace(TraceWish::With);
+            assert!(hub.is_traced());
+            hub.publish_traced(estimate(3), &trace);
+            for subscriber in [&mut plain, &mut asking] {
+                let Some(Next::Estimate(sent)) = subscriber.take() else { panic!("{mode:?}: nothing") };
+                told.push(serde_json::from_str::<EstimateView>(&sent.json()).unwrap().trace);
+            }
+        }
+        assert!(!hub.is_traced());
+        assert_eq!(told, [vec![], trace.to_vec(), vec![], trace.to_vec()]);
     }
 
     /// An estimate that comes between looking and waiting wakes who waits.

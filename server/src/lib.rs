@@ -47,6 +47,7 @@ mod thread;
 mod turns;
 mod watchdog;
 mod workshop;
+mod written;
 
 pub use access::{
     AccessError, AccessOptions, HostName, Role, Secret, TlsError, TlsFiles, TokenError, TokenFile, TokenRecord,

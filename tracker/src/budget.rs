@@ -28,6 +28,11 @@ pub trait Watch: Sync {
     fn search(&self) -> Option<Stop> {
         None
     }
+
+    /// Whether the points that stages try are kept, see [`Estimate::trace`](crate::Estimate::trace).
+    fn is_traced(&self) -> bool {
+        false
+    }
 }
 
 impl<F: Fn() -> Option<Stop> + Sync> Watch for F {
@@ -93,6 +98,11 @@ impl<'a> FrameBudget<'a> {
             Some(whole) => whole.is_over(),
             None => self.stopped.get() == Some(&Stop::Budget),
         }
+    }
+
+    /// Whether the points that stages try are kept.
+    pub fn is_traced(&self) -> bool {
+        self.whole.map_or_else(|| self.watch.is_traced(), FrameBudget::is_traced)
     }
 
     /// Why it ended, when it did.

@@ -103,8 +103,22 @@ impl From<Stop> for Ending {
     }
 }
 
+/// A point that a stage has tried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TracePoint {
+    /// F there, over the pixels of the point before.
+    pub objective: f64,
+    /// The trust region's radius then, ‖D δ‖; absent at a start, and on the short way from a prediction, which has none.
+    pub radius: Option<f64>,
+    /// ρ, by how much F fell over what was promised; absent at a start.
+    pub ratio: Option<f64>,
+}
+
+/// Points of a stage, and of all stages, that are kept.
+pub(crate) const TRACE_MAX: usize = 256;
+
 /// How one stage went.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageReport {
     /// Steps tried.
     pub iterations: u32,
@@ -120,18 +134,30 @@ pub struct StageReport {
     pub pixels_least: u64,
     /// … and of the last.
     pub pixels_last: u64,
+    /// The points that it tried, the first ones; empty where nobody asked, see [`Watch::is_traced`](crate::Watch::is_traced).
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub trace: Vec<TracePoint>,
 }
 
 impl StageReport {
     /// The report of a stage that was run again from where `earlier` had ended.
     pub(crate) fn after(self, earlier: &StageReport) -> StageReport {
+        let trace = earlier.trace.iter().chain(&self.trace).copied().take(TRACE_MAX).collect();
         StageReport {
+            trace,
             iterations: earlier.iterations + self.iterations,
             passes: earlier.passes + self.passes,
             indefinite_steps: earlier.indefinite_steps + self.indefinite_steps,
             pixels_first: earlier.pixels_first,
             pixels_least: earlier.pixels_least.min(self.pixels_least),
             ..self
+        }
+    }
+
+    /// Keeps a point, while there is room.
+    pub(crate) fn note(&mut self, point: TracePoint) {
+        if self.trace.len() < TRACE_MAX {
+            self.trace.push(point);
         }
     }
 
@@ -266,6 +292,14 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// The points that the fit tried, with the stage and their number in it, as many as are kept; empty where nobody asked.
+    pub fn trace(&self) -> impl Iterator<Item = (usize, usize, TracePoint)> + '_ {
+        let stages = self.stages.iter().enumerate();
+        let points =
+            stages.flat_map(|(stage, report)| report.trace.iter().enumerate().map(move |(k, at)| (stage, k, *at)));
+        points.take(TRACE_MAX)
+    }
+
     /// Points at which the full Hessian was indefinite, over all stages.
     pub fn indefinite_steps(&self) -> u32 {
         self.stages.iter().map(|stage| stage.indefinite_steps).sum()

@@ -28,7 +28,7 @@ pub mod tune;
 
 pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};
-pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TrackState};
+pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TracePoint, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use isophote_frame::{Buffer, Frame, FrameError, Lease, Plane};
 pub use options::{

@@ -51,6 +51,15 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
         let wide = output(&["fit", text(&spot), "--frames", text(&frames), "--json", "--vector-width", "256"]);
         assert!(lines(&wide).iter().all(|fit| fit["vector_width"] == 256), "{wide}");
     }
+    let traced = lines(&output(&["fit", text(&spot), "--frames", text(&frames), "--json", "--trace"]));
+    for (fit, plain) in traced.iter().zip(lines(&fits)) {
+        assert_eq!((&fit["parameters"], plain.get("trace")), (&plain["parameters"], None), "a trace changes nothing");
+        let trace = fit["trace"].as_array().unwrap();
+        assert!(trace[0]["pass"] == 0 && trace[0].get("ratio").is_none() && trace.len() <= 256, "{trace:?}");
+        let (first, last) =
+            (trace[0]["objective"].as_f64().unwrap(), trace[trace.len() - 1]["objective"].as_f64().unwrap());
+        assert!(trace.len() > 1 && last <= 1.001 * first, "F falls: {trace:?}");
+    }
     let plain = output(&["fit", text(&spot), "--frames", text(&frames)]);
     assert_eq!(plain.lines().count(), 4);
     let first = plain.lines().next().unwrap();

@@ -16,6 +16,7 @@ use crate::hub::Mode;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::streams::{body, websocket};
+use crate::written::TraceWish;
 
 /// How to be sent estimates.
 #[derive(Deserialize, IntoParams)]
@@ -31,6 +32,10 @@ pub struct EstimatesQuery {
     /// 1: those that the session's shadow has fitted as well, with what it says of them in `shadow`.
     #[serde(default)]
     shadow: u8,
+    /// `1`: estimates also have `trace`, the points that their fits tried.
+    #[serde(default)]
+    #[param(inline)]
+    trace: TraceWish,
 }
 
 /// The estimates of a session as they come.
@@ -57,12 +62,15 @@ pub async fn get(
     }
     let hub = match query.shadow {
         0 => session.hub().clone(),
+        1 if query.trace == TraceWish::With => {
+            return Err(Problem::bad_request("trace tells of the session's own fits; leave shadow out"));
+        }
         1 => session.shadow()?.hub().clone(),
         _ => return Err(Problem::bad_request("shadow is 0 or 1")),
     };
     if headers.contains_key(header::UPGRADE) {
         let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
-        let subscription = hub.subscribe(query.mode)?.of(visitor);
+        let subscription = hub.subscribe(query.mode)?.of(visitor).with_trace(query.trace);
         let held = app.stream.clone();
         return Ok(upgrade.on_upgrade(async move |socket| {
             websocket::serve(socket, subscription, query.credit).await;
@@ -74,5 +82,6 @@ pub async fn get(
         let detail = "estimates come as text/event-stream, application/x-ndjson, or over a WebSocket";
         Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", detail)
     })?;
-    Ok(body::response(hub.subscribe(query.mode)?.of(visitor), format, app.stream.clone()))
+    let subscription = hub.subscribe(query.mode)?.of(visitor).with_trace(query.trace);
+    Ok(body::response(subscription, format, app.stream.clone()))
 }

@@ -123,6 +123,7 @@ impl Fitter {
             self.tracker.lose();
         }
         let watch = FrameWatch::begin(&self.name, inbox, &self.room, self.times.as_ref());
+        let watch = watch.traced_for(&self.shared.hub);
         let results = self.tracker.track_all_while(frame, &watch);
         let (start_ns, end_ns, outcome) = (watch.start_ns(), monotonic_ns(), watch.outcome());
         let course = FitCourse::of(delivery, jump, &self.tracker, &watch);
@@ -153,8 +154,11 @@ impl Fitter {
         let teller = Teller { session: &self.name, run: &self.run, active: &self.active };
         let told = results.iter().map(|result| Arc::new(teller.estimate(delivery, result, [start_ns, end_ns])));
         let estimates: Vec<Arc<EstimateView>> = told.collect();
-        for estimate in &estimates {
-            self.shared.hub.publish(estimate.clone());
+        for (estimate, result) in estimates.iter().zip(&results) {
+            match self.shared.hub.is_traced() {
+                true => self.shared.hub.publish_traced(estimate.clone(), &isophote_wire::trace(result)),
+                false => self.shared.hub.publish(estimate.clone()),
+            }
         }
         self.recorder.after(delivery, course, &estimates);
         if let Some(first) = estimates.first() {

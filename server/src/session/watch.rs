@@ -14,6 +14,7 @@ use isophote_wire::{LoggedStop, StopReason};
 
 use super::inbox::{Inbox, Waiting};
 use super::searches::{SearchPlace, SearchRoom};
+use crate::hub::Hub;
 use crate::limits::LIMITS;
 
 /// For how long a session works at a frame of a source whose frames do not wait.
@@ -69,6 +70,7 @@ pub struct FrameWatch<'a> {
     asked: AtomicU64,
     /// What was answered, when it was no.
     stopped: OnceLock<LoggedStop>,
+    is_traced: bool,
 }
 
 impl<'a> FrameWatch<'a> {
@@ -91,7 +93,13 @@ impl<'a> FrameWatch<'a> {
             postponed: AtomicU32::new(0),
             asked: AtomicU64::new(0),
             stopped: OnceLock::new(),
+            is_traced: false,
         }
+    }
+
+    /// The steps of its fits are kept where somebody wants them.
+    pub fn traced_for(self, hub: &Hub) -> FrameWatch<'a> {
+        FrameWatch { is_traced: hub.is_traced(), ..self }
     }
 
     /// When it began.
@@ -129,6 +137,10 @@ impl<'a> FrameWatch<'a> {
 }
 
 impl Watch for FrameWatch<'_> {
+    fn is_traced(&self) -> bool {
+        self.is_traced
+    }
+
     fn stop(&self) -> Option<Stop> {
         let pass = self.asked.fetch_add(1, Ordering::Relaxed);
         let stop = self.verdict()?;

@@ -9,8 +9,9 @@ use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use tokio::sync::mpsc;
 
-use crate::hub::{Next, SentEstimate, Subscription};
+use crate::hub::{Next, Subscription};
 use crate::limits::LIMITS;
+use crate::written::SentEstimate;
 
 /// How messages are set apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -12,7 +12,7 @@ const FLIGHTS_MAX: usize = 8;
 const FLIGHT_BYTES: usize = 64 * 1024;
 /// … and the first of them no more time.
 const FLIGHT_TIME: Duration = Duration::from_millis(100);
-/// A message that takes longer than the fastest by this makes the next ones smaller …
+/// A message that takes longer than the way by this makes the next ones smaller …
 const LATE: Duration = Duration::from_millis(120);
 /// … and by less than this, one after the other, larger.
 const EARLY: Duration = Duration::from_millis(50);
@@ -54,7 +54,7 @@ impl PreviewPace {
     pub fn is_free(&self, now: Instant) -> bool {
         let bytes: usize = self.flights.iter().map(|flight| flight.bytes).sum();
         let is_young = |flight: &Flight| now.saturating_duration_since(flight.sent) < FLIGHT_TIME;
-        match self.flights.front() {
+        match self.flights.iter().find(|flight| flight.bytes > 0) {
             None => true,
             Some(first) => self.flights.len() < FLIGHTS_MAX && bytes < FLIGHT_BYTES && is_young(first),
         }
@@ -65,7 +65,8 @@ impl PreviewPace {
         LEVELS[self.level]
     }
 
-    /// A message goes out; its number comes back with [`PreviewPace::read`].
+    /// A message goes out; its number comes back with [`PreviewPace::read`]. One of no bytes, before all others, says how long the way
+    /// is.
     pub fn send(&mut self, bytes: usize, now: Instant) -> u64 {
         let number = self.next;
         self.next += 1;
@@ -114,6 +115,8 @@ mod tests {
         let end = begin + Duration::from_secs(seconds);
         let (mut now, mut idle, mut count, mut longest) = (begin, begin, 0, Duration::ZERO);
         let mut arriving: VecDeque<(u64, Instant, Instant)> = VecDeque::new();
+        let probe = pace.send(0, now);
+        pace.read(probe, now + Duration::from_millis(1));
         while now < end {
             while let Some((number, sent, at)) = arriving.pop_front_if(|(_, _, at)| *at <= now) {
                 pace.read(number, at);
@@ -159,6 +162,8 @@ mod tests {
     fn who_reads_nothing_is_sent_one_message_and_a_little() {
         let mut pace = PreviewPace::default();
         let now = Instant::now();
+        pace.send(0, now);
+        assert!(pace.is_free(now + Duration::from_secs(1)), "there is no message that could be read");
         pace.send(10_000_000, now);
         assert!(!pace.is_free(now));
         let mut pace = PreviewPace::default();

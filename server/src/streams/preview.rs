@@ -36,13 +36,17 @@ enum Turn {
 pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: Subscription, wish: PreviewWish) {
     let mut credit = wish.credit.map_or(Credit::Open, Credit::Counted);
     let mut pace = PreviewPace::default();
+    let way = pace.send(0, Instant::now());
+    if !send(&mut socket, ping(way), LIMITS.send_time).await {
+        return;
+    }
     let period = Duration::from_secs_f64(1.0 / wish.rate_hz);
     let mut due = Instant::now();
     let mut asked: Option<oneshot::Receiver<ShownFrame>> = None;
     let mut after_seen = 0;
     let mut heard = Instant::now();
-    let mut ping = tokio::time::interval(LIMITS.ping_time);
-    ping.reset();
+    let mut sign = tokio::time::interval(LIMITS.ping_time);
+    sign.reset();
     loop {
         if asked.is_none() && credit.is_left() && pace.is_free(Instant::now()) {
             let (quality, step) = pace.level();
@@ -55,7 +59,7 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
             end = subscription.end() => Turn::Ended(end),
             drawn = drawn(&mut asked) => Turn::Drawn(drawn),
             received = socket.recv() => Turn::Received(received),
-            _ = ping.tick() => Turn::Ping,
+            _ = sign.tick() => Turn::Ping,
         };
         match turn {
             Turn::Ended(Next::End(end)) => return close(&mut socket, &end).await,
@@ -127,5 +131,10 @@ async fn deliver(
         is_sent = send(socket, Message::Binary(message), LIMITS.picture_time) => is_sent,
         () = ended => false,
     };
-    sent && send(socket, Message::Ping(number.to_le_bytes().to_vec().into()), LIMITS.send_time).await
+    sent && send(socket, ping(number), LIMITS.send_time).await
+}
+
+/// Its answer says that all before it was read.
+fn ping(number: u64) -> Message {
+    Message::Ping(number.to_le_bytes().to_vec().into())
 }

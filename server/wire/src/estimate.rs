@@ -123,6 +123,39 @@ pub struct EstimateView {
     /// What the session's shadow says of the frame, in a stream that asks for it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub shadow: Option<ShadowEstimate>,
+    /// The points that the fit tried, the first 256, where that is asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub trace: Vec<TraceView>,
+}
+
+/// A point that a fit tried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TraceView {
+    /// The stage, counted from 0.
+    pub stage: usize,
+    /// The point, counted from 0, where the stage begins.
+    pub pass: usize,
+    /// F there.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub objective: Option<f64>,
+    /// The trust region's radius; none at a start, and on the short way from a prediction.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub radius: Option<f64>,
+    /// ρ: by how much F fell over what was promised. A step is taken from 0.0001 on.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub ratio: Option<f64>,
+}
+
+/// The points that a fit tried, where they were kept. Numbers that are not finite are absent.
+pub fn trace(result: &tracker::Estimate) -> Vec<TraceView> {
+    let view = |(stage, pass, point): (usize, usize, tracker::TracePoint)| TraceView {
+        stage,
+        pass,
+        objective: Some(point.objective).filter(|value| value.is_finite()),
+        radius: point.radius.filter(|value| value.is_finite()),
+        ratio: point.ratio.filter(|value| value.is_finite()),
+    };
+    result.trace().map(view).collect()
 }
 
 /// The illumination by roles, in pixel values.
@@ -200,6 +233,7 @@ impl EstimateView {
             truth: None,
             timing_us: None,
             shadow: None,
+            trace: Vec::new(),
         }
     }
 }

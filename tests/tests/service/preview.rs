@@ -1,6 +1,8 @@
 //! Previews: their messages, formats and parts; which frame they show; who slows whom; and that nothing is drawn for nobody.
 
-use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 
 use isophote_wire::{EstimateView, PreviewFormat, PreviewHeader, PreviewPart};
 use serde_json::json;
@@ -8,7 +10,38 @@ use tungstenite::Message;
 
 use crate::client::{Running, Socket, picture, session, synthetic};
 
+/// Pushes frames, one after the other, until it is dropped.
+struct Pushing {
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Pushing {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+        let pushed = self.thread.take().map(JoinHandle::join);
+        assert!(std::thread::panicking() || pushed.is_none_or(|pushed| pushed.is_ok()), "a frame was refused");
+    }
+}
+
 impl Running {
+    /// Pushes what `frame` makes of 0, 1, 2 …
+    fn pushing(&self, session: &str, frame: impl Fn(f64) -> Vec<u8> + Send + 'static) -> Pushing {
+        let (service, path) = (Running::at(&self.address), format!("/v1/sessions/{session}/frames"));
+        let ends = Arc::<AtomicBool>::default();
+        let told = ends.clone();
+        let push = move || {
+            let mut turn = 0.0;
+            while !told.load(Ordering::Relaxed) {
+                let headers = [("content-type", "application/octet-stream")];
+                service.request("POST", &path, &headers, &frame(turn)).expect(200);
+                turn += 1.0;
+            }
+        };
+        let thread = std::thread::Builder::new().name("push".into()).spawn(push).unwrap();
+        Pushing { ends, thread: Some(thread) }
+    }
+
     fn preview(&self, session: &str, query: &str) -> Socket {
         self.open(&format!("/v1/sessions/{session}/preview?{query}"), "isophote.v1").unwrap()
     }
@@ -91,38 +124,33 @@ fn the_picture_is_that_of_its_estimate() {
     let source = json!({"kind": "pushed", "width": 64, "height": 48, "format": "u8"});
     service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
     let mut socket = service.preview("one", "rate=60");
-    let mut sent = HashMap::new();
-    let mut count = 0;
-    while count < 15 {
-        let turn = sent.len() as f64;
+    let spot = |turn: f64| {
         let centre = (30.0 + 6.0 * (0.3 * turn).sin(), 23.0 + 3.0 * (0.2 * turn).cos());
-        let pixels = picture(64, 48, centre);
-        let headers = [("content-type", "application/octet-stream")];
-        let estimate = service.request("POST", "/v1/sessions/one/frames", &headers, &pixels).expect(200);
-        sent.insert(estimate["frame"].as_u64().unwrap(), (pixels, centre));
-        // Which of the frames are shown is the service's choice.
-        while f64::from(count) < service.counted("isophote_preview_messages_total", "one") {
-            count += 1;
-            let (header, pixels) = shown(&mut socket);
-            let drawing = header.drawing;
-            let (own_pixels, centre) = &sent[&drawing.frame];
-            assert_eq!(&pixels, own_pixels, "the very pixels");
-            let own = drawing.estimate.unwrap();
-            assert_eq!(own.frame, drawing.frame);
-            let [x, y] = ["bx", "by"].map(|name| own.parameters.get(name).unwrap());
-            assert!((x - centre.0).abs() < 0.1 && (y - centre.1).abs() < 0.1, "{x} {y} {centre:?}");
-            let section = drawing.section.unwrap();
-            assert_eq!(section.y, y.round() as usize);
-            let of_row = section.x.iter().map(|x| Some(f32::from(pixels[section.y * 64 + x])));
-            assert_eq!(section.observed, of_row.collect::<Vec<_>>());
-            // The edge of the domain s ≤ 2.2.
-            for [px, py] in drawing.contour.concat() {
-                let [a1, a3] = ["a1", "a3"].map(|name| own.parameters.get(name).unwrap());
-                let s = (px - x).powi(2) * a1 + (py - y).powi(2) * a3;
-                assert!((s - 2.2).abs() < 0.06, "{px} {py}: {s}");
-            }
+        (picture(64, 48, centre), centre)
+    };
+    let pushed = service.pushing("one", move |turn| spot(turn).0);
+    for _ in 0..15 {
+        let (header, pixels) = shown(&mut socket);
+        let drawing = header.drawing;
+        let own = drawing.estimate.unwrap();
+        assert_eq!(own.frame, drawing.frame);
+        let [x, y] = ["bx", "by"].map(|name| own.parameters.get(name).unwrap());
+        // The source's numbers are those of what was pushed.
+        let (own_pixels, centre) = spot(drawing.frame as f64);
+        assert_eq!(pixels, own_pixels, "the very pixels of frame {}", drawing.frame);
+        assert!((x - centre.0).abs() < 0.1 && (y - centre.1).abs() < 0.1, "{x} {y} {centre:?}");
+        let section = drawing.section.unwrap();
+        assert_eq!(section.y, y.round() as usize);
+        let of_row = section.x.iter().map(|x| Some(f32::from(pixels[section.y * 64 + x])));
+        assert_eq!(section.observed, of_row.collect::<Vec<_>>());
+        // The edge of the domain s ≤ 2.2.
+        for [px, py] in drawing.contour.concat() {
+            let [a1, a3] = ["a1", "a3"].map(|name| own.parameters.get(name).unwrap());
+            let s = (px - x).powi(2) * a1 + (py - y).powi(2) * a3;
+            assert!((s - 2.2).abs() < 0.06, "{px} {py}: {s}");
         }
     }
+    drop(pushed);
 }
 
 #[test]
@@ -305,15 +333,10 @@ fn two_targets_and_a_wide_pixel() {
     service.put("/v1/sessions/two", &session).expect(201);
     let mut socket = service.preview("two", "format=raw16&rate=60");
     let mut narrow = service.preview("two", "format=raw8&rate=60");
-    while service.counted("isophote_preview_messages_total", "two") < 4.0 {
-        let headers = [("content-type", "application/octet-stream")];
-        service.request("POST", "/v1/sessions/two/frames", &headers, &frame).expect(200);
-    }
+    let own = frame.clone();
+    let pushed = service.pushing("two", move |_| own.clone());
     let mut both = shown(&mut socket);
     while both.0.drawing.contour.len() < 2 {
-        service
-            .request("POST", "/v1/sessions/two/frames", &[("content-type", "application/octet-stream")], &frame)
-            .expect(200);
         both = shown(&mut socket);
     }
     let (header, pixels) = both;
@@ -330,6 +353,7 @@ fn two_targets_and_a_wide_pixel() {
     let (header, pixels) = shown(&mut narrow);
     assert_eq!(header.pixels.levels.high, 3200.0);
     assert_eq!(pixels[0], (400.0f64 / 3200.0 * 255.0).round() as u8);
+    drop(pushed);
 }
 
 impl Socket {

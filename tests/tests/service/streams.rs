@@ -64,6 +64,23 @@ fn in_mode_all_credit_delays_and_loses_nothing() {
     }
 }
 
+/// The steps of the fits are for those who ask, and are not there when nobody does.
+#[test]
+fn steps_for_those_who_ask() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
+    let (mut plain, mut asking) = (service.socket("one", "mode=all"), service.socket("one", "mode=all&trace=1"));
+    let traced = |estimate: &Value| estimate.get("trace").is_some();
+    // The fit that was under way when it was asked for has none.
+    let with = take(&mut asking, 5).pop().unwrap();
+    let trace = with["trace"].as_array().unwrap();
+    assert!((1..=256).contains(&trace.len()) && trace[0]["stage"] == 0 && trace[0]["pass"] == 0, "{trace:?}");
+    assert!(trace.iter().all(|point| point["objective"].is_f64()), "{trace:?}");
+    assert!(!take(&mut plain, 20).iter().any(traced));
+    assert!(!traced(&service.get("/v1/sessions/one").expect(200)["last"]));
+    service.get("/v1/sessions/one/estimates?trace=2").expect(400);
+}
+
 #[test]
 fn lines_and_events() {
     let service = Running::start();

@@ -15,3 +15,6 @@ pub use overlay::{PixelRun, PoseAxis, PreviewOverlay};
 pub use picture::{PreviewDepth, PreviewPart, PreviewPicture};
 pub use section::CrossSection;
 pub use viewer::{FrameScene, Viewer};
+
+#[cfg(test)]
+mod documents_tests;

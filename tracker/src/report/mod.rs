@@ -5,7 +5,7 @@
 
 mod information;
 mod outlook;
-mod points;
+pub(crate) mod points;
 #[cfg(test)]
 mod tests;
 

@@ -6,6 +6,7 @@ use isophote_jit::Window;
 use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
+use crate::budget::FrameBudget;
 use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
 use crate::scaled::Definite;
@@ -215,6 +216,7 @@ fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -
         noise: model.has_noise(),
         precision: compiled.precision(),
         rounding: view.rounding,
+        is_traced: view.budget.is_some_and(FrameBudget::is_traced),
         window_pixels: if control == Control::Blind { view.numbers() } else { view.window.pixels() - view.gap_pixels() }
             as u64,
     }

@@ -12,7 +12,7 @@
 
 use nalgebra::DVector;
 
-use crate::estimate::{Ending, StageReport};
+use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::scaled::Definite;
 use crate::solve::stage::{CostFunction, Pass, Rules, eigen_resolution};
 use crate::solve::trust::{Quadratic, Spectrum};
@@ -61,6 +61,10 @@ pub(crate) fn follow<P: CostFunction>(
         }
         let objective = pass.quadratic.objective;
         let slack = rules.slack(objective, pass.pixels);
+        if rules.is_traced {
+            let fell = |(promised, _): (f64, f64)| Some((before?.0 - objective + slack) / (promised + slack));
+            report.note(TracePoint { objective, radius: None, ratio: last.and_then(fell) });
+        }
         if before.is_some_and(|(last, _)| objective > last + slack) {
             return None;
         }
@@ -176,6 +180,7 @@ mod tests {
             noise: true,
             precision: Precision::F32,
             rounding: 0.0,
+            is_traced: true,
             window_pixels: 15,
         };
         let mut curve = Curve { contrast: 100.0, passes: 0, is_false, most, entries: Vec::new() };
@@ -194,6 +199,11 @@ mod tests {
             let report = report.unwrap_or_else(|| panic!("{off}: not followed, {} passes", curve.passes));
             assert!((end - 0.7).abs() <= LEFT * deviation, "{off}: {} σ left", (end - 0.7).abs() / deviation);
             assert!(report.passes <= passes, "{off}: {report:?}");
+            let ratios: Vec<Option<f64>> = report.trace.iter().map(|point| point.ratio).collect();
+            assert!(ratios.len() == report.passes as usize && ratios[0].is_none(), "{ratios:?}");
+            // From the minimum itself nothing is promised, and nothing falls.
+            let is_right = |ratio: &f64| off == 0.0 || (0.5..1.5).contains(ratio);
+            assert!(ratios[1..].iter().flatten().all(is_right), "{ratios:?}");
             assert!(curve.entries.iter().all(|entry| *entry == 0.7 + off));
         }
     }

@@ -18,7 +18,7 @@
 use isophote_symbolic::Precision;
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Ending, StageReport};
+use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::solve::trust::{Curvature, Quadratic, Spectrum, TrustRegion, TrustStep};
 
 /// What one gradient pass brings back.
@@ -65,6 +65,8 @@ pub(crate) struct Rules {
     pub precision: Precision,
     /// What rounding does to one residual, in pixel values; 0 when not known.
     pub rounding: f64,
+    /// The points that are tried are kept.
+    pub is_traced: bool,
     /// Pixels that the window holds.
     pub window_pixels: u64,
 }
@@ -323,6 +325,7 @@ impl<P: CostFunction> Walk<'_, P> {
         if self.report.passes == 0 {
             self.report.pixels_first = pass.pixels;
             self.report.pixels_least = pass.pixels;
+            self.note(TracePoint { objective: pass.quadratic.objective, radius: None, ratio: None });
         }
         self.report.passes += 1;
         self.report.pixels_last = pass.pixels;
@@ -331,6 +334,12 @@ impl<P: CostFunction> Walk<'_, P> {
             return Err(Ending::DomainVanished);
         }
         if pass.quadratic.is_finite() { Ok(()) } else { Err(Ending::NonFinite) }
+    }
+
+    fn note(&mut self, point: TracePoint) {
+        if self.rules.is_traced {
+            self.report.note(point);
+        }
     }
 
     /// Tries ever shorter steps from `point` until one is accepted.
@@ -382,7 +391,10 @@ impl<P: CostFunction> Walk<'_, P> {
                 Ok(value) => value,
                 Err(ending) => return Descent::Stopped(ending),
             };
-            if region.judge(&step, pass.quadratic.objective - value, slack) {
+            let (actual, radius) = (pass.quadratic.objective - value, Some(region.radius()));
+            let ratio = Some((actual + slack) / (step.reduction + slack));
+            self.note(TracePoint { objective: value, radius, ratio });
+            if region.judge(&step, actual, slack) {
                 self.last = Some(step.delta.component_mul(&scale));
                 return Descent::Accepted;
             }

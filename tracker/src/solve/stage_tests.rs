@@ -61,6 +61,7 @@ fn rules(parameters: usize, window_pixels: u64) -> Rules {
         noise: false,
         precision: Precision::F64,
         rounding: 0.0,
+        is_traced: false,
         window_pixels,
     }
 }
@@ -217,8 +218,11 @@ fn iterations_are_bounded_and_the_best_point_is_left() {
         Closed { pixels: 2, parameters: 2, full: false, f: &rosenbrock, inside: &everywhere, allowed: &anything };
     let mut point = vec![-1.2, 1.0];
     let before = problem.value(&point, &point).unwrap();
-    let report = run(&mut problem, &Rules { iterations: 3, ..rules(2, 2) }, &mut point);
+    let report = run(&mut problem, &Rules { iterations: 3, is_traced: true, ..rules(2, 2) }, &mut point);
     assert_eq!((report.iterations, report.ending), (3, Ending::IterationLimit));
+    let [start, steps @ ..] = &report.trace[..] else { panic!("no trace") };
+    assert_eq!((start.objective, start.radius, start.ratio, steps.len()), (before, None, None, 3));
+    assert!(steps.iter().all(|step| step.radius.is_some() && step.ratio.is_some()), "{steps:?}");
     assert!(problem.value(&point, &point).unwrap() < before);
 }
 
