@@ -34,7 +34,7 @@ fn a_scene_that_stands_still_gives_a_camera_whose_fits_are_honest() {
     assert!(told.contains("electrons per DN") && told.contains("from 24 frames"), "{told}");
 
     // A model with noise takes it from there: its fits of other frames explain what they scatter by.
-    let spot = model("spot.toml");
+    let (spot, frames) = (model("spot.toml"), path("others"));
     let scene = "bx=80,by=60,a1=0.0025,a2=0,a3=0.004,k1=-0.5,k2=-0.3,v0=20,v1=160";
     let common = ["render", text(&spot), "--out", text(&frames), "--size", "160x120", "--frames", "4", "--set", scene];
     output(
