@@ -132,7 +132,9 @@ fn interrupts(_args: &RecordArgs) -> Result<Interrupts, Failure> {
         signals.wait();
         say.try_send(()).ok(); // it may be over
         signals.wait();
-        std::process::exit(130); // whoever asks twice does not want to wait for the file
+        // Whoever asks twice does not want to wait for the file.
+        #[allow(clippy::disallowed_methods)] // there is nothing to tidy up: the service ends the recording by itself
+        std::process::exit(130);
     };
     let thread = std::thread::Builder::new().name("interrupts".into()).spawn(listen);
     thread.map(|_| (sender, heard)).map_err(|error| Failure::Other(format!("no thread for signals: {error}")))

@@ -51,6 +51,9 @@ struct Mender {
 pub fn mend(path: &Path) -> Result<MendedFile, Error> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
+    if bytes < MAGIC.len() as u64 {
+        return Ok(MendedFile::Empty); // the power went before anything reached the disk
+    }
     let mut mender = Mender {
         file: BufReader::new(file),
         bytes,

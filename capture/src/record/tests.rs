@@ -41,7 +41,7 @@ fn written(path: &Path) -> Vec<u64> {
 fn notes(path: &Path) -> Vec<u64> {
     let mut reader = LogReader::open(path).unwrap();
     let (mut notes, mut pictures) = (Vec::new(), Vec::new());
-    while let Some(message) = reader.next().unwrap() {
+    while let Some(message) = reader.next_message().unwrap() {
         match message.frame() {
             Some(frame) => pictures.push(frame.unwrap().plane_view(0).pixel(2, 1)),
             None => {
@@ -81,7 +81,7 @@ fn files_that_are_cut_off_get_their_end() {
     let ends = written(&whole);
     let bytes = std::fs::read(&whole).unwrap();
     let cut = folder.path().join("cut.mcap");
-    let near = |length: &usize| ends.iter().any(|end| end.abs_diff(*length as u64) < 2) || length % 37 == 0;
+    let near = |length: &usize| ends.iter().any(|end| end.abs_diff(*length as u64) < 2) || length.is_multiple_of(37);
     for length in (8..bytes.len()).rev().filter(near) {
         std::fs::write(&cut, &bytes[..length]).unwrap();
         let flushed = 2 * ends[..3].iter().filter(|end| **end <= length as u64).count() as u64;

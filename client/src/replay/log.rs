@@ -61,7 +61,7 @@ impl RecordedLog {
         };
         let (mut pictures, mut bytes) = (VecDeque::new(), 0);
         loop {
-            let message = reader.next().map_err(Failure::other)?.ok_or_else(foreign)?;
+            let message = reader.next_message().map_err(Failure::other)?.ok_or_else(foreign)?;
             if &*message.schema != "isophote.Session" {
                 if message.schema.starts_with("foxglove.") && bytes < WAITING_BYTES {
                     bytes += message.payload.len();
@@ -88,7 +88,7 @@ impl RecordedLog {
         if let Some(next) = self.next.take() {
             return Ok(Some(next));
         }
-        while let Some(message) = self.reader.next().map_err(Failure::other)? {
+        while let Some(message) = self.reader.next_message().map_err(Failure::other)? {
             let happened = match &*message.schema {
                 "isophote.Estimate" => {
                     let estimate = parsed(&self.path, &message)?;

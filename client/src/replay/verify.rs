@@ -180,8 +180,9 @@ fn first(path: &str, recorded: &Value, repeated: &Value, left_out: &[&str]) -> O
         }
         _ => {
             let (recorded, repeated) = (recorded.clone(), repeated.clone());
-            let differ = recorded.to_string() != repeated.to_string();
-            differ.then(|| Found { field: path.to_string(), recorded, repeated })
+            // As text, in which −0 is not 0.
+            let [one, other] = [&recorded, &repeated].map(Value::to_string);
+            (one != other).then(|| Found { field: path.to_string(), recorded, repeated })
         }
     }
 }

@@ -137,7 +137,10 @@ impl RecordingFolder {
         let part = self.part(self.path()?, name);
         let mended = mend(&part)?;
         match mended {
-            MendedFile::Empty => fs::remove_file(part)?,
+            MendedFile::Empty => {
+                fs::remove_file(part)?;
+                self.remove_table(name)?;
+            }
             MendedFile::Mended { .. } | MendedFile::Whole => self.finish(name)?,
         }
         Ok(mended)
@@ -186,14 +189,21 @@ impl RecordingFolder {
             ErrorKind::NotFound => FolderFault::Missing,
             _ => FolderFault::Disk(error),
         })?;
-        drop(fs::remove_file(folder.join(format!("{}.csv", name.stem())))); // most have none
+        self.remove_table(name)
+    }
+
+    /// Most files have none.
+    fn remove_table(&self, name: &FileName) -> Result<(), FolderFault> {
+        drop(fs::remove_file(self.path()?.join(format!("{}.csv", name.stem()))));
         Ok(())
     }
 
     /// The file of estimates beside that one.
     pub fn table(&self, name: &FileName) -> Result<File, FolderFault> {
         let path = self.path()?.join(format!("{}.csv", name.stem()));
-        Ok(OpenOptions::new().write(true).create_new(true).mode(0o640).open(path)?)
+        // The name is new; a table that is there was left by a recording that never began.
+        let no_link = OFlags::NOFOLLOW.bits() as i32;
+        Ok(OpenOptions::new().write(true).create(true).truncate(true).mode(0o640).custom_flags(no_link).open(path)?)
     }
 
     /// After a start: files that a killed service left get their end; those that another one is writing are left alone.
@@ -201,7 +211,12 @@ impl RecordingFolder {
         let Ok(folder) = self.path() else { return };
         for name in self.names(folder, PART).unwrap_or_default() {
             let file = name.as_str();
-            let lock = File::open(self.part(folder, &name)).and_then(|file| {
+            let no_link = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
+            let opened = OpenOptions::new().read(true).custom_flags(no_link).open(self.part(folder, &name));
+            let lock = opened.and_then(|file| {
+                if !file.metadata()?.is_file() {
+                    return Err(Error::from(ErrorKind::InvalidInput));
+                }
                 flock(&file, FlockOperation::NonBlockingLockExclusive)?;
                 Ok(file)
             });

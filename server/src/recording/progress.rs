@@ -57,7 +57,7 @@ impl SessionRecording {
         let clock = RecordingClock::now();
         let name = session.session.clone();
         let stem = document.name.clone();
-        let stem = stem.unwrap_or_else(|| format!("{name}-{}-{}", session.epoch, clock.begin_unix_ms() / 1000));
+        let stem = stem.unwrap_or_else(|| format!("{name}-{}-{}", session.epoch, clock.begin_unix_ms()));
         let tap = Arc::new(Tap::default());
         tap.want_snapshot();
         let progress =

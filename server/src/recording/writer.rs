@@ -157,15 +157,24 @@ impl Writer {
 
     /// The next file.
     fn open(&mut self) -> Result<(), FolderFault> {
-        self.number += 1;
-        let missing = || FolderFault::Taken(self.stem.clone());
-        let name = FileName::of(&self.stem, self.number).ok_or_else(missing)?;
-        let file = self.folder.begin(&name)?;
+        let is_first = self.log.is_none() && self.number == 0;
+        let (name, file) = loop {
+            self.number += 1;
+            let none = || FolderFault::Taken(self.stem.clone());
+            let name = FileName::of(&self.stem, self.number).ok_or_else(none)?;
+            match self.folder.begin(&name) {
+                // An earlier recording of that name, whose first files were deleted, may have left later ones.
+                Err(FolderFault::Taken(_)) if !is_first => {}
+                begun => break (name, begun?),
+            }
+        };
         let begun = SessionLog::begin(file, &self.session, self.clock.unix_ns(monotonic_ns()));
-        self.log = Some(begun.inspect_err(|_| drop(self.folder.give_up(&name)))?);
+        let log = begun.inspect_err(|_| drop(self.folder.give_up(&name)))?;
         if self.document.csv {
-            self.table = Some(EstimateTable::new(self.folder.table(&name)?));
+            let table = self.folder.table(&name).inspect_err(|_| drop(self.folder.give_up(&name)))?;
+            self.table = Some(EstimateTable::new(table));
         }
+        self.log = Some(log);
         (self.opened, self.last_camera) = (Instant::now(), None);
         locked(&self.progress).files.push((name, 0));
         Ok(())

@@ -140,7 +140,8 @@ fn of_previews(all: &mut Exposition, sessions: &Sessions) {
     for (session, one) in sessions {
         family.sample(&[("session", session.as_str())], one.preview().viewers() as f64);
     }
-    let counted: [(&'static str, &str, fn(&Preview) -> &Tally); 2] = [
+    type Counted = (&'static str, &'static str, fn(&Preview) -> &Tally);
+    let counted: [Counted; 2] = [
         ("isophote_preview_frames_total", "Frames that were drawn.", |of| &of.frames),
         ("isophote_preview_messages_total", "Messages that were made of them, for any number of viewers each.", |of| {
             &of.messages

@@ -48,8 +48,8 @@ pub struct PreviewQuery {
 impl PreviewQuery {
     fn wish(&self) -> Result<PreviewWish, Problem> {
         let rate_hz = self.rate.unwrap_or(RATE_HZ);
-        if !(rate_hz >= LIMITS.rate_hz_least && rate_hz <= LIMITS.picture_rate_hz) {
-            let (least, most) = (LIMITS.rate_hz_least, LIMITS.picture_rate_hz);
+        let (least, most) = (LIMITS.rate_hz_least, LIMITS.picture_rate_hz);
+        if !(least..=most).contains(&rate_hz) {
             return Err(Problem::bad_request(format!("rate is a number of Hz from {least} to {most}, not {rate_hz}")));
         }
         let scale = self.scale.unwrap_or(1.0);

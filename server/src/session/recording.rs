@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use isophote_wire::{LoggedSession, RecordDocument, RecordingView};
 
-use super::inbox::Inbox;
+use super::inbox::{Inbox, Waiting};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::recording::{FileName, FolderFault, RecordingFolder, SessionRecording};
@@ -53,6 +53,10 @@ impl LastRecording {
         check(&document)?;
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let name = session.session.clone();
+        // A session that ends closes its inbox before it asks for this lock.
+        if inbox.waiting() == Waiting::End {
+            return Err(Problem::conflict("not-applicable", format!("the session `{name}` has ended")));
+        }
         if last.as_ref().is_some_and(|recording| recording.is_running()) {
             let detail = format!("the session `{name}` is being recorded; DELETE its recording first");
             return Err(Problem::conflict("in-use", detail));

@@ -22,7 +22,7 @@ pub struct Said {
 pub fn said(path: &Path) -> Vec<Said> {
     let mut reader = LogReader::open(path).unwrap();
     let mut all = Vec::new();
-    while let Some(message) = reader.next().unwrap() {
+    while let Some(message) = reader.next_message().unwrap() {
         let schema = message.schema.to_string();
         let json = schema.starts_with("isophote.").then(|| serde_json::from_slice(&message.payload).unwrap());
         let pixels = message.frame().map(|frame| {

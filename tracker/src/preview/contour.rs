@@ -56,7 +56,7 @@ pub(super) fn trace(inside: &[bool], width: usize, between: &dyn Fn(Pixel, Pixel
         let mut points: Polyline = line[..count].iter().step_by(step).map(at).collect();
         if is_closed {
             points.extend(points.first().copied());
-        } else if let (Some(last), true) = (line.last(), (count - 1) % step != 0) {
+        } else if let (Some(last), true) = (line.last(), !(count - 1).is_multiple_of(step)) {
             points.push(at(last));
         }
         points

@@ -104,7 +104,7 @@ impl LogReader {
     ///
     /// # Errors
     /// When a chunk cannot be unpacked.
-    pub fn next(&mut self) -> Result<Option<LogMessage>, SourceError> {
+    pub fn next_message(&mut self) -> Result<Option<LogMessage>, SourceError> {
         loop {
             if let Some(message) = self.of_chunk().map_err(|fault| fault.about(&self.path))? {
                 return Ok(Some(message));

@@ -14,7 +14,8 @@ for (const [name, check] of Object.entries({ ...checks, ...more, ...pictures }))
   if (!name.includes(wanted)) continue;
   const start = performance.now();
   try {
-    const told = await check(browser, service);
+    const late = new Promise<never>((_, failed) => setTimeout(() => failed(new Error("not done within two minutes")), 120_000).unref());
+    const told = await Promise.race([check(browser, service), late]);
     console.log(`ok    ${name}${told ? `: ${told}` : ""} (${((performance.now() - start) / 1000).toFixed(1)} s)`);
   } catch (error) {
     failed += 1;

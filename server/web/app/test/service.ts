@@ -28,6 +28,7 @@ export function serve(args: string[], address = "127.0.0.1:0"): Promise<Service>
       const url = /listening on (http:\/\/\S+)/.exec(said)?.[1];
       if (!url) return;
       started.removeAllListeners("exit");
+      started.stderr!.removeAllListeners("data").resume(); // what it says later is nobody's
       done({
         url,
         stop: () => new Promise((ended) => {

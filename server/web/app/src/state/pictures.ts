@@ -25,10 +25,20 @@ const KEPT_BYTES = 24_000_000;
 const kept: Preview[] = [];
 let keptBytes = 0;
 
+/** What a picture takes, its pixels decoded. */
+function bytesOf({ pixels, bitmap }: Preview): number {
+  return pixels.length + (bitmap ? 4 * bitmap.width * bitmap.height : 0);
+}
+
 function keep(shown: Preview) {
   kept.push(shown);
-  keptBytes += shown.pixels.length;
-  while (keptBytes > KEPT_BYTES && kept.length > 1) keptBytes -= kept.shift()!.pixels.length;
+  keptBytes += bytesOf(shown);
+  while (keptBytes > KEPT_BYTES && kept.length > 1) drop(kept.shift()!);
+}
+
+function drop(old: Preview) {
+  keptBytes -= bytesOf(old);
+  old.bitmap?.close();
 }
 
 /** Steps back (−1) or forward (+1) through what was seen before the pause. */
@@ -58,7 +68,7 @@ export function usePictures(parts: "frame" | "frame and residual") {
     const name = chosen.value;
     if (!name) return;
     const wanted = () => Math.min(30, session.peek()?.rate_hz || 30);
-    kept.length = keptBytes = 0;
+    kept.splice(0).forEach(drop);
     lacking.value = "waiting for the first picture …";
     const frames = preview(name, "frame", wanted, {
       show(message) {

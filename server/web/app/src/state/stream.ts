@@ -30,8 +30,12 @@ export function stream(path: () => string, listener: Listener): Stream {
     opened.onmessage = async (event) => {
       if (socket !== opened) return;
       wait = FIRST_WAIT_MS;
-      await listener.message(event.data);
-      if (opened.readyState === WebSocket.OPEN) opened.send('{"credit":1}');
+      try {
+        await listener.message(event.data);
+      } finally {
+        // One that cannot be shown must not be the last.
+        if (opened.readyState === WebSocket.OPEN) opened.send('{"credit":1}');
+      }
     };
     opened.onclose = (event) => {
       if (socket !== opened) return;
