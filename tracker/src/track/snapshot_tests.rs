@@ -21,7 +21,7 @@ fn compiled(document: &str) -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap())
 }
 
-/// A target that moves, is half hidden in frames 9 and 17, and is elsewhere from frame 20 on; 14 and 15 show nothing.
+/// A target that moves, is half hidden in frames 9 to 11, and is elsewhere from frame 20 on; 14 and 15 show nothing.
 fn frame(number: u64) -> Frame {
     let t = number as f64;
     let far = if number < 20 { 0.0 } else { 60.0 };
@@ -34,7 +34,7 @@ fn frame(number: u64) -> Frame {
         profile: Falloff::Cubic(-0.5, -0.3),
     };
     let mut spots = Vec::new();
-    if number == 9 || number == 17 {
+    if (9..12).contains(&number) {
         spots.push(Spot { half: [9.0, 9.0], profile: Falloff::Disc, ..spot([centre[0] + 8.0, centre[1]], 120.0) });
     }
     if !(14..16).contains(&number) {
@@ -66,7 +66,7 @@ fn told(estimates: &[Estimate]) -> String {
 
 #[test]
 fn whoever_goes_on_from_a_snapshot_says_the_same() {
-    for (document, targets) in [(SPOT, 1), (SPOT, 2), (GAUSSIAN, 1)] {
+    for (document, targets) in [(SPOT, 1), (SPOT, 2)] {
         let compiled = compiled(document);
         let options = TrackerOptions { targets, ..options() };
         let new = || Tracker::new(compiled.clone(), options.clone()).unwrap();
