@@ -101,7 +101,7 @@ fn a_target_that_disappears_is_predicted_and_found_again() {
     let service = Running::start();
     for light in [json!({"occluders": twice(&json!({"value": 20}))}), json!({"blind": twice(&json!({}))})] {
         // Meanwhile it goes elsewhere.
-        let motion = json!({"bx": "if(t < 10.05, 50.4, 110.2)"});
+        let motion = json!({"bx": "if(t < 20.05, 50.4, 110.2)"});
         let found = estimates(&service, &json!({"light": light, "motion": motion}));
         for estimate in &found {
             let (frame, state) = (estimate["frame"].as_u64().unwrap(), estimate["state"].as_str().unwrap());

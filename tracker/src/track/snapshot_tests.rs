@@ -116,8 +116,12 @@ fn frames_are_repeated_with_what_they_had() {
             preparation.run(&|| true).unwrap();
         }
     }
-    let had = |wanted: Option<bool>| readiness.iter().any(|ready: &FrameReadiness| ready.alternatives == wanted);
-    assert!(had(None) && had(Some(false)) && had(Some(true)), "{readiness:?}");
+    let had = |is_so: fn(&FrameReadiness) -> bool| readiness.iter().any(is_so);
+    assert!(
+        had(|ready| ready.alternatives.is_none()) && had(|ready| ready.alternatives == Some(false)),
+        "{readiness:?}"
+    );
+    assert!(had(|ready| ready.sampling == Some(false)) && had(|ready| ready.sampling == Some(true)), "{readiness:?}");
     assert!(endings.iter().any(|ending| ending.is_unfinished()), "{endings:?}");
 }
 
