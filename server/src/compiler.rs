@@ -14,7 +14,17 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::thread::NamedThread;
 
-type Job = Box<dyn FnOnce() + Send>;
+type Job = Box<dyn FnOnce(&mut Owner) + Send>;
+
+/// The right to change what runs. There is one: the compile thread has it, and lends it to one piece of work after the other.
+pub struct Owner(());
+
+impl Owner {
+    /// For a service that begins.
+    pub fn new() -> Owner {
+        Owner(())
+    }
+}
 
 /// The handle; `stop` ends the thread.
 pub struct Compiler {
@@ -26,13 +36,16 @@ pub struct Compiler {
 }
 
 impl Compiler {
-    /// Starts the thread.
-    pub fn start() -> std::io::Result<Compiler> {
+    /// Starts the thread, to which the right to change things goes.
+    pub fn start(mut owner: Owner) -> std::io::Result<Compiler> {
         let (sender, receiver): (_, Receiver<Job>) = sync_channel(LIMITS.compile_jobs);
         let is_stopping = Arc::new(AtomicBool::new(false));
         let is_over = is_stopping.clone();
         // Dropped, a job tells who waits for it that the service stops.
-        let work = move || receiver.into_iter().take_while(|_| !is_over.load(Ordering::SeqCst)).for_each(|job| job());
+        let work = move || {
+            let jobs = receiver.into_iter().take_while(|_| !is_over.load(Ordering::SeqCst));
+            jobs.for_each(|job| job(&mut owner));
+        };
         let thread = NamedThread::start("compile".into(), work)?;
         let places = Arc::new(Semaphore::new(LIMITS.compile_jobs));
         Ok(Compiler { jobs: Mutex::new(Some(sender)), places, thread, is_stopping })
@@ -42,7 +55,7 @@ impl Compiler {
     /// of `work` is a 500, not the end of the thread.
     pub async fn run<T: Send + 'static>(
         &self,
-        work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+        work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
         let place = self.places.clone().try_acquire_owned();
         let place = place.map_err(|_| Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs))?;
@@ -52,21 +65,30 @@ impl Compiler {
     /// The same for what nobody could try again: it waits for its place.
     pub async fn run_in_turn<T: Send + 'static>(
         &self,
-        work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+        work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
         let place = self.places.clone().acquire_owned().await.map_err(|_| Problem::stopping())?;
         self.hand_in(place, work).await
     }
 
+    /// The same where nothing else can be done meanwhile. Not for asynchronous callers.
+    pub fn run_blocking<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let runtime = tokio::runtime::Builder::new_current_thread().build();
+        runtime.map_err(|error| Problem::bug(error.to_string()))?.block_on(self.run_in_turn(work))
+    }
+
     async fn hand_in<T: Send + 'static>(
         &self,
         place: OwnedSemaphorePermit,
-        work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+        work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
         let (reply, answer) = oneshot::channel();
-        let job: Job = Box::new(move || {
+        let job: Job = Box::new(move |owner| {
             drop(place); // it is out of the queue
-            let result = catch_unwind(AssertUnwindSafe(work));
+            let result = catch_unwind(AssertUnwindSafe(|| work(owner)));
             let result = result.unwrap_or_else(|_| Err(Problem::bug("the compile job panicked")));
             drop(reply.send(result)); // the client may have gone
         });

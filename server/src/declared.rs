@@ -7,6 +7,7 @@ use isophote_wire::{SessionDocument, SourceDocument};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::compiler::Owner;
 use crate::name::Name;
 use crate::registry::{ModelText, Pin};
 use crate::store::{RecordTable, Store, StoreError, Transaction};
@@ -75,7 +76,7 @@ impl Pins for SessionRecord {
     }
 }
 
-/// All of one kind. Changed only on the compile thread, and only after the store has it.
+/// All of one kind. Changed only after the store has it.
 pub struct Declarations<R> {
     store: Arc<dyn Store>,
     table: RecordTable,
@@ -119,7 +120,7 @@ impl<R: Clone + Serialize + DeserializeOwned + Pins> Declarations<R> {
     }
 
     /// Declares, with contents that it needs and that are not kept yet. When this returns, it survives a crash.
-    pub fn put(&self, name: &Name, record: R, contents: &[ModelText]) -> Result<(), StoreError> {
+    pub fn put(&self, _owner: &mut Owner, name: &Name, record: R, contents: &[ModelText]) -> Result<(), StoreError> {
         let unwritten = |error: serde_json::Error| StoreError::Failed(error.to_string());
         let revision = self.lock().get(name).map(|(revision, _)| *revision);
         let bytes = serde_json::to_vec(&record).map_err(unwritten)?;
@@ -134,7 +135,7 @@ impl<R: Clone + Serialize + DeserializeOwned + Pins> Declarations<R> {
     }
 
     /// Declares it no more.
-    pub fn remove(&self, name: &Name) -> Result<(), StoreError> {
+    pub fn remove(&self, _owner: &mut Owner, name: &Name) -> Result<(), StoreError> {
         let Some(revision) = self.lock().get(name).map(|(revision, _)| *revision) else { return Ok(()) };
         let transaction = Transaction::default().expect(self.table, name.as_str(), Some(revision));
         self.store.commit(&transaction.remove(self.table, name.as_str()))?;

@@ -2,6 +2,7 @@
 
 use isophote_wire::{SessionDocument, SourceDocument};
 
+use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
 use crate::problem::Problem;
@@ -14,17 +15,17 @@ const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "he
 const SESSION: &str =
     r#"{"source": "demo", "model": "spot", "camera": {"electrons_per_dn": 19.6, "read_noise_e": 15}}"#;
 
-/// Starts what nothing is declared in the place of: users' own `demo` runs again like any other. Only from the compile thread.
-pub fn start(service: &Service) -> Result<(), Problem> {
+/// Starts what nothing is declared in the place of: users' own `demo` runs again like any other.
+pub fn start(service: &Service, owner: &mut Owner) -> Result<(), Problem> {
     let read = |error: serde_json::Error| Problem::bug(error.to_string());
     let source: SourceDocument = serde_json::from_str(SOURCE).map_err(read)?;
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
     if !service.has_source(&name) {
-        service.put_source(&name, source, None, Keeping::Passing)?;
+        service.put_source(owner, &name, source, None, Keeping::Passing)?;
     }
     if !service.has_session(&name) {
-        service.put_session(&name, session, None, None, Keeping::Passing)?;
+        service.put_session(owner, &name, session, None, None, Keeping::Passing)?;
     }
     Ok(())
 }

@@ -118,7 +118,7 @@ impl Server {
         let address = listener.local_addr().map_err(listen)?;
         if options.demo {
             let demo_service = service.clone();
-            let started = runtime.block_on(service.compiler.run(move || demo::start(&demo_service)));
+            let started = runtime.block_on(service.compiler.run(move |owner| demo::start(&demo_service, owner)));
             started.map_err(|problem: Problem| StartError::Demo(problem.detail))?;
         }
         let folder = RecordingFolder::of(options.access.recordings.as_deref(), options.data.as_deref());

@@ -6,6 +6,7 @@ use std::time::Instant;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::routes::{App, opened_ahead};
@@ -24,7 +25,7 @@ pub async fn restore(app: App, mut stopped: watch::Receiver<bool>) {
         _ = stopped.wait_for(|stopped| *stopped) => return,
     }
     // Where it stops just now, that is in order.
-    change(&app, Service::lived).await.ok();
+    change(&app, |service, _| service.lived()).await.ok();
 }
 
 async fn restore_all(app: &App) {
@@ -36,9 +37,9 @@ async fn restore_all(app: &App) {
     }
     while let Some(Ok((name, opened))) = sources.join_next().await {
         let source = name.clone();
-        let started = change(app, move |service| service.restore_source(&source, opened)).await;
+        let started = change(app, move |service, owner| service.restore_source(owner, &source, opened)).await;
         // Only where the service stops.
-        started.unwrap_or_else(|problem| service.restore_source(&name, Err(problem)));
+        started.unwrap_or_else(|problem| service.source_failed(&name, problem));
     }
     let mut sessions = JoinSet::new();
     for (name, source) in service.awaited_sessions() {
@@ -52,16 +53,16 @@ async fn restore_all(app: &App) {
     }
     while let Some(Ok((name, opened))) = sessions.join_next().await {
         let session = name.clone();
-        let started = change(app, move |service| service.restore_session(&session, opened)).await;
-        started.unwrap_or_else(|problem| service.restore_session(&name, Err(problem)));
+        let started = change(app, move |service, owner| service.restore_session(owner, &session, opened)).await;
+        started.unwrap_or_else(|problem| service.session_failed(&name, problem));
     }
 }
 
 /// On the compile thread, after what clients want and were first with.
-async fn change(app: &App, work: impl FnOnce(&Service) + Send + 'static) -> Result<(), Problem> {
+async fn change(app: &App, work: impl FnOnce(&Service, &mut Owner) + Send + 'static) -> Result<(), Problem> {
     let service = app.service.clone();
-    let work = move || {
-        work(&service);
+    let work = move |owner: &mut Owner| {
+        work(&service, owner);
         Ok(())
     };
     app.service.compiler.run_in_turn(work).await

@@ -6,6 +6,8 @@ mod declare;
 mod knobs;
 mod restore;
 mod shadows;
+#[cfg(test)]
+mod simulation;
 mod standing;
 #[cfg(test)]
 mod tests;
@@ -23,7 +25,7 @@ use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReferenc
 use tokio::sync::oneshot;
 
 use crate::capacity::Load;
-use crate::compiler::Compiler;
+use crate::compiler::{Compiler, Owner};
 use crate::counters::ServiceCounters;
 use crate::declared::{Declarations, Keeping, SessionRecord, SourceRecord};
 use crate::hub::End;
@@ -171,36 +173,38 @@ impl Service {
         Ok((entry, ModelAnswer { name: name.to_string(), version: 0, collected: Vec::new(), report }))
     }
 
-    /// `PUT /v1/models/{name}`, prepared by [`Service::check_model`]. Only from the compile thread.
+    /// `PUT /v1/models/{name}`, prepared by [`Service::check_model`].
     pub fn put_model(
         &self,
+        owner: &mut Owner,
         name: &Name,
         expected: &Expected,
         (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Put, Arc<ModelEntry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
-        let Placed { is_new, entry, collected } = self.registry.put(name, expected, entry, &self.pinned())?;
+        let Placed { is_new, entry, collected } = self.registry.put(owner, name, expected, entry, &self.pinned())?;
         (answer.version, answer.collected) = (entry.version, collected);
         tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
         Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
     }
 
-    /// `POST /v1/models/{name}:rollback`, prepared by [`Service::check_model`]. Only from the compile thread.
+    /// `POST /v1/models/{name}:rollback`, prepared by [`Service::check_model`].
     pub fn roll_back_model(
         &self,
+        owner: &mut Owner,
         name: &Name,
         expected: &Expected,
         version: u64,
         (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Arc<ModelEntry>, ModelAnswer), Problem> {
         self.refuse_when_draining()?;
-        let placed = self.registry.roll_back(name, expected, entry, version, &self.pinned())?;
+        let placed = self.registry.roll_back(owner, name, expected, entry, version, &self.pinned())?;
         answer.version = version;
         Ok((placed.entry, answer))
     }
 
-    /// `DELETE /v1/models/{name}`. Only from the compile thread.
-    pub fn remove_model(&self, name: &Name, expected: &Expected) -> Result<(), Problem> {
+    /// `DELETE /v1/models/{name}`.
+    pub fn remove_model(&self, owner: &mut Owner, name: &Name, expected: &Expected) -> Result<(), Problem> {
         self.registry.get(name.as_str())?;
         if let Some((session, _)) = self.sessions().iter().find(|(_, session)| session.uses_model(name.as_str())) {
             return Err(Problem::conflict("in-use", format!("session `{session}` uses the model `{name}`")));
@@ -209,14 +213,15 @@ impl Service {
             let detail = format!("session `{session}`, which does not run, uses the model `{name}`; delete it first");
             return Err(Problem::conflict("in-use", detail));
         }
-        self.registry.remove(name, expected, &self.pinned())?;
+        self.registry.remove(owner, name, expected, &self.pinned())?;
         tracing::info!(model = name.as_str(), "model removed");
         Ok(())
     }
 
-    /// `PUT /v1/sources/{name}`, opened already where that takes its time. Only from the compile thread.
+    /// `PUT /v1/sources/{name}`, opened already where that takes its time.
     pub fn put_source(
         &self,
+        owner: &mut Owner,
         name: &Name,
         document: SourceDocument,
         opened: Option<Opened>,
@@ -238,7 +243,7 @@ impl Service {
         let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
         let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
         let source = Source::start(name.as_str(), document.clone(), opened)?;
-        let kept = self.keep_source(name, document, model, keeping);
+        let kept = self.keep_source(owner, name, document, model, keeping);
         kept.inspect_err(|_| source.stop())?;
         tracing::info!(source = name.as_str(), kind = source.document().kind(), "source put");
         insert(&self.sources, name, source);
@@ -250,8 +255,8 @@ impl Service {
         Ok(if is_known { Put::Replaced } else { Put::Created })
     }
 
-    /// `DELETE /v1/sources/{name}`. Only from the compile thread.
-    pub fn remove_source(&self, name: &Name) -> Result<(), Problem> {
+    /// `DELETE /v1/sources/{name}`.
+    pub fn remove_source(&self, owner: &mut Owner, name: &Name) -> Result<(), Problem> {
         let source = get(&self.sources, "source", name.as_str());
         if let (Err(unknown), false) = (&source, self.standing_sources.has(name)) {
             return Err(unknown.clone());
@@ -259,7 +264,7 @@ impl Service {
         if let Some(source) = source.as_ref().ok().filter(|source| source.sessions() > 0) {
             return Err(source_in_use(name, source));
         }
-        self.declared_sources.remove(name).map_err(StoreError::problem)?;
+        self.declared_sources.remove(owner, name).map_err(StoreError::problem)?;
         self.standing_sources.remove(name);
         remove(&self.sources, name);
         source.into_iter().for_each(|source| source.stop());
@@ -303,9 +308,10 @@ impl Service {
     }
 
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
-    /// opened already. Only from the compile thread.
+    /// opened already.
     pub fn put_session(
         &self,
+        owner: &mut Owner,
         name: &Name,
         document: SessionDocument,
         opened: Option<Opened>,
@@ -339,7 +345,7 @@ impl Service {
         let session = self.session_of(name, document.clone(), source, &entry, run)?;
         let prepared_ms = prepared.map_or(0.0, |prepared| prepared.compile_ms);
         self.counters.compile_s.observe((prepared_ms + session.compile_ms()) / 1e3);
-        let kept = self.keep_session(name, document, &entry, source_model, declared);
+        let kept = self.keep_session(owner, name, document, &entry, source_model, declared);
         kept.inspect_err(|_| discarded(name, &session))?;
         session.begin();
         tracing::info!(session = name.as_str(), frame = 0, model = entry.id(), "session started");
@@ -385,13 +391,13 @@ impl Service {
         }
     }
 
-    /// `DELETE /v1/sessions/{name}`; the receiver hears when it has ended. Only from the compile thread.
-    pub fn remove_session(&self, name: &Name) -> Result<oneshot::Receiver<()>, Problem> {
+    /// `DELETE /v1/sessions/{name}`; the receiver hears when it has ended.
+    pub fn remove_session(&self, owner: &mut Owner, name: &Name) -> Result<oneshot::Receiver<()>, Problem> {
         let session = get(&self.sessions, "session", name.as_str());
         if let (Err(unknown), false) = (&session, self.standing_sessions.has(name)) {
             return Err(unknown.clone());
         }
-        self.declared_sessions.remove(name).map_err(StoreError::problem)?;
+        self.declared_sessions.remove(owner, name).map_err(StoreError::problem)?;
         self.standing_sessions.remove(name);
         remove(&self.sessions, name);
         match session {
@@ -400,9 +406,10 @@ impl Service {
         }
     }
 
-    /// The second half of a hot swap: what was prepared is handed over. Only from the compile thread.
+    /// The second half of a hot swap: what was prepared is handed over.
     pub fn commit_swap(
         &self,
+        owner: &mut Owner,
         name: &str,
         session: &Arc<Session>,
         entry: &ModelEntry,
@@ -413,8 +420,8 @@ impl Service {
             return Err(Problem::conflict("not-applicable", "the session was replaced before it took the model"));
         }
         self.counters.compile_s.observe(prepared.compile_ms / 1e3);
-        self.keep_swap(name, entry)?;
-        session.commit_swap(prepared)
+        self.keep_swap(owner, name, entry)?;
+        session.commit_swap(owner, prepared)
     }
 
     /// From now on nothing new is taken, and every stream ends.

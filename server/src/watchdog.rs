@@ -54,7 +54,7 @@ pub async fn watch(service: Arc<Service>) {
         pause.tick().await;
         service.watch.ask(monotonic_ns());
         // A queue without room is no answer: it is asked for again.
-        while service.compiler.run(|| Ok(())).await.is_err() {
+        while service.compiler.run(|_| Ok(())).await.is_err() {
             if service.is_draining() {
                 return;
             }
@@ -92,7 +92,7 @@ mod tests {
         assert!(service.readiness().is_ok());
         let (release, held) = sync_channel::<()>(0);
         let stuck = service.clone();
-        let job = tokio::spawn(async move { stuck.compiler.run(move || Ok(held.recv().is_err())).await });
+        let job = tokio::spawn(async move { stuck.compiler.run(move |_| Ok(held.recv().is_err())).await });
         until(|| service.readiness().is_err()).await;
         let problem = service.readiness().unwrap_err();
         assert_eq!((problem.status.as_u16(), problem.code), (503, "not-ready"));

@@ -118,7 +118,7 @@ fn soak(running: &Running, process: u32, minutes: u64) -> bool {
     running.put("/v1/sessions/swapped", &session("realtime", RATE_HZ)).expect(201);
     let pushed = json!({"source": {"kind": "pushed", "width": 64, "height": 48, "format": "u8"}, "model": "spot"});
     running.put("/v1/sessions/pushed", &pushed).expect(201);
-    let mut witness = running.socket("witness", "mode=all&credit=4000000000");
+    let mut witness = running.socket("witness", "mode=all&credit=60000");
     let (mut faults, mut usages) = (Faults { sockets: Vec::new(), streams: Vec::new() }, Vec::new());
     let (mut last_ns, mut gaps_ns, mut dropped, mut swaps) = (None, Vec::new(), 0, 0);
     let mut fault = "none";
@@ -141,6 +141,7 @@ fn soak(running: &Running, process: u32, minutes: u64) -> bool {
                 "minute {minute:3}: {usage:?}, {swaps} swaps, gap {gap_ms:.1} ms (p99), dropped {dropped}, {fault}"
             );
             usages.push(usage);
+            witness.send(r#"{"credit": 60000}"#);
             fault = faults.begin(running, frame / MINUTE - 1);
         }
     }

@@ -17,6 +17,7 @@ use isophote_jit::{KernelCache, VectorWidth};
 use isophote_machine::unix_ms;
 use isophote_wire::VersionList;
 
+use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
@@ -177,10 +178,10 @@ impl Registry {
         Ok(())
     }
 
-    /// Puts a document whose kernels are made. Contents that are `pinned` stay, whoever else needs them. Only from the compile
-    /// thread.
+    /// Puts a document whose kernels are made. Contents that are `pinned` stay, whoever else needs them.
     pub fn put(
         &self,
+        _owner: &mut Owner,
         name: &Name,
         expected: &Expected,
         mut entry: ModelEntry,
@@ -196,9 +197,10 @@ impl Registry {
         self.place(name, before, entry, pinned, collected)
     }
 
-    /// Gives the name to a version that is kept; `entry` is what it says. Only from the compile thread.
+    /// Gives the name to a version that is kept; `entry` is what it says.
     pub fn roll_back(
         &self,
+        _owner: &mut Owner,
         name: &Name,
         expected: &Expected,
         mut entry: ModelEntry,
@@ -215,8 +217,14 @@ impl Registry {
         self.place(name, before, entry, pinned, Vec::new())
     }
 
-    /// Removes a document with all its versions. Only from the compile thread.
-    pub fn remove(&self, name: &Name, expected: &Expected, pinned: &BTreeSet<String>) -> Result<(), Problem> {
+    /// Removes a document with all its versions.
+    pub fn remove(
+        &self,
+        _owner: &mut Owner,
+        name: &Name,
+        expected: &Expected,
+        pinned: &BTreeSet<String>,
+    ) -> Result<(), Problem> {
         let present = self.get(name.as_str())?;
         expected.check(name, Some(&present))?;
         let revision = self.before(name).revision;

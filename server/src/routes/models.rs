@@ -17,6 +17,7 @@ use super::paging::{PageQuery, RawPage, page};
 use super::parameters::{MatchHeaders, NameParam};
 use super::{Answer, App, RawName, fit, json, new_name, old_name, put_status, raw};
 use crate::access::Visitor;
+use crate::compiler::Owner;
 use crate::documents::{media_type, read_body, read_json, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
@@ -50,7 +51,7 @@ pub async fn put(
     };
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
     let committing = service.clone();
-    let work = move || committing.put_model(&name, &expected, prepared);
+    let work = move |owner: &mut Owner| committing.put_model(owner, &name, &expected, prepared);
     let (put, entry, answer) = app.service.compiler.run(work).await?;
     Ok(tagged(json(put_status(put), &answer)?, &entry))
 }
@@ -119,7 +120,7 @@ pub async fn roll_back(app: App, visitor: &Visitor, name: &str, headers: &Header
     };
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
     let committing = service.clone();
-    let work = move || committing.roll_back_model(&name, &expected, version, prepared);
+    let work = move |owner: &mut Owner| committing.roll_back_model(owner, &name, &expected, version, prepared);
     let (entry, answer) = app.service.compiler.run(work).await?;
     Ok(tagged(json(StatusCode::OK, &answer)?, &entry))
 }
@@ -160,7 +161,7 @@ pub async fn delete(
     keep_shipped(&app, &visitor, &name)?;
     let expected = expected(&headers)?;
     let service = app.service.clone();
-    app.service.compiler.run(move || service.remove_model(&name, &expected)).await?;
+    app.service.compiler.run(move |owner| service.remove_model(owner, &name, &expected)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 

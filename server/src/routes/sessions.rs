@@ -9,6 +9,7 @@ use isophote_wire::{Items, SessionDocument, SessionView, SourceReference, SwapAn
 use super::paging::{PageQuery, RawPage, page};
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
+use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
@@ -36,8 +37,8 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     let (preparing, sent) = (service.clone(), document.clone());
     let prepare = move |workers: &FairWorkers| preparing.prepare_session(&sent, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await.map_err(|problem| place(problem, &text))?;
-    let work = move || {
-        let (put, ended) = service.put_session(&name, document, opened, Some(&prepared), Keeping::Declared)?;
+    let work = move |owner: &mut Owner| {
+        let (put, ended) = service.put_session(owner, &name, document, opened, Some(&prepared), Keeping::Declared)?;
         Ok((put, ended, service.session_view(name.as_str())?))
     };
     let (put, ended, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
@@ -61,7 +62,7 @@ pub async fn get(State(app): State<App>, name: RawName) -> Answer {
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let name = old_name("session", name)?;
     let service = app.service.clone();
-    let ended = app.service.compiler.run(move || service.remove_session(&name)).await?;
+    let ended = app.service.compiler.run(move |owner| service.remove_session(owner, &name)).await?;
     drop(ended.await); // where nobody could wait for it, it ends alone
     Ok(StatusCode::NO_CONTENT.into_response())
 }
@@ -98,7 +99,7 @@ pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, bod
     let prepare = move |workers: &FairWorkers| tried.prepare_swap(&candidate, slow, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
     answer.compile_ms = prepared.compile_ms;
-    let work = move || service.commit_swap(&name, &session, &entry, prepared);
+    let work = move |owner: &mut Owner| service.commit_swap(owner, &name, &session, &entry, prepared);
     // Sessions end with the service.
     let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
     let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;

@@ -8,6 +8,7 @@ use isophote_wire::{ShadowDocument, ShadowView, SwapAnswer};
 
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, put_status, raw};
+use crate::compiler::Owner;
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
 use crate::turns::FairWorkers;
@@ -28,7 +29,7 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     let beside = session.clone();
     let prepare = move |workers: &FairWorkers| beside.prepare_shadow(entry, &document, workers);
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await.map_err(|problem| place(problem, &text))?;
-    let work = move || service.put_shadow(&name, &session, prepared);
+    let work = move |owner: &mut Owner| service.put_shadow(owner, &name, &session, prepared);
     let (put, view) = app.service.compiler.run(work).await?;
     drop(in_order);
     json(put_status(put), &view)
@@ -47,7 +48,7 @@ pub async fn get(State(app): State<App>, name: RawName) -> Answer {
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let session = app.service.session(&raw(name)?)?;
     let in_order = app.service.workshop.in_order("session", session.name()).await;
-    app.service.compiler.run(move || session.drop_shadow("the shadow was dropped")).await?;
+    app.service.compiler.run(move |owner| session.drop_shadow(owner, "the shadow was dropped")).await?;
     drop(in_order);
     Ok(StatusCode::NO_CONTENT.into_response())
 }
@@ -76,13 +77,17 @@ pub async fn promote(State(app): State<App>, name: RawName) -> Answer {
     let prepare = move |_: &FairWorkers| tried.prepare_promotion(&candidate);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
     let (promoted, of) = (session.clone(), name.clone());
-    let work = move || service.commit_swap(&of, &promoted, &entry, prepared);
+    let work = move |owner: &mut Owner| service.commit_swap(owner, &of, &promoted, &entry, prepared);
     let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
     let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;
     let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
     let swapped = swapped.await.map_err(ended).map_err(unless_stopping)?;
     // It may have been dropped meanwhile, with its session.
-    let dropped = app.service.compiler.run(move || Ok(session.drop_shadow("the shadow has taken over").is_ok())).await;
+    let dropped = app
+        .service
+        .compiler
+        .run(move |owner| Ok(session.drop_shadow(owner, "the shadow has taken over").is_ok()))
+        .await;
     drop((dropped.map_err(unless_stopping)?, in_order));
     answer.active_since_frame = swapped.active_since_frame;
     answer.carried = swapped.carried;

@@ -9,6 +9,7 @@ use isophote_wire::{Items, SourceDocument, SourceView};
 use super::paging::{PageQuery, RawPage, page};
 use super::parameters::NameParam;
 use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
+use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::documents::{place, read_json};
 
@@ -22,8 +23,8 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
     let (mut document, text) = read_json::<SourceDocument>(&headers, body).await?;
     let opened = opened_ahead(&app, &mut document, "", None).await.map_err(|problem| place(problem, &text))?;
     let service = app.service.clone();
-    let work = move || {
-        let put = service.put_source(&name, document, opened, Keeping::Declared)?;
+    let work = move |owner: &mut Owner| {
+        let put = service.put_source(owner, &name, document, opened, Keeping::Declared)?;
         Ok((put, service.source_view(name.as_str())?))
     };
     let (put, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
@@ -43,7 +44,7 @@ pub async fn get(State(app): State<App>, name: RawName) -> Answer {
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let name = old_name("source", name)?;
     let service = app.service.clone();
-    app.service.compiler.run(move || service.remove_source(&name)).await?;
+    app.service.compiler.run(move |owner| service.remove_source(owner, &name)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 

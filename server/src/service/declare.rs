@@ -8,6 +8,7 @@ use isophote_wire::{SessionDocument, SessionState, SessionView, SourceDocument, 
 
 use super::standing::Why;
 use super::{Service, get};
+use crate::compiler::Owner;
 use crate::declared::{Declared, Keeping, SessionRecord, SourceRecord};
 use crate::name::Name;
 use crate::problem::Problem;
@@ -47,6 +48,7 @@ impl Service {
 
     pub(super) fn keep_source(
         &self,
+        owner: &mut Owner,
         name: &Name,
         document: SourceDocument,
         model: Option<Arc<ModelEntry>>,
@@ -57,13 +59,14 @@ impl Service {
         }
         let contents = self.unkept(model.as_deref(), None);
         let record = SourceRecord { document, model: pin(model), declared: self.declared_now() };
-        self.declared_sources.put(name, record, &contents).map_err(StoreError::problem)?;
+        self.declared_sources.put(owner, name, record, &contents).map_err(StoreError::problem)?;
         self.registry.kept(&contents);
         Ok(())
     }
 
     pub(super) fn keep_session(
         &self,
+        owner: &mut Owner,
         name: &Name,
         document: SessionDocument,
         model: &ModelEntry,
@@ -74,18 +77,18 @@ impl Service {
         let contents = self.unkept(Some(model), source_model.as_deref());
         let record =
             SessionRecord { document, model: model.pin(), source_model: pin(source_model), declared, stopped: None };
-        self.declared_sessions.put(name, record, &contents).map_err(StoreError::problem)?;
+        self.declared_sessions.put(owner, name, record, &contents).map_err(StoreError::problem)?;
         self.registry.kept(&contents);
         Ok(())
     }
 
     /// A session that is declared has another model from now on.
-    pub(super) fn keep_swap(&self, name: &str, model: &ModelEntry) -> Result<(), Problem> {
+    pub(super) fn keep_swap(&self, owner: &mut Owner, name: &str, model: &ModelEntry) -> Result<(), Problem> {
         let Some(name) = Name::parse(name) else { return Ok(()) };
         let Some(record) = self.declared_sessions.get(&name) else { return Ok(()) };
         let contents = self.unkept(Some(model), None);
         let record = SessionRecord { model: model.pin(), ..record };
-        self.declared_sessions.put(&name, record, &contents).map_err(StoreError::problem)?;
+        self.declared_sessions.put(owner, &name, record, &contents).map_err(StoreError::problem)?;
         self.registry.kept(&contents);
         Ok(())
     }

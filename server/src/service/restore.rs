@@ -12,7 +12,7 @@ use isophote_wire::{SourceDocument, SourceReference};
 
 use super::standing::{Standing, Why};
 use super::{OpenError, Service, Table, get, insert};
-use crate::compiler::Compiler;
+use crate::compiler::{Compiler, Owner};
 use crate::counters::ServiceCounters;
 use crate::declared::{Declarations, SessionRecord};
 use crate::limits::LIMITS;
@@ -41,7 +41,8 @@ impl Service {
         let runnable = declared_sessions.all().into_iter().filter(|(_, record)| record.stopped.is_none());
         let runnable: Vec<(Name, SessionRecord)> = runnable.collect();
         let (node, before) = ServiceNode::open(store, runnable.len())?;
-        let reason = (before == LastStarts::Died).then(|| stop(&declared_sessions, runnable));
+        let mut owner = Owner::new();
+        let reason = (before == LastStarts::Died).then(|| stop(&mut owner, &declared_sessions, runnable));
         let sources = declared_sources.all().into_iter().map(|(name, _)| (name, Why::Starting));
         let sessions =
             declared_sessions.all().into_iter().map(|(name, record)| match record.stopped.or(reason.clone()) {
@@ -55,7 +56,7 @@ impl Service {
             node,
             declared_sources,
             declared_sessions,
-            compiler: Compiler::start()?,
+            compiler: Compiler::start(owner)?,
             counters: ServiceCounters::default(),
             watch: OwnerWatch::default(),
             workshop: Workshop::of_machine(),
@@ -70,7 +71,7 @@ impl Service {
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub fn put_folder(&self, folder: &Path) -> std::io::Result<()> {
+    pub fn put_folder(self: &Arc<Self>, folder: &Path) -> std::io::Result<()> {
         for file in models_in(folder)? {
             if let Err(why) = self.put_file(&file) {
                 said(&file.path, &format!("not put: {why}"));
@@ -79,15 +80,19 @@ impl Service {
         Ok(())
     }
 
-    fn put_file(&self, file: &ModelFile) -> Result<(), String> {
+    fn put_file(self: &Arc<Self>, file: &ModelFile) -> Result<(), String> {
         let (name, text) = file.read()?;
         let present = self.registry.get(name.as_str()).ok();
         if present.is_some_and(|entry| entry.media == file.media && *entry.text == *text) {
             return Ok(());
         }
         let prepared = self.check_model(&name, file.media, &text, &self.workshop.at_once());
-        let put = prepared.and_then(|prepared| self.put_model(&name, &Expected::Anything, prepared));
-        put.map(drop).map_err(|problem| match problem.diagnostics.first() {
+        let service = self.clone();
+        let put = prepared.and_then(|prepared| {
+            let put = move |owner: &mut Owner| service.put_model(owner, &name, &Expected::Anything, prepared).map(drop);
+            self.compiler.run_blocking(put)
+        });
+        put.map_err(|problem| match problem.diagnostics.first() {
             Some(fault) => format!("{} ({}:{})", fault.message, fault.line, fault.column),
             None => problem.detail,
         })
@@ -112,8 +117,8 @@ impl Service {
         awaited.filter_map(|(name, _)| Some((name.clone(), source(self.declared_sessions.get(&name)?)))).collect()
     }
 
-    /// Starts a source that waits, opened already where that takes its time. Only from the compile thread.
-    pub fn restore_source(&self, name: &Name, opened: Result<Option<Opened>, Problem>) {
+    /// Starts a source that waits, opened already where that takes its time.
+    pub fn restore_source(&self, _owner: &mut Owner, name: &Name, opened: Result<Option<Opened>, Problem>) {
         // Whoever put or deleted it in between was faster.
         if self.standing_sources.why(name) != Some(Why::Starting) {
             return;
@@ -130,12 +135,17 @@ impl Service {
         };
         match started() {
             Ok(()) => self.standing_sources.remove(name),
-            Err(problem) => self.standing_sources.set(name, Why::Failed(reason(problem))),
+            Err(problem) => self.source_failed(name, problem),
         }
     }
 
-    /// The same for a session, with the model that it had last. Only from the compile thread.
-    pub fn restore_session(&self, name: &Name, opened: Result<Option<Opened>, Problem>) {
+    /// A source that waited is not started, for that reason.
+    pub fn source_failed(&self, name: &Name, problem: Problem) {
+        self.standing_sources.set(name, Why::Failed(reason(problem)));
+    }
+
+    /// The same for a session, with the model that it had last.
+    pub fn restore_session(&self, _owner: &mut Owner, name: &Name, opened: Result<Option<Opened>, Problem>) {
         if self.standing_sessions.why(name) != Some(Why::Starting) {
             return;
         }
@@ -155,8 +165,13 @@ impl Service {
         };
         match started() {
             Ok(()) => self.standing_sessions.remove(name),
-            Err(problem) => self.standing_sessions.set(name, Why::Failed(reason(problem))),
+            Err(problem) => self.session_failed(name, problem),
         }
+    }
+
+    /// The same of a session.
+    pub fn session_failed(&self, name: &Name, problem: Problem) {
+        self.standing_sessions.set(name, Why::Failed(reason(problem)));
     }
 
     /// Whether a source of that name runs or is declared.
@@ -184,14 +199,14 @@ fn reason(problem: Problem) -> String {
 }
 
 /// What may have killed the service is not started by it again; says why.
-fn stop(declared: &Declarations<SessionRecord>, sessions: Vec<(Name, SessionRecord)>) -> String {
+fn stop(owner: &mut Owner, declared: &Declarations<SessionRecord>, sessions: Vec<(Name, SessionRecord)>) -> String {
     let (seconds, starts) = (LIMITS.start_time.as_secs(), LIMITS.starts_died);
     let why = format!("the service died within {seconds} s of each of its last {starts} starts");
     tracing::warn!("{why}: sessions that were declared stay stopped until they are put again");
     let reason = format!("{why}, so this session stays stopped; put it again to start it");
     for (name, record) in sessions {
         let stopped = SessionRecord { stopped: Some(reason.clone()), ..record };
-        if let Err(error) = declared.put(&name, stopped, &[]) {
+        if let Err(error) = declared.put(owner, &name, stopped, &[]) {
             tracing::warn!("that the session `{name}` is stopped is not kept: {error}");
         }
     }

@@ -6,15 +6,16 @@ use isophote_wire::ShadowView;
 
 use super::{Put, Service};
 use crate::capacity::Load;
+use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::{PreparedShadow, Session};
 
 impl Service {
-    /// Begins the shadow of a session. Sessions never make room for one, nor is one counted where a session asks for room. Only
-    /// from the compile thread.
+    /// Begins the shadow of a session. Sessions never make room for one, nor is one counted where a session asks for room.
     pub fn put_shadow(
         &self,
+        owner: &mut Owner,
         name: &str,
         session: &Arc<Session>,
         prepared: PreparedShadow,
@@ -36,7 +37,7 @@ impl Service {
             Load::of_machine(running).admit(&format!("a shadow of the session `{name}`"), added)?;
         }
         self.counters.compile_s.observe(prepared.compile_ms / 1e3);
-        let put = if session.put_shadow(prepared)? { Put::Replaced } else { Put::Created };
+        let put = if session.put_shadow(owner, prepared)? { Put::Replaced } else { Put::Created };
         Ok((put, session.shadow()?.view()))
     }
 }

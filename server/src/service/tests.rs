@@ -10,6 +10,7 @@ use isophote_jit::VectorWidth;
 use serde_json::{Value, json};
 
 use super::{Put, Service};
+use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
 use crate::problem::Problem;
@@ -19,9 +20,16 @@ use crate::store::{MemoryStore, Record, RecordTable, Store, StoreError, Transact
 
 /// Refuses changes for as long as it is full.
 #[derive(Default)]
-struct Disk {
+pub(super) struct Disk {
     records: MemoryStore,
     is_full: AtomicBool,
+}
+
+impl Disk {
+    /// Whether changes are refused from now on.
+    pub(super) fn fill(&self, is_full: bool) {
+        self.is_full.store(is_full, Ordering::SeqCst);
+    }
 }
 
 impl Store for Disk {
@@ -52,30 +60,43 @@ fn put_model(service: &Service, start: u32) -> Result<(), Problem> {
                           "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}});
     let prepared =
         service.check_model(&name("level"), Media::Json, &document.to_string(), &service.workshop.at_once())?;
-    service.put_model(&name("level"), &Expected::Anything, prepared).map(drop)
+    service.put_model(&mut Owner::new(), &name("level"), &Expected::Anything, prepared).map(drop)
 }
 
 fn roll_back(service: &Service, version: u64) -> Result<(), Problem> {
     let content = service.registry.version(&name("level"), version)?;
     let workers = service.workshop.at_once();
     let prepared = service.check_model(&name("level"), content.media, &content.text, &workers)?;
-    service.roll_back_model(&name("level"), &Expected::Anything, version, prepared).map(drop)
+    service.roll_back_model(&mut Owner::new(), &name("level"), &Expected::Anything, version, prepared).map(drop)
 }
 
 fn swap(service: &Service, session: &str, model: &str) -> Result<(), Problem> {
     let (running, entry) = (service.session(session)?, service.registry.get(model)?);
     let prepared = running.prepare_swap(&entry, SlowModels::Allowed, &service.workshop.at_once())?;
-    service.commit_swap(session, &running, &entry, prepared).map(drop)
+    service.commit_swap(&mut Owner::new(), session, &running, &entry, prepared).map(drop)
 }
 
 fn put_source(service: &Service, called: &str, rate_hz: u32) -> Result<Put, Problem> {
-    service.put_source(&name(called), serde_json::from_value(source(rate_hz)).unwrap(), None, Keeping::Declared)
+    service.put_source(
+        &mut Owner::new(),
+        &name(called),
+        serde_json::from_value(source(rate_hz)).unwrap(),
+        None,
+        Keeping::Declared,
+    )
 }
 
 fn put_session(service: &Service, called: &str, rate_hz: u32) -> Result<(), Problem> {
     let document = json!({"source": source(rate_hz), "model": "spot"});
     service
-        .put_session(&name(called), serde_json::from_value(document).unwrap(), None, None, Keeping::Declared)
+        .put_session(
+            &mut Owner::new(),
+            &name(called),
+            serde_json::from_value(document).unwrap(),
+            None,
+            None,
+            Keeping::Declared,
+        )
         .map(drop)
 }
 
@@ -106,18 +127,18 @@ fn a_disk_that_refuses_changes_nothing() {
     let changes: [(&str, Change); 11] = [
         ("put model", &|| put_model(&service, 3)),
         ("roll back", &|| roll_back(&service, 1)),
-        ("remove model", &|| service.remove_model(&name("level"), &Expected::Anything)),
-        ("remove shipped model", &|| service.remove_model(&name("ring"), &Expected::Anything)),
+        ("remove model", &|| service.remove_model(&mut Owner::new(), &name("level"), &Expected::Anything)),
+        ("remove shipped model", &|| service.remove_model(&mut Owner::new(), &name("ring"), &Expected::Anything)),
         ("put source", &|| put_source(&service, "two", 100).map(drop)),
         ("replace source", &|| put_source(&service, "one", 50).map(drop)),
-        ("remove source", &|| service.remove_source(&name("one"))),
+        ("remove source", &|| service.remove_source(&mut Owner::new(), &name("one"))),
         ("put session", &|| put_session(&service, "two", 100)),
         ("replace session", &|| put_session(&service, "one", 50)),
         ("swap", &|| swap(&service, "one", "gaussian")),
-        ("remove session", &|| service.remove_session(&name("one")).map(drop)),
+        ("remove session", &|| service.remove_session(&mut Owner::new(), &name("one")).map(drop)),
     ];
     for (what, change) in &changes {
-        disk.is_full.store(true, Ordering::SeqCst);
+        disk.fill(true);
         let problem = change().unwrap_err();
         assert_eq!((problem.status, problem.code), (StatusCode::INSUFFICIENT_STORAGE, "storage"), "{what}");
         assert_eq!(seen(&service), before, "{what}");
@@ -125,7 +146,7 @@ fn a_disk_that_refuses_changes_nothing() {
     // The checks above would catch a change: with room each of them is one.
     for (what, change) in changes {
         let before = seen(&service);
-        disk.is_full.store(false, Ordering::SeqCst);
+        disk.fill(false);
         if what == "remove model" {
             continue; // its versions are looked at
         }

@@ -15,6 +15,7 @@ use super::shared::Shared;
 use super::swap::{self, Active, Swap, Swapped};
 use super::trial::{FitCost, TrialResult};
 use super::{Session, exposed};
+use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
@@ -139,7 +140,11 @@ impl Session {
     }
 
     /// Hands a model to the fit thread, which takes it between two frames. Answers where the fit thread's answer will come.
-    pub fn commit_swap(&self, prepared: PreparedSwap) -> Result<oneshot::Receiver<Swapped>, Problem> {
+    pub fn commit_swap(
+        &self,
+        _owner: &mut Owner,
+        prepared: PreparedSwap,
+    ) -> Result<oneshot::Receiver<Swapped>, Problem> {
         let PreparedSwap { swap, answer, requested, .. } = prepared;
         let gone = |_| Problem::conflict("not-applicable", "the session has ended");
         self.shared.inbox.swap(Box::new(swap)).map_err(gone)?;

@@ -81,7 +81,7 @@ pub struct Session {
 
 impl Session {
     /// Compiles, checks, and starts the thread, which has no frames before [`Session::begin`]. The model may be another than
-    /// the document's, to which the session was swapped before. Only from the compile thread.
+    /// the document's, to which the session was swapped before.
     pub fn start(
         name: &str,
         document: SessionDocument,

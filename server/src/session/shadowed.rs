@@ -14,6 +14,7 @@ use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
 use super::swap::{self, Active, Swap};
 use super::trial::{FitCost, TrialResult};
 use super::{Session, exposed};
+use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
@@ -75,8 +76,8 @@ impl Session {
         Ok(prepared)
     }
 
-    /// Begins it, in the place of another if there is one: whether there was. Only from the compile thread.
-    pub fn put_shadow(&self, prepared: PreparedShadow) -> Result<bool, Problem> {
+    /// Begins it, in the place of another if there is one: whether there was.
+    pub fn put_shadow(&self, _owner: &mut Owner, prepared: PreparedShadow) -> Result<bool, Problem> {
         let place = ShadowPlace { session: &self.name, run: &self.run, source: &self.source.source, room: &self.room };
         let shadow = Arc::new(Shadow::start(&place, prepared)?);
         let (session, model) = (self.name.as_str(), shadow.entry().id());
@@ -87,8 +88,8 @@ impl Session {
         Ok(is_replaced)
     }
 
-    /// Ends it. Only from the compile thread.
-    pub fn drop_shadow(&self, why: &str) -> Result<(), Problem> {
+    /// Ends it.
+    pub fn drop_shadow(&self, _owner: &mut Owner, why: &str) -> Result<(), Problem> {
         let shadow = self.shared.replace_shadow(None);
         let shadow = shadow.ok_or_else(|| Problem::unknown("shadow of the session", &self.name))?;
         tracing::info!(session = self.name.as_str(), frame = self.last_frame(), "{why}");
