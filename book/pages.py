@@ -2,7 +2,7 @@
 
 Links to files outside of docs/ become links to the page that shows them, or plain words; README.md is the book's first page;
 architecture.md and changelog.md show the files at the repository's top; a file name behind a code block's language is set
-above the block; a block of LaTeX with a name becomes the MathML of that name, which a browser sets by itself.
+above the block; a row of errors.md has its code as an anchor; a block of LaTeX with a name becomes the MathML of that name, which a browser sets by itself.
 """
 
 import json
@@ -67,6 +67,8 @@ def converted(content, page):
                 line = f"{fence.group(1)}```{words[0]}"
             inside = not inside
         elif not inside:
+            if page == "errors.md":
+                line = re.sub(r"^\| `([a-z-]+)` \|", r'| <span id="\1"></span>`\1` |', line)
             # Code between backticks stays as it is; a link's own text may hold some.
             line = LINK.sub(lambda match: linked(match, page, folder), line) if "](" in line else line
         lines.append(line)

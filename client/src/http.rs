@@ -148,7 +148,7 @@ impl RemoteService {
         let mut answer = answer.map_err(unreachable)?;
         let status = answer.status().as_u16();
         let body = answer.body_mut().with_config().limit(ANSWER_BYTES_MAX).read_to_string().map_err(unreachable)?;
-        if (200..300).contains(&status) { Ok(body) } else { Err(Refusal::of(status, &body)) }
+        if (200..300).contains(&status) { Ok(body) } else { Err(Refusal::of(status, &body, &self.connection.url)) }
     }
 
     fn unreachable(&self, error: &dyn std::fmt::Display) -> Failure {
@@ -169,7 +169,7 @@ impl RemoteService {
             Ok((socket, _)) => Ok(Estimates(socket)),
             Err(HandshakeError::Failure(Error::Http(answer))) => {
                 let body = answer.body().as_ref().map(|body| String::from_utf8_lossy(body).into_owned());
-                Err(Refusal::of(answer.status().as_u16(), &body.unwrap_or_default()).into())
+                Err(Refusal::of(answer.status().as_u16(), &body.unwrap_or_default(), &self.connection.url).into())
             }
             Err(error) => Err(self.unreachable(&error)),
         }
@@ -211,7 +211,7 @@ impl Estimates {
 
 /// Why a request did not succeed.
 pub enum Refusal {
-    /// The service's own words.
+    /// The service's own words, with the whole address of what explains them.
     Problem(Box<ProblemDocument>),
     /// No answer.
     Unreachable(Failure),
@@ -220,9 +220,12 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    fn of(status: u16, body: &str) -> Refusal {
-        match serde_json::from_str(body) {
-            Ok(problem) => Refusal::Problem(Box::new(problem)),
+    fn of(status: u16, body: &str, service: &str) -> Refusal {
+        match serde_json::from_str::<ProblemDocument>(body) {
+            Ok(problem) => {
+                let kind = format!("{service}{}", problem.kind);
+                Refusal::Problem(Box::new(ProblemDocument { kind, ..problem }))
+            }
             Err(_) => Refusal::Failed(Failure::Other(format!("the service answered {status}"))),
         }
     }
@@ -233,7 +236,7 @@ impl From<Refusal> for Failure {
         match refusal {
             Refusal::Failed(failure) | Refusal::Unreachable(failure) => failure,
             Refusal::Problem(problem) if problem.diagnostics.is_empty() => {
-                Failure::Other(format!("{} ({})", problem.detail, problem.status))
+                Failure::Other(format!("{} ({})\nsee {}", problem.detail, problem.status, problem.kind))
             }
             Refusal::Problem(problem) => {
                 let shown: Vec<String> = problem.diagnostics.iter().map(|d| d.render("(as sent)")).collect();

@@ -109,7 +109,8 @@ impl Problem {
     /// The JSON form.
     pub fn document(&self) -> ProblemDocument {
         ProblemDocument {
-            kind: format!("urn:isophote:problem:{}", self.code),
+            kind: format!("/docs/errors#{}", self.code),
+            code: self.code.to_string(),
             title: self.status.canonical_reason().unwrap_or("Error").to_string(),
             status: self.status.as_u16(),
             detail: self.detail.clone(),

@@ -27,7 +27,7 @@ pub async fn index(headers: HeaderMap) -> Response {
     answer("index.html", &headers)
 }
 
-/// Any file of the book.
+/// Any file of the book; a page without its ending, too.
 #[utoipa::path(get, path = "/docs/{*path}", tag = "operation", operation_id = "book_page",
     params(("path" = String, Path, description = "From the book's top, with `/`.")),
     responses((status = 200, description = "The file."), (status = 404, description = "The book has no such file.")))]
@@ -36,7 +36,8 @@ pub async fn page(Path(path): Path<String>, headers: HeaderMap) -> Response {
 }
 
 fn answer(path: &str, asked: &HeaderMap) -> Response {
-    match (find(FILES, path), find(FILES, "404.html")) {
+    let file = find(FILES, path).or_else(|| find(FILES, &format!("{path}.html")));
+    match (file, find(FILES, "404.html")) {
         (Some(file), _) => sent(file, StatusCode::OK, POLICY, asked),
         (None, Some(file)) => sent(file, StatusCode::NOT_FOUND, POLICY, asked),
         (None, None) => StatusCode::NOT_FOUND.into_response(),

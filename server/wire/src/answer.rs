@@ -13,9 +13,11 @@ use crate::{ControlView, EstimateView, ExposureControl, PlaybackView, SessionDoc
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ProblemDocument {
-    /// `urn:isophote:problem:<code>`; the code is stable.
+    /// Where the book explains it, at the service: `/docs/errors#<code>`.
     #[serde(rename = "type")]
     pub kind: String,
+    /// Stable, to branch on.
+    pub code: String,
     /// The status in words.
     pub title: String,
     /// The HTTP status.

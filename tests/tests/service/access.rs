@@ -218,7 +218,7 @@ fn shipped_models_are_the_same_for_all() {
         guarded.service.request("PUT", &format!("/v1/models/{name}"), &headers, gaussian.as_bytes())
     };
     let refused = put("spot").expect(403);
-    assert_eq!(refused["type"], "urn:isophote:problem:read-only");
+    assert_eq!(refused["code"], "read-only");
     put("mine").expect(201);
     put("mine").expect(200);
     let delete = |name: &str| guarded.status("DELETE", &format!("/v1/models/{name}"), &[("authorization", &header)]);

@@ -60,7 +60,7 @@ fn a_swap_to_a_model_that_is_too_slow_is_refused() {
     assert_eq!((number(&view, "frame_budget_ms"), view["search_budget_ms"].is_number()), (10.0, true), "{view}");
 
     let refused = service.put("/v1/sessions/one/model", &json!({"model": "heavy"})).expect(409);
-    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    assert_eq!(refused["code"], "too-slow", "{refused}");
     let figures = &refused["figures"];
     assert!(number(figures, "fit_ms") > number(figures, "budget_ms"), "{refused}");
     assert_eq!(number(figures, "budget_ms"), 10.0);
@@ -89,7 +89,7 @@ fn a_slow_model_that_carries_nothing_over_is_refused() {
     service.put("/v1/sessions/one", &document).expect(201);
     service.wait_for("one", is_tracking);
     let refused = service.put("/v1/sessions/one/model", &json!({"model": "slow"})).expect(409);
-    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    assert_eq!(refused["code"], "too-slow", "{refused}");
     assert_eq!(service.get("/v1/sessions/one").expect(200)["requested_model"], "spot");
     service.stop();
 }
@@ -128,7 +128,7 @@ fn crowd(service: &Running, source: &Value) -> Vec<String> {
         let answer = service.put(&format!("/v1/sessions/{name}"), &document);
         match answer.status {
             201 => true,
-            _ => answer.expect(429)["type"] == "urn:isophote:problem:over-capacity" && name != "s0",
+            _ => answer.expect(429)["code"] == "over-capacity" && name != "s0",
         }
     };
     names.filter(is_there).filter(|name| service.get(&format!("/v1/sessions/{name}")).status == 200).collect()
@@ -197,7 +197,7 @@ fn a_session_for_which_there_is_no_room_is_refused() {
         None
     });
     let refused = refused.unwrap();
-    assert_eq!(refused["type"], "urn:isophote:problem:over-capacity", "{refused}");
+    assert_eq!(refused["code"], "over-capacity", "{refused}");
     let figures = &refused["figures"];
     let wanted = figures["fit_ms"].as_f64().map_or(0.0, |fit_ms| fit_ms * number(figures, "rate_hz") / 1e3);
     assert!(number(figures, "load") + wanted.min(1.0) > number(figures, "capacity"), "{refused}");

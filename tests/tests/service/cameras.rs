@@ -35,7 +35,7 @@ fn cameras_are_listed_and_asked_by_name() {
     let service = Running::start();
     let cameras = service.get("/v1/cameras").expect(200);
     assert!(cameras["items"].is_array(), "{cameras}");
-    assert_eq!(service.get("/v1/cameras/no-such-camera-0001").expect(404)["type"], "urn:isophote:problem:unknown-name");
+    assert_eq!(service.get("/v1/cameras/no-such-camera-0001").expect(404)["code"], "unknown-name");
     assert_eq!(service.get("/v1/cameras/%2Fdev%2Fzero").status, 404);
     service.put("/v1/cameras/no-such-camera-0001/controls", &json!({"gain": 1})).expect(404);
     service.put("/v1/cameras/no-such-camera-0001/controls", &json!({"gain": [1]})).expect(422);

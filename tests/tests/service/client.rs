@@ -47,7 +47,7 @@ impl Answer {
             let problem = self.json();
             assert_eq!(problem["status"], status);
             assert!(problem["detail"].as_str().unwrap().len() > 5, "{problem}");
-            assert!(problem["type"].as_str().unwrap().starts_with("urn:isophote:problem:"), "{problem}");
+            assert_eq!(problem["type"], format!("/docs/errors#{}", problem["code"].as_str().unwrap()), "{problem}");
             assert_eq!(problem["diagnostics"].is_array(), status == 422, "{problem}");
         }
         if self.text.is_empty() { Value::Null } else { self.json() }

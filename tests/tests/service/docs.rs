@@ -81,3 +81,13 @@ fn pages_are_kept_by_their_tags_and_sent_compressed_to_who_asks() {
         assert!(!missing.body_mut().read_to_string().unwrap().is_empty());
     }
 }
+
+#[test]
+fn a_problem_leads_to_its_row() {
+    let service = Running::start();
+    let problem = service.get("/v1/models/nothing").expect(404);
+    let (page, row) = problem["type"].as_str().unwrap().split_once('#').unwrap();
+    let answer = service.get(page);
+    assert_eq!((answer.status, row), (200, "unknown-name"));
+    assert!(answer.text.contains("id=\"unknown-name\""), "{page} has no such row");
+}

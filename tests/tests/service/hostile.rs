@@ -110,7 +110,7 @@ fn bodies_of_frames_are_bounded_by_their_source() {
         assert!(begin.elapsed() < DEADLINE / 2, "{}", answer.text);
         held.push(begun(&service, head)); // this frame may have taken the room of one of them
     };
-    assert_eq!(problem["type"], "urn:isophote:problem:full");
+    assert_eq!(problem["code"], "full");
     post("small", 64 * 64 * 4).expect(200);
     drop(held);
     let begin = Instant::now();

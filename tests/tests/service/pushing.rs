@@ -65,7 +65,7 @@ fn a_wrong_frame_is_a_problem_at_its_place_in_the_order() {
     socket.send_bytes(&[]);
     socket.send_bytes(&raw(2));
     let problem = |answer: Value, detail: &str| {
-        assert_eq!((&answer["status"], &answer["type"]), (&json!(422), &json!("urn:isophote:problem:wrong-document")));
+        assert_eq!((&answer["status"], &answer["code"]), (&json!(422), &json!("wrong-document")));
         assert_eq!(answer["diagnostics"][0]["code"], "wrong-frame");
         assert!(answer["detail"].as_str().unwrap().contains(detail), "{answer}");
     };
