@@ -198,9 +198,9 @@ fn run_triples() {
             let longest = *random.pick(&[4, 10, 30, 60, 150]);
             let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
             let (fma, calls) = (has_fma() && random.below(2) == 0, random.below(3) == 0);
+            let tables = random.below(2) == 0;
             let is_picture = random.below(8) == 0;
-            let program =
-                generate::program(&mut random, Variety { fma, calls, tables: false, lengths, sums: 9 }, is_picture);
+            let program = generate::program(&mut random, Variety { fma, calls, tables, lengths, sums: 9 }, is_picture);
             let precision = *random.pick(&[Precision::F32, Precision::F64]);
             let lanes = width.lanes(precision);
             let mut stage = Stage::new(&mut random, &program, lanes);

@@ -56,9 +56,6 @@ fn narrow(program: &Program, options: &KernelOptions, processor: Processor) -> R
 #[cfg(all(target_arch = "x86_64", unix))]
 fn wide(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     check(program, options, processor)?;
-    if program.looks_up() {
-        return Err(CompileError::NarrowOnly);
-    }
     let (assembled, frame_bytes) = crate::wide::code(program, options)?;
     let sources = assembled.spans.iter().map(|spoken| (spoken.start, spoken.end, spoken.value)).collect();
     let Assembled { bytes, code_end, .. } = assembled;

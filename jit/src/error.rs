@@ -5,7 +5,7 @@ use thiserror::Error;
 use crate::limits::LIMITS;
 use crate::plane::{PixelFormat, Window};
 
-/// Why there is no kernel. All but `NoFma`, `NarrowOnly`, the two that say `TooLarge` and `NoCodeMemory` are bugs or a machine that is not
+/// Why there is no kernel. All but `NoFma`, the two that say `TooLarge` and `NoCodeMemory` are bugs or a machine that is not
 /// supported.
 #[derive(Clone, PartialEq, Eq, Debug, Error)]
 pub enum CompileError {
@@ -18,9 +18,6 @@ pub enum CompileError {
         /// Of a vector.
         bits: usize,
     },
-    /// Wide vectors were asked for, and the program looks something up in tables, which only code of 128 bits does.
-    #[error("tables are looked up with vectors of 128 bits alone")]
-    NarrowOnly,
     /// As many formats as channels are needed.
     #[error("the program has {channels} channels, {formats} pixel formats were given")]
     Formats {

@@ -147,7 +147,7 @@ fn who_waits_for_a_compilation_that_fails_goes_on() {
 }
 
 #[test]
-fn tables_count_by_their_samples_and_are_looked_up_by_narrow_code() {
+fn tables_count_by_their_samples() {
     let text = |last: &str| {
         format!(
             "name = \"t\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[tables.psf]\nfirst = 0\nstep = 1\n\
@@ -155,14 +155,7 @@ fn tables_count_by_their_samples_and_are_looked_up_by_narrow_code() {
         )
     };
     let program = |last: &str| programs(&document(&text(last)), PLAIN).swap_remove(0).1;
-    let cache = KernelCache::of_width(VectorWidth::Bits256);
+    let cache = KernelCache::default();
     let of = |last: &str| cache.get_or_compile(&program(last), &options(Precision::F32)).unwrap();
     assert!(Arc::ptr_eq(&of("0"), &of("0.0")) && !Arc::ptr_eq(&of("0"), &of("1e-9")));
-    let wide = KernelOptions { width: VectorWidth::Bits256, ..options(Precision::F32) };
-    let refused = cache.get_or_compile(&program("0"), &wide).unwrap_err();
-    if isophote_jit::Processor::Host.has(VectorWidth::Bits256) {
-        assert_eq!(refused, CompileError::NarrowOnly);
-        let kernel = cache.get_or_compile_wide(&program("0"), &wide).unwrap();
-        assert_eq!(kernel.options().width, VectorWidth::Bits128);
-    }
 }

@@ -36,7 +36,7 @@ impl Subject {
         let longest = *random.pick(&[4, 10, 30, 60]);
         let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
         let (fma, calls) = (processor.has_fma() && random.below(2) == 0, random.below(3) == 0);
-        let tables = width == VectorWidth::Bits128 && random.below(2) == 0;
+        let tables = random.below(2) == 0;
         let variety = Variety { fma, calls, tables, lengths, sums: 9 };
         let renders = random.below(8) == 0;
         let program = program(&mut random, variety, renders);

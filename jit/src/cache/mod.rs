@@ -89,13 +89,13 @@ impl KernelCache {
     }
 
     /// The kernel of `program` with vectors of the cache's width, whatever the options say, or of 128 bits where that would be
-    /// too large, or something is looked up in tables, which wide vectors cannot.
+    /// too large.
     ///
     /// # Errors
     /// Those of [`Kernel::compile`].
     pub fn get_or_compile_wide(&self, program: &Program, options: &KernelOptions) -> Result<Arc<Kernel>, CompileError> {
         match self.get_or_compile(program, &KernelOptions { width: self.width, ..options.clone() }) {
-            Err(CompileError::CodeTooLarge { .. } | CompileError::FrameTooLarge { .. } | CompileError::NarrowOnly)
+            Err(CompileError::CodeTooLarge { .. } | CompileError::FrameTooLarge { .. })
                 if self.width != VectorWidth::Bits128 =>
             {
                 self.get_or_compile(program, &KernelOptions { width: VectorWidth::Bits128, ..options.clone() })

@@ -40,7 +40,7 @@ fn options(program: &Program, precision: Precision, format: PixelFormat, packed:
 }
 
 /// What a model sums in each of its stages, and what it renders.
-fn programs(model: &Model, lowering: Lowering) -> Vec<Program> {
+pub(super) fn programs(model: &Model, lowering: Lowering) -> Vec<Program> {
     let sums = |stage: &isophote_symbolic::Stage| {
         model.objective(&stage.parameters, stage.method).unwrap().program(lowering).unwrap()
     };
@@ -277,7 +277,7 @@ fn strangers_and_lost_registers_are_refused() {
 }
 
 /// A profile over one axis, and one over two that stands behind it.
-const TABLES: &str = r#"
+pub(super) const TABLES: &str = r#"
 name = "tables"
 coordinates = ["x", "y"]
 channels = ["phi"]

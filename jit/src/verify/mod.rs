@@ -7,6 +7,7 @@
 //!   it is written in the frame, in the two counts, in the outputs, and in the window's rows of the output plane;
 //! - a pixel's address is the window's first plus products of strides and numbers that a comparison has bounded by the window's
 //!   size, so that no arithmetic before that matters;
+//! - numbers for all lanes at once are read at indices that the instruction before held against a constant;
 //! - functions are called through the table, with addresses of vectors in the frame;
 //! - the caller's registers and stack are as they were on return.
 //!
@@ -16,6 +17,7 @@
 
 #[cfg(test)]
 mod compiled_tests;
+mod gathered;
 mod known;
 mod listed;
 mod rules;
@@ -24,7 +26,6 @@ mod state;
 mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
 
 use iced_x86::{Code, Decoder, DecoderOptions, Instruction, OpKind, Register};
 use isophote_symbolic::Program;
@@ -72,8 +73,24 @@ pub(crate) fn verify(bytes: &[u8], code_end: usize, reach: Permitted<'_>) -> Res
 /// Machine code, and where the constants behind it are.
 pub(crate) struct Decoded {
     pub instructions: Vec<Instruction>,
-    pub pool: Range<u64>,
+    pub pool: Pool,
 }
+
+/// The constants behind the code, and where they begin.
+pub(crate) struct Pool {
+    pub first: u64,
+    pub bytes: Vec<u8>,
+}
+
+impl Pool {
+    /// What an instruction reads of them.
+    fn of(&self, i: &Instruction) -> Option<&[u8]> {
+        let start = i.ip_rel_memory_address().checked_sub(self.first)? as usize;
+        self.bytes.get(start..start.checked_add(i.memory_size().size())?)
+    }
+}
+
+type Checked<T> = Result<T, &'static str>;
 
 /// The instructions, one behind the other. The compiler does not say where the code ends: at the first constant that an
 /// instruction reads, or at the zeros that fill the gap in front of that one.
@@ -96,15 +113,16 @@ pub(crate) fn decode(bytes: &[u8], code_end: usize) -> Result<Decoded, String> {
         }
         instructions.push(instruction);
     }
-    Ok(Decoded { pool: decoder.ip()..bytes.len() as u64, instructions })
+    let pool = Pool { first: decoder.ip(), bytes: bytes.get(decoder.position()..).unwrap_or_default().to_vec() };
+    Ok(Decoded { instructions, pool })
 }
 
 fn falls_through(instruction: &Instruction) -> bool {
     !matches!(instruction.code(), Code::Retnq | Code::Jmp_rel8_64 | Code::Jmp_rel32_64)
 }
 
-/// The same of decoded instructions, with constants at `pool`.
-fn check(instructions: &[Instruction], pool: &Range<u64>, reach: Permitted<'_>) -> Result<(), String> {
+/// The same of decoded instructions, with their constants.
+fn check(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Result<(), String> {
     if let Some(stranger) = instructions.iter().find(|instruction| !listed::is_allowed(instruction)) {
         return Err(said(stranger, "is not on the list"));
     }
@@ -114,6 +132,13 @@ fn check(instructions: &[Instruction], pool: &Range<u64>, reach: Permitted<'_>) 
         if target(instruction).is_some_and(|target| !is_there(target)) {
             return Err(said(instruction, "jumps into an instruction"));
         }
+    }
+    let targets: BTreeSet<u64> = instructions.iter().filter_map(target).collect();
+    let mut bounds = BTreeMap::new();
+    for (at, gather) in instructions.iter().enumerate().filter(|(_, i)| i.is_vsib()) {
+        let before = at.checked_sub(1).filter(|_| !targets.contains(&gather.ip())).map(|before| &instructions[before]);
+        let bound = gathered::bound(before, gather, pool).map_err(|rule| said(gather, rule))?;
+        bounds.insert(gather.ip(), bound);
     }
     // What changes nothing that is known of registers and frame is checked already.
     let instructions: Vec<Instruction> = instructions.iter().filter(|i| !rules::is_settled(i)).copied().collect();
@@ -141,7 +166,7 @@ fn check(instructions: &[Instruction], pool: &Range<u64>, reach: Permitted<'_>) 
                 state.forget_probe();
             }
             let instruction = instructions.get(at).ok_or("the code has no end")?;
-            Check { instruction, reach }.run(&mut state).map_err(|rule| said(instruction, rule))?;
+            Check { instruction, reach, bounds: &bounds }.run(&mut state).map_err(|rule| said(instruction, rule))?;
             let asked = Asked::by(instruction.mnemonic());
             if let Some(place) = target(instruction).map(place) {
                 let mut there = state.clone();

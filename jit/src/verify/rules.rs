@@ -1,13 +1,13 @@
 //! What one instruction may do, and what is known behind it.
 
+use std::collections::BTreeMap;
 use std::mem::offset_of;
-use std::ops::Range;
 
 use iced_x86::{Instruction, Mnemonic, OpKind, Register};
 
 use super::known::{Distance, Fact, Few, Limit};
 use super::state::{Asked, State, Word};
-use super::{Permitted, listed};
+use super::{Checked, Permitted, Pool, listed};
 use crate::abi::{Args, Functions, PlaneArgs};
 
 /// One instruction with its surroundings.
@@ -15,9 +15,9 @@ use crate::abi::{Args, Functions, PlaneArgs};
 pub(super) struct Check<'a> {
     pub instruction: &'a Instruction,
     pub reach: Permitted<'a>,
+    /// What indices in vectors are not above, by the place of the instruction that uses them.
+    pub bounds: &'a BTreeMap<u64, i64>,
 }
-
-type Checked<T> = Result<T, &'static str>;
 
 const WORD_BYTES: i64 = 8;
 /// What the stack pointer may be rounded down with.
@@ -47,15 +47,14 @@ fn writes_vector(i: &Instruction) -> bool {
 }
 
 /// Checks what is read of the constants.
-pub(super) fn constant(i: &Instruction, pool: &Range<u64>) -> Checked<()> {
+pub(super) fn constant(i: &Instruction, pool: &Pool) -> Checked<()> {
     if !i.is_ip_rel_memory_operand() {
         return Ok(());
     }
-    let start = i.ip_rel_memory_address();
-    if start < pool.start || start.saturating_add(i.memory_size().size() as u64) > pool.end {
+    if pool.of(i).is_none() {
         return Err("leaves the constants");
     }
-    let is_aligned = start.is_multiple_of(VECTOR_BYTES as u64) || !wants_alignment(i);
+    let is_aligned = i.ip_rel_memory_address().is_multiple_of(VECTOR_BYTES as u64) || !wants_alignment(i);
     if is_aligned { Ok(()) } else { Err(ASTRAY) }
 }
 
@@ -205,6 +204,11 @@ impl Check<'_> {
         let i = self.instruction;
         let (offset, bytes) = (i.memory_displacement64() as i64, i.memory_size().size() as i64);
         let [base, index] = [i.memory_base(), i.memory_index()].map(|register| state.of(register).fact);
+        if i.is_vsib() {
+            let indices = self.bounds.get(&i.ip()).map_or(Fact::Number, |bound| Fact::Below(bound + 1));
+            let place = base.plus(indices.scaled(i.memory_index_scale().into()));
+            return Access { place, more: 0, offset, bytes };
+        }
         match (base, index) {
             (Fact::Frame(_), Fact::Below(count)) => {
                 Access { place: base, more: (count - 1) * i64::from(i.memory_index_scale()), offset, bytes }

@@ -11,7 +11,7 @@ use super::operation::{self, Element, FmaForm, InMemory, Operation, Portion};
 use crate::options::VectorWidth;
 
 /// The mask register of a comparison, and the one that says which lanes are summed.
-const COMPARED: Register = Register::K1;
+pub(super) const COMPARED: Register = Register::K1;
 const SUMMED: Register = Register::K2;
 
 /// Writes the instructions of a block; those registers that are bits of `reserved` are not touched but through what the block
@@ -65,6 +65,7 @@ impl Allocation<'_> {
                 self.load(register, place, element);
                 self.keep(result, register);
             }
+            Act::Gather { cells, bound, offset, result } => self.gather([cells, bound], offset, result),
             Act::Rare { truth, usual, x, offset, result } => self.rare([truth, usual, x], offset, result),
             Act::Truths { operand, element } => {
                 let register = self.fetch(operand, element);

@@ -50,6 +50,8 @@ pub(super) enum Act {
     Store { operand: Id, extent: Portion, element: Element, memory: MemoryPlace },
     /// Calls the function of the table, a few lanes at a time.
     Call { element: Element, offset: i32, operands: SmallVec<[Id; 2]>, result: Id },
+    /// A number of a table for each lane: so many bytes behind the begin of its cell, `bound` being the last cell's.
+    Gather { cells: Id, bound: Id, offset: i32, result: Id },
     /// `truth ? function(x) : usual`, where the truth is rare.
     Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
     /// The truth of each lane as a bit of eax.
@@ -65,12 +67,15 @@ pub(super) struct Block<'a> {
     pub acts: Vec<(Act, Option<Value>)>,
     pub givens: Vec<Given>,
     constants: BTreeMap<Vec<u8>, Id>,
+    /// Which cells of a table the lanes are in at two places, once it is known.
+    pub cells: BTreeMap<(u16, [Id; 2]), SmallVec<[Id; 2]>>,
     value: Option<Value>,
 }
 
 impl<'a> Block<'a> {
     pub fn new(assembler: &'a mut Assembler, width: VectorWidth) -> Block<'a> {
-        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants: BTreeMap::new(), value: None }
+        let (constants, cells) = (BTreeMap::new(), BTreeMap::new());
+        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, cells, value: None }
     }
 
     /// What comes next was asked for by `value`.
@@ -203,6 +208,7 @@ impl Act {
             }
             Act::Store { operand, .. } | Act::Truths { operand, .. } => [*operand].into_iter().collect(),
             Act::Call { operands, .. } => operands.iter().copied().collect(),
+            Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
             Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),
             Act::Scalar(_) => SmallVec::new(),
         }

@@ -11,7 +11,7 @@ use isophote_symbolic::{Precision, Program, Sink};
 use super::emulator_tests::{Emulator, Ended};
 use crate::abi::{Args, Functions, PlaneArgs};
 use crate::options::{KernelOptions, VectorWidth};
-use crate::verify::decode;
+use crate::verify::{Decoded, Pool, decode};
 
 #[path = "../../tests/common/mod.rs"]
 mod common;
@@ -26,7 +26,8 @@ const PLANES: u64 = 0x2_0000;
 const INPUTS: u64 = 0x3_0000;
 const OUTPUTS: u64 = 0x4_0000;
 const FUNCTIONS: u64 = 0x5_0000;
-const TARGET: u64 = 0x6_0000;
+const TABLES: u64 = 0x6_0000;
+const TARGET: u64 = 0x7_0000;
 const STACK: u64 = 0x100_0000;
 const PIXELS: u64 = 0x1000_0000;
 
@@ -35,14 +36,13 @@ struct Emulated<'p> {
     program: &'p Program,
     options: KernelOptions,
     instructions: Vec<Instruction>,
-    pool: (u64, Vec<u8>),
+    pool: Pool,
 }
 
 impl<'p> Emulated<'p> {
     fn new(program: &'p Program, options: KernelOptions) -> Emulated<'p> {
         let (assembled, _) = super::code(program, &options).unwrap();
-        let instructions = decode(&assembled.bytes, assembled.code_end).unwrap().instructions;
-        let pool = (assembled.code_end as u64, assembled.bytes[assembled.code_end..].to_vec());
+        let Decoded { instructions, pool } = decode(&assembled.bytes, assembled.code_end).unwrap();
         Emulated { program, options, instructions, pool }
     }
 
@@ -60,6 +60,7 @@ impl<'p> Emulated<'p> {
             (offset_of!(Args, outputs), OUTPUTS as i64),
             (offset_of!(Args, functions), FUNCTIONS as i64),
             (offset_of!(Args, planes), PLANES as i64),
+            (offset_of!(Args, tables), TABLES as i64),
             (offset_of!(Args, target), TARGET as i64),
             (offset_of!(Args, x), window.x as i64),
             (offset_of!(Args, y), window.y as i64),
@@ -81,9 +82,11 @@ impl<'p> Emulated<'p> {
         e.regions.insert(ARGS, args);
         e.regions.insert(INPUTS, inputs);
         e.regions.insert(OUTPUTS, vec![0; 8 * self.program.sink().outputs().len()]);
+        let numbers = self.program.tables().numbers();
+        e.regions.insert(TABLES, numbers.iter().copied().flat_map(f64::to_le_bytes).collect());
         e.regions.insert(FUNCTIONS, vec![0; size_of::<Functions>()]);
         e.regions.insert(STACK, vec![0xAA; 1 << 20]);
-        e.regions.insert(self.pool.0, self.pool.1.clone());
+        e.regions.insert(self.pool.first, self.pool.bytes.clone());
         let mut planes = Vec::new();
         for (channel, view) in stage.views().iter().enumerate() {
             let region = view.region(window).unwrap();
@@ -136,7 +139,8 @@ pub(crate) fn subject(seed: u64, width: VectorWidth) -> (Program, Precision, Sta
     let mut random = Random(seed);
     let longest = *random.pick(&[4, 10, 30, 60, 150]);
     let lengths = [longest, longest / 2, longest].map(|most| 1 + random.below(most));
-    let variety = Variety { fma: random.below(2) == 0, calls: random.below(3) == 0, tables: false, lengths, sums: 9 };
+    let (fma, calls, tables) = (random.below(2) == 0, random.below(3) == 0, random.below(2) == 0);
+    let variety = Variety { fma, calls, tables, lengths, sums: 9 };
     let renders = random.below(8) == 0;
     let program = program(&mut random, variety, renders);
     let precision = *random.pick(&[Precision::F32, Precision::F64]);

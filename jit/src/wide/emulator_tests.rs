@@ -52,12 +52,8 @@ fn singles(f: impl Fn(f32, f32, f32) -> f32, [a, b, c]: [&Vector; 3]) -> Vector 
     }))
 }
 
-fn doubles(f: impl Fn(f64, f64, f64) -> f64, [a, b, c]: [&Vector; 3]) -> Vector {
-    let [a, b, c] = [a, b, c].map(lanes::<8>);
-    together((0..8).map(|i| {
-        let [a, b, c] = [a[i], b[i], c[i]].map(f64::from_le_bytes);
-        f(a, b, c).to_le_bytes()
-    }))
+fn doubles(f: impl Fn(f64, f64, f64) -> f64, vectors: [&Vector; 3]) -> Vector {
+    words(|a, b, c| f(f64::from_bits(a), f64::from_bits(b), f64::from_bits(c)).to_bits(), vectors)
 }
 
 fn words(f: impl Fn(u64, u64, u64) -> u64, [a, b, c]: [&Vector; 3]) -> Vector {
@@ -326,6 +322,9 @@ impl Emulator {
             let is_general = i.op_kind(*at) == OpKind::Register && i.op_register(*at).is_gpr();
             matches!(i.op_kind(*at), OpKind::Register | OpKind::Memory) && !is_mask && !is_general
         });
+        if i.is_vsib() {
+            return self.gather(i);
+        }
         let stores = i.op0_kind() == OpKind::Memory;
         let all: Vec<u32> = operands.filter(|at| !(stores && *at == 0)).collect();
         let v: Vec<Vector> = all.into_iter().map(|at| self.vector(i, at)).collect();
@@ -355,6 +354,10 @@ impl Emulator {
             Vandnps | Vandnpd => (words(|_, a, b| !a & b, three(0, 1, 2)), 8),
             Vorps | Vorpd => (words(|_, a, b| a | b, three(0, 1, 2)), 8),
             Vxorps | Vxorpd => (words(|_, a, b| a ^ b, three(0, 1, 2)), 8),
+            Vpminud => {
+                (words(|_, a, b| (a >> 32).min(b >> 32) << 32 | (a << 32).min(b << 32) >> 32, three(0, 1, 2)), 4)
+            }
+            Vpminuq => (words(|_, a, b| a.min(b), three(0, 1, 2)), 8),
             Vpaddq => (words(|_, a, b| a.wrapping_add(b), three(0, 1, 2)), 8),
             Vpsubq => (words(|_, a, b| a.wrapping_sub(b), three(0, 1, 2)), 8),
             Vpsllq => (words(|_, a, _| a << i.immediate8(), three(0, 1, 1)), 8),
@@ -363,16 +366,8 @@ impl Emulator {
                 assert_eq!(byte, Some(0xca));
                 (words(|a, b, c| a & b | !a & c, three(0, 1, 2)), 8)
             }
-            Vblendvps => {
-                let picks = lanes::<4>(at(3));
-                let [a, b] = [at(1), at(2)].map(lanes::<4>);
-                (together((0..16).map(|n| if picks[n][3] & 0x80 != 0 { b[n] } else { a[n] })), 4)
-            }
-            Vblendvpd => {
-                let picks = lanes::<8>(at(3));
-                let [a, b] = [at(1), at(2)].map(lanes::<8>);
-                (together((0..8).map(|n| if picks[n][7] & 0x80 != 0 { b[n] } else { a[n] })), 8)
-            }
+            Vblendvps => (singles(|a, b, c| if c.is_sign_negative() { b } else { a }, three(1, 2, 3)), 4),
+            Vblendvpd => (doubles(|a, b, c| if c.is_sign_negative() { b } else { a }, three(1, 2, 3)), 8),
             Vcmpps | Vcmppd | Vpcmpeqq => return self.compare(i, &v, byte),
             Vcvtps2pd => {
                 let wide = lanes::<4>(at(1)).into_iter().map(|x| f64::from(f32::from_le_bytes(x)).to_le_bytes());
@@ -430,6 +425,30 @@ impl Emulator {
         };
         let element = if i.op_mask() == Register::None { 1 } else { element };
         self.leave(i, result, element);
+    }
+
+    /// 64 bits for each lane that the mask asks for; the mask is empty afterwards.
+    fn gather(&mut self, i: &Instruction) {
+        let (to, bytes) = Self::number(i.op0_register());
+        let index = lanes::<8>(&self.vectors[Self::number(i.memory_index()).0]);
+        let base = self.register(i.memory_base()).wrapping_add(i.memory_displacement64());
+        let mut result = self.vectors[to];
+        for (lane, index) in index.into_iter().enumerate().take(bytes / 8) {
+            let place = 8 * lane..8 * lane + 8;
+            let is_asked = match i.op_mask() {
+                Register::None => self.vectors[Self::number(i.op2_register()).0][place.end - 1] >> 7 == 1,
+                mask => self.masks[Self::mask_number(mask)] >> lane & 1 == 1,
+            };
+            if is_asked {
+                let far = u64::from_le_bytes(index).wrapping_mul(i.memory_index_scale().into());
+                result[place].copy_from_slice(&self.read(base.wrapping_add(far), 8));
+            }
+        }
+        self.leave(i, result, 8);
+        match i.op_mask() {
+            Register::None => self.vectors[Self::number(i.op2_register()).0] = [0; 64],
+            mask => self.masks[Self::mask_number(mask)] = 0,
+        }
     }
 
     fn compare(&mut self, i: &Instruction, v: &[Vector], byte: Option<u8>) {

@@ -223,7 +223,7 @@ impl Writer<'_, '_, '_> {
             _ => {}
         }
         let operands: SmallVec<[Id; 3]> = op.operands().map(|v| self.operand(v)).collect();
-        let result = self.block.arithmetic(element, op, &operands);
+        let result = self.block.arithmetic(element, op, &operands, pixels.program.tables());
         match result.or_else(|| self.block.function(pixels.evaluation, op.code, &operands)) {
             Some(result) => result,
             None => unreachable!("the check refuses scalar instructions at the pixel level"),

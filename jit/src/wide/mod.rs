@@ -28,6 +28,7 @@ mod outer;
 mod pixels;
 mod places;
 mod select;
+mod tables;
 
 use isophote_symbolic::Program;
 

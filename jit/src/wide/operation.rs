@@ -65,6 +65,8 @@ pub(super) enum Operation {
     SubBits,
     /// Of 64-bit integers; a truth value.
     EqualBits,
+    /// The lesser of 64-bit integers without signs; at 256 bits of the halves of each, so that it is not above the second.
+    Least,
     /// A truth value, see [`comparison`].
     Compare(u8),
     Sqrt,
@@ -233,6 +235,7 @@ impl Operation {
             AddBits => alike(VEX_Vpaddq_ymm_ymm_ymmm256, EVEX_Vpaddq_zmm_k1z_zmm_zmmm512b64),
             SubBits => alike(VEX_Vpsubq_ymm_ymm_ymmm256, EVEX_Vpsubq_zmm_k1z_zmm_zmmm512b64),
             EqualBits => alike(VEX_Vpcmpeqq_ymm_ymm_ymmm256, EVEX_Vpcmpeqq_kr_k1_zmm_zmmm512b64),
+            Least => alike(VEX_Vpminud_ymm_ymm_ymmm256, EVEX_Vpminuq_zmm_k1z_zmm_zmmm512b64),
             Compare(_) => [
                 VEX_Vcmpps_ymm_ymm_ymmm256_imm8,
                 VEX_Vcmppd_ymm_ymm_ymmm256_imm8,
@@ -372,6 +375,14 @@ pub(super) fn truths(element: Element, width: VectorWidth) -> Code {
     pick(codes, element, width)
 }
 
+/// The instruction that reads 64 bits of memory for each lane, at 64-bit indices.
+pub(super) fn gather(width: VectorWidth) -> Code {
+    match width {
+        VectorWidth::Bits512 => Code::EVEX_Vgatherqpd_zmm_k1_vm64z,
+        _ => Code::VEX_Vgatherqpd_ymm_vm64y_ymm,
+    }
+}
+
 /// The instruction that makes truth values of a mask register.
 pub(super) fn truth_of_mask(element: Element) -> Code {
     match element {
@@ -395,6 +406,7 @@ pub(crate) fn every_code() -> Vec<Code> {
         AddBits,
         SubBits,
         EqualBits,
+        Least,
         Compare(0),
         Sqrt,
         Fma,
@@ -423,7 +435,7 @@ pub(crate) fn every_code() -> Vec<Code> {
             all.extend(operations.map(|operation| operation.code(element, width)));
             all.extend([FmaForm::F132, FmaForm::F213, FmaForm::F231].map(|form| form.code(element, width)));
             all.extend([Portion::Whole, Portion::Half, Portion::Least].map(|extent| store(extent, element, width)));
-            all.push(truths(element, width));
+            all.extend([truths(element, width), gather(width)]);
         }
     }
     all

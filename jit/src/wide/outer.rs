@@ -68,6 +68,8 @@ impl Writer<'_, '_> {
     fn part(&mut self, level: Level, part: usize) -> Vec<(Act, Option<Value>)> {
         let program = self.program;
         (self.part, self.number) = (part, None);
+        // Parts are written side by side: neither reads what the other one makes.
+        self.block.cells.clear();
         let of_rows = |value: usize| program.instructions()[value].level != Level::Pass;
         self.known.iter_mut().enumerate().filter(|(value, _)| of_rows(*value)).for_each(|(_, known)| *known = None);
         if level == Level::Pass {
@@ -153,7 +155,7 @@ impl Writer<'_, '_> {
             Opcode::PassCount => self.block.kept(self.places.counters.pixels.spread()),
             _ => {
                 let operands: SmallVec<[Id; 3]> = op.operands().map(|v| self.operand(v)).collect();
-                let result = self.block.arithmetic(DOUBLE, op, &operands);
+                let result = self.block.arithmetic(DOUBLE, op, &operands, self.program.tables());
                 match result.or_else(|| self.block.outer_function(code, &operands)) {
                     Some(result) => result,
                     None => unreachable!("the check refuses pixel instructions at this level"),

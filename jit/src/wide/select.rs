@@ -3,7 +3,7 @@
 //! What comes in: an operation, its operands as vectors. What goes out: a vector. The same for pixels, one a lane, and for
 //! rows, one a lane; truth values are masks everywhere. It must never know: loops, memory, registers.
 
-use isophote_symbolic::{Comparison, Op, Opcode};
+use isophote_symbolic::{Comparison, Op, Opcode, Tables};
 
 use super::block::{Block, Id};
 use super::operation::{Element, Operation, comparison};
@@ -20,7 +20,7 @@ fn bits(of: Comparison) -> u8 {
 
 impl Block<'_> {
     /// What an operation makes of vectors; `None` for one that reads something else, and for calls.
-    pub fn arithmetic(&mut self, element: Element, op: Op, operands: &[Id]) -> Option<Id> {
+    pub fn arithmetic(&mut self, element: Element, op: Op, operands: &[Id], tables: &Tables) -> Option<Id> {
         use Operation::*;
         Some(match (op.code, operands) {
             (Opcode::Const(x), _) => self.number(element, x.get()),
@@ -42,6 +42,7 @@ impl Block<'_> {
             (Opcode::And, &[a, b]) => self.compute(And, element, [a, b]),
             (Opcode::Or, &[a, b]) => self.compute(Or, element, [a, b]),
             (Opcode::Not, &[a]) => self.not(element, a),
+            (Opcode::Gather(lookup), &[a, b]) => self.looked_up(element, tables, lookup, [a, b]),
             (Opcode::Select, &[truth, a, b]) => self.compute(Select, element, [truth, a, b]),
             _ => return None,
         })

@@ -14,7 +14,6 @@ use std::mem::discriminant;
 pub struct Variety {
     pub fma: bool,
     pub calls: bool,
-    /// Looks things up, which vectors of 128 bits alone do.
     pub tables: bool,
     /// Instructions of pass, row and pixel.
     pub lengths: [usize; 3],
