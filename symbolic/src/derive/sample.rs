@@ -23,29 +23,45 @@ impl Model {
     /// The model at each of `places` (one number a coordinate). `parameters` and `constants` in document order.
     pub fn samples(&self, places: &[Vec<f64>], parameters: &[f64], constants: &[f64]) -> Vec<Sample> {
         let formulas = &self.formulas;
-        let given = |node: &Node| match node {
-            Node::Input(Input::Parameter(p) | Input::Entry(p)) => parameters[p.index()],
-            Node::Input(Input::Constant(c)) => constants[c.index()],
-            Node::Input(Input::Shift(_)) => 0.0,
-            _ => f64::NAN,
-        };
+        let given = |node: &Node| given(node, parameters, constants);
         let roots: Vec<_> = std::iter::once(formulas.intensity).chain(formulas.noise).collect();
-        let domain: Vec<_> = formulas.domain.into_iter().collect();
         let mut numbers = Values::of(&formulas.graph, &roots, &given);
-        let mut bounds = Values::of(&formulas.graph, &domain, &given);
+        let mut is_inside = self.insides(parameters, constants);
         let sample = |place: &Vec<f64>| {
-            let leaf = |node: &Node| match node {
-                Node::Coordinate(c) => place.get(c.index()).copied().unwrap_or(f64::NAN),
-                node => given(node),
-            };
-            let values = numbers.at(&leaf);
+            let values = numbers.at(&|node: &Node| at(node, place, &given));
             Sample {
                 intensity: values[0].value,
                 variance: values.get(1).map(|variance| variance.value),
-                inside: domain.is_empty() || bounds.holds_at(&leaf),
+                inside: is_inside(place),
             }
         };
         places.iter().map(sample).collect()
+    }
+
+    /// Whether places (one number a coordinate) are in the domain, one after the other: what does not depend on the place is
+    /// worked out once.
+    pub fn insides<'a>(&'a self, parameters: &'a [f64], constants: &'a [f64]) -> impl FnMut(&[f64]) -> bool + 'a {
+        let given = |node: &Node| given(node, parameters, constants);
+        let domain: Vec<_> = self.formulas.domain.into_iter().collect();
+        let mut bounds = Values::of(&self.formulas.graph, &domain, &given);
+        move |place| domain.is_empty() || bounds.holds_at(&|node: &Node| at(node, place, &given))
+    }
+}
+
+/// What a place does not change.
+fn given(node: &Node, parameters: &[f64], constants: &[f64]) -> f64 {
+    match node {
+        Node::Input(Input::Parameter(p) | Input::Entry(p)) => parameters[p.index()],
+        Node::Input(Input::Constant(c)) => constants[c.index()],
+        Node::Input(Input::Shift(_)) => 0.0,
+        _ => f64::NAN,
+    }
+}
+
+fn at(node: &Node, place: &[f64], given: &dyn Fn(&Node) -> f64) -> f64 {
+    match node {
+        Node::Coordinate(c) => place.get(c.index()).copied().unwrap_or(f64::NAN),
+        node => given(node),
     }
 }
 

@@ -202,17 +202,18 @@ fn touch(a: &[f64; 4], b: &[f64; 4]) -> bool {
 
 /// The least of some s beyond which the domain holds nothing, by places around each spot; `None` when it reaches far.
 fn reach(model: &Model, parameters: &[f64], constants: &[f64], outlines: &[Five]) -> Option<f64> {
-    let around = |s: f64| -> Vec<Vec<f64>> {
-        let place = |ellipse: &Five, k: usize| {
-            let (sin, cos) = (std::f64::consts::TAU * k as f64 / BEARINGS as f64).sin_cos();
-            let own = ellipse[2] * cos * cos + 2.0 * ellipse[3] * cos * sin + ellipse[4] * sin * sin;
-            let radius = (s / own).sqrt();
-            vec![ellipse[0] + radius * cos, ellipse[1] + radius * sin]
-        };
-        outlines.iter().flat_map(|ellipse| (0..BEARINGS).map(move |k| place(ellipse, k))).collect()
+    let place = |ellipse: &Five, s: f64, k: usize| {
+        let (sin, cos) = (std::f64::consts::TAU * k as f64 / BEARINGS as f64).sin_cos();
+        let own = ellipse[2] * cos * cos + 2.0 * ellipse[3] * cos * sin + ellipse[4] * sin * sin;
+        let radius = (s / own).sqrt();
+        [ellipse[0] + radius * cos, ellipse[1] + radius * sin]
     };
-    let outside = |s: &&f64| !model.samples(&around(**s), parameters, constants).iter().any(|sample| sample.inside);
-    REACHES.iter().find(outside).copied()
+    let mut is_inside = model.insides(parameters, constants);
+    let mut ends_at = |s: f64| {
+        let mut around = outlines.iter().flat_map(|ellipse| (0..BEARINGS).map(move |k| (ellipse, k)));
+        !around.any(|(ellipse, k)| is_inside(&place(ellipse, s, k)))
+    };
+    REACHES.into_iter().find(|s| ends_at(*s))
 }
 
 /// The pixels of `window` inside of a box.
