@@ -75,13 +75,28 @@ impl Kernel {
 
     /// One pass over the pixels of `window`, which must lie inside every plane.
     pub fn sums(&self, bindings: &Bindings<'_>, planes: &[PlaneView<'_>], window: Window) -> Result<Sums, RunError> {
+        let mut sums = Sums::default();
+        self.sums_into(bindings, planes, window, &mut sums)?;
+        Ok(sums)
+    }
+
+    /// The same in the place of other sums, whose memory it takes.
+    pub fn sums_into(
+        &self,
+        bindings: &Bindings<'_>,
+        planes: &[PlaneView<'_>],
+        window: Window,
+        sums: &mut Sums,
+    ) -> Result<(), RunError> {
         let Sink::Sums { outputs, .. } = self.program.sink() else { return Err(RunError::Sink { renders: true }) };
         let regions = self.regions(planes, window)?;
         // The code writes all of them.
-        let mut outputs: Vec<f64> = outputs.iter().map(|_| f64::NAN).collect();
+        sums.outputs.clear();
+        sums.outputs.resize(outputs.len(), f64::NAN);
         let inputs = self.inputs(bindings);
-        let counts = self.code.sums(&inputs, &mut outputs, &regions, window);
-        Ok(Sums { outputs, pixels: counts.pixels, saturated: counts.saturated })
+        let counts = self.code.sums(&inputs, &mut sums.outputs, &regions, window);
+        (sums.pixels, sums.saturated) = (counts.pixels, counts.saturated);
+        Ok(())
     }
 
     /// Adds the program's value to every pixel of `plane`, which holds the pixels of `window` row by row.

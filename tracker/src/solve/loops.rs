@@ -28,6 +28,8 @@ pub(crate) struct Totals {
     pub saturated: u64,
     /// Pixel values of the domain that gaps left out.
     pub left_out: u64,
+    /// Of the kernel that ran last.
+    last: Sums,
 }
 
 impl Totals {
@@ -85,16 +87,18 @@ impl Loops {
         for window in windows {
             let mut saturated = 0;
             for kernel in &self.seen {
-                let sums = kernel.sums(bindings, planes, *window).ok()?;
+                let sums = &mut totals.last;
+                kernel.sums_into(bindings, planes, *window, sums).ok()?;
                 totals.pixels += sums.pixels;
                 saturated += sums.saturated;
-                add(&mut totals.seen, &sums);
-                add(&mut totals.outputs, &sums);
+                add(&mut totals.seen, sums);
+                add(&mut totals.outputs, sums);
             }
             totals.saturated += saturated;
             // Where nothing was left out there is nothing to make up for.
             for kernel in self.clipped.iter().filter(|_| saturated > 0) {
-                add(&mut totals.outputs, &kernel.sums(bindings, planes, *window).ok()?);
+                kernel.sums_into(bindings, planes, *window, &mut totals.last).ok()?;
+                add(&mut totals.outputs, &totals.last);
             }
         }
         Some(())
