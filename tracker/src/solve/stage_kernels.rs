@@ -146,13 +146,16 @@ impl StageKernels {
         self.model.stages().last().map_or(&[], |stage| &stage.parameters)
     }
 
-    /// Compiles every kernel for frames whose planes all have this format: packed when there is one, else interleaved.
+    /// Compiles every kernel for frames whose planes all have this format: packed when there is one, else interleaved. Of
+    /// formats that hold what is no number those that leave such pixels out, too.
     ///
     /// # Errors
     /// When a kernel cannot be made.
     pub fn warm(&self, format: PixelFormat, workers: &dyn Workers) -> Result<(), CompileFailure> {
         let layout = PlaneLayout::of_format(format, self.model.channels().len());
-        self.warm_for(&layout, &[Control::Plain, Control::Dropping], workers)
+        let controls = [Control::Plain, Control::Dropping, Control::Blind];
+        let holds_nan = matches!(format, PixelFormat::F32 | PixelFormat::F64);
+        self.warm_for(&layout, if holds_nan { &controls } else { &controls[..2] }, workers)
     }
 
     /// Compiles every kernel for a layout and some controls.
