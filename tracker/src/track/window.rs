@@ -5,7 +5,7 @@
 
 use isophote_jit::{Slices, Window};
 use isophote_symbolic::{Estimator, Model, Roles, Start};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Matrix4};
 
 /// Semi-axes of the made-up targets, px.
 const SEMI_AXES_PX: [f64; 2] = [8.0, 80.0];
@@ -159,7 +159,9 @@ pub(crate) fn shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Opt
 
 /// Half the outline's width along each coordinate, `√(A⁻¹)_ii`; `None` when A is not positive definite.
 pub(crate) fn half_widths(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<Vec<f64>> {
-    let inverse = shape(roles, dimensions, parameters)?.cholesky()?.inverse();
+    let mut whole = Matrix4::identity(); // asked for many times a frame: on the stack
+    whole.view_mut((0, 0), (dimensions, dimensions)).copy_from(&shape(roles, dimensions, parameters)?);
+    let inverse = whole.cholesky()?.inverse();
     Some((0..dimensions).map(|axis| inverse[(axis, axis)].sqrt()).collect())
 }
 
