@@ -113,18 +113,19 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The same with a plane of corrections for each entry that is fitted, which hold the window's pixels.
-    pub fn corrected<'b>(&self, corrections: &'b [Vec<f32>]) -> Option<View<'b>>
+    /// The same with a plane of corrections for each entry that is fitted, which hold the pixels of a window that has this one
+    /// inside.
+    pub fn corrected<'b>(&self, corrections: &'b [Vec<f32>], window: Window) -> Option<View<'b>>
     where
         'a: 'b,
     {
         const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
-        let [width, height, depth, length] = self.window.size();
+        let [width, height, depth, length] = window.size();
         let strides = [BYTES, width * BYTES, width * height * BYTES, width * height * depth * BYTES];
         let plane = |pixels: &'b Vec<f32>| {
             let bytes = bytemuck::cast_slice(pixels);
             let plane = PlaneView::stack(PixelFormat::F32, bytes, [width, height, depth, length], strides);
-            plane.ok().map(|plane| plane.placed(self.window.first()))
+            plane.ok().map(|plane| plane.placed(window.first()))
         };
         let with = |limits: &[f64]| {
             let free = corrections.iter().map(|_| f64::INFINITY);

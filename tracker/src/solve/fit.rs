@@ -13,7 +13,7 @@ use crate::scaled::Definite;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
-use crate::solve::follow::{ShortWay, follow};
+use crate::solve::follow::{ShortWay, Tether, follow};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
@@ -41,6 +41,12 @@ pub(crate) struct Fit {
 }
 
 impl Fit {
+    /// One that has not begun.
+    fn at(parameters: Vec<f64>) -> Fit {
+        let (ending, stages, unused) = (Ending::SmallStep, Vec::new(), Vec::new());
+        Fit { parameters, ending, stages, worth: None, choice: None, chosen: None, unused }
+    }
+
     /// True when the parameters are those of a fit, or the best point that one had reached when the frame's budget was used up.
     pub fn is_usable(&self) -> bool {
         self.ending.is_fit() || self.ending == Ending::Budget && self.worth.is_some()
@@ -86,7 +92,7 @@ pub(crate) fn fit(
 ) -> Result<Fit, CompileFailure> {
     if matches!(begin, Begin::Nearby(_))
         && control != Control::Blind
-        && let Arrival::There(fit) = followed(compiled, view, constants, start, None, &|_| true)?
+        && let Arrival::There(fit) = followed(compiled, view, constants, start, None, None)?
     {
         return Ok(*fit);
     }
@@ -110,15 +116,7 @@ pub(super) fn fit_controlled(
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
-    let mut fit = Fit {
-        parameters: start.to_vec(),
-        ending: Ending::SmallStep,
-        stages: Vec::new(),
-        worth: None,
-        choice: None,
-        chosen: None,
-        unused: Vec::new(),
-    };
+    let mut fit = Fit::at(start.to_vec());
     for index in 0..model.stages().len() {
         let passes = Passes::of(compiled, view, &parts, constants);
         let mut problem = Summed::of(passes, index, control)?;
@@ -132,13 +130,27 @@ pub(super) fn fit_controlled(
     }
     let is_begun = fit.stages.iter().any(|stage| stage.passes > 0);
     let is_cut = fit.ending == Ending::Budget && view.is_over() && is_begun;
-    if !fit.ending.is_fit() && !is_cut {
-        return Ok(fit);
+    match fit.ending.is_fit() || is_cut {
+        true => weighed(compiled, view, constants, fit, control, &parts),
+        false => Ok(fit),
     }
+}
+
+/// A fit with what it is worth. One that the frame's budget has cut short is over it by that.
+fn weighed(
+    compiled: &StageKernels,
+    view: &View,
+    constants: &[f64],
+    mut fit: Fit,
+    control: Control,
+    parts: &[Window],
+) -> Result<Fit, CompileFailure> {
+    let model = compiled.model();
+    let is_cut = fit.ending == Ending::Budget;
     let control = if control == Control::Blind { control } else { Control::Dropping };
     let covariance = compiled.loops(Job::Covariance, control, &view.layout)?;
     let report = if model.has_noise() { Some(compiled.loops(Job::Report, control, &view.layout)?) } else { None };
-    let mut passes = Passes { is_last: is_cut, ..Passes::of(compiled, view, &parts, constants) };
+    let mut passes = Passes { is_last: is_cut, ..Passes::of(compiled, view, parts, constants) };
     match passes.worth(&covariance, report.as_ref(), &fit.parameters) {
         Ok(worth) => {
             if worth.covariance.is_none() && !is_cut {
@@ -152,26 +164,39 @@ pub(super) fn fit_controlled(
     Ok(fit)
 }
 
+/// What a short way had come to when the frame's budget was used up.
+pub(super) fn cut_short(
+    compiled: &StageKernels,
+    view: &View,
+    constants: &[f64],
+    parameters: Vec<f64>,
+    report: StageReport,
+) -> Result<Fit, CompileFailure> {
+    let parts = parts(compiled.model(), view, constants, &parameters);
+    let report = StageReport { ending: Ending::Budget, ..report };
+    let fit = Fit { stages: vec![report], ending: Ending::Budget, ..Fit::at(parameters) };
+    weighed(compiled, view, constants, fit, Control::Dropping, &parts)
+}
+
 /// What became of a short way.
 pub(super) enum Arrival {
     /// It led to a fit.
     There(Box<Fit>),
-    /// It led so many standard deviations away, farther than it should: it is to be gone on from there.
-    Far { parameters: Vec<f64>, way: f64, report: StageReport },
+    /// It led farther away than it should, by a last step of that length: it is to be gone on from there.
+    Far { parameters: Vec<f64>, step: Option<f64>, report: StageReport },
     /// The start was not nearly right.
     Lost,
 }
 
 /// The short way, for models of one stage whose Hessian is the covariance's. Saturated pixels are left out or censored, as a
-/// plain fit would do when it has met them. `before` is that of [`follow`], and `is_near` says how far the end may be from the
-/// start, in standard deviations.
+/// plain fit would do when it has met them. `before` and `tether` are those of [`follow`].
 pub(super) fn followed(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
     before: Option<f64>,
-    is_near: &dyn Fn(f64) -> bool,
+    tether: Option<&Tether>,
 ) -> Result<Arrival, CompileFailure> {
     if compiled.model().stages().len() != 1 || !compiled.is_covariance(0) || compiled.precision() == Precision::F64 {
         return Ok(Arrival::Lost);
@@ -185,23 +210,19 @@ pub(super) fn followed(
     };
     let mut parameters = start.to_vec();
     let rules = rules(compiled, view, 0, control);
-    let Some(ShortWay { report: stage, pass, variance }) = follow(&mut problem, &rules, &mut parameters, before) else {
-        return Ok(Arrival::Lost);
-    };
-    let moved = DVector::from_iterator(rules.free.len(), rules.free.iter().map(|&i| parameters[i] - start[i]));
+    let Some(way) = follow(&mut problem, &rules, &mut parameters, before, tether) else { return Ok(Arrival::Lost) };
+    let ShortWay { report: stage, pass, strained, .. } = way;
     if stage.ending == Ending::Budget && !view.is_over() {
         return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
     }
-    let way = (0.5 * moved.dot(&(&pass.quadratic.hessian * &moved)).max(0.0) / variance).sqrt();
-    if !is_near(way) {
-        return Ok(Arrival::Far { parameters, way, report: stage });
+    if let Some(step) = strained {
+        return Ok(Arrival::Far { parameters, step, report: stage });
     }
     problem.passes.is_last = stage.ending == Ending::Budget;
     let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
-    let stages = vec![stage];
-    let fit = Fit { parameters, ending, stages, worth: Some(worth), choice: None, chosen: None, unused: Vec::new() };
+    let fit = Fit { ending, stages: vec![stage], worth: Some(worth), ..Fit::at(parameters) };
     Ok(Arrival::There(Box::new(fit)))
 }
 
@@ -209,8 +230,11 @@ pub(super) fn followed(
 fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -> Rules {
     let model = compiled.model();
     let stage = &model.stages()[index];
+    let order = compiled.order(index);
+    let places = model.roles().iter().flat_map(|roles| roles.centre.iter().chain(&roles.position));
     Rules {
-        free: indices(compiled.order(index)),
+        free: indices(order),
+        places: places.filter_map(|place| order.iter().position(|free| free == place)).collect(),
         iterations: stage.iterations,
         tolerance: stage.tolerance * tolerance_share(compiled.precision()),
         noise: model.has_noise(),

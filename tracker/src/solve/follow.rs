@@ -6,45 +6,75 @@
 //! The start fixes the pixel set and the weights of every pass, so that F of one pass is comparable with F of the next: the
 //! pass at the point where a step leads both judges that step and makes the next one. Lengths are in standard deviations,
 //! `√(δᵀC⁻¹δ)`. Of two steps in a row of lengths a and b, with q = b/a, what is left after the second is at most
-//! `b (q + q² + …) = b q/(1 − q)` where steps go on to shrink as they do; Newton's shrink faster. When that is a small share
-//! of a standard deviation the fit is over: two passes from a tenth of a pixel, three from a whole one. Where the frame's budget
+//! `b (q + q² + …) = b q/(1 − q)` where steps go on to shrink as they do. Newton's shrink faster, by a share that falls with
+//! their length, down to what noise bends: so the next q is taken to be `(b + c)/(a + c)` of the last, with a c that is longer
+//! than any noise. When what is left is a small share of a standard deviation the fit is over: two passes from a tenth of a pixel, three from a whole one. Where the frame's budget
 //! ends it before, the last step is taken, though nothing has judged it: from a start that is nearly right it leads nearer.
+//!
+//! What a start is wrong about is where the target is: the rest is as it was a frame ago. To second order a target that is
+//! elsewhere looks like one that is wider and fainter as well, and Newton's step believes it. So a step that changes the rest by
+//! more than noise does, though the places account for much of what it promises, moves the places alone; the next one moves all.
 
 use nalgebra::DVector;
 
 use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::scaled::Definite;
-use crate::solve::stage::{CostFunction, Pass, Rules, eigen_resolution};
+use crate::solve::stage::{CostFunction, Pass, QUANTISATION, Rules, eigen_resolution};
 use crate::solve::trust::{Quadratic, Spectrum};
 
 /// What may be left of the way to the minimum, in standard deviations.
 const LEFT: f64 = 0.05;
+/// A step this long, in standard deviations, shrinks the next one no more than a shorter one does.
+const BENT: f64 = 30.0;
 /// Passes after which a start was not nearly right.
-const PASSES: u32 = 4;
+const PASSES: u32 = 6;
+/// A step moves the places alone where the rest would change by so many standard deviations more, …
+const REST: f64 = 10.0;
+/// … and the places alone take this share of what it promises.
+const BY_PLACE: f64 = 0.25;
 
 /// What a start that was nearly right came to.
 pub(crate) struct ShortWay {
     pub report: StageReport,
     /// At the point where the last step began; F is what it will be at its end.
     pub pass: Pass,
-    /// Of a residual, where the model does not say it: χ²/ν.
-    pub variance: f64,
+    /// It ended where its tether did, after a step of that length; not known of one that did not move all.
+    pub strained: Option<Option<f64>>,
+}
+
+/// How far from some point a way may lead.
+pub(crate) struct Tether<'a> {
+    /// All parameters.
+    pub from: &'a [f64],
+    /// In standard deviations.
+    pub length: f64,
+}
+
+impl Tether<'_> {
+    /// `√(½ dᵀHd)` over that of a residual is how far a point is.
+    pub fn holds(&self, at: &[f64], rules: &Rules, pass: &Pass, variance: f64) -> bool {
+        let apart = DVector::from_iterator(rules.free.len(), rules.free.iter().map(|&i| at[i] - self.from[i]));
+        let square = 0.5 * apart.dot(&(&pass.quadratic.hessian * &apart)) / variance;
+        square <= self.length * self.length
+    }
 }
 
 /// Moves `point` to the minimum; `None`, with `point` as it was, where a step does not do what it promises, where bounds or
 /// rounding have a say, or where too many steps would be needed. What ends every pass is for the caller to find out anew.
-/// `before`: the way that led to the point, where F was another but nearly the same.
+/// `before`: the length of the step that led to the point, where F was another but nearly the same.
 pub(crate) fn follow<P: CostFunction>(
     problem: &mut P,
     rules: &Rules,
     point: &mut [f64],
     before: Option<f64>,
+    tether: Option<&Tether>,
 ) -> Option<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
-    let mut before: Option<(f64, f64)> = before.map(|way| (f64::INFINITY, way));
-    // Of the step at hand: by how much F should fall, and the variance of a residual.
+    // F, and the length of the step from there; not known of one that did not move all.
+    let mut before: Option<(f64, Option<f64>)> = before.map(|way| (f64::INFINITY, Some(way)));
+    // By how much F should fall by the step at hand.
     let mut last = None;
     while report.passes < PASSES.min(rules.iterations) {
         match problem.gradient(&at, point, &mut pass) {
@@ -62,13 +92,16 @@ pub(crate) fn follow<P: CostFunction>(
         let objective = pass.quadratic.objective;
         let slack = rules.slack(objective, pass.pixels);
         if rules.is_traced {
-            let fell = |(promised, _): (f64, f64)| Some((before?.0 - objective + slack) / (promised + slack));
+            let fell = |promised: f64| Some((before?.0 - objective + slack) / (promised + slack));
             report.note(TracePoint { objective, radius: None, ratio: last.and_then(fell) });
         }
         if before.is_some_and(|(last, _)| objective > last + slack) {
             return None;
         }
-        let (delta, reduction) = newton_step(&pass.quadratic, eigen_resolution(rules.precision))?;
+        let whole = newton_step(&pass.quadratic, eigen_resolution(rules.precision))?;
+        let of_places = rules.place_step(&pass, whole.1);
+        let is_whole = of_places.is_none();
+        let (delta, reduction) = of_places.unwrap_or(whole);
         let variance = if rules.noise { 1.0 } else { rules.reduced(&pass).filter(|reduced| *reduced > 0.0)? };
         if !reduction.is_finite() {
             return None;
@@ -79,29 +112,33 @@ pub(crate) fn follow<P: CostFunction>(
             return None;
         }
         let length = (reduction.max(0.0) / variance).sqrt();
-        if before.is_some_and(|(_, last)| is_near(last, length)) {
+        if tether.is_some_and(|tether| !tether.holds(&at, rules, &pass, variance)) {
+            point.copy_from_slice(&at);
+            return Some(ShortWay { report, pass, strained: Some(is_whole.then_some(length)) });
+        }
+        if is_whole && before.and_then(|(_, last)| last).is_some_and(|last| is_near(last, length)) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
-            return Some(ShortWay { report, pass, variance });
+            return Some(ShortWay { report, pass, strained: None });
         }
-        before = Some((objective, length));
-        last = Some((reduction, variance));
+        before = Some((objective, is_whole.then_some(length)));
+        last = Some(reduction);
     }
     None
 }
 
 /// What a way that was left has come to: the end of its last step.
 fn left(
-    last: Option<(f64, f64)>,
+    last: Option<f64>,
     rules: &Rules,
     report: StageReport,
     mut pass: Pass,
     (at, point): (Vec<f64>, &mut [f64]),
 ) -> Option<ShortWay> {
-    let (reduction, variance) = last?;
+    let reduction = last?;
     rules.free.iter().for_each(|&i| point[i] = at[i]);
     pass.quadratic.objective -= reduction;
-    Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, variance })
+    Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, strained: None })
 }
 
 /// `−H⁻¹g`, and by how much F falls there, where H bends upwards.
@@ -115,6 +152,28 @@ fn newton_step(quadratic: &Quadratic, resolution: f64) -> Option<(DVector<f64>, 
     (step.interior && !spectrum.is_indefinite()).then_some((step.delta, step.reduction))
 }
 
+impl Rules {
+    /// The same with all but the places held, and by how much F falls there, where that is the better step of the two: the
+    /// whole one promises `whole`.
+    fn place_step(&self, pass: &Pass, whole: f64) -> Option<(DVector<f64>, f64)> {
+        let Quadratic { objective, gradient, hessian, .. } = &pass.quadratic;
+        // Of a residual, as far as it will be left.
+        let variance = match self.noise {
+            true => 1.0,
+            false => (objective - whole) / pass.pixels.max(1) as f64 + QUANTISATION + self.rounding.powi(2),
+        };
+        let much = REST * REST * variance;
+        if whole <= much {
+            return None;
+        }
+        let hessian = hessian.select_rows(&self.places).select_columns(&self.places);
+        let (moved, reduction) = Definite::of(&hessian)?.newton_step(&gradient.select_rows(&self.places));
+        let mut delta = DVector::zeros(gradient.len());
+        self.places.iter().zip(moved.iter()).for_each(|(&row, moved)| delta[row] = *moved);
+        (whole - reduction > much && reduction > BY_PLACE * whole).then_some((delta, reduction))
+    }
+}
+
 fn moved(at: &mut [f64], free: &[usize], delta: &DVector<f64>) {
     free.iter().zip(delta.iter()).for_each(|(&i, delta)| at[i] += delta);
 }
@@ -122,7 +181,8 @@ fn moved(at: &mut [f64], free: &[usize], delta: &DVector<f64>) {
 /// Whether little is left after a step of that length, the one before it being `last` long.
 fn is_near(last: f64, length: f64) -> bool {
     let ratio = length / last;
-    length == 0.0 || ratio < 1.0 && length * ratio / (1.0 - ratio) <= LEFT
+    let next = ratio * (length + BENT) / (last + BENT);
+    length == 0.0 || ratio < 1.0 && length * next / (1.0 - next) <= LEFT
 }
 
 #[cfg(test)]
@@ -173,19 +233,10 @@ mod tests {
     }
 
     fn run(start: f64, most: f64, is_false: bool) -> (Option<StageReport>, f64, Curve) {
-        let rules = Rules {
-            free: vec![0],
-            iterations: 50,
-            tolerance: 1e-3,
-            noise: true,
-            precision: Precision::F32,
-            rounding: 0.0,
-            is_traced: true,
-            window_pixels: 15,
-        };
+        let rules = Rules { window_pixels: 15, ..rules_of(1, Vec::new()) };
         let mut curve = Curve { contrast: 100.0, passes: 0, is_false, most, entries: Vec::new() };
         let mut point = [start];
-        let followed = follow(&mut curve, &rules, &mut point, None);
+        let followed = follow(&mut curve, &rules, &mut point, None, None);
         (followed.map(|followed| followed.report), point[0], curve)
     }
 
@@ -205,6 +256,77 @@ mod tests {
             let is_right = |ratio: &f64| off == 0.0 || (0.5..1.5).contains(ratio);
             assert!(ratios[1..].iter().flatten().all(is_right), "{ratios:?}");
             assert!(curve.entries.iter().all(|entry| *entry == 0.7 + off));
+        }
+    }
+
+    /// A bell of height 100 and deviation 1.3 at 0, with residuals of unit variance, by its place, width and height.
+    struct Bell;
+
+    impl CostFunction for Bell {
+        fn gradient(&mut self, point: &[f64], _: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+            let (mut objective, mut gradient, mut hessian) = (0.0, DVector::zeros(3), DMatrix::zeros(3, 3));
+            let bell = |x: f64, deviation: f64| (-0.5 * (x / deviation).powi(2)).exp();
+            for i in -20..=20 {
+                let (x, [place, width, height]) = (0.5 * f64::from(i), [point[0], point[1], point[2]]);
+                let (at, value) = (x - place, bell(x - place, width));
+                let residual = height * value - 100.0 * bell(x, 1.3);
+                let slopes =
+                    DVector::from_vec(vec![at / width.powi(2), at * at / width.powi(3), 1.0 / height]) * height * value;
+                objective += residual * residual;
+                gradient += 2.0 * residual * &slopes;
+                hessian += 2.0 * &slopes * slopes.transpose();
+            }
+            pass.quadratic = Quadratic { objective, gradient, hessian, curvature: Curvature::GaussNewton };
+            pass.pixels = 41;
+            Ok(())
+        }
+
+        fn value(&mut self, _: &[f64], _: &[f64]) -> Result<f64, Ending> {
+            unreachable!("the short way asks for no F alone")
+        }
+
+        fn allowed(&self, point: &[f64]) -> bool {
+            point[1] > 0.0
+        }
+    }
+
+    fn rules_of(free: usize, places: Vec<usize>) -> Rules {
+        Rules {
+            free: (0..free).collect(),
+            places,
+            iterations: 50,
+            tolerance: 1e-3,
+            noise: true,
+            precision: Precision::F32,
+            rounding: 0.0,
+            is_traced: true,
+            window_pixels: 41,
+        }
+    }
+
+    #[test]
+    fn a_target_that_is_farther_off_than_it_is_wide_is_moved_before_it_is_changed() {
+        for (off, places, passes) in
+            [(0.1, vec![0], 2), (1.0, vec![0], 3), (1.0, vec![], 4), (2.0, vec![0], 4), (2.0, vec![], 0)]
+        {
+            let mut point = [off, 1.3, 100.0];
+            let followed = follow(&mut Bell, &rules_of(3, places), &mut point, None, None);
+            assert_eq!(followed.map_or(0, |way| way.report.passes), passes, "{off}: {point:?}");
+            assert!(passes == 0 || point[0].abs() < 1e-3 && (point[2] - 100.0).abs() < 0.1, "{off}: {point:?}");
+        }
+    }
+
+    #[test]
+    fn a_way_ends_where_its_tether_does() {
+        let from = [0.3, 1.3, 100.0];
+        for (length, is_strained) in [(1.0, true), (1000.0, false)] {
+            let mut point = from;
+            let tether = Tether { from: &from, length };
+            let followed = follow(&mut Bell, &rules_of(3, vec![0]), &mut point, None, Some(&tether)).unwrap();
+            assert_eq!(followed.strained.is_some(), is_strained);
+            assert_eq!(followed.report.passes == 1, is_strained, "{:?}", followed.report);
+            // One step leads most of the way in any case.
+            assert!(point[0].abs() < 0.05, "{point:?}");
         }
     }
 

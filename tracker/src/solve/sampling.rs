@@ -7,7 +7,8 @@
 //! The mean over a pixel by n × n Gauss points costs n² predictions. So it is worked out once, at the start, and what it has
 //! beyond a coarse one is a plane of numbers that is added to that in every pass, `I(u) + [Iₙ − I](start)`. The gradient of
 //! this F is exact, and at the minimum, where the start was, the prediction is the fine one. What the plane's own slope would
-//! have added shrinks with the way from the start; where that is long, the plane is made anew.
+//! have added shrinks with the way from there; where that is long, the plane is made anew. Where it is not it serves the next
+//! frames, too, and in any case their first pass, whose step need not be better than the prediction that it begins at.
 
 use std::sync::{Arc, OnceLock};
 
@@ -21,8 +22,10 @@ use serde::{Deserialize, Serialize};
 use crate::estimate::{Sampled, StageReport};
 use crate::scaled::Definite;
 use crate::sight::view::View;
+use crate::solve::corrections::{Corrections, Planes, less, roomy};
 use crate::solve::exact;
-use crate::solve::fit::{Arrival, Fit, fit_controlled, followed, pass_at};
+use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at};
+use crate::solve::follow::Tether;
 use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
 use crate::solve::workers::InTurn;
@@ -47,10 +50,10 @@ const CHANGED: f64 = 0.2;
 /// Predictions that cost what a pixel of a pass does.
 const POINTS_A_PASS: usize = 4;
 /// Fits until a choice and its plane suit.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 4;
 
 /// How a fit samples, and what that was chosen for.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Chosen {
     pub sampled: Sampled,
     /// Of each free parameter, if all others were known: 1/variance. Empty before the first fit.
@@ -59,6 +62,19 @@ pub(crate) struct Chosen {
     /// By this share of a step the plane would have followed.
     #[serde(with = "exact")]
     lag: f64,
+    /// What the last fit went on with.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    corrections: Option<Corrections>,
+}
+
+impl Chosen {
+    /// Whether it can be of a model with so many parameters.
+    pub fn suits(&self, parameters: usize) -> bool {
+        let Sampled { points, slopes } = self.sampled;
+        (1..=POINTS_MAX).contains(&points)
+            && (1..=2).contains(&slopes)
+            && self.corrections.as_ref().is_none_or(|corrections| corrections.at.len() == parameters)
+    }
 }
 
 /// How a fit goes.
@@ -91,9 +107,6 @@ struct Entry {
     cache: Arc<KernelCache>,
     kernels: [OnceLock<Arc<Kernel>>; POINTS_MAX as usize - 1],
 }
-
-/// Something of a window's pixels, one plane for each entry.
-type Planes = Vec<Vec<f32>>;
 
 impl Sampling {
     /// Derives what is needed; kernels follow. Nothing for models that say how they sample, for those whose fits take the long
@@ -131,11 +144,11 @@ impl Sampling {
     }
 
     /// The fit from a start that is nearly right, by the choice of a fit before it; `None` where the start was not, or where
-    /// there is no choice. `domain`: all that the short way from the start can look at.
+    /// there is no choice. `domain`: all that the short way from a point can look at.
     pub fn fit(
         &self,
         view: &View,
-        domain: Window,
+        domain: &dyn Fn(&[f64]) -> Window,
         constants: &[f64],
         start: &[f64],
         before: Option<&Chosen>,
@@ -149,21 +162,37 @@ impl Sampling {
                 None => return Ok(None),
             },
         };
-        let narrow = view.narrowed(domain);
         let mut from = start.to_vec();
         let mut earlier: Option<StageReport> = None;
-        let mut before = None;
+        let (mut before, mut last) = (None, None);
         for _ in 0..ROUNDS {
-            let seen = if way == Way::Short { &narrow } else { view };
-            let found = match kernels.fit(seen, constants, &from, &chosen, before, way)? {
+            let narrow = if way == Way::Short { Some(view.narrowed(domain(&from))) } else { None };
+            let seen = narrow.as_ref().unwrap_or(view);
+            let room = roomy(seen.window, view.window);
+            let kept = chosen.corrections.take().filter(|made| made.serves(chosen.sampled, seen.window));
+            let made = match kept {
+                None => kernels.made(seen, room, constants, &from, chosen.sampled)?,
+                kept => kept,
+            };
+            let arrival = match &made {
+                Some(made) => kernels.fit(seen, made, constants, &from, &chosen, before, way)?,
+                None => Arrival::Lost,
+            };
+            let found = match arrival {
                 Arrival::There(fit) => fit,
-                Arrival::Far { parameters, way: far, report } => {
+                Arrival::Far { parameters, step, report } => {
                     earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
-                    (from, before, way) = (parameters, Some(far), Way::Any);
+                    (from, before, last) = (parameters, step, made);
                     continue;
                 }
-                Arrival::Lost => return Ok(None),
+                Arrival::Lost => {
+                    let is_cut = |made: &Corrections| view.is_over() && made.serves(chosen.sampled, seen.window);
+                    let Some((report, made)) = earlier.zip(last.filter(is_cut)) else { return Ok(None) };
+                    let Some(fit) = kernels.cut_short(seen, &made, constants, from, report)? else { return Ok(None) };
+                    return Ok(Some(Fit { chosen: Some(Chosen { corrections: Some(made), ..chosen }), ..fit }));
+                }
             };
+            chosen.corrections = made;
             let mut fit = *found;
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
                 *last = last.clone().after(&earlier);
@@ -177,7 +206,7 @@ impl Sampling {
             let fitted = chosen.sampled;
             if information.iter().zip(&chosen.information).any(is_changed) {
                 match kernels.choose(view, constants, &fit.parameters, Some(fitted))? {
-                    Some(anew) => chosen = anew,
+                    Some(anew) => chosen = Chosen { corrections: chosen.corrections, ..anew },
                     None => return Ok(None),
                 }
             }
@@ -219,37 +248,88 @@ impl Kernels {
     fn fit(
         &self,
         view: &View,
+        made: &Corrections,
         constants: &[f64],
         start: &[f64],
         chosen: &Chosen,
         before: Option<f64>,
         way: Way,
     ) -> Result<Arrival, CompileFailure> {
-        let Sampled { points, slopes } = chosen.sampled;
-        let finer = if points > slopes { points } else { 1 };
-        let Some(mut planes) = self.means(view, constants, start, finer)? else { return Ok(Arrival::Lost) };
-        if slopes > 1 && points > slopes {
-            let Some(coarse) = self.means(view, constants, start, slopes)? else { return Ok(Arrival::Lost) };
-            planes = less(planes, &coarse);
-        }
-        let Some(view) = view.corrected(&planes) else { return Ok(Arrival::Lost) };
-        let kernels = self.of(slopes);
-        let followed = followed(kernels, &view, constants, start, before, &|far| chosen.lag * far <= LEFT)?;
+        let Some(view) = self.corrected(view, made, constants)? else { return Ok(Arrival::Lost) };
+        let kernels = self.of(made.sampled.slopes);
+        let tether = Tether { from: &made.at, length: LEFT / chosen.lag };
+        let followed = followed(kernels, &view, constants, start, before, Some(&tether))?;
         if way == Way::Short || !matches!(followed, Arrival::Lost) {
             return Ok(followed);
         }
         // Steps that go to and fro near the minimum.
         let mut walked = fit_controlled(kernels, &view, constants, start, Control::Dropping)?;
-        let Some(far) = way_of(&walked, start, kernels.last_parameters()).filter(|_| walked.ending.is_fit()) else {
+        let Some(far) = way_of(&walked, &made.at, kernels.last_parameters()).filter(|_| walked.ending.is_fit()) else {
             return Ok(Arrival::Lost);
         };
         Ok(match walked.stages.pop() {
-            Some(report) if chosen.lag * far > LEFT => Arrival::Far { parameters: walked.parameters, way: far, report },
+            Some(report) if far > tether.length => {
+                Arrival::Far { parameters: walked.parameters, step: Some(far), report }
+            }
             report => {
                 walked.stages.extend(report);
                 Arrival::There(Box::new(walked))
             }
         })
+    }
+
+    /// What a fit that the frame's budget has cut short had come to.
+    fn cut_short(
+        &self,
+        view: &View,
+        made: &Corrections,
+        constants: &[f64],
+        at: Vec<f64>,
+        report: StageReport,
+    ) -> Result<Option<Fit>, CompileFailure> {
+        let Some(view) = self.corrected(view, made, constants)? else { return Ok(None) };
+        cut_short(self.of(made.sampled.slopes), &view, constants, at, report).map(Some)
+    }
+
+    /// Corrections at a point; `None` where there is no time for them.
+    fn made(
+        &self,
+        view: &View,
+        window: Window,
+        constants: &[f64],
+        at: &[f64],
+        sampled: Sampled,
+    ) -> Result<Option<Corrections>, CompileFailure> {
+        let made = Corrections::of(at, sampled, window);
+        let work: usize = made.terms().iter().map(|points| self.work(window, *points)).sum();
+        if view.spend(work).is_err() {
+            return Ok(None);
+        }
+        Ok(self.planes(&made, constants)?.is_some().then_some(made))
+    }
+
+    /// They cost nothing where they were made before, by a tracker that is gone.
+    fn planes<'a>(&self, made: &'a Corrections, constants: &[f64]) -> Result<Option<&'a Planes>, CompileFailure> {
+        if made.planes.get().is_none() {
+            let [fine, coarse] = made.terms();
+            let means = |points| self.means(made.window(), constants, &made.at, points);
+            let Some(mut planes) = means(fine)? else { return Ok(None) };
+            if coarse > 1 {
+                let Some(coarse) = means(coarse)? else { return Ok(None) };
+                planes = less(planes, &coarse);
+            }
+            made.planes.get_or_init(|| planes);
+        }
+        Ok(made.planes.get())
+    }
+
+    fn corrected<'a>(
+        &self,
+        view: &View<'a>,
+        made: &'a Corrections,
+        constants: &[f64],
+    ) -> Result<Option<View<'a>>, CompileFailure> {
+        Ok(self.planes(made, constants)?.and_then(|planes| view.corrected(planes, made.window())))
     }
 
     /// The coarsest choice that does.
@@ -263,12 +343,16 @@ impl Kernels {
         let mut means: Vec<Planes> = Vec::new();
         let mut pass = |slopes: u32, points: u32| -> Result<Option<Pass>, CompileFailure> {
             while means.len() < points as usize {
-                let Some(finer) = self.means(view, constants, at, means.len() as u32 + 1)? else { return Ok(None) };
+                let points = means.len() as u32 + 1;
+                if view.spend(self.work(view.window, points)).is_err() {
+                    return Ok(None);
+                }
+                let Some(finer) = self.means(view.window, constants, at, points)? else { return Ok(None) };
                 means.push(finer);
             }
             let fine = means[points as usize - 1].clone();
             let planes = if slopes > 1 { less(fine, &means[slopes as usize - 1]) } else { fine };
-            let Some(view) = view.corrected(&planes) else { return Ok(None) };
+            let Some(view) = view.corrected(&planes, view.window) else { return Ok(None) };
             if view.spend(view.window.pixels()).is_err() {
                 return Ok(None);
             }
@@ -312,7 +396,7 @@ impl Kernels {
         let sampled = Sampled { points, slopes: if is_centre { 1 } else { 2 } };
         // Without corrections nothing lags.
         let lag = if sampled.points == sampled.slopes { 0.0 } else { lag };
-        Ok(Some(Chosen { sampled, information: Vec::new(), lag }))
+        Ok(Some(Chosen { sampled, information: Vec::new(), lag, corrections: None }))
     }
 
     /// 1/variance of each free parameter, if all others were known; of a residual's variance of 1, where the model does not say
@@ -323,23 +407,30 @@ impl Kernels {
         Some(worth.variance_alone.iter().map(|alone| variance / alone).collect())
     }
 
-    /// What means by so many points a side have beyond the pixels' centres.
-    fn means(&self, view: &View, constants: &[f64], at: &[f64], points: u32) -> Result<Option<Planes>, CompileFailure> {
+    /// What means by so many points a side have beyond the pixels' centres; `None` where they cannot be made.
+    fn means(
+        &self,
+        window: Window,
+        constants: &[f64],
+        at: &[f64],
+        points: u32,
+    ) -> Result<Option<Planes>, CompileFailure> {
         let bindings = Bindings { parameters: at, entry: at, constants, saturation: &[], shift: &[] };
         let mut planes = Vec::new();
         for entry in &self.entries {
-            let mut plane = vec![0.0_f32; view.window.pixels()];
-            if points > 1 {
-                let kernel = entry.kernel(points)?;
-                let all = points.pow(self.centre.model().coordinates().len() as u32) as usize;
-                let work = all * plane.len() / POINTS_A_PASS;
-                if view.spend(work).is_err() || kernel.render(&bindings, view.window, &mut plane).is_err() {
-                    return Ok(None);
-                }
+            let mut plane = vec![0.0_f32; window.pixels()];
+            if points > 1 && entry.kernel(points)?.render(&bindings, window, &mut plane).is_err() {
+                return Ok(None);
             }
             planes.push(plane);
         }
         Ok(Some(planes))
+    }
+
+    /// What they cost.
+    fn work(&self, window: Window, points: u32) -> usize {
+        let all = points.pow(self.centre.model().coordinates().len() as u32) as usize;
+        if points > 1 { self.entries.len() * all * window.pixels() / POINTS_A_PASS } else { 0 }
     }
 }
 
@@ -359,14 +450,6 @@ impl Entry {
         let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
         Ok(known.get_or_init(|| kernel).clone())
     }
-}
-
-/// Fine means less coarse ones.
-fn less(mut fine: Planes, coarse: &Planes) -> Planes {
-    for (fine, coarse) in fine.iter_mut().zip(coarse) {
-        fine.iter_mut().zip(coarse).for_each(|(fine, coarse)| *fine -= coarse);
-    }
-    fine
 }
 
 /// How far a fit is from where it began, in standard deviations; `None` without a covariance.

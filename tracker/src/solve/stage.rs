@@ -55,6 +55,8 @@ pub(crate) trait CostFunction {
 pub(crate) struct Rules {
     /// Free parameters, as indices into the full vector.
     pub free: Vec<usize>,
+    /// Which of these say where the target is, as rows of H.
+    pub places: Vec<usize>,
     /// Steps tried, at most.
     pub iterations: u32,
     /// A stage ends when every |δ| is below this times its standard deviation.

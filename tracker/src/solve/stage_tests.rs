@@ -56,6 +56,7 @@ impl CostFunction for Closed<'_> {
 fn rules(parameters: usize, window_pixels: u64) -> Rules {
     Rules {
         free: (0..parameters).collect(),
+        places: Vec::new(),
         iterations: 200,
         tolerance: 1e-3,
         noise: false,

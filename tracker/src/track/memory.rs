@@ -100,6 +100,7 @@ impl Memory {
             && self.covariance.as_ref().is_none_or(|covariance| covariance.shape() == (free, free))
             && self.rival.as_ref().is_none_or(|rival| is_whole(rival.parameters()))
             && self.past.turned().is_none_or(is_whole)
+            && self.chosen.as_ref().is_none_or(|chosen| chosen.suits(parameters))
             && self.motion.as_ref().is_none_or(|motion| motion.foresees().count() == places(solver).count())
     }
 

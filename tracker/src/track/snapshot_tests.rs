@@ -90,6 +90,47 @@ fn whoever_goes_on_from_a_snapshot_says_the_same() {
     }
 }
 
+/// What was made for a target at rest serves the frames after it; whoever goes on from a snapshot makes the same again.
+#[test]
+fn corrections_are_kept_and_made_again() {
+    let compiled = compiled(SPOT);
+    let new = || Tracker::new(compiled.clone(), options()).unwrap();
+    let mut tracker = new();
+    let frame = |number: u64| {
+        let t = number as f64;
+        let spot = Spot {
+            centre: [90.0 + 0.01 * t, 70.0],
+            half: [40.0, 31.0],
+            angle: 0.3,
+            amplitude: 120.0,
+            profile: Falloff::Cubic(-0.5, -0.3),
+        };
+        TestPicture { noise: 1.5, seed: number + 1, ..TestPicture::new(180, 140, vec![spot]) }
+            .frame()
+            .with_sequence(number)
+    };
+    let made_for = |snapshot: &Snapshot| {
+        let value = serde_json::to_value(snapshot).unwrap();
+        value["targets"][0]["chosen"]["corrections"]["at"].as_array().unwrap().clone()
+    };
+    (0..6).for_each(|number| drop(tracker.track(&frame(number))));
+    let before = tracker.snapshot();
+    let mut other = new();
+    other.restore(through_json(&before)).unwrap();
+    for number in 6..12 {
+        let frame = frame(number);
+        let asked = [AtomicU64::new(0), AtomicU64::new(0)];
+        let count = |which: usize| {
+            asked[which].fetch_add(1, Ordering::Relaxed);
+            None::<Stop>
+        };
+        let estimates = tracker.track_all_while(&frame, &|| count(0));
+        assert_eq!(told(&other.track_all_while(&frame, &|| count(1))), told(&estimates), "{number}");
+        assert_eq!(asked[0].load(Ordering::Relaxed), asked[1].load(Ordering::Relaxed), "{number}");
+    }
+    assert_eq!(made_for(&tracker.snapshot()), made_for(&before));
+}
+
 /// A frame that its budget ended, or that went on without alternatives, is repeated by how often was asked and what there was.
 #[test]
 fn frames_are_repeated_with_what_they_had() {
@@ -133,10 +174,13 @@ fn what_does_not_suit_is_refused() {
     let mut value = serde_json::to_value(&snapshot).unwrap();
     let mut refused =
         |value: &serde_json::Value| tracker.restore(serde_json::from_value(value.clone()).unwrap()).unwrap_err();
-    value["version"] = 2.into();
-    assert_eq!(refused(&value), SnapshotError::Version { found: 2 });
+    value["version"] = 1.into();
+    assert_eq!(refused(&value), SnapshotError::Version { found: 1 });
     let mut short = serde_json::to_value(&snapshot).unwrap();
     short["targets"][0]["last"].as_array_mut().unwrap().pop();
+    assert!(matches!(refused(&short), SnapshotError::Unsuited(_)));
+    let mut short = serde_json::to_value(&snapshot).unwrap();
+    short["targets"][0]["chosen"]["corrections"]["at"].as_array_mut().unwrap().pop();
     assert!(matches!(refused(&short), SnapshotError::Unsuited(_)));
     short["targets"] = serde_json::json!([]);
     assert!(matches!(refused(&short), SnapshotError::Unsuited(_)));

@@ -290,8 +290,9 @@ impl Solver {
         before: Option<&Chosen>,
         way: Way,
     ) -> Option<Fit> {
-        let domain = self.reach.window(self.model(), start, DOMAIN_MARGIN, view.window).unwrap_or(view.window);
-        let fit = sampling.fit(view, domain, &self.constants, start, before, way);
+        let domain =
+            |at: &[f64]| self.reach.window(self.model(), at, DOMAIN_MARGIN, view.window).unwrap_or(view.window);
+        let fit = sampling.fit(view, &domain, &self.constants, start, before, way);
         fit.inspect_err(|_| self.compiled.sampling_shelf().give_up()).ok().flatten()
     }
 
