@@ -16,7 +16,7 @@ pub(crate) enum Stamp {
 }
 
 /// See the text above.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Clock {
     /// Frames a second, for pictures that have no time.
     pub rate_hz: Option<f64>,

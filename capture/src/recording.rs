@@ -34,6 +34,8 @@ pub struct Recording {
     channels: Option<Vec<String>>,
     truth: BTreeMap<String, Truth>,
     clock: Clock,
+    /// Before the last frame.
+    clock_before: Clock,
     file: OpenFile,
 }
 
@@ -90,6 +92,7 @@ impl Recording {
             channels: None,
             truth,
             clock: Clock::default(),
+            clock_before: Clock::default(),
             file: OpenFile::new(reach.clone()),
         })
     }
@@ -160,6 +163,7 @@ impl FrameSource for Recording {
     fn next(&mut self) -> Result<Option<Captured>, SourceError> {
         let Some(node) = self.frames.get(self.next).cloned() else { return Ok(None) };
         self.next += 1;
+        self.clock_before = self.clock.clone();
         let sequence = self.sequence;
         self.sequence += 1;
         let frame = self.load(&node);
@@ -179,6 +183,14 @@ impl FrameSource for Recording {
 
     fn reel(&mut self) -> Option<&mut dyn Reel> {
         Some(self)
+    }
+
+    fn take_back(&mut self) -> bool {
+        let (Some(next), Some(sequence)) = (self.next.checked_sub(1), self.sequence.checked_sub(1)) else {
+            return false;
+        };
+        (self.next, self.sequence, self.clock) = (next, sequence, self.clock_before.clone());
+        true
     }
 
     fn size(&self) -> Option<Vec<usize>> {

@@ -112,7 +112,7 @@ pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let answer: ControlsAnswer = match RemoteService::new(&args.service)?.try_put(&path, &values) {
         Ok(answer) => answer,
         Err(refusal) => own(&args.service, refusal, || {
-            let controls = camera::set_controls(&args.device, &values);
+            let controls = camera::set_controls(&args.device, &values, &|| true);
             Ok(ControlsAnswer { controls: controls.map_err(|error| Failure::Other(error.to_string()))? })
         })?,
     };

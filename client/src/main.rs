@@ -34,6 +34,7 @@ mod scatter;
 mod serve;
 mod sessions;
 mod source_uri;
+mod sources;
 #[cfg(feature = "serve")]
 mod token;
 mod tune;
@@ -75,6 +76,9 @@ enum Command {
     /// Sessions of the service
     #[command(subcommand)]
     Session(SessionCommand),
+    /// Sources of the service
+    #[command(subcommand)]
+    Source(SourceCommand),
     Watch(watch::WatchArgs),
     Record(record::RecordArgs),
     Replay(replay::ReplayArgs),
@@ -144,6 +148,12 @@ enum SessionCommand {
     Stop(sessions::SessionNameArgs),
 }
 
+#[derive(Subcommand)]
+enum SourceCommand {
+    Scene(sources::SceneArgs),
+    Play(sources::PlayArgs),
+}
+
 fn main() -> ExitCode {
     let mut out = StandardOutput::new();
     let done = run_line(&mut out).and_then(|()| out.flush().map_err(Failure::output));
@@ -199,6 +209,8 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Session(SessionCommand::Show(args)) => sessions::show(args, out),
         Command::Session(SessionCommand::Swap(args)) => sessions::swap(args, out),
         Command::Session(SessionCommand::Stop(args)) => sessions::stop(args, out),
+        Command::Source(SourceCommand::Scene(args)) => sources::scene(args, out),
+        Command::Source(SourceCommand::Play(args)) => sources::play(args, out),
         Command::Watch(args) => watch::run(args, out),
         Command::Record(args) => record::run(args, out),
         Command::Replay(args) => replay::run(args, out),

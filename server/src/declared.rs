@@ -48,6 +48,9 @@ pub struct SessionRecord {
     pub document: SessionDocument,
     /// The model that fits: the document's, or that to which it was swapped.
     pub model: Pin,
+    /// Its constants beside those of the document: a shadow's that took over.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
+    pub constants: BTreeMap<String, f64>,
     /// The model that a synthetic source of its own renders.
     pub source_model: Option<Pin>,
     /// When.

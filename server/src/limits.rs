@@ -91,7 +91,9 @@ pub struct ServiceLimits {
     pub message_bytes: usize,
     /// Without a byte taken of what is to be sent, whatever it is.
     pub send_time: Duration,
-    /// For a picture that its viewer takes slowly, but does take.
+    /// Bytes of pictures that viewers have not taken yet, of all of them together, …
+    pub picture_bytes: usize,
+    /// … and for one who finds no room there until the next try.
     pub picture_time: Duration,
     /// Pictures a second that a viewer may ask for.
     pub picture_rate_hz: f64,
@@ -203,7 +205,8 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     body_time: Duration::from_secs(10),
     message_bytes: 4096,
     send_time: Duration::from_secs(2),
-    picture_time: Duration::from_secs(10),
+    picture_bytes: 256 * 1024 * 1024,
+    picture_time: Duration::from_millis(100),
     picture_rate_hz: 60.0,
     ping_time: Duration::from_secs(15),
     silence_time: Duration::from_secs(60),

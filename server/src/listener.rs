@@ -267,6 +267,7 @@ async fn serve(
         recordings: access.recordings.clone(),
         folder,
         downloads: Arc::new(Semaphore::new(LIMITS.downloads)),
+        pictures: Arc::new(Semaphore::new(LIMITS.picture_bytes)),
     };
     tokio::spawn(restore(app.clone(), stopped.clone()));
     let router = router(app).layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));

@@ -342,7 +342,8 @@ impl Service {
         let run = self.run(declared)?;
         let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
         let source = self.source_of(name, &document.source, opened, find)?;
-        let session = self.session_of(name, document.clone(), source, &entry, run)?;
+        let session = self.session_of(name, document.clone(), source, (&entry, &BTreeMap::new()), run)?;
+        session.expect_cost(prepared.and_then(|prepared| prepared.fit_ms));
         let prepared_ms = prepared.map_or(0.0, |prepared| prepared.compile_ms);
         self.counters.compile_s.observe((prepared_ms + session.compile_ms()) / 1e3);
         let kept = self.keep_session(owner, name, document, &entry, source_model, declared);
@@ -364,10 +365,10 @@ impl Service {
         name: &Name,
         document: SessionDocument,
         source: SourceOf,
-        entry: &ModelEntry,
+        model: (&ModelEntry, &BTreeMap<String, f64>),
         run: SessionStart,
     ) -> Result<Session, Problem> {
-        Session::start(name.as_str(), document, source.clone(), entry, run, &self.searches).inspect_err(|_| {
+        Session::start(name.as_str(), document, source.clone(), model, run, &self.searches).inspect_err(|_| {
             if source.is_own {
                 source.source.stop();
             }
@@ -420,7 +421,7 @@ impl Service {
             return Err(Problem::conflict("not-applicable", "the session was replaced before it took the model"));
         }
         self.counters.compile_s.observe(prepared.compile_ms / 1e3);
-        self.keep_swap(owner, name, entry)?;
+        self.keep_swap(owner, name, entry, prepared.constants())?;
         session.commit_swap(owner, prepared)
     }
 

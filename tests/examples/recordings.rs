@@ -89,7 +89,11 @@ fn kills(times: u64, seed: u64) {
         let killed_ms = unix_ms();
         process.child().wait().unwrap();
         let recordings = folder.0.join("recorded");
-        let (last_ms, before) = last_fit(&recordings.join("cut-0001.part.mcap"));
+        let cut = recordings.join("cut-0001.part.mcap");
+        let (last_ms, before) = last_fit(&cut);
+        // Whoever else recovers it finds the same.
+        let others = recorder::doctor(&cut).map(|report| report["messages"]["isophote.Fit"].as_u64());
+        assert!(others.is_none_or(|fits| fits == Some(before as u64)), "kill {kill}: {others:?} of {before}");
         let process = serve(&folder.0);
         let service = Running::at(process.address());
         let list = loop {
@@ -102,6 +106,7 @@ fn kills(times: u64, seed: u64) {
         assert_eq!(list["items"][0]["file"], "cut-0001.mcap", "{list}");
         let file = recordings.join("cut-0001.mcap");
         assert_eq!(last_fit(&file), (last_ms, before), "kill {kill}");
+        recorder::expect_healthy(&file, before);
         let bytes = std::fs::read(&file).unwrap();
         let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
         let counted = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).count() as u64;

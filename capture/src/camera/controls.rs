@@ -147,20 +147,32 @@ fn plain(name: &str) -> String {
     parts.map(str::to_ascii_lowercase).collect::<Vec<_>>().join("_")
 }
 
-/// Sets controls, one after the other, and answers what the driver made of them.
+/// Sets controls, one after the other, for as long as `may_go_on` says so, and answers what the driver made of them. A driver may
+/// take its time, and whoever sets them may have lost the right to it in between.
 ///
 /// # Errors
 /// Names that the camera does not have, values that are of the wrong kind, and what the driver refuses. Those before
 /// have been set.
-pub fn set_controls(device: &str, values: &ControlValues) -> Result<ControlValues, CameraError> {
-    apply(&super::device::named(device)?.node, values)
+pub fn set_controls(
+    device: &str,
+    values: &ControlValues,
+    may_go_on: &dyn Fn() -> bool,
+) -> Result<ControlValues, CameraError> {
+    apply(&super::device::named(device)?.node, values, may_go_on)
 }
 
 /// [`set_controls`] of an open device.
-pub(super) fn apply(node: &DeviceNode, values: &ControlValues) -> Result<ControlValues, CameraError> {
+pub(super) fn apply(
+    node: &DeviceNode,
+    values: &ControlValues,
+    may_go_on: &dyn Fn() -> bool,
+) -> Result<ControlValues, CameraError> {
     let entries = node.controls();
     let mut taken = ControlValues::new();
     for (name, value) in values {
+        if !may_go_on() {
+            break;
+        }
         let wrong = |reason: String| CameraError::Control { name: name.clone(), reason };
         let entry = find(&entries, name).ok_or_else(|| wrong(unknown(&entries)))?;
         let number = number(entry, value).map_err(wrong)?;

@@ -263,7 +263,7 @@ impl LiveCamera {
         let interval = node.interval();
         self.interval = interval.map(Duration::from_secs_f64);
         self.status.rate_hz = interval.map(|interval| (1000.0 / interval).round() / 1000.0);
-        self.status.controls_taken = controls::apply(node, &self.spec.controls)?;
+        self.status.controls_taken = controls::apply(node, &self.spec.controls, &|| true)?;
         drop(node.subscribe_source_change()); // a driver that cannot has no signal that changes
         Ok(())
     }

@@ -17,6 +17,9 @@ use crate::files::mcap::{self as files, Chunk, HEAD_BYTES, MAGIC};
 /// Bytes of an attachment's fields before its content, at most.
 const ATTACHMENT_HEAD_BYTES: u64 = 4096;
 
+/// Chunks that make room for the end of a file on a disk that is full, at most.
+const CHUNKS_GIVEN: usize = 8;
+
 /// What became of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MendedFile {
@@ -44,15 +47,39 @@ struct Mender {
     end: u64,
 }
 
-/// Gives the file its end. Nobody else may write it.
+/// Gives the file its end. Nobody else may write it. Where the disk has no room even for that, the last chunks make it.
 ///
 /// # Errors
-/// When it cannot be read or written, or is no MCAP file; it is then as it was.
+/// When it cannot be read or written, or is no MCAP file; what was whole of it can still be read.
 pub fn mend(path: &Path) -> Result<MendedFile, Error> {
+    let bytes = std::fs::metadata(path)?.len();
+    let (mut kept, mut result) = (bytes, mend_to(path, bytes)?);
+    for _ in 0..CHUNKS_GIVEN {
+        let Ended::Full(error, last) = result else { break };
+        // The first one says what is recorded.
+        kept = last.filter(|last| *last < kept).ok_or(error)?;
+        result = mend_to(path, kept)?;
+    }
+    match result {
+        Ended::So(MendedFile::Mended { messages, lost_bytes }) => {
+            Ok(MendedFile::Mended { messages, lost_bytes: lost_bytes + bytes - kept })
+        }
+        Ended::So(mended) => Ok(mended),
+        Ended::Full(error, _) => Err(error),
+    }
+}
+
+/// What became of its first bytes.
+enum Ended {
+    So(MendedFile),
+    /// There was no room; the last chunk begins there, unless it is the only one.
+    Full(Error, Option<u64>),
+}
+
+fn mend_to(path: &Path, bytes: u64) -> Result<Ended, Error> {
     let file = File::open(path)?;
-    let bytes = file.metadata()?.len();
     if bytes < MAGIC.len() as u64 {
-        return Ok(MendedFile::Empty); // the power went before anything reached the disk
+        return Ok(Ended::So(MendedFile::Empty)); // the power went before anything reached the disk
     }
     let mut mender = Mender {
         file: BufReader::new(file),
@@ -62,10 +89,10 @@ pub fn mend(path: &Path) -> Result<MendedFile, Error> {
         end: MAGIC.len() as u64,
     };
     if mender.walk()? {
-        return Ok(MendedFile::Whole);
+        return Ok(Ended::So(MendedFile::Whole));
     }
     if mender.summary.chunks.is_empty() {
-        return Ok(MendedFile::Empty);
+        return Ok(Ended::So(MendedFile::Empty));
     }
     let tail = mender.tail()?;
     let messages = mender.summary.counts.values().sum();
@@ -73,9 +100,18 @@ pub fn mend(path: &Path) -> Result<MendedFile, Error> {
     let mut file = OpenOptions::new().write(true).open(path)?;
     file.set_len(end)?;
     file.seek(SeekFrom::Start(end))?;
-    file.write_all(&tail)?;
-    file.sync_all()?;
-    Ok(MendedFile::Mended { messages, lost_bytes })
+    match file.write_all(&tail).and_then(|()| file.sync_all()) {
+        Ok(()) => Ok(Ended::So(MendedFile::Mended { messages, lost_bytes })),
+        Err(error) if is_full(&error) => {
+            let last = mender.summary.chunks.last().filter(|_| mender.summary.chunks.len() > 1);
+            Ok(Ended::Full(error, last.map(|chunk| chunk.chunk_start_offset)))
+        }
+        Err(error) => Err(error),
+    }
+}
+
+fn is_full(error: &Error) -> bool {
+    matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)
 }
 
 fn read(fault: PageFault) -> Error {

@@ -22,6 +22,14 @@ pub enum LogSchema {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LogChannel(u16);
 
+/// Bytes of a message beside its payload: its head, and its place in the index behind its chunk.
+const MESSAGE_BYTES: u64 = 31 + 16;
+/// Bytes of a file's end, at most: what there is always, …
+const END_BYTES: u64 = 64 << 10;
+/// … and for each chunk, with what each channel has in it.
+const CHUNK_END_BYTES: u64 = 96;
+const CHANNEL_END_BYTES: u64 = 48;
+
 /// A file that is being written. Every [`LogWriter::flush`] ends a chunk: what was written before is safe from whatever becomes of
 /// the process, and after [`LogWriter::sync`] of the machine.
 pub struct LogWriter {
@@ -29,6 +37,7 @@ pub struct LogWriter {
     file: File,
     counts: BTreeMap<u16, u32>,
     waiting_bytes: u64,
+    chunks: u64,
 }
 
 fn io(error: McapError) -> Error {
@@ -44,7 +53,7 @@ impl LogWriter {
         // Whole chunks or nothing: one whose size is filled in later is none if that never happens.
         let options = WriteOptions::new().compression(None).chunk_size(None).disable_seeking(true).library(library);
         let writer = options.create(file.try_clone()?).map_err(io)?;
-        Ok(LogWriter { writer, file, counts: BTreeMap::new(), waiting_bytes: 0 })
+        Ok(LogWriter { writer, file, counts: BTreeMap::new(), waiting_bytes: 0, chunks: 0 })
     }
 
     /// Channels come before the first message: readers then find all of them in the first chunk.
@@ -65,7 +74,8 @@ impl LogWriter {
         let sequence = self.counts.entry(id).or_default();
         *sequence = sequence.wrapping_add(1);
         let header = MessageHeader { channel_id: id, sequence: *sequence, log_time, publish_time: log_time };
-        self.waiting_bytes += payload.len() as u64;
+        // Behind the chunk an index of its messages.
+        self.waiting_bytes += payload.len() as u64 + MESSAGE_BYTES;
         self.writer.write_to_known_channel(&header, payload).map_err(io)
     }
 
@@ -81,10 +91,15 @@ impl LogWriter {
         self.waiting_bytes
     }
 
+    /// Bytes of the file's end with the chunk that comes next, at most.
+    pub fn end_bytes(&self) -> u64 {
+        END_BYTES + (self.chunks + 1) * (CHUNK_END_BYTES + CHANNEL_END_BYTES * self.counts.len() as u64)
+    }
+
     /// Ends the chunk; how many bytes the file has now.
     pub fn flush(&mut self) -> Result<u64, Error> {
         self.writer.flush().map_err(io)?;
-        self.waiting_bytes = 0;
+        (self.waiting_bytes, self.chunks) = (0, self.chunks + 1);
         self.bytes()
     }
 

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use isophote_capture::encode_jpeg;
 use isophote_tracker::{FrameScene, PreviewDepth};
 use isophote_wire::{PreviewDrawing, PreviewFormat, PreviewHeader, PreviewLevels, PreviewPixels};
-use tokio::sync::oneshot;
 
 use super::{Ask, FittedScene, PreviewForm, ShownFrame};
 use crate::counters::Tally;
@@ -13,12 +12,13 @@ use crate::counters::Tally;
 /// A message as it is sent; clones share it.
 pub type PreviewMessage = axum::body::Bytes;
 
-/// Draws each form that is asked for once.
-pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) {
-    let mut wanted: BTreeMap<PreviewForm, Vec<oneshot::Sender<ShownFrame>>> = BTreeMap::new();
+/// Draws each form that is asked for once; hands back who asked for what there is no room for.
+pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) -> Vec<Ask> {
+    let mut wanted: BTreeMap<PreviewForm, Vec<Ask>> = BTreeMap::new();
     for ask in asks {
-        wanted.entry(ask.form).or_default().push(ask.reply);
+        wanted.entry(ask.form).or_default().push(ask);
     }
+    let mut left = Vec::new();
     let FittedScene { frame, estimates, views, viewer, session, epoch } = scene;
     let frame = { frame }.owned(); // what was on loan goes back before anything is drawn
     let seen = viewer.scene(&frame, &estimates);
@@ -30,24 +30,36 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) {
     }
     let drawing = match serde_json::to_string(&drawing) {
         Ok(text) => text,
-        Err(error) => return tracing::error!(session, %error, "bug: a preview is no JSON"),
+        Err(error) => {
+            tracing::error!(session, %error, "bug: a preview is no JSON");
+            return left;
+        }
     };
-    for (form, replies) in wanted {
+    for (form, asks) in wanted {
         // A JPEG has no longer sides.
         let least = width.max(height).div_ceil(JPEG_SIDE_MAX);
         let step = if form.format == PreviewFormat::Jpeg { form.step.max(least) } else { form.step };
-        let shown = match message(&seen, PreviewForm { step, ..form }, &drawing) {
-            Ok(message) => ShownFrame { number: frame.sequence, message: PreviewMessage::from(message) },
+        let message = match message(&seen, PreviewForm { step, ..form }, &drawing) {
+            Ok(message) => PreviewMessage::from(message),
             Err(error) => {
                 tracing::error!(session, %error, "a preview cannot be encoded");
                 continue;
             }
         };
         messages.add(1);
-        for reply in replies {
-            reply.send(shown.clone()).ok(); // the viewer may have gone
+        // Each viewer's socket has a copy of it.
+        let bytes = u32::try_from(message.len()).unwrap_or(u32::MAX);
+        for ask in asks {
+            match ask.room.clone().try_acquire_many_owned(bytes) {
+                Ok(room) => {
+                    let shown = ShownFrame { number: frame.sequence, message: message.clone(), room };
+                    ask.reply.send(shown).ok(); // the viewer may have gone
+                }
+                Err(_) => left.push(ask),
+            }
         }
     }
+    left
 }
 
 /// Pixels along x or y that a JPEG can have.

@@ -9,6 +9,8 @@
 //! by the rate that its viewer wants, and may be answered a little before, with those of others.
 
 mod draw;
+#[cfg(test)]
+mod tests;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -17,9 +19,10 @@ use std::time::{Duration, Instant};
 
 use isophote_tracker::{Estimate, Frame, Viewer};
 use isophote_wire::{EstimateView, PreviewFormat, PreviewPart};
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 use crate::counters::Tally;
+use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::thread::step_aside;
 pub use draw::PreviewMessage;
@@ -42,9 +45,9 @@ pub struct FittedScene {
     /// As it came; its buffer may be on loan.
     pub frame: Frame,
     /// What was estimated from it, …
-    pub estimates: Vec<Estimate>,
+    pub estimates: Arc<[Estimate]>,
     /// … and as it is published.
-    pub views: Vec<Arc<EstimateView>>,
+    pub views: Arc<[Arc<EstimateView>]>,
     /// Of the model that fitted it.
     pub viewer: Arc<Viewer>,
     /// The session's name.
@@ -89,21 +92,26 @@ struct Ask {
     due: Instant,
     /// The number after that of the frame that the viewer has.
     after_seen: u64,
+    /// What messages of all viewers take their bytes of.
+    room: Arc<Semaphore>,
     reply: oneshot::Sender<ShownFrame>,
 }
 
 /// What a viewer gets.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct ShownFrame {
     /// The frame's number.
     pub number: u64,
     /// Of what was asked for.
     pub message: PreviewMessage,
+    /// That of the message's bytes, to be kept until they are sent.
+    pub room: OwnedSemaphorePermit,
 }
 
 /// One viewer; it leaves when this is dropped.
 pub struct PreviewSeat {
     preview: Arc<Preview>,
+    room: Arc<Semaphore>,
 }
 
 impl Preview {
@@ -151,14 +159,14 @@ impl Preview {
         drop(replaced);
     }
 
-    /// A new viewer of a session of that name.
-    pub fn look(self: &Arc<Preview>, session: &str) -> Result<PreviewSeat, Problem> {
+    /// A new viewer of a session of that name, whose messages take their bytes of that room.
+    pub fn look(self: &Arc<Preview>, session: &str, room: Arc<Semaphore>) -> Result<PreviewSeat, Problem> {
         let starts = {
             let mut state = self.lock();
             state.viewers += 1;
             !std::mem::replace(&mut state.draws, true)
         };
-        let seat = PreviewSeat { preview: self.clone() };
+        let seat = PreviewSeat { preview: self.clone(), room };
         if starts {
             let preview = self.clone();
             let work = move || {
@@ -178,7 +186,10 @@ impl Preview {
     fn draw(&self) {
         while let Some((scene, asks)) = self.next() {
             self.frames.add(1);
-            draw::answer(*scene, asks, &self.messages);
+            // Those for whose messages there is no room have the same from a later frame.
+            let left = draw::answer(*scene, asks, &self.messages);
+            let later = Instant::now() + LIMITS.picture_time;
+            self.lock().asks.extend(left.into_iter().map(|ask| Ask { from: later, due: later, ..ask }));
         }
     }
 
@@ -261,7 +272,7 @@ impl PreviewSeat {
         let (reply, message) = oneshot::channel();
         let mut state = self.preview.lock();
         if state.draws {
-            state.asks.push(Ask { form, from, due, after_seen, reply });
+            state.asks.push(Ask { form, from, due, after_seen, room: self.room.clone(), reply });
         }
         drop(state);
         self.preview.changed.notify_all();

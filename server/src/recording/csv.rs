@@ -12,12 +12,13 @@ use isophote_wire::EstimateView;
 pub struct EstimateTable {
     file: BufWriter<File>,
     parameters: Vec<String>,
+    waiting_bytes: u64,
 }
 
 impl EstimateTable {
     /// An empty file.
     pub fn new(file: File) -> EstimateTable {
-        EstimateTable { file: BufWriter::new(file), parameters: Vec::new() }
+        EstimateTable { file: BufWriter::new(file), parameters: Vec::new(), waiting_bytes: 0 }
     }
 
     /// Estimates of that model follow.
@@ -29,7 +30,7 @@ impl EstimateTable {
         let deviations: Vec<String> = parameters.iter().map(|name| format!("var_{name}")).collect();
         self.parameters = parameters;
         let names = [self.parameters.as_slice(), &deviations].concat().join(",");
-        writeln!(self.file, "unix_ns,frame,target,state,model,reduced_chi_square,confidence,saturated,{names}")
+        self.line(&format!("unix_ns,frame,target,state,model,reduced_chi_square,confidence,saturated,{names}"))
     }
 
     /// One target of one frame; what is not known is empty.
@@ -38,23 +39,30 @@ impl EstimateTable {
         let state = serde_json::to_value(estimate.state)?;
         let state = state.as_str().unwrap_or_default();
         let EstimateView { frame, target, model, .. } = estimate;
-        write!(self.file, "{unix_ns},{frame},{target},{state},{model}")?;
-        for figure in [estimate.reduced_chi_square, estimate.confidence, Some(estimate.saturated)] {
-            write!(self.file, ",{}", number(figure))?;
-        }
-        for name in &self.parameters {
-            write!(self.file, ",{}", number(estimate.parameters.get(name)))?;
-        }
-        for name in &self.parameters {
-            let place = estimate.order.iter().position(|free| free == name);
-            let variance = place.and_then(|place| estimate.covariance.as_ref()?.get(place)?.get(place).copied());
-            write!(self.file, ",{}", number(variance))?;
-        }
-        writeln!(self.file)
+        let figures = [estimate.reduced_chi_square, estimate.confidence, Some(estimate.saturated)];
+        let values = self.parameters.iter().map(|name| estimate.parameters.get(name));
+        let variances = self.parameters.iter().map(|name| {
+            let place = estimate.order.iter().position(|free| free == name)?;
+            estimate.covariance.as_ref()?.get(place)?.get(place).copied()
+        });
+        let cells: Vec<String> = figures.into_iter().chain(values).chain(variances).map(number).collect();
+        self.line(&format!("{unix_ns},{frame},{target},{state},{model},{}", cells.join(",")))
     }
 
-    /// Hands everything to the system.
-    pub fn flush(&mut self) -> Result<(), Error> {
-        self.file.flush()
+    fn line(&mut self, text: &str) -> Result<(), Error> {
+        self.waiting_bytes += text.len() as u64 + 1;
+        writeln!(self.file, "{text}")
+    }
+
+    /// Bytes since it was flushed.
+    pub fn waiting_bytes(&self) -> u64 {
+        self.waiting_bytes
+    }
+
+    /// Hands everything to the system; how many bytes the file has now.
+    pub fn flush(&mut self) -> Result<u64, Error> {
+        self.file.flush()?;
+        self.waiting_bytes = 0;
+        Ok(self.file.get_ref().metadata()?.len())
     }
 }

@@ -176,6 +176,11 @@ impl SessionLog {
         self.writer.waiting_bytes()
     }
 
+    /// Bytes of the file's end, at most.
+    pub fn end_bytes(&self) -> u64 {
+        self.writer.end_bytes()
+    }
+
     /// Ends the chunk; the file's bytes.
     pub fn flush(&mut self) -> Result<u64, Error> {
         self.writer.flush()

@@ -1,5 +1,6 @@
 //! `SessionRecording`: a recording as the rest of the service sees it: begun, asked about, ended.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -31,6 +32,19 @@ pub type SharedProgress = Arc<Mutex<Progress>>;
 /// The progress, to be read or changed.
 pub fn locked(progress: &SharedProgress) -> MutexGuard<'_, Progress> {
     progress.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Nothing more is taken; what is whole of the open file is kept.
+fn panicked(folder: &RecordingFolder, progress: &SharedProgress, tap: &Tap) {
+    tap.close();
+    let reason = "bug: the thread that writes it panicked";
+    tracing::error!(reason, "a recording has failed");
+    let open = locked(progress).files.last().map(|(name, _)| name.clone());
+    if let Some(Err(fault)) = open.map(|name| folder.give_up(&name)) {
+        tracing::warn!(?fault, "its last file gets its end at the next start");
+    }
+    let mut progress = locked(progress);
+    (progress.state, progress.reason) = (RecordingState::Failed, Some(reason.to_string()));
 }
 
 /// A recording that goes on, or has ended.
@@ -65,13 +79,19 @@ impl SessionRecording {
         let progress = Arc::new(Mutex::new(progress));
         let started_at = clock.begin();
         let writer = Writer::begin(
-            (folder, stem),
+            (folder.clone(), stem),
             document.clone(),
             session,
             (tap.clone(), progress.clone(), clock),
             Box::new(camera),
         )?;
-        let thread = NamedThread::start(format!("record {name}"), move || writer.run())?;
+        let (theirs, taken) = (progress.clone(), tap.clone());
+        let work = move || {
+            if catch_unwind(AssertUnwindSafe(|| writer.run())).is_err() {
+                panicked(&folder, &theirs, &taken);
+            }
+        };
+        let thread = NamedThread::start(format!("record {name}"), work)?;
         Ok(SessionRecording { session: name, document, tap, progress, thread, started_at })
     }
 
@@ -110,5 +130,43 @@ impl SessionRecording {
     /// Waits for the end of its file, after [`SessionRecording::end`].
     pub fn wait(&self, until: Instant) {
         self.thread.wait(until);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::time::Duration;
+
+    use isophote_wire::{LOG_VERSION, LoggedBuild};
+    use serde_json::json;
+
+    #[test]
+    fn a_writer_that_panics_has_failed() {
+        let place = std::env::temp_dir().join(format!("isophote-recording-{}", std::process::id()));
+        let folder = RecordingFolder::of(Some(&place), None);
+        let session = LoggedSession {
+            version: LOG_VERSION,
+            session: "one".into(),
+            node: "node".into(),
+            epoch: 1,
+            document: serde_json::from_value(json!({"source": "shared", "model": "spot"})).unwrap(),
+            frames: isophote_wire::RecordedFrames::Raw,
+            build: LoggedBuild { version: String::new(), checksum: None, processor: String::new() },
+        };
+        let document = serde_json::from_value(json!({"name": "cut"})).unwrap();
+        // It is asked when the first chunk is written.
+        let camera = || panic!("planted");
+        let recording = SessionRecording::begin(folder.clone(), document, session, camera).unwrap();
+        recording.wait(Instant::now() + Duration::from_secs(60));
+        let view = recording.view();
+        assert_eq!(view.state, RecordingState::Failed);
+        assert!(view.reason.unwrap().starts_with("bug:"));
+        assert!(
+            matches!(folder.begin(&FileName::of("cut", 1).unwrap()), Err(FolderFault::Taken(_))),
+            "what was written is kept"
+        );
+        std::fs::remove_dir_all(place).unwrap();
     }
 }

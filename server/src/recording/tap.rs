@@ -49,8 +49,8 @@ pub enum Note {
 
 /// What a writer does next.
 pub enum Due {
-    /// Write it.
-    Note(Note),
+    /// Write it; so many bytes were counted for it.
+    Note(Note, usize),
     /// The time is up.
     Nothing,
     /// It has all of it: end, for that reason.
@@ -173,7 +173,7 @@ impl Tap {
         loop {
             if let Some((note, bytes)) = state.notes.pop_front() {
                 state.bytes -= bytes.min(state.bytes);
-                return Due::Note(note);
+                return Due::Note(note, bytes);
             }
             if let Some(reason) = state.end.clone() {
                 return Due::End(reason);
@@ -233,8 +233,8 @@ mod tests {
         tap.end("done");
         tap.note(note());
         let due = || match tap.next(Instant::now()) {
-            Due::Note(Note::Frame(..)) => 'p',
-            Due::Note(_) => 'n',
+            Due::Note(Note::Frame(..), _) => 'p',
+            Due::Note(..) => 'n',
             Due::Nothing => '.',
             Due::End(_) => 'e',
         };
@@ -253,7 +253,7 @@ mod tests {
         tap.fitting(&numbered(5), 0);
         tap.end("done");
         let mut found = Vec::new();
-        while let Due::Note(Note::Frame(frame, _)) = tap.next(Instant::now()) {
+        while let Due::Note(Note::Frame(frame, _), _) = tap.next(Instant::now()) {
             found.push(frame.sequence);
         }
         assert_eq!(found, [5, 4]);

@@ -28,8 +28,10 @@ const CHUNK_BYTES: u64 = 4 << 20;
 const SNAPSHOT_TIME: Duration = Duration::from_secs(10);
 /// Frames that are remembered, to know whether the pixels of one that was fitted are there.
 const FRAMES_KNOWN: usize = 256;
-/// Room that the end of a file takes, at least.
-const END_BYTES: u64 = 64 << 10;
+/// Bytes that a note takes on the disk beside its pixels, …
+const NOTE_BYTES: u64 = 16 << 10;
+/// … and one of its estimates: most take less.
+const ESTIMATE_BYTES: usize = 4 << 10;
 const MB: u64 = 1_000_000;
 
 /// The wall clock at the begin, and the monotonic one from then on: it never goes back.
@@ -185,7 +187,10 @@ impl Writer {
         let stopped = loop {
             let until = self.flushed + FLUSH_TIME;
             let done = match self.tap.next(until) {
-                Due::Note(note) => self.write(note).and_then(|()| self.tend()),
+                Due::Note(note, bytes) => {
+                    let room = self.make_room(written(&note, bytes));
+                    room.and_then(|()| self.write(note)).and_then(|()| self.tend())
+                }
                 Due::Nothing => self.tend(),
                 Due::End(reason) => Err(Stopped::Ended(reason)),
             };
@@ -311,7 +316,7 @@ impl Writer {
             self.snapshot = Instant::now();
             self.tap.want_snapshot();
         }
-        self.keep_budget()
+        Ok(())
     }
 
     fn flush(&mut self) -> Result<(), Stopped> {
@@ -327,25 +332,30 @@ impl Writer {
             self.log()?.sync()?;
             self.synced = Instant::now();
         }
-        if let Some(table) = &mut self.table {
-            table.flush()?;
-        }
-        if let Some((_, known)) = locked(&self.progress).files.last_mut() {
-            *known = bytes;
-        }
+        let table = self.table.as_mut().map_or(Ok(0), EstimateTable::flush)?;
+        self.has(bytes + table);
         Ok(())
     }
 
-    /// No more bytes than it may have: the oldest files go, or it ends.
-    fn keep_budget(&mut self) -> Result<(), Stopped> {
-        let most = (self.document.disk_budget_mb * MB).saturating_sub(END_BYTES);
-        let waiting = self.log()?.waiting_bytes();
+    /// The open file and its table have so many bytes now.
+    fn has(&self, bytes: u64) {
+        if let Some((_, known)) = locked(&self.progress).files.last_mut() {
+            *known = bytes;
+        }
+    }
+
+    /// For a note of so many bytes: the oldest files go where there would be more than there may be, or it ends.
+    fn make_room(&mut self, bytes: u64) -> Result<(), Stopped> {
+        let most = self.document.disk_budget_mb * MB;
+        let table = self.table.as_ref().map_or(0, EstimateTable::waiting_bytes);
+        let log = self.log()?;
+        // The end of the file has to find room as well.
+        let next = log.waiting_bytes() + table + log.end_bytes() + bytes + NOTE_BYTES;
         loop {
             let oldest = {
                 let progress = locked(&self.progress);
                 let all: u64 = progress.files.iter().map(|(_, bytes)| bytes).sum();
-                // The chunk that comes next has to find room as well.
-                if all + waiting + self.chunk_bytes() <= most {
+                if all + next <= most {
                     return Ok(());
                 }
                 progress.files.first().filter(|_| progress.files.len() > 1).map(|(name, _)| name.clone())
@@ -360,25 +370,33 @@ impl Writer {
         }
     }
 
-    /// Ends the open file.
+    /// Ends the open file, and its table; whatever becomes of one, the other one gets its end.
     fn close(&mut self) -> Result<(), Stopped> {
         let Some(log) = self.log.take() else { return Ok(()) };
         let name = locked(&self.progress).files.last().map(|(name, _)| name.clone());
         let Some(name) = name else { return Ok(()) };
-        if let Some(mut table) = self.table.take() {
-            table.flush()?;
-        }
-        match log.finish() {
-            Ok(bytes) => {
-                if let Some((_, known)) = locked(&self.progress).files.last_mut() {
-                    *known = bytes;
-                }
-                Ok(self.folder.finish(&name)?)
-            }
+        let table = self.table.take().map_or(Ok(0), |mut table| table.flush());
+        let ended = match log.finish() {
+            Ok(bytes) => self.folder.finish(&name).map(|()| bytes).map_err(Stopped::from),
             Err(error) => {
-                self.folder.give_up(&name)?;
+                let kept = self.folder.give_up(&name).and_then(|_| self.folder.open(&name));
+                self.has(kept.map_or(0, |(_, bytes)| bytes));
                 Err(error.into())
             }
-        }
+        };
+        let (bytes, table) = (ended?, table?);
+        self.has(bytes + table);
+        Ok(())
     }
+}
+
+/// Bytes that a note may take on the disk; `counted`: its pixels, where it has some.
+fn written(note: &Note, counted: usize) -> u64 {
+    let bytes = match note {
+        Note::Frame(..) => counted,
+        // It stands there as a file as well.
+        Note::Begin(begin) => 2 * begin.0.swap.text.len(),
+        Note::Fit(fit) => ESTIMATE_BYTES * fit.estimates.len(),
+    };
+    bytes as u64
 }

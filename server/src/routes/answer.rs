@@ -46,6 +46,8 @@ pub struct App {
     pub folder: RecordingFolder,
     /// Places for those who read recordings.
     pub downloads: Arc<Semaphore>,
+    /// Room for pictures that viewers have not taken yet, bytes.
+    pub pictures: Arc<Semaphore>,
 }
 
 /// Places for single images.

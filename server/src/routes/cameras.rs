@@ -11,7 +11,7 @@ use super::parameters::DeviceParam;
 use super::{Answer, App, RawName, json, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
-use crate::source::camera_problem;
+use crate::source::{CameraNames, camera_problem};
 
 /// The cameras of the service's machine.
 #[utoipa::path(get, path = "/v1/cameras", tag = "cameras", operation_id = "list_cameras",
@@ -35,10 +35,17 @@ pub async fn get(name: RawName) -> Answer {
     responses((status = 200, description = "As read back.", body = ControlsAnswer)))]
 pub async fn set(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let device = raw(name)?;
-    app.service.refuse_control(&device)?;
     let (values, text) = read_json::<ControlValues>(&headers, body).await?;
-    let controls = blocking(move || camera::set_controls(&device, &values)).await?;
-    let controls = controls.map_err(|error| place(problem(&error), &text))?;
+    let service = app.service.clone();
+    let set = move || {
+        let found = camera::camera(&device).map_err(|error| problem(&error))?;
+        let names = CameraNames::of(&found);
+        let set = camera::set_controls(&found.device, &values, &|| service.refuse_control(&names).is_ok());
+        // Whoever has taken a lease meanwhile sets what it wants from now on.
+        service.refuse_control(&names)?;
+        set.map_err(|error| problem(&error))
+    };
+    let controls = blocking(set).await?.map_err(|problem| place(problem, &text))?;
     json(StatusCode::OK, &ControlsAnswer { controls })
 }
 

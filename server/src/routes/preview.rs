@@ -89,7 +89,7 @@ pub async fn get(
     }
     let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
     let subscription = session.hub().subscribe(Mode::End)?.of(visitor);
-    let seat = session.preview().look(&name)?;
+    let seat = session.preview().look(&name, app.pictures.clone())?;
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {
         preview::serve(socket, seat, subscription, wish).await;

@@ -1,5 +1,7 @@
 //! `/v1/sessions`
 
+use std::sync::Arc;
+
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -13,7 +15,8 @@ use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
-use crate::session::SlowModels;
+use crate::registry::ModelEntry;
+use crate::session::{PreparedSwap, Session, SlowModels, Swapped};
 use crate::turns::FairWorkers;
 use crate::workshop::Lane;
 
@@ -85,29 +88,30 @@ pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, bod
     let service = app.service.clone();
     let in_order = service.workshop.in_order("session", &name).await;
     let (session, entry) = (service.session(&name)?, service.registry.get(&model)?);
-    let mut answer = SwapAnswer {
-        requested_model: model.clone(),
-        active_model: model,
-        active_digest: entry.model.digest().to_string(),
-        active_since_frame: 0,
-        carried: Vec::new(),
-        reset: Vec::new(),
-        compile_ms: 0.0,
-    };
     let slow = if allow_slow { SlowModels::Allowed } else { SlowModels::Refused };
     let (tried, candidate) = (session.clone(), entry.clone());
     let prepare = move |workers: &FairWorkers| tried.prepare_swap(&candidate, slow, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
-    answer.compile_ms = prepared.compile_ms;
-    let work = move |owner: &mut Owner| service.commit_swap(owner, &name, &session, &entry, prepared);
+    let answer = taken(&app, session, &entry, prepared).await?;
+    drop(in_order);
+    json(StatusCode::OK, &answer)
+}
+
+/// Commits what was prepared, and waits until the session has taken it.
+pub async fn taken(
+    app: &App,
+    session: Arc<Session>,
+    entry: &Arc<ModelEntry>,
+    prepared: PreparedSwap,
+) -> Result<SwapAnswer, Problem> {
+    let (service, compile_ms, theirs) = (app.service.clone(), prepared.compile_ms, entry.clone());
+    let work = move |owner: &mut Owner| service.commit_swap(owner, session.name(), &session, &theirs, prepared);
     // Sessions end with the service.
     let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
     let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;
-    drop(in_order);
     let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
-    let swapped = swapped.await.map_err(ended).map_err(unless_stopping)?;
-    answer.active_since_frame = swapped.active_since_frame;
-    answer.carried = swapped.carried;
-    answer.reset = swapped.reset;
-    json(StatusCode::OK, &answer)
+    let Swapped { active_since_frame, carried, reset } = swapped.await.map_err(ended).map_err(unless_stopping)?;
+    let (model, active_digest) = (entry.name.to_string(), entry.model.digest().to_string());
+    let (requested_model, active_model) = (model.clone(), model);
+    Ok(SwapAnswer { requested_model, active_model, active_digest, active_since_frame, carried, reset, compile_ms })
 }

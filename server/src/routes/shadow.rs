@@ -7,10 +7,10 @@ use axum::response::IntoResponse;
 use isophote_wire::{ShadowDocument, ShadowView, SwapAnswer};
 
 use super::parameters::NameParam;
+use super::sessions::taken;
 use super::{Answer, App, RawName, json, put_status, raw};
 use crate::compiler::Owner;
 use crate::documents::{place, read_json};
-use crate::problem::Problem;
 use crate::turns::FairWorkers;
 use crate::workshop::Lane;
 
@@ -63,34 +63,12 @@ pub async fn promote(State(app): State<App>, name: RawName) -> Answer {
     let in_order = service.workshop.in_order("session", &name).await;
     let session = service.session(&name)?;
     let entry = session.shadow()?.entry().clone();
-    let model = entry.name.to_string();
-    let mut answer = SwapAnswer {
-        requested_model: model.clone(),
-        active_model: model,
-        active_digest: entry.model.digest().to_string(),
-        active_since_frame: 0,
-        carried: Vec::new(),
-        reset: Vec::new(),
-        compile_ms: 0.0,
-    };
     let (tried, candidate) = (session.clone(), entry.clone());
-    let prepare = move |_: &FairWorkers| tried.prepare_promotion(&candidate);
+    let prepare = move |workers: &FairWorkers| tried.prepare_promotion(&candidate, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
-    let (promoted, of) = (session.clone(), name.clone());
-    let work = move |owner: &mut Owner| service.commit_swap(owner, &of, &promoted, &entry, prepared);
-    let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
-    let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;
-    let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
-    let swapped = swapped.await.map_err(ended).map_err(unless_stopping)?;
+    let answer = taken(&app, session.clone(), &entry, prepared).await?;
     // It may have been dropped meanwhile, with its session.
-    let dropped = app
-        .service
-        .compiler
-        .run(move |owner| Ok(session.drop_shadow(owner, "the shadow has taken over").is_ok()))
-        .await;
-    drop((dropped.map_err(unless_stopping)?, in_order));
-    answer.active_since_frame = swapped.active_since_frame;
-    answer.carried = swapped.carried;
-    answer.reset = swapped.reset;
+    app.service.compiler.run(move |owner| Ok(session.drop_shadow(owner, "the shadow has taken over").is_ok())).await?;
+    drop(in_order);
     json(StatusCode::OK, &answer)
 }

@@ -1,6 +1,6 @@
 //! What is put is declared: written with the models that it has, so that it runs again after a restart.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use isophote_machine::{rfc3339, unix_ms};
@@ -75,19 +75,31 @@ impl Service {
     ) -> Result<(), Problem> {
         let Some(declared) = declared else { return Ok(()) };
         let contents = self.unkept(Some(model), source_model.as_deref());
-        let record =
-            SessionRecord { document, model: model.pin(), source_model: pin(source_model), declared, stopped: None };
+        let record = SessionRecord {
+            document,
+            model: model.pin(),
+            constants: BTreeMap::new(),
+            source_model: pin(source_model),
+            declared,
+            stopped: None,
+        };
         self.declared_sessions.put(owner, name, record, &contents).map_err(StoreError::problem)?;
         self.registry.kept(&contents);
         Ok(())
     }
 
     /// A session that is declared has another model from now on.
-    pub(super) fn keep_swap(&self, owner: &mut Owner, name: &str, model: &ModelEntry) -> Result<(), Problem> {
+    pub(super) fn keep_swap(
+        &self,
+        owner: &mut Owner,
+        name: &str,
+        model: &ModelEntry,
+        constants: &BTreeMap<String, f64>,
+    ) -> Result<(), Problem> {
         let Some(name) = Name::parse(name) else { return Ok(()) };
         let Some(record) = self.declared_sessions.get(&name) else { return Ok(()) };
         let contents = self.unkept(Some(model), None);
-        let record = SessionRecord { model: model.pin(), ..record };
+        let record = SessionRecord { model: model.pin(), constants: constants.clone(), ..record };
         self.declared_sessions.put(owner, &name, record, &contents).map_err(StoreError::problem)?;
         self.registry.kept(&contents);
         Ok(())
@@ -129,9 +141,11 @@ impl Service {
             Why::Failed(reason) => (SessionState::Failed, Some(reason)),
         };
         let model = record.model.name.to_string();
+        let mut document = SessionDocument { model: model.clone(), ..record.document };
+        document.constants.extend(record.constants);
         Some(SessionView {
             name: name.to_string(),
-            document: SessionDocument { model: model.clone(), ..record.document },
+            document,
             state,
             reason,
             requested_model: model.clone(),

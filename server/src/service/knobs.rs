@@ -2,11 +2,12 @@
 
 use super::Service;
 use crate::problem::Problem;
+use crate::source::CameraNames;
 
 impl Service {
-    /// 409 where a source of that camera, which is named by its path or identity, has a lease on its knobs.
-    pub fn refuse_control(&self, device: &str) -> Result<(), Problem> {
-        self.sources().iter().try_for_each(|(_, source)| source.refuse_others(device))?;
-        self.sessions().iter().try_for_each(|(_, session)| session.source().source.refuse_others(device))
+    /// 409 where a source of that camera has a lease on its knobs.
+    pub fn refuse_control(&self, camera: &CameraNames) -> Result<(), Problem> {
+        self.sources().iter().try_for_each(|(_, source)| source.refuse_others(camera))?;
+        self.sessions().iter().try_for_each(|(_, session)| session.source().source.refuse_others(camera))
     }
 }

@@ -158,7 +158,7 @@ impl Service {
             };
             let run = self.run(Some(record.declared))?;
             let source = self.source_of(name, &record.document.source, opened?, find)?;
-            let session = self.session_of(name, record.document, source, &entry, run)?;
+            let session = self.session_of(name, record.document, source, (&entry, &record.constants), run)?;
             session.begin();
             insert(&self.sessions, name, session);
             Ok(())

@@ -3,10 +3,11 @@
 //! What comes in: a model of the registry. What goes out: a [`PreparedSwap`], or why the running model goes on. It never changes
 //! what fits.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_machine::{elapsed_ms, monotonic_ns};
-use isophote_tracker::{Carried, Compiled};
+use isophote_tracker::{Carried, Compiled, TrackError, Tracker, TrackerOptions};
 use isophote_wire::{SessionDocument, SourceDocument};
 use tokio::sync::oneshot;
 
@@ -22,6 +23,16 @@ use crate::registry::ModelEntry;
 use crate::source::{FrameShape, Source, pixel_format, realtime_hz};
 use crate::turns::FairWorkers;
 use isophote_jit::PixelFormat;
+
+/// Of another model, for frames of the session.
+pub(super) struct NewTracker {
+    pub compiled: Arc<Compiled>,
+    pub options: TrackerOptions,
+    /// It has seen nothing; or why the session's options do not suit the model.
+    pub tracker: Result<Tracker, TrackError>,
+    /// Spent on compilation, ms.
+    pub compile_ms: f64,
+}
 
 /// Whether a model is taken whose fits take longer than frames of the source may.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +53,11 @@ pub struct PreparedSwap {
 }
 
 impl PreparedSwap {
+    /// Constants of its own.
+    pub fn constants(&self) -> &BTreeMap<String, f64> {
+        &self.swap.active.constants
+    }
+
     /// Where the answer will come, what compilation took, and that it is asked for.
     pub(super) fn new(
         swap: Swap,
@@ -90,6 +106,30 @@ impl Session {
         workers: &FairWorkers,
     ) -> Result<PreparedSwap, Problem> {
         let requested = Requested::of(&self.shared, entry.name.as_str());
+        let NewTracker { compiled, options, tracker, compile_ms } =
+            self.new_tracker(entry, BTreeMap::new(), workers)?;
+        // It proves that the session's options suit the model: the swap itself cannot fail.
+        let proof = tracker.map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
+        if self.document.options.exposure.control && !proof.advises_exposure() {
+            return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
+        }
+        let (reply, answer) = oneshot::channel();
+        let (warm, carried) = (None, Carried::default());
+        let active = Active::new(entry, BTreeMap::new());
+        let swap = Swap { active, compiled, options, warm, carried, reply };
+        if slow == SlowModels::Refused {
+            self.check_cost(&swap, workers)?;
+        }
+        Ok(PreparedSwap { swap, answer, compile_ms, requested })
+    }
+
+    /// A tracker of that model with the session's options, as far as they apply to it, and constants of its own.
+    pub(super) fn new_tracker(
+        &self,
+        entry: &ModelEntry,
+        constants: BTreeMap<String, f64>,
+        workers: &FairWorkers,
+    ) -> Result<NewTracker, Problem> {
         let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
         check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
         let start_ns = monotonic_ns();
@@ -98,28 +138,26 @@ impl Session {
             compiled.warm(format, workers)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = swap::options_known(&self.document, &entry.model);
-        // A tracker of its own proves that the session's options suit the model: the swap itself cannot fail.
-        let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
-        let proof = proof.map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
-        if self.document.options.exposure.control && !proof.advises_exposure() {
-            return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
-        }
-        let (reply, answer) = oneshot::channel();
-        let (warm, carried) = (None, Carried::default());
-        let swap = Swap { active: Active::new(entry), compiled, options, warm, carried, reply };
-        if slow == SlowModels::Refused && !self.document.options.allow_slow {
-            self.check_cost(&swap, workers)?;
-        }
-        Ok(PreparedSwap { swap, answer, compile_ms, requested })
+        let mut options = swap::options_known(&self.document, &entry.model);
+        options.constants.extend(constants);
+        let tracker = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
+        Ok(NewTracker { compiled, options, tracker, compile_ms })
     }
 
-    /// 409 where fits would take longer than frames may. Where no frame comes there is nothing to try it on.
-    fn check_cost(&self, swap: &Swap, workers: &FairWorkers) -> Result<(), Problem> {
-        let Some(budget) = self.source.source.frame_budget() else { return Ok(()) };
-        let Some(sample) = self.shared.inbox.sample(LIMITS.sample_time) else { return Ok(()) };
-        let mut candidate = sample.tracker;
-        candidate.swap(swap.compiled.clone(), swap.options.clone());
+    /// 409 where fits would take longer than frames may, unless the session's document allows that. Where there is no frame there is
+    /// nothing to try it on.
+    pub(super) fn check_cost(&self, swap: &Swap, workers: &FairWorkers) -> Result<(), Problem> {
+        let budget = self.source.source.frame_budget().filter(|_| !self.document.options.allow_slow);
+        let Some(budget) = budget else { return Ok(()) };
+        let Some(sample) = self.source.source.sample(&self.shared.inbox) else { return Ok(()) };
+        let candidate = match &swap.warm {
+            Some(warm) => warm.fork(),
+            None => {
+                let mut candidate = sample.tracker;
+                candidate.swap(swap.compiled.clone(), swap.options.clone());
+                candidate
+            }
+        };
         let (cost, what) = match FitCost::measured(&candidate, &sample.delivery.captured.frame, workers) {
             TrialResult::Fit(cost) => (cost, "a fit, the median of five,"),
             TrialResult::Search(cost) => (cost, "a search that was left before its end"),
@@ -131,8 +169,8 @@ impl Session {
         let (fit_ms, budget_ms) = (cost.milliseconds(), budget.as_secs_f64() * 1e3);
         let detail = format!(
             "with the model `{}` {what} takes {fit_ms:.1} ms on the newest frame, and frames of the source may take \
-             {budget_ms:.1} ms; the running model goes on. With \"allow_slow\": true it is taken even so: fits then end with \
-             their best so far",
+             {budget_ms:.1} ms; the running model goes on. With \"allow_slow\": true, in a swap or in the session's options, it \
+             is taken even so: fits then end with their best so far",
             swap.active.name
         );
         let problem = Problem::conflict("too-slow", detail);
@@ -191,7 +229,7 @@ pub fn prepare_session(
     let options = swap::options(document);
     let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
     proof.map_err(|error| wrong_options(document, entry, &error))?;
-    let Some(sample) = source.first_inbox().and_then(|inbox| inbox.sample(LIMITS.sample_time)) else {
+    let Some(sample) = source.first_inbox().and_then(|inbox| source.sample(&inbox)) else {
         return Ok(prepared);
     };
     // Sessions on one source see the same: what another one knows of its target is where this one's is likely to be.

@@ -11,7 +11,7 @@ use isophote_wire::{EstimateView, SessionState};
 use super::beside::PreparationThread;
 use super::chronicle::Chronicle;
 use super::exposed::ExposureKnob;
-use super::inbox::{Delivery, Event, FittedFrame, SourceEnd, Waiting};
+use super::inbox::{Delivery, Event, FittedFrame, SampleFrame, SourceEnd, Waiting};
 use super::record::{FitCourse, FitRecorder, Takeover};
 use super::searches::SearchRoom;
 use super::shadow::FittedPair;
@@ -26,10 +26,13 @@ use crate::source::Source;
 
 /// A frame that was fitted.
 pub struct LastFit {
-    frame: Frame,
-    results: Vec<Estimate>,
-    estimates: Vec<Arc<EstimateView>>,
+    delivery: Arc<Delivery>,
+    /// What the model that fits found in it; nothing where another one fitted it.
+    found: Option<FoundTargets>,
 }
+
+/// What was found in a frame: as the tracker says it, and as it is published.
+type FoundTargets = (Arc<[Estimate]>, Arc<[Arc<EstimateView>]>);
 
 /// What the thread owns.
 pub struct Fitter {
@@ -55,7 +58,7 @@ pub struct Fitter {
     pub beside: PreparationThread,
     /// Shows what `tracker` says, as soon as somebody looks.
     pub viewer: Option<Arc<Viewer>>,
-    /// The last frame with what was found, unless its buffer is wanted back or another model has come.
+    /// The last frame, unless its buffer is wanted back.
     pub last: Option<LastFit>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
@@ -93,7 +96,10 @@ impl Fitter {
         };
         self.shared.hub.keep(&self.tracker.names());
         self.beside.give_up();
-        (self.active, self.viewer, self.last) = (swap.active, None, None);
+        (self.active, self.viewer) = (swap.active, None);
+        if let Some(last) = &mut self.last {
+            last.found = None;
+        }
         self.shared.counters.swaps.add(1);
         let active_since_frame = self.next_frame.unwrap_or(0);
         let taken = (active_since_frame, takeover);
@@ -124,7 +130,7 @@ impl Fitter {
         }
         let watch = FrameWatch::begin(&self.name, inbox, &self.room, self.times.as_ref());
         let watch = watch.traced_for(&self.shared.hub);
-        let results = self.tracker.track_all_while(frame, &watch);
+        let results: Arc<[Estimate]> = self.tracker.track_all_while(frame, &watch).into();
         let (start_ns, end_ns, outcome) = (watch.start_ns(), monotonic_ns(), watch.outcome());
         let course = FitCourse::of(delivery, jump, &self.tracker, &watch);
         drop(watch);
@@ -153,8 +159,8 @@ impl Fitter {
         self.shared.status().spent(&outcome, self.times.as_ref());
         let teller = Teller { session: &self.name, run: &self.run, active: &self.active };
         let told = results.iter().map(|result| Arc::new(teller.estimate(delivery, result, [start_ns, end_ns])));
-        let estimates: Vec<Arc<EstimateView>> = told.collect();
-        for (estimate, result) in estimates.iter().zip(&results) {
+        let estimates: Arc<[Arc<EstimateView>]> = told.collect();
+        for (estimate, result) in estimates.iter().zip(results.iter()) {
             match self.shared.hub.is_traced() {
                 true => self.shared.hub.publish_traced(estimate.clone(), &isophote_wire::trace(result)),
                 false => self.shared.hub.publish(estimate.clone()),
@@ -165,15 +171,12 @@ impl Fitter {
             self.answer(delivery, first.clone());
         }
         self.shared.preview.has_frame(frame.sequence);
+        let found = (results.clone(), estimates.clone());
         if self.shared.preview.is_wanted() {
-            self.show(frame, results.clone(), estimates.clone());
+            self.show(frame, found.clone());
         }
-        let last = || LastFit { frame: frame.clone(), results: results.clone(), estimates: estimates.clone() };
-        self.last = (!frame.is_lent()).then(last);
-        for wanted in self.shared.inbox.take_samples() {
-            let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
-            drop(wanted.try_send(sample)); // whoever wanted it may have gone
-        }
+        self.last = (!frame.is_lent()).then(|| LastFit { delivery: delivery.clone(), found: Some(found) });
+        self.hand_out(SampleFrame::Next, Some(delivery));
         if let Some(shadow) = self.shared.shadow() {
             let model = self.active.model.clone();
             shadow.offer(FittedPair { delivery: delivery.clone(), model, results, estimates }, lost);
@@ -183,16 +186,27 @@ impl Fitter {
         }
     }
 
-    /// Nothing has come since the last frame, which somebody wants to see.
+    /// Nothing has come since the last frame, which somebody wants to see, or to try something on.
     fn look(&mut self) {
-        if let Some(LastFit { frame, results, estimates }) = self.last.take_if(|_| self.shared.preview.is_wanted()) {
-            self.show(&frame, results.clone(), estimates.clone());
-            self.last = Some(LastFit { frame, results, estimates });
+        let last = self.last.as_ref().map(|last| (last.delivery.clone(), last.found.clone()));
+        if let Some((delivery, Some(found))) = last.clone().filter(|_| self.shared.preview.is_wanted()) {
+            self.show(&delivery.captured.frame, found);
+        }
+        self.hand_out(SampleFrame::Last, last.as_ref().map(|(delivery, _)| delivery));
+    }
+
+    /// A frame for those who want to try something on one; who waits hears when there is none.
+    fn hand_out(&self, which: SampleFrame, delivery: Option<&Arc<Delivery>>) {
+        for wanted in self.shared.inbox.take_samples(which) {
+            if let Some(delivery) = delivery {
+                let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
+                drop(wanted.try_send(sample)); // whoever wanted it may have gone
+            }
         }
     }
 
     /// Hands a frame to those who look, with what belongs to it; they draw it.
-    fn show(&mut self, frame: &Frame, estimates: Vec<Estimate>, views: Vec<Arc<EstimateView>>) {
+    fn show(&mut self, frame: &Frame, (estimates, views): FoundTargets) {
         let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();
         let (frame, session, epoch) = (frame.clone(), self.name.clone(), self.run.epoch);
         self.shared.preview.show(FittedScene { frame, estimates, views, viewer, session, epoch });

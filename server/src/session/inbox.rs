@@ -57,6 +57,15 @@ pub struct FittedFrame {
     pub tracker: Tracker,
 }
 
+/// What something is tried on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SampleFrame {
+    /// The next frame, when it is fitted.
+    Next,
+    /// The last one: no other comes.
+    Last,
+}
+
 /// What a fit thread does next.
 pub enum Event {
     /// Take the new model; comes before a frame that waits.
@@ -65,7 +74,7 @@ pub enum Event {
     Frame(Arc<Delivery>),
     /// Say so and go on waiting: a swap may still come.
     SourceEnded(SourceEnd),
-    /// Show the frame before once more: somebody looks, and no other one comes.
+    /// Show the frame before once more, and have it tried on: no other one comes.
     Look,
     /// Leave.
     Closed,
@@ -97,8 +106,8 @@ struct State {
     is_fitting: bool,
     swaps: VecDeque<Box<Swap>>,
     end: Option<SourceEnd>,
-    /// Who wants to try something on the next frame.
-    samples: Vec<SyncSender<FittedFrame>>,
+    /// Who wants to try something on a frame.
+    samples: Vec<(SampleFrame, SyncSender<FittedFrame>)>,
     is_looked_for: bool,
     is_closed: bool,
 }
@@ -156,16 +165,18 @@ impl Inbox {
         Ok(())
     }
 
-    /// The next frame, when it is fitted; `None` when none is within that time.
-    pub fn sample(&self, within: Duration) -> Option<FittedFrame> {
+    /// A frame that was fitted; `None` when there is none within that time.
+    pub fn sample(&self, which: SampleFrame, within: Duration) -> Option<FittedFrame> {
         let (sender, sample) = sync_channel(1);
         {
             let mut state = self.lock();
             if state.is_closed {
                 return None;
             }
-            state.samples.push(sender);
+            state.samples.push((which, sender));
+            state.is_looked_for |= which == SampleFrame::Last;
         }
+        self.changed.notify_all();
         sample.recv_timeout(within).ok()
     }
 
@@ -175,9 +186,10 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// For the fit thread after a fit: who wants to try something on that frame.
-    pub fn take_samples(&self) -> Vec<SyncSender<FittedFrame>> {
-        std::mem::take(&mut self.lock().samples)
+    /// For the fit thread: who wants to try something on the frame that it has just fitted, or on the last one.
+    pub fn take_samples(&self, which: SampleFrame) -> Vec<SyncSender<FittedFrame>> {
+        let is_due = |sample: &mut (SampleFrame, _)| which == SampleFrame::Next || sample.0 == which;
+        self.lock().samples.extract_if(.., is_due).map(|(_, sender)| sender).collect()
     }
 
     /// Ends the fit thread after what it does now. Swaps and frames that wait are dropped, and with them their replies.

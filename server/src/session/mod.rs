@@ -21,6 +21,7 @@ mod told;
 mod trial;
 mod watch;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -81,12 +82,12 @@ pub struct Session {
 
 impl Session {
     /// Compiles, checks, and starts the thread, which has no frames before [`Session::begin`]. The model may be another than
-    /// the document's, to which the session was swapped before.
+    /// the document's, to which the session was swapped before, and have constants of its own.
     pub fn start(
         name: &str,
         document: SessionDocument,
         source: SourceOf,
-        entry: &ModelEntry,
+        (entry, constants): (&ModelEntry, &BTreeMap<String, f64>),
         run: SessionStart,
         room: &Arc<SearchRoom>,
     ) -> Result<Session, Problem> {
@@ -99,13 +100,14 @@ impl Session {
             compiled.warm(format, &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
-        let options = match document.model == entry.name.as_str() {
+        let mut options = match document.model == entry.name.as_str() {
             true => swap::options(&document),
             false => swap::options_known(&document, &entry.model),
         };
+        options.constants.extend(constants.clone());
         let tracker = tracker(compiled, options, source.source.shape());
         let tracker = tracker.map_err(|error| wrong_options(&document, entry, &error))?;
-        let active = Active::new(entry);
+        let active = Active::new(entry, constants.clone());
         let shared = Arc::new(Shared::new(Status::new(active.clone(), entry.name.to_string())));
         let knob = ExposureKnob::of((name, run.epoch), &document.options, &source.source, &tracker)?;
         let fitter = Fitter {
@@ -130,6 +132,11 @@ impl Session {
             .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
         let (room, recorded) = (room.clone(), LastRecording::default());
         Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run, recorded })
+    }
+
+    /// What a frame will cost of a processor, as far as that was tried before it has one of its own.
+    pub fn expect_cost(&self, fit_ms: Option<f64>) {
+        self.shared.status().expected_ns = fit_ms.map(|fit_ms| (fit_ms * 1e6) as u64);
     }
 
     /// From now on it has frames.
@@ -188,7 +195,7 @@ impl Session {
     pub fn load(&self) -> Option<f64> {
         let rate_hz = self.source.source.realtime_hz()?;
         let is_over = matches!(self.state().0, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
-        let cost_ns = self.shared.status().cost_ns.filter(|_| !is_over).unwrap_or(0);
+        let cost_ns = self.shared.status().load_ns().filter(|_| !is_over).unwrap_or(0);
         Some(busy(cost_ns as f64 * 1e-9, rate_hz))
     }
 
@@ -211,6 +218,7 @@ impl Session {
         let (state, reason) = self.state();
         let status = self.shared.status();
         document.model = status.active.name.clone();
+        document.constants.extend(status.active.constants.clone());
         // Before the first frame as it will be then.
         let budgets = status.budgets.or_else(|| Some([self.source.source.frame_budget()?, LIMITS.search_time]));
         SessionView {

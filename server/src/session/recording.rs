@@ -1,6 +1,6 @@
 //! A session's recording: one at a time, begun and ended by whoever asks.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use isophote_wire::{LoggedSession, RecordDocument, RecordingView};
@@ -13,7 +13,23 @@ use crate::source::Source;
 
 /// The last one.
 #[derive(Default)]
-pub struct LastRecording(Mutex<Option<Arc<SessionRecording>>>);
+pub struct LastRecording(Mutex<State>);
+
+#[derive(Default)]
+struct State {
+    last: Option<Arc<SessionRecording>>,
+    /// The first file of another one is being made.
+    is_beginning: bool,
+}
+
+/// Whoever makes the first file of a recording, until it is there or cannot be made.
+struct Beginning<'a>(&'a LastRecording);
+
+impl Drop for Beginning<'_> {
+    fn drop(&mut self) {
+        self.0.lock().is_beginning = false;
+    }
+}
 
 fn check(document: &RecordDocument) -> Result<(), Problem> {
     let limit = LIMITS.recording_mb;
@@ -38,11 +54,15 @@ fn check(document: &RecordDocument) -> Result<(), Problem> {
 }
 
 impl LastRecording {
-    fn get(&self) -> Option<Arc<SessionRecording>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Begins to record. It takes no longer than a file does to be made.
+    fn get(&self) -> Option<Arc<SessionRecording>> {
+        self.lock().last.clone()
+    }
+
+    /// Begins to record. It takes no longer than a file does to be made; nobody else waits for that.
     pub fn begin(
         &self,
         folder: &RecordingFolder,
@@ -51,22 +71,32 @@ impl LastRecording {
         (inbox, source): (&Inbox, Arc<Source>),
     ) -> Result<RecordingView, Problem> {
         check(&document)?;
-        let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let name = session.session.clone();
-        // A session that ends closes its inbox before it asks for this lock.
-        if inbox.waiting() == Waiting::End {
-            return Err(Problem::conflict("not-applicable", format!("the session `{name}` has ended")));
-        }
-        if last.as_ref().is_some_and(|recording| recording.is_running()) {
-            let detail = format!("the session `{name}` is being recorded; DELETE its recording first");
-            return Err(Problem::conflict("in-use", detail));
-        }
+        let over = || Problem::conflict("not-applicable", format!("the session `{name}` has ended"));
+        let _beginning = {
+            let mut state = self.lock();
+            if inbox.waiting() == Waiting::End {
+                return Err(over());
+            }
+            if state.is_beginning || state.last.as_ref().is_some_and(|recording| recording.is_running()) {
+                let detail = format!("the session `{name}` is being recorded; DELETE its recording first");
+                return Err(Problem::conflict("in-use", detail));
+            }
+            state.is_beginning = true;
+            Beginning(self)
+        };
         let begun = SessionRecording::begin(folder.clone(), document, session, move || source.camera());
         let recording = Arc::new(begun.map_err(FolderFault::problem)?);
+        let mut state = self.lock();
+        // A session that ends closes its inbox before it asks for this lock.
+        if inbox.waiting() == Waiting::End {
+            recording.end("the session has ended");
+            return Err(over());
+        }
         inbox.record(Some(recording.tap().clone()));
         tracing::info!(session = name, "a recording has begun");
         let view = recording.view();
-        *last = Some(recording);
+        state.last = Some(recording);
         Ok(view)
     }
 
@@ -77,7 +107,7 @@ impl LastRecording {
 
     /// Ends it, and forgets it; whoever asked may wait for the end of its file.
     pub fn stop(&self, inbox: &Inbox) -> Option<Arc<SessionRecording>> {
-        let recording = self.0.lock().unwrap_or_else(PoisonError::into_inner).take()?;
+        let recording = self.lock().last.take()?;
         inbox.record(None);
         recording.end("it was ended");
         Some(recording)

@@ -3,15 +3,14 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use isophote_machine::{elapsed_ms, monotonic_ns};
 use isophote_tracker::Carried;
 use isophote_wire::ShadowDocument;
 use tokio::sync::oneshot;
 
-use super::change::{PreparedSwap, Requested};
-use super::checks::{check_shape, tracker, wrong_options};
+use super::change::{NewTracker, PreparedSwap, Requested};
+use super::checks::wrong_options;
 use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
-use super::swap::{self, Active, Swap};
+use super::swap::{Active, Swap};
 use super::trial::{FitCost, TrialResult};
 use super::{Session, exposed};
 use crate::compiler::Owner;
@@ -39,23 +38,16 @@ impl Session {
             let message = format!("the model `{}` has no constant `{name}`", entry.model.name());
             return Err(Problem::wrong_key("unknown-name", &format!("constants.{name}"), message));
         }
-        let shape = self.shared.status().shape.clone().unwrap_or_else(|| self.source.source.shape().clone());
-        check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
-        let start_ns = monotonic_ns();
-        let compiled = entry.kernels_by(self.document.options.precision, workers)?;
-        if let Some(format) = shape.format {
-            compiled.warm(format, workers)?;
-        }
-        let compile_ms = elapsed_ms(start_ns);
-        let mut options = swap::options_known(&self.document, &entry.model);
-        options.constants.extend(document.constants.clone());
-        let new = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
-        let new = new.map_err(|error| wrong_options(&self.document, &entry, &error))?;
+        let constants = document.constants.clone();
+        let NewTracker { compiled, options, tracker, compile_ms } =
+            self.new_tracker(&entry, constants.clone(), workers)?;
+        let tracker = tracker.map_err(|error| wrong_options(&self.document, &entry, &error))?;
         let names = || entry.model.parameters().iter().map(|parameter| parameter.name.clone()).collect();
         let mut prepared = PreparedShadow {
             compiled: compiled.clone(),
             options: options.clone(),
-            tracker: new,
+            constants,
+            tracker,
             carried: Vec::new(),
             reset: names(),
             compile_ms,
@@ -63,7 +55,7 @@ impl Session {
             entry,
         };
         // Where no frame comes it begins as a session does.
-        let Some(sample) = self.shared.inbox.sample(LIMITS.sample_time) else { return Ok(prepared) };
+        let Some(sample) = self.source.source.sample(&self.shared.inbox) else { return Ok(prepared) };
         prepared.tracker = sample.tracker;
         let told = prepared.tracker.swap(compiled, options);
         (prepared.carried, prepared.reset) = (told.carried, told.reset);
@@ -98,9 +90,11 @@ impl Session {
     }
 
     /// A swap to the model of the shadow, which goes on where that is. The shadow stays until it is dropped.
-    pub fn prepare_promotion(&self, entry: &ModelEntry) -> Result<PreparedSwap, Problem> {
+    /// It is refused as a swap is where it is too slow.
+    pub fn prepare_promotion(&self, entry: &ModelEntry, workers: &FairWorkers) -> Result<PreparedSwap, Problem> {
         let requested = Requested::of(&self.shared, entry.name.as_str());
-        let (compiled, options, tracker) = self.shadow()?.tracked()?;
+        let shadow = self.shadow()?;
+        let (compiled, options, tracker) = shadow.tracked()?;
         if self.document.options.exposure.control && !tracker.advises_exposure() {
             return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
         }
@@ -111,7 +105,9 @@ impl Session {
         };
         let (reply, answer) = oneshot::channel();
         let warm = Some(Box::new(tracker));
-        let swap = Swap { active: Active::new(entry), compiled, options, warm, carried, reply };
+        let active = Active::new(entry, shadow.constants().clone());
+        let swap = Swap { active, compiled, options, warm, carried, reply };
+        self.check_cost(&swap, workers)?;
         Ok(PreparedSwap::new(swap, answer, 0.0, requested))
     }
 }

@@ -38,6 +38,8 @@ pub struct Status {
     pub searches: [u64; 2],
     /// What a frame without a search costs of a processor, ns: a mean of the last ones.
     pub cost_ns: Option<u64>,
+    /// The same before there was one, as it was tried.
+    pub expected_ns: Option<u64>,
     /// Of one that controls the exposure of its source: whether it may.
     pub control: Option<ExposureControl>,
     /// Why it does not run.
@@ -61,6 +63,7 @@ impl Status {
             over_budget: 0,
             searches: [0; 2],
             cost_ns: None,
+            expected_ns: None,
             control: None,
             reason: None,
             shape: None,
@@ -94,6 +97,11 @@ impl Status {
     pub fn cost(&mut self, frame_ns: u64) {
         let share = |mean_ns: u64| (mean_ns * (COST_FRAMES - 1) + frame_ns) / COST_FRAMES;
         self.cost_ns = Some(self.cost_ns.map_or(frame_ns, share));
+    }
+
+    /// The same as far as anything is known.
+    pub fn load_ns(&self) -> Option<u64> {
+        self.cost_ns.or(self.expected_ns)
     }
 
     /// The session goes on existing, but not fitting.

@@ -1,5 +1,6 @@
 //! A model on its way into a running session, and the answer when it is there.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isophote_jit::VectorWidth;
@@ -25,13 +26,15 @@ pub struct Active {
     pub text: Arc<str>,
     /// The vectors of its kernels.
     pub width: VectorWidth,
+    /// Its constants beside those of the session's document: those of a shadow that took over.
+    pub constants: BTreeMap<String, f64>,
 }
 
 impl Active {
-    /// The model of a registry's entry.
-    pub fn new(entry: &ModelEntry) -> Active {
+    /// The model of a registry's entry, with such constants of its own.
+    pub fn new(entry: &ModelEntry, constants: BTreeMap<String, f64>) -> Active {
         let (name, id, model) = (entry.name.to_string(), entry.id().into(), entry.model.clone());
-        Active { name, id, model, media: entry.media, text: entry.text.clone(), width: entry.width() }
+        Active { name, id, model, media: entry.media, text: entry.text.clone(), width: entry.width(), constants }
     }
 }
 

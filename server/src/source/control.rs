@@ -4,11 +4,32 @@ use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 use isophote_capture::camera;
-use isophote_wire::{ControlCommand, ControlDocument, ControlView, SourceDocument};
+use isophote_wire::{CameraInfo, ControlCommand, ControlDocument, ControlView, SourceDocument};
 
 use super::{ControlLease, LeaseId, Source, camera_problem};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+
+/// What a camera is called: its path, wherever links to it stand, and its identity.
+pub struct CameraNames([String; 2]);
+
+impl CameraNames {
+    /// Of one that is there.
+    pub fn of(camera: &CameraInfo) -> CameraNames {
+        CameraNames([plain(&camera.device), camera.identity.clone()])
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.0.contains(&plain(name))
+    }
+}
+
+/// A path without links, dots and doubled slashes; what is no path, or leads nowhere, as it is.
+fn plain(name: &str) -> String {
+    let path = std::path::Path::new(name);
+    let found = path.is_absolute().then(|| path.canonicalize().ok()).flatten();
+    found.map_or_else(|| name.to_string(), |path| path.display().to_string())
+}
 
 impl Source {
     /// Who turns its knobs.
@@ -74,12 +95,12 @@ impl Source {
         }
     }
 
-    /// 409 where somebody has the knobs of that camera, by its path or identity, and this is a source of it.
-    pub fn refuse_others(&self, device: &str) -> Result<(), Problem> {
-        let SourceDocument::Camera(camera) = &self.document else { return Ok(()) };
+    /// 409 where somebody has the knobs of that camera, and this is a source of it.
+    pub fn refuse_others(&self, camera: &CameraNames) -> Result<(), Problem> {
+        let SourceDocument::Camera(document) = &self.document else { return Ok(()) };
         let status = self.camera();
-        let names = status.iter().flat_map(|status| [&status.device, &status.identity]).chain([&camera.device]);
-        let is_it = names.into_iter().any(|name| name == device);
+        let names = status.iter().flat_map(|status| [&status.device, &status.identity]).chain([&document.device]);
+        let is_it = names.into_iter().any(|name| camera.has(name));
         let whose = self.lease.holder(Instant::now()).filter(|_| is_it);
         whose.map_or(Ok(()), |whose| Err(ControlLease::refused(whose)))
     }
@@ -134,7 +155,8 @@ impl Source {
         }
         let mut taken = controls.clone();
         if let (SourceDocument::Camera(camera), false) = (&self.document, controls.is_empty()) {
-            let set = camera::set_controls(&camera.device, controls);
+            let is_theirs = || self.lease.has(id, Instant::now());
+            let set = camera::set_controls(&camera.device, controls, &is_theirs);
             taken = set.map_err(|error| match &error {
                 isophote_capture::CameraError::Control { name, .. } => {
                     Problem::wrong_key("wrong-value", &format!("controls.{name}"), error.to_string())
@@ -173,4 +195,33 @@ fn random_id() -> Result<String, Problem> {
     let mut bits = [0u8; 16];
     getrandom::fill(&mut bits).map_err(|error| Problem::bug(format!("no random bits for a lease: {error}")))?;
     Ok(bits.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_camera_is_the_same_by_whatever_path() {
+        let folder = std::env::temp_dir().join(format!("isophote-cameras-{}", std::process::id()));
+        std::fs::create_dir_all(folder.join("by-id")).unwrap();
+        let device = folder.join("video0");
+        std::fs::write(&device, "").unwrap();
+        std::os::unix::fs::symlink("../video0", folder.join("by-id/usb-one")).unwrap();
+        let names = CameraNames([plain(device.to_str().unwrap()), "one-0001".to_string()]);
+        for (name, is_it) in [
+            ("video0", true),
+            ("./video0", true),
+            ("/video0", true),
+            ("by-id/../video0", true),
+            ("by-id/usb-one", true),
+            ("video1", false),
+            ("by-id", false),
+        ] {
+            assert_eq!(names.has(&format!("{}/{name}", folder.display())), is_it, "{name}");
+        }
+        assert!(names.has("one-0001") && !names.has("one-0002") && !names.has("video0"));
+        std::fs::remove_dir_all(folder).unwrap();
+    }
 }

@@ -28,8 +28,9 @@ use isophote_tracker::Frame;
 
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::session::inbox::{Delivery, Inbox, Reply, SourceEnd};
+use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
+pub use control::CameraNames;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
@@ -253,6 +254,12 @@ impl Source {
             (SourceState::Lost, reason) => Some((SessionState::LostSource, reason)),
             _ => None,
         }
+    }
+
+    /// What one of its sessions fits next; where it stands still, what that fitted last.
+    pub fn sample(&self, session: &Inbox) -> Option<FittedFrame> {
+        let which = if self.is_still() { SampleFrame::Last } else { SampleFrame::Next };
+        session.sample(which, LIMITS.sample_time)
     }
 
     /// Of one of its sessions.

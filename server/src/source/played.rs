@@ -96,11 +96,12 @@ impl Worker {
                 return Turn::Over;
             }
             let Some(playback) = &mut state.playback else { return Turn::Now };
+            // A frame that is left has taken no time; what is made anew then shows what has changed in the meantime.
             if playback.is_sought() {
+                frames.take_back();
                 return Turn::Left;
             }
             if playback.is_still() {
-                // What is made anew then shows what has changed in the meantime.
                 if frames.take_back() {
                     return Turn::Left;
                 }

@@ -83,9 +83,14 @@ impl Source {
         staged.change(scene)
     }
 
-    /// As put, with what it shows now.
+    /// As put, with what it shows now, and whether it begins again.
     pub(super) fn document_now(&self) -> SourceDocument {
-        self.scene.as_ref().map_or_else(|| self.document.clone(), SceneInForce::document)
+        let mut document = self.scene.as_ref().map_or_else(|| self.document.clone(), SceneInForce::document);
+        let repeat = self.playback().ok().and_then(|view| view.repeat);
+        if let (SourceDocument::Recording(recording), Some(repeat)) = (&mut document, repeat) {
+            recording.repeat = repeat;
+        }
+        document
     }
 
     fn staged(&self) -> Result<&SceneInForce, Problem> {

@@ -5,13 +5,12 @@
 use std::collections::VecDeque;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::Instant;
 
 use axum::extract::ws::{Message, WebSocket};
 use isophote_wire::{EstimateView, FrameTime};
 
 use super::pushed::{DecodedFrame, Pushed, WaitingFrame};
-use super::websocket::{break_off, close, refuse, send};
+use super::websocket::{LifeSigns, close, refuse, send};
 use crate::gate::MessageGate;
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
@@ -31,9 +30,7 @@ enum Turn {
 /// Until one side ends it. `subscription` says when the session does.
 pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subscription, gate: &MessageGate) {
     let pushed = Arc::new(pushed);
-    let mut heard = Instant::now();
-    let mut ping = tokio::time::interval(LIMITS.ping_time);
-    ping.reset();
+    let mut signs = LifeSigns::begin();
     // One frame is decoded at a time, so that frames keep their order; then they wait for their fits.
     let mut decoding: Option<Decoding> = None;
     let mut waiting: VecDeque<Result<WaitingFrame, Problem>> = VecDeque::new();
@@ -45,7 +42,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
             answer = first(&mut waiting) => Turn::Answered(answer),
             frame = decoded(&mut decoding) => Turn::Decoded(frame),
             received = socket.recv(), if has_room => Turn::Received(received),
-            _ = ping.tick() => Turn::Ping,
+            () = signs.due() => Turn::Ping,
         };
         match turn {
             Turn::Answered(answer) => {
@@ -64,16 +61,13 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                 return leave(&mut socket, answers.collect(), &end).await;
             }
             Turn::Ended(Next::Estimate(_)) => {}
-            Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
             Turn::Ping => {
-                if !send(&mut socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await {
+                if !signs.ask(&mut socket).await {
                     return;
                 }
             }
-            Turn::Received(None) => return,
-            Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
-            Turn::Received(Some(Ok(message))) => {
-                heard = Instant::now();
+            Turn::Received(received) => {
+                let Some(message) = signs.heard(&mut socket, received).await else { return };
                 gate.message_over();
                 match message {
                     Message::Binary(bytes) => {

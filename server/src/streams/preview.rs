@@ -4,11 +4,10 @@
 use std::time::{Duration, Instant};
 
 use axum::extract::ws::{Message, WebSocket, close_code};
-use isophote_wire::CreditDocument;
 use tokio::sync::oneshot;
 
 use super::pace::PreviewPace;
-use super::websocket::{Credit, break_off, close, finish, refuse, send};
+use super::websocket::{Credit, LifeSigns, close, finish, renewed, send};
 use crate::hub::{Next, Subscription};
 use crate::limits::LIMITS;
 use crate::preview::{PreviewForm, PreviewMessage, PreviewSeat, ShownFrame};
@@ -44,9 +43,7 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
     let mut due = Instant::now();
     let mut asked: Option<oneshot::Receiver<ShownFrame>> = None;
     let mut after_seen = 0;
-    let mut heard = Instant::now();
-    let mut sign = tokio::time::interval(LIMITS.ping_time);
-    sign.reset();
+    let mut signs = LifeSigns::begin();
     loop {
         if asked.is_none() && credit.is_left() && pace.is_free(Instant::now()) {
             let (quality, step) = pace.level();
@@ -59,14 +56,14 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
             end = subscription.end() => Turn::Ended(end),
             drawn = drawn(&mut asked) => Turn::Drawn(drawn),
             received = socket.recv() => Turn::Received(received),
-            _ = sign.tick() => Turn::Ping,
+            () = signs.due() => Turn::Ping,
         };
         match turn {
             Turn::Ended(Next::End(end)) => return close(&mut socket, &end).await,
             Turn::Ended(Next::Estimate(_)) => {}
             Turn::Drawn(drawn) => {
                 asked = None;
-                let Ok(ShownFrame { number, message }) = drawn else {
+                let Ok(ShownFrame { number, message, room }) = drawn else {
                     return finish(&mut socket, close_code::ERROR, "the preview cannot be drawn").await;
                 };
                 after_seen = number + 1;
@@ -77,30 +74,23 @@ pub async fn serve(mut socket: WebSocket, seat: PreviewSeat, mut subscription: S
                 if !deliver(&mut socket, &mut subscription, message, number).await {
                     return;
                 }
+                drop(room);
                 credit.spend();
             }
-            Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
             Turn::Ping => {
-                if !send(&mut socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await {
+                if !signs.ask(&mut socket).await {
                     return;
                 }
             }
-            Turn::Received(None) => return,
-            Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
-            Turn::Received(Some(Ok(message))) => {
-                heard = Instant::now();
-                match message {
-                    Message::Text(text) => match serde_json::from_str::<CreditDocument>(&text) {
-                        Ok(more) => credit.renew(more.credit),
-                        Err(error) => return refuse(&mut socket, &error.to_string()).await,
-                    },
-                    Message::Binary(_) => return refuse(&mut socket, "messages are JSON text").await,
-                    Message::Pong(number) => {
-                        if let Ok(number) = <[u8; 8]>::try_from(&number[..]) {
-                            pace.read(u64::from_le_bytes(number), heard);
-                        }
-                    }
-                    Message::Close(_) | Message::Ping(_) => {}
+            Turn::Received(received) => {
+                let Some(message) = signs.heard(&mut socket, received).await else { return };
+                if let Message::Pong(number) = &message
+                    && let Ok(number) = <[u8; 8]>::try_from(&number[..])
+                {
+                    pace.read(u64::from_le_bytes(number), Instant::now());
+                }
+                if !renewed(&mut socket, &mut credit, &message).await {
+                    return;
                 }
             }
         }
@@ -115,8 +105,8 @@ async fn drawn(asked: &mut Option<oneshot::Receiver<ShownFrame>>) -> Result<Show
     }
 }
 
-/// A message and the ping behind it. A long one has as long as its reader goes on taking bytes of it, and no longer than
-/// `LIMITS.picture_time`; when the session ends meanwhile, only a moment. False when it was not taken.
+/// A message and the ping behind it. It has as long as its reader goes on taking bytes of it, which the socket looks after; when the
+/// session ends meanwhile, only a moment. False when it was not taken.
 async fn deliver(
     socket: &mut WebSocket,
     subscription: &mut Subscription,
@@ -128,7 +118,7 @@ async fn deliver(
         tokio::time::sleep(LIMITS.drain_time / 2).await;
     };
     let sent = tokio::select! {
-        is_sent = send(socket, Message::Binary(message), LIMITS.picture_time) => is_sent,
+        sent = socket.send(Message::Binary(message)) => sent.is_ok(),
         () = ended => false,
     };
     sent && send(socket, ping(number), LIMITS.send_time).await

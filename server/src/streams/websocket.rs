@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use isophote_wire::CreditDocument;
+use tokio::time::Interval;
 
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
@@ -33,6 +34,64 @@ impl Credit {
     }
 }
 
+/// Pings, and when the client was heard of.
+pub(super) struct LifeSigns {
+    ping: Interval,
+    heard: Instant,
+}
+
+impl LifeSigns {
+    /// Of a client that has just come.
+    pub fn begin() -> LifeSigns {
+        let mut ping = tokio::time::interval(LIMITS.ping_time);
+        ping.reset();
+        LifeSigns { ping, heard: Instant::now() }
+    }
+    /// The message that has come from it; none where it has gone, or does not keep to the protocol: the stream is over then.
+    pub async fn heard(
+        &mut self,
+        socket: &mut WebSocket,
+        received: Option<Result<Message, axum::Error>>,
+    ) -> Option<Message> {
+        match received? {
+            Ok(message) => {
+                self.heard = Instant::now();
+                Some(message)
+            }
+            Err(error) => {
+                break_off(socket, error).await;
+                None
+            }
+        }
+    }
+    /// When it is to be asked for one.
+    pub async fn due(&mut self) {
+        self.ping.tick().await;
+    }
+    /// Asks for one; false where it has been silent for too long, or takes nothing.
+    pub async fn ask(&self, socket: &mut WebSocket) -> bool {
+        self.heard.elapsed() <= LIMITS.silence_time
+            && send(socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await
+    }
+}
+
+/// A message of a subscriber, which may renew its credit; false where it is none, and the stream is over.
+pub(super) async fn renewed(socket: &mut WebSocket, credit: &mut Credit, message: &Message) -> bool {
+    let fault = match message {
+        Message::Text(text) => match serde_json::from_str::<CreditDocument>(text) {
+            Ok(more) => {
+                credit.renew(more.credit);
+                return true;
+            }
+            Err(error) => error.to_string(),
+        },
+        Message::Binary(_) => "messages are JSON text".into(),
+        Message::Close(_) | Message::Ping(_) | Message::Pong(_) => return true,
+    };
+    refuse(socket, &fault).await;
+    false
+}
+
 /// What happened on the socket.
 enum Turn {
     Send(Next),
@@ -43,14 +102,12 @@ enum Turn {
 /// Until one side ends it.
 pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit: Option<u32>) {
     let mut credit = credit.map_or(Credit::Open, Credit::Counted);
-    let mut heard = Instant::now();
-    let mut ping = tokio::time::interval(LIMITS.ping_time);
-    ping.reset();
+    let mut signs = LifeSigns::begin();
     loop {
         let next = async { if credit.is_left() { subscription.next().await } else { subscription.end().await } };
         let turn = tokio::select! {
             received = socket.recv() => Turn::Received(received),
-            _ = ping.tick() => Turn::Ping,
+            () = signs.due() => Turn::Ping,
             next = next => Turn::Send(next),
         };
         match turn {
@@ -61,23 +118,15 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
                 credit.spend();
             }
             Turn::Send(Next::End(end)) => return close(&mut socket, &end).await,
-            Turn::Ping if heard.elapsed() > LIMITS.silence_time => return,
             Turn::Ping => {
-                if !send(&mut socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await {
+                if !signs.ask(&mut socket).await {
                     return;
                 }
             }
-            Turn::Received(None) => return,
-            Turn::Received(Some(Err(error))) => return break_off(&mut socket, error).await,
-            Turn::Received(Some(Ok(message))) => {
-                heard = Instant::now();
-                match message {
-                    Message::Text(text) => match serde_json::from_str::<CreditDocument>(&text) {
-                        Ok(more) => credit.renew(more.credit),
-                        Err(error) => return refuse(&mut socket, &error.to_string()).await,
-                    },
-                    Message::Binary(_) => return refuse(&mut socket, "messages are JSON text").await,
-                    Message::Close(_) | Message::Ping(_) | Message::Pong(_) => {}
+            Turn::Received(received) => {
+                let Some(message) = signs.heard(&mut socket, received).await else { return };
+                if !renewed(&mut socket, &mut credit, &message).await {
+                    return;
                 }
             }
         }
@@ -95,7 +144,7 @@ pub(super) async fn refuse(socket: &mut WebSocket, reason: &str) {
 }
 
 /// Ends the stream of a client whose frames are no WebSocket's, with the code that RFC 6455 has for it.
-pub(super) async fn break_off(socket: &mut WebSocket, error: axum::Error) {
+async fn break_off(socket: &mut WebSocket, error: axum::Error) {
     let text = error.to_string();
     let code = match error.into_inner().downcast_ref::<tungstenite::Error>() {
         Some(tungstenite::Error::Protocol(_)) => close_code::PROTOCOL,

@@ -69,6 +69,13 @@ fn a_swap_to_a_model_that_is_too_slow_is_refused() {
         assert_eq!(view[key], "spot", "{view}");
     }
 
+    // Nor does it come in by way of a shadow.
+    service.put("/v1/sessions/one/shadow", &json!({"model": "heavy"})).expect(201);
+    let refused = service.request("POST", "/v1/sessions/one/shadow:promote", &[], b"").expect(409);
+    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    assert_eq!(service.delete("/v1/sessions/one/shadow").status, 204);
+    assert_eq!(service.get("/v1/sessions/one").expect(200)["requested_model"], "spot");
+
     // It is taken where somebody wants it: fits end with their best so far, and say so.
     service.put("/v1/sessions/one/model", &json!({"model": "heavy", "allow_slow": true})).expect(200);
     let view = service.wait_for("one", |view| number(view, "over_budget") > 5.0 && view["last"]["ending"] == "budget");
@@ -173,6 +180,30 @@ fn sessions_of_small_frames_keep_their_rate() {
     source["height"] = json!(64);
     let names = crowd(&service, &source);
     settle(&service, "64 × 64 px", &names);
+    service.stop();
+}
+
+/// Everything is tried on the last frame that a source has shown before it stood still.
+#[test]
+fn what_sessions_cost_is_known_while_their_source_is_paused() {
+    let service = Running::start();
+    service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
+    service.put("/v1/sources/fast", &large("realtime", 1000.0, 0.1)).expect(201);
+    service.put("/v1/sessions/first", &json!({"source": "fast", "model": "thesis-spot"})).expect(201);
+    service.wait_for("first", is_tracking);
+    service.put("/v1/sources/fast/playback", &json!({"paused": true})).expect(200);
+    let refused = service.put("/v1/sessions/first/model", &json!({"model": "heavy"})).expect(409);
+    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    // The second swap has that frame as well, though its model has found nothing in it.
+    service.put("/v1/sessions/first/model", &json!({"model": "spot"})).expect(200);
+    service.put("/v1/sessions/first/model", &json!({"model": "heavy"})).expect(409);
+    service.put("/v1/sessions/first/model", &json!({"model": "thesis-spot"})).expect(200);
+    // None of them has had a frame: each counts for what it took when it was tried.
+    let put = |number: usize| {
+        service.put(&format!("/v1/sessions/more-{number}"), &json!({"source": "fast", "model": "thesis-spot"}))
+    };
+    let refused = (0..60).map(put).find(|answer| answer.status != 201).unwrap().expect(429);
+    assert_eq!(refused["type"], "urn:isophote:problem:over-capacity", "{refused}");
     service.stop();
 }
 

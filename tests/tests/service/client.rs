@@ -237,7 +237,16 @@ pub fn synthetic(pace: &str, rate_hz: f64) -> Value {
            "motion": {"bx": "32 + 3*sin(2*pi*0.5*t)", "by": "24 + 2*cos(2*pi*0.5*t)"}})
 }
 
-/// A session over it.
+/// One of 1280 × 960, with a spot that takes its time.
+pub fn large(pace: &str, rate_hz: f64) -> Value {
+    let mut source = synthetic(pace, rate_hz);
+    (source["width"], source["height"]) = (json!(1280), json!(960));
+    source["set"] = json!({"bx": 640, "by": 480, "a1": 1e-5, "a2": 0.0, "a3": 1e-5, "v0": 20, "v1": 150});
+    source["motion"] = json!({"bx": "640 + 30*sin(2*pi*0.5*t)"});
+    source
+}
+
+/// A session over the small one.
 pub fn session(pace: &str, rate_hz: f64) -> Value {
     json!({"source": synthetic(pace, rate_hz), "model": "spot"})
 }

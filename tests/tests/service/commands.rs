@@ -44,6 +44,40 @@ impl Demo {
 }
 
 #[test]
+fn a_source_is_played_and_shows_another_scene() {
+    let folder = Folder::new("commands-source");
+    let demo = Demo::start(&folder.0);
+    let play = |rest: &[&str]| demo.json(&[&["source", "play", "demo", "--json"], rest].concat());
+    let before = play(&["pause"])["next_frame"].as_u64().unwrap();
+    assert_eq!(play(&["step", "2"])["paused"], true);
+    assert_eq!(play(&["speed", "0.5"])["speed"], 0.5);
+    while play(&[])["next_frame"].as_u64().unwrap() < before + 2 {}
+    let told = demo.ok(&["source", "play", "demo"]);
+    assert_eq!(told, format!("paused, 0.5 times its rate; the next frame is number {}\n", before + 2));
+    assert!(demo.ok(&["source", "play", "demo", "resume"]).starts_with("playing, "));
+
+    let scene = |rest: &[&str]| demo.json(&[&["source", "scene", "demo", "--json"], rest].concat());
+    let first = scene(&[]);
+    let moving = first["motion"]["bx"].as_str().unwrap();
+    let changed = scene(&["--set", "bx=300,v1=99", "--exposure", "0.5", "--read-noise-e", "3"]);
+    assert_eq!((&changed["set"]["bx"], &changed["set"]["v1"]), (&Value::from(300.0), &Value::from(99.0)));
+    assert_eq!((&changed["exposure"], &changed["read_noise_e"]), (&Value::from(0.5), &Value::from(3.0)));
+    assert!(changed["motion"].get("bx").is_none() && changed["motion"]["by"] == first["motion"]["by"], "{changed}");
+    assert!(changed["since_frame"].as_u64() > Some(before), "{changed}");
+    let told = demo.ok(&["source", "scene", "demo", "--motion", &format!("bx={moving}")]);
+    assert!(told.contains(moving) && told.contains("exposure") && told.starts_with("since frame "), "{told}");
+    assert_eq!(scene(&[])["motion"], first["motion"]);
+
+    demo.fails(&["source", "play", "demo", "seek", "3"], 1, "synthetic");
+    demo.fails(&["source", "play", "demo", "speed"], 2, "is missing");
+    demo.fails(&["source", "play", "demo", "step", "half"], 2, "`half` is not a whole number");
+    demo.fails(&["source", "play", "demo", "pause", "1"], 2, "take no value");
+    demo.fails(&["source", "play", "demo", "rewind"], 2, "rewind");
+    demo.fails(&["source", "scene", "absent"], 1, "absent");
+    demo.fails(&["source", "scene", "demo", "--set", "nothing=1"], 1, "nothing");
+}
+
+#[test]
 fn the_way_through_the_commands() {
     let folder = Folder::new("commands");
     let demo = Demo::start(&folder.0);

@@ -26,6 +26,8 @@ fn shown(socket: &mut Socket) -> (u64, String) {
     let estimate = socket.next().unwrap();
     assert_eq!(estimate["state"], "tracking", "{estimate}");
     let (frame, file) = (estimate["frame"].as_u64().unwrap(), estimate["file"].as_str().unwrap().to_string());
+    // Frames that nobody was shown take no time.
+    assert!((estimate["time_s"].as_f64().unwrap() - frame as f64 / 200.0).abs() < 1e-9, "{estimate}");
     let x: f64 = file.trim_end_matches(".png").parse().unwrap();
     assert!((estimate["parameters"]["bx"].as_f64().unwrap() - 20.0 - x).abs() < 0.05, "{estimate}");
     (frame, file)
@@ -76,7 +78,9 @@ fn a_recording_that_plays_is_paused_and_sought() {
     let service = Running::start();
     let (_folder, mut socket) = film(&service, "playback-plays");
     let put = |document: Value| service.put(PLAYBACK, &document).expect(200);
+    assert_eq!(service.get("/v1/sources/film").expect(200)["loop"], false);
     put(json!({"paused": false, "loop": true, "speed": 0.5}));
+    assert_eq!(service.get("/v1/sources/film").expect(200)["loop"], true);
     let mut last = shown(&mut socket).0;
     for place in [5, 0, 9, 2] {
         put(json!({"frame": place}));

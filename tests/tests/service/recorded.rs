@@ -6,8 +6,8 @@ use isophote_server::AccessOptions;
 use isophote_tests::Service;
 use serde_json::{Value, json};
 
-use crate::client::{DEADLINE, Folder, Running, session, synthetic};
-use crate::recorder::{Said, fits, of, recorded, said};
+use crate::client::{DEADLINE, Folder, Running, large, session, synthetic};
+use crate::recorder::{Said, doctor, expect_healthy, fits, of, recorded, said};
 
 /// A service that records below a folder of the test's own.
 fn recording(name: &str) -> (Folder, Running) {
@@ -62,6 +62,7 @@ fn a_recording_has_all_that_was_seen_and_said() {
     }
     assert!(compared > 10, "{compared} of {} estimates", estimates.len());
     assert_eq!(of(&all, "foxglove.ImageAnnotations").len(), fits.len());
+    expect_healthy(&path, fits.len());
     // It is listed, sent as it is, read as a source, and deleted.
     let list = service.get("/v1/recordings").expect(200);
     assert_eq!(list["items"][0]["file"], "one-0001.mcap", "{list}");
@@ -143,10 +144,11 @@ fn files_are_rotated_and_budgets_kept() {
     assert_eq!(service.delete(at).status, 204);
     let left = service.get("/v1/recordings").expect(200);
     let left = left["items"].as_array().unwrap();
-    assert!(
-        left.len() >= 2 && left.iter().map(|one| one["bytes"].as_u64().unwrap()).sum::<u64>() <= 4_000_000,
-        "{left:?}"
-    );
+    // All that is there counts, tables as well.
+    let whole = std::fs::read_dir(folder.0.join("recorded")).unwrap();
+    let whole: u64 = whole.map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
+    let files: u64 = left.iter().map(|one| one["bytes"].as_u64().unwrap()).sum();
+    assert!(left.len() >= 2 && files < whole && whole <= 4_000_000, "{whole}: {left:?}");
     for one in left {
         // Each can be repeated without the others.
         let path = folder.0.join("recorded").join(one["file"].as_str().unwrap());
@@ -167,6 +169,13 @@ fn files_are_rotated_and_budgets_kept() {
     );
     let all = said(&folder.0.join("recorded/short-0001.mcap"));
     assert_eq!(of(&all, "isophote.Fit").len(), fits(&view) as usize);
+    // No frame is written that there is no room for.
+    let document = json!({"source": large("fit", 100.0), "model": "spot"});
+    service.put("/v1/sessions/large", &document).expect(201);
+    service.put("/v1/sessions/large/recording", &json!({"name": "large", "disk_budget_mb": 1})).expect(201);
+    let view = service.recording("large", |view| view["state"] == "ended");
+    assert!(view["bytes"].as_u64() <= Some(1_000_000) && view["recorded_frames"] == 0, "{view}");
+    service.delete("/v1/sessions/large").expect(204);
     // One that has ended gives way to the next.
     service.put(at, &json!({"name": "packed", "frames": "jpeg"})).expect(201);
     service.recording("one", |view| fits(view) > 10);
@@ -191,6 +200,10 @@ fn what_was_recorded_survives_kill_9() {
     let recordings = folder.0.join("recordings");
     assert!(recordings.join("cut-0001.part.mcap").exists());
     let before = of(&said(&recordings.join("cut-0001.part.mcap")), "isophote.Fit").len();
+    if let Some(report) = doctor(&recordings.join("cut-0001.part.mcap")) {
+        assert_eq!(report["messages"]["isophote.Fit"], before, "{report}");
+        assert_eq!(report["faults"], json!(["it has no end"]), "{report}");
+    }
     let process = serve();
     let service = Running::at(process.address());
     let start = Instant::now();
@@ -203,6 +216,7 @@ fn what_was_recorded_survives_kill_9() {
     assert!(list["items"][0]["bytes"].as_u64() >= view["bytes"].as_u64(), "{list}: {view}");
     let all = said(&recordings.join("cut-0001.mcap"));
     assert_eq!(of(&all, "isophote.Fit").len(), before);
+    expect_healthy(&recordings.join("cut-0001.mcap"), before);
     let bytes = std::fs::read(recordings.join("cut-0001.mcap")).unwrap();
     assert!(bytes.ends_with(b"\x89MCAP0\r\n"), "it has its end");
 }

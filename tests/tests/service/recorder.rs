@@ -1,9 +1,11 @@
 //! Sessions that are recorded, and what stands in the files: for tests, and for the example that does more of it.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::process::Command;
+use std::time::{Duration, Instant};
 
 use isophote_capture::LogReader;
+use isophote_tests::{finish, repository};
 use serde_json::{Value, json};
 
 use crate::client::{DEADLINE, Running, session};
@@ -27,11 +29,36 @@ pub fn said(path: &Path) -> Vec<Said> {
         let json = schema.starts_with("isophote.").then(|| serde_json::from_slice(&message.payload).unwrap());
         let pixels = message.frame().map(|frame| {
             let frame = frame.unwrap();
-            (0..frame.width() * frame.rows()).map(|at| frame.plane_view(0).pixel(at % 64, at / 64)).collect()
+            let width = frame.width();
+            (0..width * frame.rows()).map(|at| frame.plane_view(0).pixel(at % width, at / width)).collect()
         });
         all.push(Said { schema, log_time: message.log_time, json: json.unwrap_or_default(), pixels });
     }
     all
+}
+
+/// What the records of a file are held against their specification for, as `mcap doctor` does, and its messages counted, as `mcap
+/// recover` keeps them: by the package of those who made the format. `None`, and said, where that is not installed.
+pub fn doctor(path: &Path) -> Option<Value> {
+    let minute = Duration::from_secs(60);
+    let has_package = finish(Command::new("python3").args(["-c", "import mcap"]), minute);
+    if !has_package.is_ok_and(|finished| finished.status == Some(0)) {
+        eprintln!("skipped: the doctor of MCAP files: python3 has no package mcap");
+        return None;
+    }
+    let script = repository().join("tests/doctor.py");
+    let finished = finish(Command::new("python3").arg(script).arg(path), minute).unwrap();
+    let report: Value = serde_json::from_str(&finished.stdout).unwrap_or_else(|_| panic!("{}", finished.stderr));
+    assert_eq!(finished.status, Some(i32::from(report["faults"] != json!([]))), "{report}");
+    Some(report)
+}
+
+/// Nothing is wrong with a file, and so many frames were fitted in it.
+pub fn expect_healthy(path: &Path, fits: usize) {
+    if let Some(report) = doctor(path) {
+        assert_eq!(report["faults"], json!([]), "{}: {report}", path.display());
+        assert_eq!(report["messages"]["isophote.Fit"], fits, "{}: {report}", path.display());
+    }
 }
 
 /// Those of a schema.

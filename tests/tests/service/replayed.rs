@@ -7,8 +7,8 @@ use std::time::Duration;
 use isophote_tests::{Finished, Service, finish, program, repository};
 use serde_json::{Value, json};
 
-use crate::client::{Folder, Running, session};
-use crate::recorder::{recorded, said};
+use crate::client::{Folder, Running, large, session};
+use crate::recorder::{of, recorded, said};
 
 const LIMIT: Duration = Duration::from_secs(120);
 
@@ -137,6 +137,50 @@ fn budgets_and_alternatives_are_repeated() {
     let path = folder.0.join("recorded/live-0001.mcap");
     let verified = run(&["replay", path.to_str().unwrap(), "--verify"]);
     assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
+}
+
+/// A fit that its budget ended is ended there again.
+#[test]
+fn fits_that_their_budget_ended_are_repeated() {
+    let (folder, _process, service) = served("replayed-budget");
+    // A millisecond a frame, for fits that take more.
+    service.put("/v1/sessions/one", &json!({"source": large("realtime", 1000.0), "model": "spot"})).expect(201);
+    service.wait_for("one", |view| view["last"]["ending"] == "budget");
+    service.put("/v1/sessions/one/recording", &json!({"name": "budget", "disk_budget_mb": 400})).expect(201);
+    let over = || service.get("/v1/sessions/one").expect(200)["over_budget"].as_u64().unwrap();
+    let before = over();
+    service.recording("one", |view| view["fits"].as_u64() > Some(10) && over() > before + 5);
+    service.delete("/v1/sessions/one/recording").expect(204);
+    let path = folder.0.join("recorded/budget-0001.mcap");
+    let all = said(&path);
+    let ended = of(&all, "isophote.Fit").iter().filter(|fit| fit.json["stopped"]["why"] == "budget").count();
+    assert!(ended > 0);
+    let verified = run(&["replay", path.to_str().unwrap(), "--verify"]);
+    assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
+}
+
+/// A shadow that takes over brings what it knows, which is recorded with it.
+#[test]
+fn a_shadow_that_took_over_is_repeated() {
+    let (folder, _process, service) = served("replayed-shadow");
+    let mut document = session("fit", 100.0);
+    document["source"]["full_well_e"] = json!(5000);
+    service.put("/v1/sessions/one", &document).expect(201);
+    service.put("/v1/sessions/one/recording", &json!({"name": "shadow"})).expect(201);
+    service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(201);
+    service.wait_for("one", |view| view["shadow"]["frames"].as_u64() > Some(20));
+    service.request("POST", "/v1/sessions/one/shadow:promote", &[], b"").expect(200);
+    let now = service.recording("one", |_| true)["fits"].as_u64();
+    service.recording("one", |view| view["fits"].as_u64() > now.map(|now| now + 40));
+    service.delete("/v1/sessions/one/recording").expect(204);
+    let path = folder.0.join("recorded/shadow-0001.mcap");
+    let all = said(&path);
+    let swaps = of(&all, "isophote.Swap");
+    assert_eq!((swaps.len(), &swaps[1].json["is_warm"]), (2, &json!(true)));
+    let verified = run(&["replay", path.to_str().unwrap(), "--verify", "--json"]);
+    assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
+    let verdict: Value = serde_json::from_str(&verified.stdout).unwrap();
+    assert_eq!((&verdict["swaps"], &verdict["is_equal"]), (&json!(1), &json!(true)), "{verdict}");
 }
 
 #[test]

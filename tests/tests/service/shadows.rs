@@ -7,6 +7,7 @@ use isophote_tests::{finish, program};
 use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, session, synthetic};
+use crate::recorder::{fits, of, said};
 
 const SHADOW: &str = "/v1/sessions/one/shadow";
 const MINUTE: Duration = Duration::from_secs(60);
@@ -117,6 +118,34 @@ fn a_shadow_takes_over_between_two_frames_where_it_is() {
     let service = Running::start_with(Some(&folder.0), false);
     let view = service.wait_for("one", |view| view["last"]["state"] == "tracking");
     assert!(view.get("shadow").is_none() && view["active_model"] == "gaussian", "{view}");
+    service.stop();
+}
+
+/// Constants of its own stay with the model, whatever the session's document says, also in the next start of the service.
+#[test]
+fn a_shadow_that_takes_over_brings_its_constants() {
+    let folder = Folder::new("shadows-constants");
+    let service = Running::start_with(Some(&folder.0), false);
+    let mut document = session("fit", 200.0);
+    document["constants"] = json!({"gain": 0.06});
+    service.put("/v1/sessions/one", &document).expect(201);
+    service.put(SHADOW, &json!({"model": "spot", "constants": {"gain": 0.07}})).expect(201);
+    wait_for_pairs(&service, 2);
+    service.request("POST", "/v1/sessions/one/shadow:promote", &[], b"").expect(200);
+    assert_eq!(service.get("/v1/sessions/one").expect(200)["constants"]["gain"], 0.07);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), false);
+    service.wait_for("one", |view| view["frames"].as_u64() > Some(2));
+    assert_eq!(service.get("/v1/sessions/one").expect(200)["constants"]["gain"], 0.07);
+    // As the fits have it.
+    service.put("/v1/sessions/one/recording", &json!({"name": "one"})).expect(201);
+    service.recording("one", |view| fits(view) > 2);
+    service.delete("/v1/sessions/one/recording").expect(204);
+    let all = said(&folder.0.join("recordings/one-0001.mcap"));
+    assert_eq!(of(&all, "isophote.Swap")[0].json["constants"]["gain"], 0.07);
+    // A swap takes the session's.
+    service.put("/v1/sessions/one/model", &json!({"model": "spot"})).expect(200);
+    assert_eq!(service.get("/v1/sessions/one").expect(200)["constants"]["gain"], 0.06);
     service.stop();
 }
 

@@ -70,7 +70,7 @@ impl FrameScene<'_> {
     }
 
     fn contours(&self) -> Vec<Polyline> {
-        let (model, constants) = (self.viewer.model(), &self.viewer.solver.constants);
+        let (model, constants) = (self.viewer.model(), &self.viewer.solver().constants);
         if model.coordinates().len() < 2 {
             return Vec::new();
         }
@@ -113,7 +113,7 @@ impl FrameScene<'_> {
     }
 
     fn axes(&self, pose: &crate::pose::Pose) -> Option<Vec<PoseAxis>> {
-        let solver = &self.viewer.solver;
+        let solver = self.viewer.solver();
         let lens: &Intrinsics = match &solver.geometry {
             Some(geometry) => &geometry.lens,
             None => solver.options.camera.intrinsics.as_ref()?,

@@ -48,7 +48,7 @@ impl FrameScene<'_> {
     /// x, y of a target's centre: its role, else the first spot of a pose, else where the prediction is farthest from the
     /// background. A line has y = 0.
     fn centre(&self, target: &SeenTarget) -> Option<[f64; 2]> {
-        let (model, solver) = (self.viewer.model(), &self.viewer.solver);
+        let (model, solver) = (self.viewer.model(), self.viewer.solver());
         let roles = model.roles().first().map(|roles| &roles.centre[..]).unwrap_or_default();
         match roles {
             [x] => return Some([target.parameters[x.index()], 0.0]),

@@ -1,6 +1,6 @@
 //! `Viewer`: shows the frames of one session and model. `FrameScene`: one frame with what was estimated from it.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use isophote_frame::Frame;
 use isophote_jit::{PlaneView, Slices, Window};
@@ -8,9 +8,11 @@ use isophote_symbolic::Model;
 
 use super::predicted::{PredictedPlanes, PredictedValue};
 use crate::estimate::{Estimate, TrackState};
+use crate::options::TrackerOptions;
 use crate::pose::Pose;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::Grey;
+use crate::solve::compiled::Compiled;
 use crate::track::solver::{Look, Solver};
 use crate::track::window::Margin;
 use crate::track::{MARGIN_PX, MARGIN_SHARE};
@@ -18,9 +20,12 @@ use crate::track::{MARGIN_PX, MARGIN_SHARE};
 /// Of residuals that are normally distributed, the standard deviation over the median of their magnitudes.
 const NORMAL: f64 = 1.4826;
 
-/// Shows what a tracker of that model and these options sees. Made by [`Tracker::viewer`](crate::Tracker::viewer).
+/// Shows what a tracker of that model and these options sees. Made by [`Tracker::viewer`](crate::Tracker::viewer), at no cost: what takes
+/// its time is made by the first who looks, wherever that is.
 pub struct Viewer {
-    pub(super) solver: Solver,
+    compiled: Arc<Compiled>,
+    options: TrackerOptions,
+    solver: OnceLock<Solver>,
     predicted: OnceLock<PredictedPlanes>,
 }
 
@@ -66,23 +71,28 @@ pub(super) struct Unexplained {
 }
 
 impl Viewer {
-    pub(crate) fn new(solver: Solver) -> Viewer {
-        Viewer { solver, predicted: OnceLock::new() }
+    pub(crate) fn new(compiled: Arc<Compiled>, options: TrackerOptions) -> Viewer {
+        Viewer { compiled, options, solver: OnceLock::new(), predicted: OnceLock::new() }
     }
 
     pub(super) fn model(&self) -> &Model {
-        self.solver.model()
+        self.compiled.model()
+    }
+
+    pub(super) fn solver(&self) -> &Solver {
+        self.solver.get_or_init(|| Solver::new(self.compiled.clone(), self.options.clone()))
     }
 
     /// What is predicted of pixels; compiled by the first who asks.
     pub(super) fn predicted(&self) -> &PredictedPlanes {
-        self.predicted.get_or_init(|| PredictedPlanes::new(self.model(), &self.solver.constants))
+        self.predicted.get_or_init(|| PredictedPlanes::new(self.model(), &self.solver().constants))
     }
 
     /// A frame with its estimates: those of the tracker that made this viewer. Any other frame can be shown as well, then without
     /// what is drawn over it.
     pub fn scene(&self, frame: &Frame, estimates: &[Estimate]) -> FrameScene<'_> {
-        let mended = self.solver.mended(frame);
+        let solver = self.solver();
+        let mended = solver.mended(frame);
         let is_luma = self.model().channels().len() == 1 && frame.planes().len() == 3;
         let fitted = if is_luma { mended.luma() } else { mended.into_owned() };
         let grey = if is_luma && frame.names().is_none() { fitted.clone() } else { frame.luma() };
@@ -101,13 +111,13 @@ impl Viewer {
             window: None,
             limits: Vec::new(),
         };
-        if let Some(look) = self.solver.look(&fitted) {
+        if let Some(look) = solver.look(&fitted) {
             scene.slice = self.slice(&look, seen.first().copied(), scene.slice);
             scene.targets = seen.iter().filter_map(|one| self.target(&look, one, scene.slice)).collect();
-            let given = self.solver.options.window.and_then(|_| in_slice(look.window, scene.slice));
+            let given = solver.options.window.and_then(|_| in_slice(look.window, scene.slice));
             let all = scene.targets.iter().map(|target| target.window).reduce(hull);
             scene.window = all.or(given);
-            scene.limits = self.solver.view(&look, scene.window.unwrap_or(look.window)).saturation;
+            scene.limits = solver.view(&look, scene.window.unwrap_or(look.window)).saturation;
         }
         scene
     }
@@ -123,7 +133,7 @@ impl Viewer {
     }
 
     fn target(&self, look: &Look, estimate: &Estimate, slice: [usize; 2]) -> Option<SeenTarget> {
-        let (solver, parameters) = (&self.solver, &estimate.parameters);
+        let (solver, parameters) = (self.solver(), &estimate.parameters);
         let window = match &solver.geometry {
             Some(geometry) => {
                 let windows = geometry.windows(self.model(), parameters, &solver.constants, look.window);
@@ -147,7 +157,7 @@ impl FrameScene<'_> {
     /// What one target leaves unexplained in a part of its window, of each observed value.
     pub(super) fn unexplained(&self, target: &SeenTarget, window: Window) -> Vec<Unexplained> {
         let Some(planes) = self.planes().filter(|planes| planes.len() == self.limits.len()) else { return Vec::new() };
-        let gaps = self.viewer.solver.gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
+        let gaps = self.viewer.solver().gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
         let one = |PredictedValue { mixture, intensity, deviation }: PredictedValue<'_>| {
             let mut grey = Grey::as_it_is(&planes, window, &self.limits, mixture);
             grey.blank(window, &gaps);

@@ -90,9 +90,9 @@ impl Tracker {
         Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None, ready: self.ready }
     }
 
-    /// Shows frames with what this tracker says of them, until it takes another model.
+    /// Shows frames with what this tracker says of them, until it takes another model. It costs nothing before somebody looks.
     pub fn viewer(&self) -> Viewer {
-        Viewer::new(Solver::new(self.solver.compiled.clone(), self.solver.options.clone()))
+        Viewer::new(self.solver.compiled.clone(), self.solver.options.clone())
     }
 
     /// Whether one of the targets is known well enough to begin the next fit there.

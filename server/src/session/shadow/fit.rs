@@ -77,7 +77,7 @@ impl ShadowFitter {
             self.beside.prepare(&self.session, preparation);
         }
         let teller = Teller { session: &self.session, run: &self.run, active: &self.active };
-        for ((own, shadow), told) in pair.results.iter().zip(&results).zip(&pair.estimates) {
+        for ((own, shadow), told) in pair.results.iter().zip(&results).zip(pair.estimates.iter()) {
             let disagreement = Disagreement::between((&pair.model, own), (&self.active.model, shadow));
             let estimate = teller.estimate(&pair.delivery, shadow, [start_ns, end_ns]);
             let beside = ShadowEstimate { estimate: Box::new(estimate), disagreement };

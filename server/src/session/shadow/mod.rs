@@ -7,6 +7,7 @@
 mod fit;
 mod slot;
 
+use std::collections::BTreeMap;
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -41,6 +42,8 @@ pub struct PreparedShadow {
     pub compiled: Arc<Compiled>,
     /// The session's options, as far as they apply to it, with constants of its own.
     pub options: TrackerOptions,
+    /// These.
+    pub constants: BTreeMap<String, f64>,
     /// With what the session knows of its target.
     pub tracker: Tracker,
     /// Parameters that have the session's values.
@@ -58,6 +61,7 @@ pub struct Shadow {
     entry: Arc<ModelEntry>,
     compiled: Arc<Compiled>,
     options: TrackerOptions,
+    constants: BTreeMap<String, f64>,
     carried: Vec<String>,
     reset: Vec<String>,
     source: Arc<Source>,
@@ -110,7 +114,7 @@ pub struct ShadowPlace<'a> {
 impl Shadow {
     /// Starts its thread; it has frames as soon as its session leaves it some.
     pub fn start(place: &ShadowPlace, prepared: PreparedShadow) -> Result<Shadow, Problem> {
-        let PreparedShadow { entry, compiled, options, tracker, carried, reset, .. } = prepared;
+        let PreparedShadow { entry, compiled, options, constants, tracker, carried, reset, .. } = prepared;
         let shared =
             Arc::new(ShadowShared { slot: ShadowSlot::default(), hub: Arc::default(), status: Mutex::default() });
         let fitter = ShadowFitter {
@@ -120,14 +124,14 @@ impl Shadow {
             source: place.source.clone(),
             room: place.room.clone(),
             tracker,
-            active: Active::new(&entry),
+            active: Active::new(&entry, constants.clone()),
             beside: PreparationThread::default(),
             jumps: None,
         };
         let thread = NamedThread::start(format!("shadow {}", place.session), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the shadow: {error}")))?;
         let source = place.source.clone();
-        Ok(Shadow { entry, compiled, options, carried, reset, source, shared, thread })
+        Ok(Shadow { entry, compiled, options, constants, carried, reset, source, shared, thread })
     }
 
     /// A frame that its session has fitted, after so many that it has not. Never waits.
@@ -138,6 +142,11 @@ impl Shadow {
     /// Both estimates, frame by frame.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.shared.hub
+    }
+
+    /// Constants of its own.
+    pub fn constants(&self) -> &BTreeMap<String, f64> {
+        &self.constants
     }
 
     /// The model that it fits.

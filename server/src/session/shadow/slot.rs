@@ -20,9 +20,9 @@ pub struct FittedPair {
     /// The session's model then.
     pub model: Arc<Model>,
     /// What it found, a target each.
-    pub results: Vec<Estimate>,
+    pub results: Arc<[Estimate]>,
     /// The same, as it was published.
-    pub estimates: Vec<Arc<EstimateView>>,
+    pub estimates: Arc<[Arc<EstimateView>]>,
 }
 
 /// What a shadow does next.
@@ -143,7 +143,7 @@ mod tests {
         let captured = Captured { frame: frame.with_sequence(number), file: None, truth: None };
         let delivery = Arc::new(Delivery { captured, sent_ns: 0, jumps: 0, reply: Mutex::new(None) });
         let model = Arc::new(Model::from_toml(MODEL).unwrap());
-        FittedPair { delivery, model, results: Vec::new(), estimates: Vec::new() }
+        FittedPair { delivery, model, results: Arc::default(), estimates: Arc::default() }
     }
 
     fn number(wanted: ShadowTask) -> Option<u64> {
