@@ -41,6 +41,9 @@ pub struct PreviewQuery {
     /// Above 0 and up to 1, the full size and the default. Pixels are the means of blocks, whose side is the whole number nearest to
     /// 1/scale.
     scale: Option<f64>,
+    /// 1: frames that the session's shadow has fitted as well, as it sees them.
+    #[serde(default)]
+    shadow: u8,
     /// Messages before it is renewed. Absent: as many as the viewer reads.
     credit: Option<u32>,
 }
@@ -88,8 +91,13 @@ pub async fn get(
         return Err(Problem::bad_request("a preview comes over a WebSocket"));
     }
     let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
-    let subscription = session.hub().subscribe(Mode::End)?.of(visitor);
-    let seat = session.preview().look(&name)?;
+    let (hub, preview) = match query.shadow {
+        0 => (session.hub().clone(), session.preview().clone()),
+        1 => session.shadow().map(|shadow| (shadow.hub().clone(), shadow.preview().clone()))?,
+        _ => return Err(Problem::bad_request("shadow is 0 or 1")),
+    };
+    let subscription = hub.subscribe(Mode::End)?.of(visitor);
+    let seat = preview.look(&name)?;
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {
         preview::serve(socket, seat, subscription, wish).await;

@@ -22,6 +22,7 @@ use super::swap::Active;
 use crate::capacity::busy;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
+use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::Source;
@@ -69,6 +70,7 @@ pub struct Shadow {
 pub struct ShadowShared {
     slot: ShadowSlot,
     hub: Arc<Hub>,
+    preview: Arc<Preview>,
     status: Mutex<ShadowStatus>,
 }
 
@@ -111,8 +113,13 @@ impl Shadow {
     /// Starts its thread; it has frames as soon as its session leaves it some.
     pub fn start(place: &ShadowPlace, prepared: PreparedShadow) -> Result<Shadow, Problem> {
         let PreparedShadow { entry, compiled, options, tracker, carried, reset, .. } = prepared;
-        let shared =
-            Arc::new(ShadowShared { slot: ShadowSlot::default(), hub: Arc::default(), status: Mutex::default() });
+        let shared = Arc::new(ShadowShared {
+            slot: ShadowSlot::default(),
+            hub: Arc::default(),
+            // It keeps no frame: who looks waits for the next one.
+            preview: Arc::new(Preview::new(|| ())),
+            status: Mutex::default(),
+        });
         let fitter = ShadowFitter {
             session: place.session.to_string(),
             run: place.run.clone(),
@@ -123,6 +130,7 @@ impl Shadow {
             active: Active::new(&entry),
             beside: PreparationThread::default(),
             jumps: None,
+            viewer: None,
         };
         let thread = NamedThread::start(format!("shadow {}", place.session), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the shadow: {error}")))?;
@@ -138,6 +146,11 @@ impl Shadow {
     /// Both estimates, frame by frame.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.shared.hub
+    }
+
+    /// Who wants to see what it sees.
+    pub fn preview(&self) -> &Arc<Preview> {
+        &self.shared.preview
     }
 
     /// The model that it fits.
