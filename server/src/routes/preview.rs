@@ -62,6 +62,9 @@ impl PreviewQuery {
         if self.credit.is_some_and(|credit| credit > LIMITS.credit) {
             return Err(Problem::bad_request(format!("credit is at most {}", LIMITS.credit)));
         }
+        if self.shadow > 1 {
+            return Err(Problem::bad_request("shadow is 0 or 1"));
+        }
         let step = (1.0 / scale).round().min(STEP_MAX) as usize;
         let form = PreviewForm { format: self.format, part: self.part, step, quality: 0 };
         Ok(PreviewWish { form, rate_hz, credit: self.credit })
@@ -93,8 +96,7 @@ pub async fn get(
     let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
     let (hub, preview) = match query.shadow {
         0 => (session.hub().clone(), session.preview().clone()),
-        1 => session.shadow().map(|shadow| (shadow.hub().clone(), shadow.preview().clone()))?,
-        _ => return Err(Problem::bad_request("shadow is 0 or 1")),
+        _ => session.shadow().map(|shadow| (shadow.hub().clone(), shadow.preview().clone()))?,
     };
     let subscription = hub.subscribe(Mode::End)?.of(visitor);
     let seat = preview.look(&name)?;
