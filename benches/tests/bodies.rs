@@ -3,9 +3,10 @@
 
 use std::collections::BTreeSet;
 
-use isophote_benches::bodies::{body_flops, over_pixels_of, plain_program};
+use isophote_benches::bodies::body_flops;
 use isophote_symbolic::interpreter::{Pixels, Slices, Window, run};
 use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Part, Precision, Program, Sink, Value};
+use isophote_tracker::{over_pixels_of, plain_program};
 
 struct Picture;
 
@@ -119,7 +120,7 @@ fn plain_sums_over_another_programs_pixels() {
     let centre = [model.parameter("bx").unwrap(), model.parameter("by").unwrap()];
     let optimised = model.objective(&centre, Method::Newton).unwrap().program(Lowering::default()).unwrap();
     let plain = plain_program(&model, &centre, Method::Newton, Part::Both).unwrap();
-    let over = over_pixels_of(&plain, &optimised);
+    let over = over_pixels_of(&plain, &optimised).unwrap();
     // A small spot, so that most of the window is outside of the domain.
     let parameters = [5.3, 3.7, 0.1, 0.02, 0.15, -0.5, -0.3, 20.0, 150.0];
     let bindings = Bindings { parameters: &parameters, entry: &parameters, ..Bindings::default() };

@@ -38,6 +38,9 @@ pub struct ExplainArgs {
     #[arg(long, value_name = "WHAT", default_value = "derivative",
           value_parser = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas"])]
     pub show: String,
+    /// What a pixel costs as the derivatives are written down and as they are compiled: gradient and Hessian apart, and jointly
+    #[arg(long, conflicts_with = "show")]
+    pub table: bool,
     /// The method whose derivatives are taken
     #[arg(long, value_name = "METHOD", default_value = "newton",
           value_parser = ["newton", "gauss-newton", "levenberg-marquardt"])]
@@ -66,7 +69,8 @@ pub fn warn(path: &Path, report: &ModelReport) {
 pub fn explain(args: &ExplainArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = read(&args.model)?;
     let names: Vec<&str> = args.parameters.iter().map(|name| name.trim()).filter(|name| !name.is_empty()).collect();
-    let explained = explain::explain(&model, Some(&names), Some(&args.method), &args.show, &monotonic_ns);
+    let show = if args.table { "table" } else { &args.show };
+    let explained = explain::explain(&model, Some(&names), Some(&args.method), show, &monotonic_ns);
     let explained = explained.map_err(|error| Failure::unexplained(&args.model.display().to_string(), error))?;
     let text = match args.json {
         true => json(&explained)?,

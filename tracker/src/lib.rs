@@ -38,7 +38,9 @@ pub use pose::{Alternative, Pose, PoseMismatch, Target, TargetError, TargetSpot,
 pub use preview::{
     CrossSection, FrameScene, PixelRun, PoseAxis, PreviewDepth, PreviewOverlay, PreviewPart, PreviewPicture, Viewer,
 };
-pub use report::{Bound, CheckReport, StageCost};
+pub use report::{
+    BodyCost, Bound, CheckReport, LoopCost, LoopSums, StageCost, loop_costs, over_pixels_of, plain_flops, plain_program,
+};
 pub use sight::contour::{Contour, contours};
 pub use sight::defective::{DefectFault, DefectMeasurement, DefectOptions, DefectScene, FoundDefects, PixelKinds};
 pub use sight::detect::Strength;

@@ -10,8 +10,8 @@ use super::foreign::{Compiled, Picture};
 use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
 use super::race::{Contender, Standing, race, refuse_wrong, repeated, scales};
 use super::windows::{Domain, small};
-use crate::bodies::{over_pixels_of, plain_program};
 use crate::text;
+use isophote_tracker::{over_pixels_of, plain_program};
 
 /// Subsets of the parameters: a name for functions, one for tables, the parameters, and how many times faster than the
 /// unfactored derivative in C the kernel is asked to be.
@@ -91,7 +91,8 @@ fn cases(model: &Model) -> Vec<Case> {
         let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
         let jit: Vec<Kernel> = widths().map(|width| kernel(model, subset, PixelFormat::F32, false, width)).collect();
         let optimised = jit[0].program().clone();
-        let plain = over_pixels_of(&plain_program(model, &ids, Method::Newton, Part::Both).unwrap(), &optimised);
+        let plain = plain_program(model, &ids, Method::Newton, Part::Both).unwrap();
+        let plain = over_pixels_of(&plain, &optimised).unwrap();
         let unfused = Lowering { fma: false, drop_saturated: false };
         let for_c = model.objective(&ids, Method::Newton).unwrap().program(unfused).unwrap();
         Case { name, title, jit, optimised, for_c, plain }

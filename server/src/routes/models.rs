@@ -180,7 +180,7 @@ pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
 pub struct ExplainQuery {
     /// The free parameters, `bx,by`; those of the last stage when absent.
     parameters: Option<String>,
-    /// `derivative` (the default), `sums`, `program`, `clif`, `asm`, `latex`, `mathml` or `formulas`.
+    /// `derivative` (the default), `sums`, `program`, `clif`, `asm`, `latex`, `mathml`, `formulas` or `table`.
     show: Option<String>,
     /// `newton` (the default), `gauss-newton` or `levenberg-marquardt`.
     method: Option<String>,

@@ -41,6 +41,9 @@ pub struct PreviewQuery {
     /// Above 0 and up to 1, the full size and the default. Pixels are the means of blocks, whose side is the whole number nearest to
     /// 1/scale.
     scale: Option<f64>,
+    /// 1: frames that the session's shadow has fitted as well, as it sees them.
+    #[serde(default)]
+    shadow: u8,
     /// Messages before it is renewed. Absent: as many as the viewer reads.
     credit: Option<u32>,
 }
@@ -58,6 +61,9 @@ impl PreviewQuery {
         }
         if self.credit.is_some_and(|credit| credit > LIMITS.credit) {
             return Err(Problem::bad_request(format!("credit is at most {}", LIMITS.credit)));
+        }
+        if self.shadow > 1 {
+            return Err(Problem::bad_request("shadow is 0 or 1"));
         }
         let step = (1.0 / scale).round().min(STEP_MAX) as usize;
         let form = PreviewForm { format: self.format, part: self.part, step, quality: 0 };
@@ -88,8 +94,12 @@ pub async fn get(
         return Err(Problem::bad_request("a preview comes over a WebSocket"));
     }
     let upgrade = upgraded(&headers, upgrade, LIMITS.message_bytes)?;
-    let subscription = session.hub().subscribe(Mode::End)?.of(visitor);
-    let seat = session.preview().look(&name, app.pictures.clone())?;
+    let (hub, preview) = match query.shadow {
+        0 => (session.hub().clone(), session.preview().clone()),
+        _ => session.shadow().map(|shadow| (shadow.hub().clone(), shadow.preview().clone()))?,
+    };
+    let subscription = hub.subscribe(Mode::End)?.of(visitor);
+    let seat = preview.look(&name, app.pictures.clone())?;
     let held = app.stream.clone();
     Ok(upgrade.on_upgrade(async move |socket| {
         preview::serve(socket, seat, subscription, wish).await;

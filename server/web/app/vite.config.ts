@@ -21,5 +21,6 @@ export default defineConfig({
       },
     },
   },
+  worker: { format: "es", rollupOptions: { output: { entryFileNames: "page/picture.js" } } },
   server: { proxy: Object.fromEntries(["/v1", "/docs", "/livez", "/metrics"].map((path) => [path, { target: service, ws: true }])) },
 });

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 pub use isophote_capture::camera::{CameraInfo, CameraStatus, ControlInfo, ControlKind};
 use isophote_symbolic::{Diagnostic, Method};
-pub use isophote_tracker::{CheckReport as ModelReport, StageCost as StageReport};
+pub use isophote_tracker::{BodyCost, CheckReport as ModelReport, LoopCost, LoopSums, StageCost as StageReport};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -127,6 +127,9 @@ pub struct Explanation {
     /// document.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lines: Vec<LinePlace>,
+    /// Of `table`: what a pixel costs as the derivatives are written down and as they are compiled, apart and jointly.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub loops: Vec<LoopCost>,
 }
 
 /// What a line of an explanation belongs to.

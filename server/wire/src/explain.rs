@@ -10,10 +10,10 @@ use isophote_symbolic::{
 };
 use isophote_tracker::CompileFailure;
 
-use crate::{Explanation, LinePlace, StageReport};
+use crate::{BodyCost, Explanation, LinePlace, LoopCost, LoopSums, StageReport};
 
 /// What an explanation can show, in this build.
-pub const SHOWN: [&str; 8] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas"];
+pub const SHOWN: [&str; 9] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas", "table"];
 
 /// Why there is no explanation.
 #[derive(Debug, thiserror::Error)]
@@ -72,8 +72,12 @@ pub fn explain(
         KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, packed: formats.len() == 1, formats };
     drop(Kernel::compile(&program, &options)?); // for its time alone
     let compile_ms = clock_ns().saturating_sub(start_ns) as f64 / 1e6;
-    let mut lines = Vec::new();
+    let (mut lines, mut loops) = (Vec::new(), Vec::new());
     let text = match show {
+        "table" => {
+            loops = isophote_tracker::loop_costs(model, &subset, method, clock_ns);
+            table(&loops)
+        }
         "sums" => isophote_notation::explain(&objective, Show::Sums),
         "program" => {
             let text = program.to_string();
@@ -94,12 +98,31 @@ pub fn explain(
     };
     let stage = StageReport::of(model, &objective, method, lowering, compile_ms)?;
     let (name, digest) = (model.name().to_string(), model.digest().to_string());
-    Ok(Explanation { model: name, digest, show: show.to_string(), stage, text, lines })
+    Ok(Explanation { model: name, digest, show: show.to_string(), stage, text, lines, loops })
 }
 
 /// The document's own formulas as MathML, each node with its bytes of the document.
 pub fn formulas(model: &Model) -> String {
     isophote_notation::written(model)
+}
+
+/// Loops and what a pixel costs in each, as text.
+fn table(loops: &[LoopCost]) -> String {
+    let cell = |body: Option<BodyCost>| match body {
+        None => "–".to_string(),
+        Some(BodyCost { flops_per_pixel, ns_per_pixel: None }) => format!("{flops_per_pixel} flops"),
+        Some(BodyCost { flops_per_pixel, ns_per_pixel: Some(ns) }) => format!("{flops_per_pixel} flops {ns:>7.2} ns"),
+    };
+    let mut text = format!("{:<10}{:>24}{:>24}\n", "a pixel", "as differentiated", "as compiled");
+    for LoopCost { sums, differentiated, compiled } in loops {
+        let name = match sums {
+            LoopSums::Gradient => "gradient",
+            LoopSums::Hessian => "Hessian",
+            LoopSums::Joint => "jointly",
+        };
+        text += &format!("{name:<10}{:>24}{:>24}\n", cell(*differentiated), cell(*compiled));
+    }
+    text
 }
 
 /// Characters of a formula beside an instruction.
@@ -227,6 +250,16 @@ mod tests {
             }
             assert!(found > 20, "{show}: {found}");
         }
+    }
+
+    #[test]
+    fn the_table_has_a_line_for_each_loop() {
+        let Explanation { text, loops, stage, .. } = explained("table");
+        assert_eq!(loops.len(), 3);
+        assert_eq!(text.lines().count(), 4, "{text}");
+        let joint = text.lines().last().unwrap();
+        assert!(joint.starts_with("jointly") && joint.contains(&format!(" {} flops", stage.flops_per_pixel)), "{text}");
+        assert!(explained("sums").loops.is_empty());
     }
 
     /// How many lines with an instruction that `is_meant` there are, and how many of them name a formula.

@@ -73,6 +73,9 @@ pub struct PreviewDrawing {
     pub frame: u64,
     /// Width and height of the frame; of a stack those of a slice.
     pub frame_size: [usize; 2],
+    /// Of a stack the slice that is shown, z or z, w: the one through the first target's centre, else the middle one.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub slice: Vec<usize>,
     /// The window that the fit used; of several targets one around all of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub window: Option<WindowDocument>,
@@ -86,6 +89,9 @@ pub struct PreviewDrawing {
     /// begin.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub contour: Vec<Vec<[f64; 2]>>,
+    /// The targets' outlines s = 1, of models with the roles `centre` and `shape`; each ends where it begins.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub outline: Vec<Vec<[f64; 2]>>,
     /// A row through the first target's centre.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub section: Option<SectionView>,
@@ -138,8 +144,12 @@ impl PreviewDrawing {
         frame_size: [usize; 2],
         overlay: tracker::PreviewOverlay,
     ) -> PreviewDrawing {
-        let tracker::PreviewOverlay { window, contours, section, saturated, saturated_cut, axes } = overlay;
-        let line = |line: Vec<[f64; 2]>| line.into_iter().map(|point| point.map(rounded)).collect();
+        let tracker::PreviewOverlay { slice, window, contours, outlines, section, saturated, saturated_cut, axes } =
+            overlay;
+        let lines = |lines: Vec<Vec<[f64; 2]>>| {
+            let line = |line: Vec<[f64; 2]>| line.into_iter().map(|point| point.map(rounded)).collect();
+            lines.into_iter().map(line).collect()
+        };
         let axis = |one: tracker::PoseAxis| AxisView {
             axis: one.axis.to_string(),
             from: one.from.map(rounded),
@@ -150,10 +160,12 @@ impl PreviewDrawing {
             epoch,
             frame,
             frame_size,
+            slice,
             window: window.map(rectangle),
             estimate: None,
             estimates: Vec::new(),
-            contour: contours.into_iter().map(line).collect(),
+            contour: lines(contours),
+            outline: lines(outlines),
             section: section.map(SectionView::from),
             saturated: saturated.into_iter().map(|run| [run.y, run.first, run.last]).collect(),
             saturated_cut,

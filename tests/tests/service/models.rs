@@ -237,11 +237,17 @@ fn checks_and_explanations_keep_nothing() {
         ("show=latex", 200),
         ("show=mathml", 200),
         ("show=formulas", 200),
+        ("show=table&parameters=bx,by", 200),
         ("", 200),
     ] {
         service.get(&format!("/v1/models/thesis-spot/explain?{query}")).expect(status);
     }
     service.get("/v1/models/nobody/explain").expect(404);
+    let table = service.get("/v1/models/thesis-spot/explain?parameters=bx,by&show=table").expect(200);
+    let joint = &table["loops"][2];
+    assert_eq!(joint["sums"], "joint", "{table}");
+    assert_eq!(joint["compiled"]["flops_per_pixel"], table["flops_per_pixel"]);
+    assert!(joint["differentiated"]["ns_per_pixel"].as_f64().unwrap() > 0.0, "{table}");
 }
 
 #[test]

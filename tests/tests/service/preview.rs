@@ -114,6 +114,13 @@ fn every_format_and_part() {
             let expected = if pixels.part == PreviewPart::Residual { [-5.0, 5.0] } else { [0.0, 255.0] };
             assert_eq!(levels, expected);
             assert!(!drawing.contour.is_empty() && drawing.section.is_some());
+            // The document's domain ends outside of its outline.
+            let width = |lines: &[Vec<[f64; 2]>]| {
+                let xs = || lines[0].iter().map(|[x, _]| *x);
+                xs().fold(f64::MIN, f64::max) - xs().fold(f64::MAX, f64::min)
+            };
+            let (outline, edge) = (width(&drawing.outline), width(&drawing.contour));
+            assert!(outline > 1.0 && outline < edge, "{outline} {edge}");
         }
     }
 }
@@ -281,6 +288,7 @@ fn wrong_questions_are_refused() {
         ("scale=inf", "scale"),
         ("credit=65537", "credit"),
         ("speed=1", "speed"),
+        ("shadow=2", "shadow"),
     ] {
         let problem = service.get(&format!("/v1/sessions/one/preview?{query}")).expect(400);
         assert!(problem["detail"].as_str().unwrap().contains(names), "{query}: {problem}");
@@ -291,6 +299,35 @@ fn wrong_questions_are_refused() {
     service.get("/v1/sessions/nobody/preview").expect(404);
     assert_eq!(service.open("/v1/sessions/nobody/preview", "isophote.v1").err(), Some(404));
     assert_eq!(service.open("/v1/sessions/one/preview", "chat").err(), Some(400));
+}
+
+#[test]
+fn a_shadow_shows_what_it_sees_of_the_same_frames() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("realtime", 100.0)).expect(201);
+    assert_eq!(service.open("/v1/sessions/one/preview?shadow=1", "isophote.v1").err(), Some(404));
+    service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(201);
+    let mut own = service.preview("one", "part=residual");
+    let mut shadow = service.preview("one", "part=residual&shadow=1");
+    let (_, _, fitted) = tracked(&mut own);
+    let (head, pixels, beside) = tracked(&mut shadow);
+    assert!(fitted.model.starts_with("spot@") && beside.model.starts_with("gaussian@"), "{}", beside.model);
+    assert_eq!(pixels.len(), head.pixels.width * head.pixels.height);
+    assert!(head.drawing.section.is_some() && head.drawing.frame == beside.frame);
+    service.delete("/v1/sessions/one/shadow");
+    while shadow.next_bytes().is_ok() {}
+    shown(&mut own);
+}
+
+#[test]
+fn of_a_stack_the_slice_through_the_centre_is_shown() {
+    let service = Running::start();
+    let source = json!({"kind": "synthetic", "model": "blob-3d", "width": 24, "height": 20, "depth": 12, "samples": 1,
+                        "rate_hz": 50, "set": {"bx": 11, "by": 9.4, "bz": 6.3}});
+    service.put("/v1/sessions/deep", &json!({"source": source, "model": "blob-3d"})).expect(201);
+    let (PreviewHeader { pixels, drawing }, bytes, _) = tracked(&mut service.preview("deep", ""));
+    assert_eq!((&drawing.slice[..], pixels.width * pixels.height), (&[6][..], bytes.len()));
+    assert!(drawing.outline[0].len() > 20 && !drawing.contour.is_empty() && drawing.section.is_some());
 }
 
 #[test]

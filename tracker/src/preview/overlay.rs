@@ -10,19 +10,26 @@ use super::viewer::FrameScene;
 use crate::camera::Intrinsics;
 use crate::pose::Target;
 use crate::pose::rigid::Rigid;
+use crate::sight::contour::{Contour, contours_in_slice};
 
 /// Runs of saturated pixels that are told.
 const RUNS_MAX: usize = 2000;
+/// Of an ellipse.
+const OUTLINE_POINTS: usize = 60;
 /// Of a target of which no size is known: the axes' length as a share of its distance.
 const AXIS_SHARE: f64 = 0.1;
 
 /// What is drawn over a frame, all in its pixels. What is not known is absent or empty.
 #[derive(Clone, Debug, Default)]
 pub struct PreviewOverlay {
+    /// z, w of the slice that is shown, as many as the model has coordinates for.
+    pub slice: Vec<usize>,
     /// The window that the fit used: of all targets, in the slice that is shown.
     pub window: Option<Window>,
     /// The edges of the targets' domains, else their half maximum over the background; x, y, px.
     pub contours: Vec<Vec<[f64; 2]>>,
+    /// The targets' outlines dᵀAd = 1 in that slice, where the model has the roles for it; each ends where it begins.
+    pub outlines: Vec<Vec<[f64; 2]>>,
     /// Along x through the first target's centre.
     pub section: Option<CrossSection>,
     /// Pixels at or above their limit, row by row.
@@ -60,8 +67,10 @@ impl FrameScene<'_> {
     pub fn overlay(&self) -> PreviewOverlay {
         let (saturated, saturated_cut) = self.saturated();
         PreviewOverlay {
+            slice: self.slice.into_iter().take(self.viewer.model().coordinates().len().saturating_sub(2)).collect(),
             window: self.window,
             contours: self.contours(),
+            outlines: self.outlines(),
             section: self.section(),
             saturated,
             saturated_cut,
@@ -79,6 +88,17 @@ impl FrameScene<'_> {
             Some(level::contours(model, &target.parameters, constants, target.window, &intensity))
         };
         self.targets.iter().filter_map(of_target).flatten().collect()
+    }
+
+    fn outlines(&self) -> Vec<Polyline> {
+        let (model, slice) = (self.viewer.model(), self.slice.map(|index| index as f64));
+        let all = self.targets.iter().flat_map(|target| contours_in_slice(model, &target.parameters, slice));
+        let closed = |contour: Contour| {
+            let mut line = contour.outline(OUTLINE_POINTS);
+            line.extend(line.first().copied());
+            Some(line).filter(|line| !line.is_empty())
+        };
+        all.filter_map(closed).collect()
     }
 
     /// Pixels of the slice that are clipped in any channel, and whether there are more.

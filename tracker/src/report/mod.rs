@@ -3,7 +3,9 @@
 //! What comes in: a model's programs. What goes out: costs, self-check, and at made-up points the condition of each stage, the
 //! Cramér–Rao bound and the best exposure. It never sees a frame.
 
+mod bodies;
 mod information;
+mod loops;
 mod outlook;
 pub(crate) mod points;
 #[cfg(test)]
@@ -19,6 +21,8 @@ use self::outlook::Outlook;
 use crate::exposure::ExposureAdvice;
 use crate::solve::compiled::Compiled;
 use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
+pub use bodies::{over_pixels_of, plain_flops, plain_program};
+pub use loops::{BodyCost, LoopCost, LoopSums, loop_costs};
 
 /// Costs and self-check of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

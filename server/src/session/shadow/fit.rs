@@ -6,13 +6,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use isophote_machine::{monotonic_ns, thread_ns};
-use isophote_tracker::{Disagreement, Ending, Stop, Tracker, Watch};
+use isophote_tracker::{Disagreement, Ending, Estimate, Frame, Stop, Tracker, Viewer, Watch};
 use isophote_wire::{EstimateView, ShadowEstimate};
 
 use super::ShadowShared;
 use super::slot::{FittedPair, ShadowTask};
 use crate::hub::End;
 use crate::limits::LIMITS;
+use crate::preview::FittedScene;
 use crate::session::beside::PreparationThread;
 use crate::session::searches::SearchRoom;
 use crate::session::start::SessionStart;
@@ -44,6 +45,8 @@ pub struct ShadowFitter {
     pub beside: PreparationThread,
     /// How often the source had gone on elsewhere.
     pub jumps: Option<u64>,
+    /// Shows what `tracker` says, as soon as somebody looks.
+    pub viewer: Option<Arc<Viewer>>,
 }
 
 impl ShadowFitter {
@@ -69,7 +72,8 @@ impl ShadowFitter {
         let (start_ns, worked_ns) = (monotonic_ns(), thread_ns());
         let results = self.tracker.track_all_while(frame, &watch);
         let end_ns = monotonic_ns();
-        let is_over = watch.is_over.load(Ordering::Relaxed);
+        let [is_over, has_searched] = [&watch.is_over, &watch.has_searched].map(|flag| flag.load(Ordering::Relaxed));
+        drop(watch);
         if results.iter().any(|result| result.ending == Ending::Cancelled) {
             return; // nobody asked for half a fit
         }
@@ -84,13 +88,28 @@ impl ShadowFitter {
             let both = EstimateView { shadow: Some(beside), ..EstimateView::clone(told) };
             self.shared.hub.publish(Arc::new(both));
         }
+        let worked_ns = thread_ns().saturating_sub(worked_ns);
+        self.shared.preview.has_frame(frame.sequence);
+        if self.shared.preview.is_wanted() {
+            let told = |result| Arc::new(teller.estimate(&pair.delivery, result, [start_ns, end_ns]));
+            let views = results.iter().map(told).collect();
+            self.show(frame, results, views);
+        }
         let mut status = self.shared.status();
         status.frames += 1;
         status.over_budget += u64::from(is_over);
         status.since_frame.get_or_insert(frame.sequence);
-        if !watch.has_searched.load(Ordering::Relaxed) {
-            status.cost(thread_ns().saturating_sub(worked_ns));
+        if !has_searched {
+            status.cost(worked_ns);
         }
+    }
+
+    /// Hands a frame to those who look, with what the shadow says of it.
+    fn show(&mut self, frame: &Frame, estimates: Vec<Estimate>, views: Vec<Arc<EstimateView>>) {
+        let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();
+        let (frame, session, epoch) = (frame.clone(), self.session.clone(), self.run.epoch);
+        let (estimates, views) = (estimates.into(), views.into());
+        self.shared.preview.show(FittedScene { frame, estimates, views, viewer, session, epoch });
     }
 }
 

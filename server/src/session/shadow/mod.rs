@@ -23,6 +23,7 @@ use super::swap::Active;
 use crate::capacity::busy;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
+use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::Source;
@@ -73,6 +74,7 @@ pub struct Shadow {
 pub struct ShadowShared {
     slot: ShadowSlot,
     hub: Arc<Hub>,
+    preview: Arc<Preview>,
     status: Mutex<ShadowStatus>,
 }
 
@@ -115,8 +117,13 @@ impl Shadow {
     /// Starts its thread; it has frames as soon as its session leaves it some.
     pub fn start(place: &ShadowPlace, prepared: PreparedShadow) -> Result<Shadow, Problem> {
         let PreparedShadow { entry, compiled, options, constants, tracker, carried, reset, .. } = prepared;
-        let shared =
-            Arc::new(ShadowShared { slot: ShadowSlot::default(), hub: Arc::default(), status: Mutex::default() });
+        let shared = Arc::new(ShadowShared {
+            slot: ShadowSlot::default(),
+            hub: Arc::default(),
+            // It keeps no frame: who looks waits for the next one.
+            preview: Arc::new(Preview::new(|| ())),
+            status: Mutex::default(),
+        });
         let fitter = ShadowFitter {
             session: place.session.to_string(),
             run: place.run.clone(),
@@ -127,6 +134,7 @@ impl Shadow {
             active: Active::new(&entry, constants.clone()),
             beside: PreparationThread::default(),
             jumps: None,
+            viewer: None,
         };
         let thread = NamedThread::start(format!("shadow {}", place.session), move || fitter.run())
             .map_err(|error| Problem::bug(format!("no thread for the shadow: {error}")))?;
@@ -147,6 +155,11 @@ impl Shadow {
     /// Constants of its own.
     pub fn constants(&self) -> &BTreeMap<String, f64> {
         &self.constants
+    }
+
+    /// Who wants to see what it sees.
+    pub fn preview(&self) -> &Arc<Preview> {
+        &self.shared.preview
     }
 
     /// The model that it fits.

@@ -59,6 +59,7 @@ export interface Session {
     dropped: number;
     last?: { estimate: Estimate; centre_px?: number; parameters?: Record<string, { difference: number; deviations?: number }> };
   };
+  exposure_control?: { held: boolean; reason?: string };
   options?: { exposure?: { goal?: string; control?: boolean } };
 }
 
@@ -111,12 +112,18 @@ export interface StageFigures {
   compile_ms: number;
 }
 
+/** What a loop costs a pixel. */
+export interface BodyCost { flops_per_pixel: number; ns_per_pixel?: number }
+
+export interface LoopCost { sums: "gradient" | "hessian" | "joint"; differentiated?: BodyCost; compiled?: BodyCost }
+
 export interface Explanation extends StageFigures {
   model: string;
   digest: string;
   show: string;
   text: string;
   lines?: { value?: number; span?: [number, number] }[];
+  loops?: LoopCost[];
 }
 
 /** What stands before the pixels of a preview's message. */
@@ -131,10 +138,15 @@ export interface PreviewHead {
   step: number;
   levels: { low: number; high: number };
   frame_size: [number, number];
+  /** z, or z and w, of a stack. */
+  slice?: number[];
   window?: { x: number; y: number; width: number; height: number };
   estimate?: Estimate;
   estimates?: Estimate[];
+  /** The edge of the domain, or the half maximum. */
   contour?: [number, number][][];
+  /** s = 1, of models that have it. */
+  outline?: [number, number][][];
   /** Of model and sigma, null outside of the domain. */
   section?: { y: number; x: number[]; observed: number[]; model?: (number | null)[]; sigma?: (number | null)[]; saturation?: number };
   saturated?: [number, number, number][];

@@ -142,7 +142,7 @@ export const checks: Record<string, Check> = {
       await visit.page.waitForFunction((model) => {
         const panes = [...document.querySelectorAll(".pane .body")];
         const isShown = document.querySelector<HTMLElement>(".explorer")?.dataset["shown"] === model;
-        return isShown && panes.length === 6 && panes.every((pane) => (pane.textContent ?? "").length > 20) && document.querySelector(".costs");
+        return isShown && panes.length === 6 && panes.every((pane) => (pane.textContent ?? "").length > 20) && document.querySelectorAll(".costs").length === 2;
       }, digest, { timeout: 120_000 });
       assert.equal(await visit.page.locator(".explorer .fault").count(), 0, name);
     }

@@ -1,8 +1,8 @@
 // Tokens, hostile text, a service that goes away, and what the page costs.
 import assert from "node:assert/strict";
-import { writeFileSync } from "node:fs";
+import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
-import type { Check } from "./checks.ts";
+import { until, type Check } from "./checks.ts";
 import { slowed } from "./slow.ts";
 import { Visit, folder, json, run, serve } from "./service.ts";
 
@@ -82,8 +82,6 @@ export const more: Record<string, Check> = {
   },
 
   async "a shadow beside the session, promoted"(browser, service) {
-    const { paths } = await json<{ paths: Record<string, object> }>(`${service.url}/openapi.json`);
-    if (!("get" in (paths["/v1/sessions/{name}/shadow"] ?? {}))) return "not in this build";
     const visit = await Visit.open(browser, service);
     await visit.go("model");
     await visit.page.getByLabel("open a model").selectOption("gaussian");
@@ -91,6 +89,17 @@ export const more: Record<string, Check> = {
     await visit.page.locator("#shadow").click();
     const panel = visit.page.getByLabel("shadow", { exact: true });
     await panel.locator("tr", { hasText: "χ²/ν" }).filter({ hasText: /\d.*\d/ }).waitFor();
+    // The spot's light, seen by a Gaussian: the rings that it leaves are far from noise, those of the session are not.
+    const spread = (which: number) => visit.page.evaluate((at) => {
+      const canvas = document.querySelectorAll<HTMLCanvasElement>(".pair canvas")[at]!;
+      const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true })!;
+      copy.drawImage(canvas, 0, 0);
+      const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+      let far = 0;
+      for (let i = 0; i < data.length; i += 4) if (Math.min(data[i]!, data[i + 2]!) < 60) far += 1;
+      return far / (data.length / 4);
+    }, which);
+    await until(async () => await spread(1) > 0.05 && await spread(1) > 5 * await spread(0), "the shadow's residual beside the session's");
     await panel.getByRole("button", { name: "Promote" }).click();
     await visit.page.locator(".swap", { hasText: /gaussian active at frame/ }).waitFor();
     await fetch(`${service.url}/v1/sessions/demo/model`, { method: "PUT", headers: { "content-type": "application/json" }, body: '{"model": "spot"}' });
@@ -123,15 +132,43 @@ export const more: Record<string, Check> = {
     await visit.go("live");
     await visit.overlaid();
     const client = await visit.context.newCDPSession(visit.page);
-    await client.send("Performance.enable");
-    const busy = async () => (await client.send("Performance.getMetrics")).metrics.find((metric) => metric.name === "TaskDuration")!.value;
     await visit.page.waitForTimeout(3000);
-    const [before, start] = [await busy(), performance.now()];
-    await visit.page.waitForTimeout(10_000);
-    const share = 100 * (await busy() - before) / ((performance.now() - start) / 1000);
+    /** With what the thread has waited for a processor, and without. */
+    const share = async (timeDomain: "timeTicks" | "threadTicks") => {
+      await client.send("Performance.enable", { timeDomain });
+      const busy = async () => (await client.send("Performance.getMetrics")).metrics.find((metric) => metric.name === "TaskDuration")!.value;
+      const [before, start] = [await busy(), performance.now()];
+      await visit.page.waitForTimeout(8000);
+      const found = 100 * (await busy() - before) / ((performance.now() - start) / 1000);
+      await client.send("Performance.disable");
+      return found.toFixed(1);
+    };
+    const [busy, working] = [await share("timeTicks"), await share("threadTicks")];
     const told = await visit.page.locator(".stage .key .quiet").textContent();
     await visit.close();
-    return `the page's thread is busy for ${share.toFixed(1)} % of a core, with ${told}`;
+    return `the page's thread is busy for ${busy} % of the time, ${working} % of a core, with ${told}`;
+  },
+
+  async "what viewers take of the service's memory"(browser) {
+    const watched = await serve(["--demo"]);
+    const megabytes = () => Number(/^VmRSS:\s*(\d+) kB$/m.exec(readFileSync(`/proc/${watched.pid}/status`, "utf8"))![1]) / 1024;
+    const settled = async () => { await new Promise((done) => setTimeout(done, 4000)); return megabytes(); };
+    const visits: Visit[] = [];
+    const look = async (count: number) => {
+      while (visits.length < count) {
+        const visit = await Visit.open(browser, watched);
+        visits.push(visit);
+        await visit.go("live");
+        await visit.overlaid();
+      }
+      return settled();
+    };
+    const [nobody, one, five] = [await settled(), await look(1), await look(5)];
+    for (const visit of visits) await visit.close();
+    await watched.stop();
+    const each = (five - nobody) / 5;
+    assert.ok(each <= 20, `${each.toFixed(1)} MiB a viewer`);
+    return `${nobody.toFixed(0)} MiB, with one viewer ${one.toFixed(0)}, with five ${five.toFixed(0)}`;
   },
 
   async "estimates as a file"(browser, service) {
@@ -144,7 +181,6 @@ export const more: Record<string, Check> = {
     const made = folder();
     const file = join(made.path, "demo.csv");
     await (await waiting).saveAs(file);
-    const { readFileSync } = await import("node:fs");
     const [head, first] = readFileSync(file, "utf8").split("\n");
     assert.match(head!, /^frame,time_s,state,model,bx,.*sigma_bx/);
     assert.equal(first!.split(",").length, head!.split(",").length);

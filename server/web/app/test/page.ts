@@ -1,5 +1,6 @@
 // Opens the page in a browser and uses it as people do. `npm test`; `npm test -- NAME` runs what has NAME in its name. Ends with 77
 // where there is no browser. `UPDATE_EXPECT=1` writes the book's pictures anew.
+import { cameras } from "./cameras.ts";
 import { checks } from "./checks.ts";
 import { more } from "./more.ts";
 import { pictures } from "./pictures.ts";
@@ -10,7 +11,7 @@ const wanted = process.argv[2] ?? "";
 const browser = await launch();
 const service = await serve(["--demo"]);
 let failed = 0;
-for (const [name, check] of Object.entries({ ...checks, ...more, ...pictures })) {
+for (const [name, check] of Object.entries({ ...checks, ...more, ...cameras, ...pictures })) {
   if (!name.includes(wanted)) continue;
   const start = performance.now();
   try {

@@ -14,7 +14,7 @@ const BROWSERS = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/go
 export const OUT = join(TOP, "out/page");
 export const DOCS = join(TOP, "docs/figures/page");
 
-export interface Service { url: string; stop(): Promise<void> }
+export interface Service { url: string; /** Of what was started here. */ pid?: number; stop(): Promise<void> }
 
 /** Starts the program and waits until it says where it listens. */
 export function serve(args: string[], address = "127.0.0.1:0"): Promise<Service> {
@@ -31,6 +31,7 @@ export function serve(args: string[], address = "127.0.0.1:0"): Promise<Service>
       started.stderr!.removeAllListeners("data").resume(); // what it says later is nobody's
       done({
         url,
+        pid: started.pid,
         stop: () => new Promise((ended) => {
           started.on("exit", () => ended());
           started.kill("SIGTERM");
@@ -98,7 +99,7 @@ export class Visit {
   /** Waits until the camera's picture has something of the contour's colour on it. */
   async overlaid() {
     await this.page.waitForFunction(() => {
-      const canvas = document.querySelector<HTMLCanvasElement>(".screen canvas.overlay");
+      const canvas = document.querySelector<HTMLCanvasElement>(".screen canvas");
       if (!canvas?.width) return false;
       // A copy, so that the page's own canvas stays as it is.
       const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true })!;

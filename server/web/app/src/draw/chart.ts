@@ -9,7 +9,8 @@ export interface ChartLook {
   /** Pairs of curves (counted from 1) between which the ground is filled. */
   bands?: { between: [number, number]; colour: string }[];
   across: string;
-  along: string;
+  /** A label, or what says it at each drawing; none where it is empty at first. */
+  along: string | (() => string);
   /** Formats along's ticks; numbers when absent. */
   ticks?: (value: number) => string;
   /** A height that the vertical axis reaches at least. */
@@ -17,7 +18,7 @@ export interface ChartLook {
   log?: boolean;
 }
 
-function axis(label: string, values?: (value: number) => string): uPlot.Axis {
+function axis(label: string | (() => string), values?: (value: number) => string): uPlot.Axis {
   return {
     label, labelSize: 18, labelFont: "12px system-ui, sans-serif", font: "11px system-ui, sans-serif", labelGap: 0,
     stroke: () => themed("quiet"), grid: { stroke: () => themed("rule"), width: 1 }, ticks: { show: false },

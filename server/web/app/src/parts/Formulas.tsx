@@ -33,9 +33,15 @@ function copied(from: Element, into: Element) {
       const aligned = /text-align:(left|right)/.exec(node.getAttribute("style") ?? "");
       if (aligned) made.setAttribute("class", `to-${aligned[1]}`);
       copied(node, made);
+      if (node.localName === "mn") made.textContent = shortened(made.textContent ?? "");
       into.append(made);
     }
   }
+}
+
+/** Six digits of those that nobody reads; the program has them all. */
+function shortened(number: string): string {
+  return /^\d*\.\d{7,}$/.test(number) ? Number(number).toPrecision(6) : number;
 }
 
 /** A bracket beside a table: drawn by the style, since few machines have a font whose brackets grow. */

@@ -1,19 +1,14 @@
 // The cross-section through the centre: what was measured, what the model says, ± σ of a pixel, and where the camera clips.
-import type { Signal } from "@preact/signals";
+import type { ReadonlySignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import type uPlot from "uplot";
 import { chart } from "../draw/chart";
-import { paused } from "../state/store";
-import type { PreviewHead } from "../types";
+import type { ShownHead } from "../picture/messages";
 
-/** Redrawn at most so often. */
-const PAUSE_MS = 120;
-
-export function Section({ head }: { head: Signal<PreviewHead | null> }) {
+export function Section({ head }: { head: ReadonlySignal<ShownHead | null> }) {
   const holder = useRef<HTMLDivElement>(null);
   const title = useRef<HTMLElement>(null);
   useEffect(() => {
-    let last = 0;
     const made: uPlot = chart(holder.current!, {
       across: "x in px", along: "DN",
       curves: [
@@ -27,9 +22,11 @@ export function Section({ head }: { head: Signal<PreviewHead | null> }) {
     });
     const stop = head.subscribe((now) => {
       const section = now?.section;
-      const time = performance.now();
-      if (!section || (time - last < PAUSE_MS && !paused.peek())) return;
-      last = time;
+      if (!section) {
+        if (now) made.setData([[], [], [], [], [], []]);
+        if (now && title.current) title.current.textContent = "no target, no centre";
+        return;
+      }
       const model = section.model ?? section.x.map(() => null);
       const edge = (sign: number) => model.map((value, i) => (value === null ? null : value + sign * (section.sigma?.[i] ?? 0)));
       const most = Math.max(...section.observed);

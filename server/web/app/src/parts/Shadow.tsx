@@ -2,6 +2,7 @@
 import { useSignal } from "@preact/signals";
 import { put } from "../editor/draft";
 import { modelName, plain } from "../format";
+import { Residual } from "./Residual";
 import { said, segment, send } from "../state/api";
 import { beat, newest, refresh, session } from "../state/store";
 import { swapNews } from "../state/swap";
@@ -64,6 +65,10 @@ export function ShadowPanel() {
         <thead><tr><th /><th class="number">session</th><th class="number">shadow</th></tr></thead>
         <tbody>{rows.map(([name, left, right]) => <tr key={name}><th scope="row">{name}</th><td class="number">{left}</td><td class="number">{right}</td></tr>)}</tbody>
       </table></div>
+      <div class="pair">
+        <Residual title="Residual of the session" />
+        {last && <Residual key={shadow.model} title="Residual of the shadow" shadow />}
+      </div>
       {last?.centre_px !== undefined && <p>Their centres are {plain(last.centre_px, 2)} px apart.</p>}
       {parameters.length > 0 && (
         <p class="quiet">{parameters.map(([name, one]) => `${name} ${plain(one.difference, 2)}${one.deviations === undefined ? "" : ` (${plain(one.deviations, 2)} σ)`}`).join(" · ")}</p>

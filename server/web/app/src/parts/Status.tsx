@@ -26,6 +26,7 @@ export function Status() {
     ["age", ageMs === undefined ? "–" : `${ageMs.toFixed(1)} ms`, "from capture until the estimate was there"],
     ["confidence", confidence === undefined ? "–" : `${(100 * confidence).toFixed(1)} %`, "the probability that the thing tracked is the target"],
     ["χ²/ν", chi === undefined ? "–" : chi.toFixed(2), "near 1 where noise explains what is left"],
+    ...(estimate?.exposure_advice ? [["exposure", `× ${plain(estimate.exposure_advice.factor, 2)}`, `advised: ${estimate.exposure_advice.why}`] as [string, string, string]] : []),
     ["saturated", estimate ? `${(100 * estimate.saturated).toFixed(1)} %` : "–", "of the domain's pixels"],
   ];
   return (
@@ -41,9 +42,13 @@ export function Status() {
         {estimate && remarks(estimate).map((remark) => <span key={remark.word} class="tag" title={remark.why}>{remark.word}</span>)}
       </p>
       <dl class="figures">
-        {figures.map(([name, value, why]) => <div key={name} title={why}><dt>{name}</dt><dd>{value}</dd></div>)}
+        {figures.map(([name, value, why]) => (
+          <div key={name} title={why}>
+            <dt>{name}</dt><dd>{value}</dd>
+            {name === "confidence" && confidence !== undefined && <meter min={0} max={1} low={0.3} optimum={1} value={plain(confidence, 3)} aria-label="confidence" />}
+          </div>
+        ))}
       </dl>
-      {confidence !== undefined && <meter min={0} max={1} low={0.3} optimum={1} value={plain(confidence, 3)} aria-label="confidence" />}
     </section>
   );
 }

@@ -3,7 +3,7 @@ import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import type uPlot from "uplot";
 import { chart } from "../draw/chart";
-import { segment } from "../state/api";
+import { protocols, segment } from "../state/api";
 import { chosen, paused, target } from "../state/store";
 import { stream } from "../state/stream";
 import type { Estimate } from "../types";
@@ -19,7 +19,7 @@ export function Trace() {
   useEffect(() => {
     const made: uPlot = chart(holder.current!, { across: "point", along: "", curves: [{ label: "F", colour: "contour" }, { label: "points", colour: "contour", points: true }] });
     const path = () => `/v1/sessions/${segment(chosen.peek())}/estimates?mode=latest&trace=1&credit=1`;
-    const estimates = stream(path, {
+    const estimates = stream(path, protocols(), {
       async message(data) {
         const { trace, frame, target: whose } = JSON.parse(data as string) as Estimate & { trace?: Point[] };
         if (trace?.length && whose === target.peek() && !paused.peek()) {

@@ -1,41 +1,61 @@
 // Cameras of the service's machine: formats, controls with the driver's ranges, and the exposure that fits advise.
-import { useSignal } from "@preact/signals";
+import { signal, useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { plain } from "../format";
 import { get, said, segment, send } from "../state/api";
 import { beat, newest, refresh, session } from "../state/store";
+import { useSender } from "./sender";
 import { Slider } from "./Slider";
 
 interface Control { name: string; kind: "integer" | "boolean" | "menu" | "integer_menu" | "button"; minimum: number; maximum: number; step: number; value?: number; items?: Record<string, string>; is_inactive?: boolean }
-interface Camera { device: string; identity: string; name: string; formats: { format: string; is_read: boolean }[]; controls: Control[] }
+interface Size { width: number; height: number; from?: [number, number]; rates_hz: number[] }
+interface Camera { device: string; identity: string; name: string; formats: { format: string; is_read: boolean; sizes: Size[] }[]; controls: Control[] }
 
 export function CameraPanel({ device }: { device: string }) {
   const camera = useSignal<Camera | null>(null);
   const fault = useSignal("");
-  const read = async () => {
+  const path = `/v1/cameras/${segment(device)}`;
+  const read = async () => { camera.value = await get<Camera>(path); };
+  useEffect(() => { read().catch((error) => { fault.value = said(error); }); }, [device]);
+  const put = useSender(async (controls) => {
     try {
-      camera.value = await get<Camera>(`/v1/cameras/${segment(device)}`);
-    } catch (error) {
-      fault.value = said(error);
-    }
-  };
-  useEffect(() => { void read(); }, [device]);
-  const set = async (name: string, value: number | boolean) => {
-    try {
-      await send("PUT", `/v1/cameras/${segment(device)}/controls`, { [name]: value });
-      fault.value = "";
+      await send("PUT", `${path}/controls`, controls);
+    } finally {
       await read(); // drivers clamp without a word, and one control switches another off
-    } catch (error) {
-      fault.value = said(error);
     }
+  }, fault);
+  const set = (name: string, value: number | boolean) => {
+    const before = camera.value;
+    if (before) camera.value = { ...before, controls: before.controls.map((one) => (one.name === name ? { ...one, value: Number(value) } : one)) };
+    void put({ [name]: value });
   };
   return (
     <section class="panel" aria-label="camera">
-      <h3>{camera.value?.name ?? device} <small class="quiet">{camera.value?.formats.filter((one) => one.is_read).map((one) => one.format).join(" ")}</small></h3>
+      <h3>{camera.value?.name ?? device} <small class="quiet">{device}</small></h3>
       <ExposureAdvice />
-      {camera.value?.controls.map((control) => <ControlRow key={control.name} control={control} set={(value) => void set(control.name, value)} />)}
+      {camera.value?.controls.map((control) => <ControlRow key={control.name} control={control} set={(value) => set(control.name, value)} />)}
+      {camera.value && <Formats camera={camera.value} />}
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}
     </section>
+  );
+}
+
+/** As drivers of USB cameras have them. */
+const UNITS: Record<string, string> = { exposure_time_absolute: "× 100 µs", exposure_absolute: "× 100 µs", white_balance_temperature: "K" };
+
+/** What it can send. */
+function Formats({ camera }: { camera: Camera }) {
+  return (
+    <div class="scroll"><table>
+      <thead><tr><th>format</th><th>size in px</th><th>frames a second</th></tr></thead>
+      <tbody>
+        {camera.formats.filter((one) => one.is_read).flatMap(({ format, sizes }) => sizes.map(({ width, height, from, rates_hz }) => (
+          <tr key={`${format} ${width} ${height}`}>
+            <th scope="row">{format}</th><td>{from ? `${from.join(" × ")} to ` : ""}{width} × {height}</td><td>{rates_hz.map((rate) => plain(rate, 3)).join(", ")}</td>
+          </tr>
+        )))}
+      </tbody>
+    </table></div>
   );
 }
 
@@ -54,7 +74,7 @@ function ControlRow({ control, set }: { control: Control; set(value: number | bo
     );
   }
   if (kind === "button") return <p><button onClick={() => set(1)}>{label}</button></p>;
-  return <Slider label={label} unit={is_inactive ? "automatic" : ""} value={value ?? minimum} min={minimum} max={maximum} step={Math.max(1, step)} set={set} />;
+  return <Slider label={label} unit={is_inactive ? "automatic" : UNITS[name] ?? ""} value={value ?? minimum} min={minimum} max={maximum} step={Math.max(1, step)} set={set} />;
 }
 
 const OF_DOCUMENT = ["source", "model", "constants", "start", "window", "camera", "target", "options"];
@@ -70,6 +90,7 @@ export function ExposureAdvice() {
     if (!one) return;
     const all = one as unknown as Record<string, unknown>;
     const document = Object.fromEntries(OF_DOCUMENT.filter((key) => all[key] !== undefined && all[key] !== null).map((key) => [key, all[key]]));
+    document["model"] = one.active_model;
     document["options"] = { ...one.options, exposure: { ...one.options?.exposure, control } };
     try {
       await send("PUT", `/v1/sessions/${segment(one.name)}`, document);
@@ -85,13 +106,16 @@ export function ExposureAdvice() {
         <span>Exposure advice: <b>{advice ? `× ${plain(advice.factor, 2)}` : "none yet"}</b> <small class="quiet">{advice?.why}</small></span>
         <label title="starts the session anew"><input type="checkbox" checked={isControlled} onChange={(event) => void toggle(event.currentTarget.checked)} /> set by itself</label>
       </p>
+      {one?.exposure_control?.held === false && <p class="quiet">Only looking: {one.exposure_control.reason}</p>}
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}
     </>
   );
 }
 
+/** Those of the service's machine, as they were when somebody last asked. */
+export const cameras = signal<Camera[] | null>(null);
+
 export function CameraList() {
-  const cameras = useSignal<Camera[] | null>(null);
   const fault = useSignal("");
   useEffect(() => { get<{ items: Camera[] }>("/v1/cameras").then((found) => { cameras.value = found.items; }, (error) => { fault.value = said(error); }); }, []);
   return (
@@ -102,7 +126,8 @@ export function CameraList() {
       {cameras.value?.map((camera) => (
         <details key={camera.identity}>
           <summary><b>{camera.device}</b> {camera.name} <span class="quiet">{camera.identity}</span></summary>
-          <p>formats {camera.formats.filter((one) => one.is_read).map((one) => one.format).join(" ")} · {camera.controls.length} controls</p>
+          <Formats camera={camera} />
+          <p class="quiet">{camera.controls.length} controls: start a session of it to set them.</p>
         </details>
       ))}
     </section>

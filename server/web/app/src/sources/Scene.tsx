@@ -1,33 +1,11 @@
 // The synthetic camera: what moves, shines and hides before it, so that one can break the tracker and see how it says so. Each
 // slider is taken between two frames.
-import { useSignal, type Signal } from "@preact/signals";
-import { useRef } from "preact/hooks";
-import { said, segment, send } from "../state/api";
+import { useSignal } from "@preact/signals";
+import { segment, send } from "../state/api";
 import type { Source } from "../types";
 import { ExposureAdvice } from "./Camera";
+import { useSender } from "./sender";
 import { Slider } from "./Slider";
-
-/** Changes on their way: the newest wins, one request at a time. */
-function useSender(name: string, fault: Signal<string>) {
-  const waiting = useRef<Record<string, unknown> | null>(null);
-  const isSending = useRef(false);
-  return async (change: Record<string, unknown>) => {
-    waiting.current = { ...waiting.current, ...change };
-    if (isSending.current) return;
-    isSending.current = true;
-    while (waiting.current) {
-      const next = waiting.current;
-      waiting.current = null;
-      try {
-        await send("PUT", `/v1/sources/${segment(name)}/scene`, next);
-        fault.value = "";
-      } catch (error) {
-        fault.value = said(error);
-      }
-    }
-    isSending.current = false;
-  };
-}
 
 interface Light { defocus_px?: unknown; glare?: { height?: unknown }[]; occluders?: unknown[]; slope?: unknown[] }
 
@@ -40,7 +18,7 @@ const FULL_WELL_E = 5000;
 
 export function ScenePanel({ source }: { source: Source }) {
   const fault = useSignal("");
-  const change = useSender(source.name, fault);
+  const change = useSender(async (scene) => { await send("PUT", `/v1/sources/${segment(source.name)}/scene`, scene); }, fault);
   const light = (source["light"] ?? {}) as Light;
   const [width, height] = [numberOr(source["width"], 640), numberOr(source["height"], 480)];
   const exposure = useSignal(numberOr(source["exposure"], 1));

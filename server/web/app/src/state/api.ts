@@ -32,10 +32,6 @@ export function protocols(): string[] {
   return token ? ["isophote.v1", `isophote.token.${token}`] : ["isophote.v1"];
 }
 
-export function socketUrl(path: string): string {
-  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
-}
-
 async function ask(method: string, path: string, body?: BodyInit, headers: Record<string, string> = {}): Promise<Response> {
   const used = token;
   const authorization: Record<string, string> = token ? { authorization: `Bearer ${token}` } : {};

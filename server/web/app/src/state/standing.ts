@@ -1,7 +1,7 @@
 // In which state a session is, in one word, with what to do about it. Each has its own look in the style.
 import { computed } from "@preact/signals";
 import { entrance } from "./api";
-import { newest, service, session, sessions } from "./store";
+import { newest, service, session, sessions, sources } from "./store";
 import type { Estimate } from "../types";
 
 export interface Standing {
@@ -46,6 +46,10 @@ function told(): Standing {
     case "lost_source": return { word: "source lost", sign: "⨯", hint: `The camera is gone. Plug it in again: the session goes on by itself.${reason}` };
     case "stopped": return { word: "ended", sign: "■", hint: `The source has no more frames. Start it again under Sources.${reason}` };
     case "failed": return { word: "failed", sign: "!", hint: `It cannot go on.${reason} Mend that, and start it again under Sources.` };
+  }
+  const source = sources.value.find((each) => each.name === one?.source);
+  if ((source?.["playback"] as { paused?: boolean } | undefined)?.paused) {
+    return { word: "held", sign: "‖", hint: "The source is held. Play or step it under Sources." };
   }
   const estimate = newest.value;
   if (!estimate) return { word: "empty", sign: "○", hint: "No estimate yet." };

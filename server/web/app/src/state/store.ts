@@ -1,10 +1,12 @@
 // What the page knows: sessions, the one that is looked at, its newest estimate and the last thousands of them.
 import { computed, effect, signal } from "@preact/signals";
-import { entered, entrance, get, said, segment } from "./api";
-import { painted, stream, type Stream } from "./stream";
+import { entered, entrance, get, protocols, said, segment } from "./api";
+import { stream, type Stream } from "./stream";
 import type { Estimate, ModelDocument, ModelItem, Session, Source } from "../types";
 
 const POLL_MS = 1000;
+/** From one look at what came in to the next. */
+const BEAT_MS = 200;
 /** Estimates that are kept for plots and tables: some minutes. */
 export const HISTORY = 6000;
 
@@ -48,6 +50,12 @@ function receive(data: string | ArrayBuffer) {
   }
 }
 
+let waiting: (() => void)[] = [];
+
+function nextBeat(): Promise<void> {
+  return new Promise((done) => waiting.push(done));
+}
+
 function follow(name: string) {
   estimates?.close();
   estimates = null;
@@ -55,9 +63,10 @@ function follow(name: string) {
   perTarget = new Map();
   newest.value = null;
   if (!name) return;
-  // Credit comes back with the next picture, so that a hidden page asks for little.
-  const path = () => `/v1/sessions/${segment(name)}/estimates?mode=latest&credit=4`;
-  estimates = stream(path, { message: async (data) => { receive(data); await painted(); } });
+  // Credit comes back with the next beat: however fast a session is, the page hears of so many estimates a second, and of fewer where
+  // it is hidden.
+  const path = () => `/v1/sessions/${segment(name)}/estimates?mode=latest&credit=8`;
+  estimates = stream(path, protocols(), { message: (data) => { receive(data); return nextBeat(); } });
 }
 
 export async function refresh() {
@@ -110,8 +119,9 @@ export function begin() {
   setInterval(() => {
     const seen = [...perTarget.keys()].sort((a, b) => Number(a) - Number(b));
     if (seen.join() !== targets.peek().join() && seen.length > 0) targets.value = seen;
+    waiting.splice(0).forEach((done) => done());
     if (!document.hidden && !paused.peek()) beat.value += 1;
-  }, 150);
+  }, BEAT_MS);
 }
 
 export function look(name: string) {

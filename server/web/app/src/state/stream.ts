@@ -1,6 +1,5 @@
 // A WebSocket of the service that is opened again whenever it closes, sooner at first. Credit is given back after each message
 // has been used, so that what is slow gets fewer messages, and the newest.
-import { protocols, socketUrl } from "./api";
 
 export interface Stream {
   close(): void;
@@ -16,15 +15,16 @@ export interface Listener {
   open?(isOpen: boolean, reason: string): void;
 }
 
-export function stream(path: () => string, listener: Listener): Stream {
+export function stream(path: () => string, protocols: string[], listener: Listener): Stream {
   let socket: WebSocket | null = null;
   let timer = 0;
   let wait = FIRST_WAIT_MS;
   let isWanted = true;
 
   function connect() {
-    const opened = new WebSocket(socketUrl(path()), protocols());
+    const opened = new WebSocket(`${location.origin.replace(/^http/, "ws")}${path()}`, protocols);
     socket = opened;
+    let owed = 0;
     opened.binaryType = "arraybuffer";
     opened.onopen = () => listener.open?.(true, "");
     opened.onmessage = async (event) => {
@@ -33,8 +33,8 @@ export function stream(path: () => string, listener: Listener): Stream {
       try {
         await listener.message(event.data);
       } finally {
-        // One that cannot be shown must not be the last.
-        if (opened.readyState === WebSocket.OPEN) opened.send('{"credit":1}');
+        // One that cannot be shown must not be the last. Those that are done together are told together.
+        if (owed++ === 0) queueMicrotask(() => { give(opened, owed); owed = 0; });
       }
     };
     opened.onclose = (event) => {
@@ -42,7 +42,7 @@ export function stream(path: () => string, listener: Listener): Stream {
       socket = null;
       if (!isWanted) return;
       listener.open?.(false, event.reason);
-      timer = window.setTimeout(connect, wait);
+      timer = self.setTimeout(connect, wait);
       wait = Math.min(LAST_WAIT_MS, wait * 1.7);
     };
   }
@@ -61,10 +61,6 @@ export function stream(path: () => string, listener: Listener): Stream {
   };
 }
 
-/** Resolves before the next picture is shown; where the page is hidden, after a while. */
-export function painted(): Promise<void> {
-  return new Promise((done) => {
-    if (document.hidden) setTimeout(done, 500);
-    else requestAnimationFrame(() => done());
-  });
+function give(socket: WebSocket, credit: number) {
+  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ credit }));
 }

@@ -7,7 +7,7 @@ import { grouped, plain } from "../format";
 import { Formulas, pointed } from "../parts/Formulas";
 import { get, said, segment } from "../state/api";
 import { centreOf, models, session } from "../state/store";
-import type { Explanation, ModelDocument } from "../types";
+import type { BodyCost, Explanation, LoopCost, ModelDocument } from "../types";
 
 const METHODS = ["newton", "gauss-newton", "levenberg-marquardt"];
 const PANES: { show: string; title: string; what: string; isMath?: true }[] = [
@@ -27,6 +27,7 @@ const free = signal<string[]>([]);
 const method = signal(METHODS[0]!);
 const shown = signal<Record<string, Explanation>>({});
 const figures = signal<Explanation[]>([]);
+const loops = signal<LoopCost[]>([]);
 const fault = signal("");
 
 /** Of a large model the derivation by Newton's method grows past its bounds; its own method does not. */
@@ -55,6 +56,7 @@ async function explain(name: string, parameters: string[], by: string) {
   );
   shown.value = {};
   figures.value = [];
+  loops.value = [];
   fault.value = "";
   const isStill = () => model.value === name && free.value === parameters && method.value === by;
   await Promise.all(PANES.filter((pane) => pane.show !== "sums").map(async (pane) => {
@@ -67,6 +69,9 @@ async function explain(name: string, parameters: string[], by: string) {
       if (isStill()) fault.value = said(error);
     }
   }));
+  // Measured alone, when the others are there.
+  const table = await ask("table", by).catch(() => null);
+  if (isStill()) loops.value = table?.loops ?? [];
   const each = await Promise.all(METHODS.map((one) => ask("sums", one).catch(() => null)));
   if (isStill()) figures.value = each.filter((one): one is Explanation => one !== null);
 }
@@ -106,7 +111,7 @@ export function Explorer() {
         {stage && <button onClick={() => { free.value = stage.parameters; }}>all of the last stage</button>}
       </p>
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}
-      <Figures />
+      <div class="tables"><Loops /><Figures /></div>
       <div class="panes">{PANES.map((pane) => <Pane key={pane.show} {...pane} />)}</div>
     </div>
   );
@@ -137,19 +142,57 @@ function Pane({ show, title, what, isMath }: (typeof PANES)[number]) {
   );
 }
 
-/** The thesis' Table 6.1 for this model: what a pixel costs by each method. */
+/** What a pixel costs by each method. */
 function Figures() {
   if (figures.value.length === 0) return <p class="quiet figures-wait">counting …</p>;
   return (
     <div class="scroll panel costs"><table>
-      <thead><tr><th>free: {free.value.join(" ")}</th><th class="number">flops a pixel</th><th class="number">sums</th><th class="number">flops a row</th><th class="number">flops a pass</th><th>calls a pixel</th><th class="number">derived and compiled in</th></tr></thead>
+      <thead><tr><th>by method</th><th class="number">flops a pixel</th><th class="number">sums</th><th class="number">flops a row</th><th class="number">flops a pass</th><th>calls a pixel</th><th class="number" title="derived, checked and compiled">made in</th></tr></thead>
       <tbody>
         {figures.value.map((one) => (
           <tr key={one.method} class={one.method === method.value ? "free" : "held"}>
             <th scope="row">{one.method}</th><td class="number">{grouped(one.flops_per_pixel)}</td><td class="number">{one.accumulators}</td>
             <td class="number">{grouped(one.flops_per_row)}</td><td class="number">{grouped(one.flops_per_pass)}</td>
             <td>{Object.entries(one.calls).map(([name, count]) => `${count} ${name}`).join(", ") || "none"}</td>
-            <td class="number">{plain(one.compile_ms, 3)} ms</td>
+            <td class="number">{Math.round(one.compile_ms)} ms</td>
+          </tr>
+        ))}
+      </tbody>
+    </table></div>
+  );
+}
+
+const LOOPS: Record<LoopCost["sums"], string> = { gradient: "gradient", hessian: "Hessian", joint: "both, in one loop" };
+
+/** The two loops one after the other. */
+function separate(all: LoopCost[], of: "differentiated" | "compiled"): BodyCost | undefined {
+  const [gradient, hessian] = [all[0]?.[of], all[1]?.[of]];
+  if (!gradient || !hessian) return undefined;
+  const ns = gradient.ns_per_pixel !== undefined && hessian.ns_per_pixel !== undefined ? gradient.ns_per_pixel + hessian.ns_per_pixel : undefined;
+  return { flops_per_pixel: gradient.flops_per_pixel + hessian.flops_per_pixel, ns_per_pixel: ns };
+}
+
+/** The thesis' Table 6.1 for this model: as the derivatives are written down, and as they are compiled. */
+function Loops() {
+  const all = loops.value;
+  if (all.length === 0) return null;
+  const rows: [string, BodyCost | undefined, BodyCost | undefined][] = all.map((one) => [LOOPS[one.sums], one.differentiated, one.compiled]);
+  rows.splice(2, 0, ["both, in two loops", separate(all, "differentiated"), separate(all, "compiled")]);
+  const flops = (body: BodyCost | undefined) => (body ? grouped(body.flops_per_pixel) : "too large");
+  const ns = (body: BodyCost | undefined) => (body?.ns_per_pixel === undefined ? "–" : plain(body.ns_per_pixel, 3));
+  const less = (before: number | undefined, after: number | undefined) => (before && after ? `${plain(before / after, 2)} ×` : "–");
+  return (
+    <div class="scroll panel costs loops"><table>
+      <thead>
+        <tr class="group"><td /><th colSpan={3}>flops a pixel</th><th colSpan={3} title="8-bit pixels, f32, vectors of 128 bits, one core">ns a pixel</th></tr>
+        <tr><th>sums of {free.value.length > 5 ? `${free.value.length} parameters` : free.value.join(" ")}</th>
+          {["flops", "ns"].flatMap((what) => ["differentiated", "compiled", "less"].map((word) => <th key={what + word} class="number">{word}</th>))}</tr>
+      </thead>
+      <tbody>
+        {rows.map(([name, before, after]) => (
+          <tr key={name} class={name === LOOPS.joint ? "free" : "held"}>
+            <th scope="row">{name}</th><td class="number">{flops(before)}</td><td class="number">{flops(after)}</td><td class="number">{less(before?.flops_per_pixel, after?.flops_per_pixel)}</td>
+            <td class="number">{ns(before)}</td><td class="number">{ns(after)}</td><td class="number">{less(before?.ns_per_pixel, after?.ns_per_pixel)}</td>
           </tr>
         ))}
       </tbody>

@@ -1,24 +1,22 @@
 // The picture with what was fitted, the residual beside it, and what both mean.
 import { useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { DIVERGING } from "../draw/colour";
 import { Formulas } from "../parts/Formulas";
 import { Parameters } from "../parts/Parameters";
-import { PictureView } from "../parts/PictureView";
 import { PoseView } from "../parts/Pose";
+import { Residual } from "../parts/Residual";
 import { Screen } from "../parts/Screen";
 import { Section } from "../parts/Section";
 import { Status } from "../parts/Status";
 import { SwapLine } from "../parts/SwapLine";
 import { get, segment } from "../state/api";
 import { beginDemo } from "../state/demo";
-import { lackingResidual, residualPicture, residualRatio, shownHead, usePictures } from "../state/pictures";
+import { shownHead } from "../state/pictures";
 import { standing } from "../state/standing";
-import { centreOf, document_, models, session } from "../state/store";
+import { document_, models, session } from "../state/store";
 import { swap, swapNews } from "../state/swap";
 
 export function Live() {
-  usePictures("frame and residual");
   if (standing.value.word === "first start") return <FirstStart />;
   return (
     <div class="live">
@@ -27,12 +25,7 @@ export function Live() {
         <TheFormula />
       </div>
       <div class="column">
-        <figure class="residual">
-          <figcaption>Residual <small class="quiet">measured − model, in σ</small></figcaption>
-          <PictureView label="residual" palette={DIVERGING} centre={() => centreOf(document_.peek())} picture={residualPicture} ratio={residualRatio.value} />
-          {lackingResidual.value && <p class="quiet">{lackingResidual.value}</p>}
-          <p class="scale"><span>−5 σ</span><i /><span>+5 σ</span></p>
-        </figure>
+        <Residual title="Residual" />
         <Section head={shownHead} />
       </div>
       <div class="column beside">

@@ -9,13 +9,9 @@ import { ShadowButton, ShadowPanel } from "../parts/Shadow";
 import { Parameters } from "../parts/Parameters";
 import { Screen } from "../parts/Screen";
 import { SwapLine } from "../parts/SwapLine";
-import { features, useFeatures } from "../state/features";
-import { usePictures } from "../state/pictures";
 import { models, session } from "../state/store";
 
 export function ModelView() {
-  usePictures("frame");
-  useFeatures();
   const isChanged = useComputed(() => draft.text.value !== draft.saved.value);
   const active = session.value?.active_model ?? models.value[0]?.name ?? "";
   useEffect(() => { if (!draft.name.peek() && active) void open(active); }, [active]);
@@ -30,7 +26,7 @@ export function ModelView() {
           </select></label>
           <label>put as <input size={14} value={draft.name} pattern="[a-z0-9][a-z0-9\-]{0,63}" onInput={(event) => { draft.name.value = event.currentTarget.value; void readVersions(); }} /></label>
           <button class="primary" id="apply" disabled={faults.value.length > 0} onClick={() => void apply()} title="put it and fit it (Ctrl-Enter)">Apply</button>
-          {features.value.shadow && <ShadowButton model={draft.name.value} />}
+          <ShadowButton model={draft.name.value} />
           <span class="quiet">{isChanged.value ? "changed" : ""}</span>
         </p>
         <Editor apply={() => void apply()} />
@@ -100,13 +96,13 @@ function History() {
   return (
     <section class="panel">
       <h3>History <small class="quiet">{draft.name}</small></h3>
-      <div class="scroll"><table>
+      <div class="scroll versions"><table>
         <tbody>
           {versions.value.map((version) => (
             <tr key={version.version}>
               <th scope="row">version {version.version}</th>
               <td class="quiet">{version.created_at?.replace("T", " ").replace(/\..*|Z$/, "") ?? "shipped"}</td>
-              <td class="quiet">{version.digest.slice(7, 15)}</td>
+              <td class="quiet digest">{version.digest.slice(7, 15)}</td>
               <td>{version.active ? <b>in use</b> : <button onClick={() => void rollBack(version.version)}>Roll back</button>}</td>
             </tr>
           ))}

@@ -6,7 +6,6 @@ import { chart, type ChartLook } from "../draw/chart";
 import { sigmaOf } from "../draw/ellipse";
 import { modelName, powerOfTen } from "../format";
 import { Trace } from "../parts/Trace";
-import { features, useFeatures } from "../state/features";
 import { pause } from "../state/pictures";
 import { beat, document_, history, newest, paused, session } from "../state/store";
 import type { Estimate } from "../types";
@@ -19,7 +18,6 @@ const BEATS = 2;
 const POINTS_MAX = 900;
 
 export function Plots() {
-  useFeatures();
   const span = useSignal(20);
   const back = useSignal(0);
   const order = orderShown.value ? orderShown.value.split(" ") : [];
@@ -37,14 +35,14 @@ export function Plots() {
         <span class="quiet">{paused.value ? "paused: scroll back with the slider" : "space pauses"}</span>
       </p>
       <div class="charts" key={order.join()}>
-        {order.map((name) => <Chart key={name} title={name} unit={document_.value?.parameters[name]?.unit ?? ""} span={span.value} back={back.value} series={(e) => [e.parameters[name], sigmaOf(e, name)]} />)}
+        {order.map((name) => [name, document_.value?.parameters[name]?.unit ?? ""] as const).map(([name, unit]) => <Chart key={`${name} ${unit}`} title={name} unit={unit} span={span.value} back={back.value} series={(e) => [e.parameters[name], sigmaOf(e, name)]} />)}
         <Chart title="χ²/ν" unit="" span={span.value} back={back.value} series={(e) => [e.reduced_chi_square]} />
         <Chart title="objective F" unit="" span={span.value} back={back.value} series={(e) => [e.objective]} />
         <Chart title="background" unit="DN" span={span.value} back={back.value} series={(e) => [e.illumination?.background]} />
         <Chart title="brightness" unit="DN" span={span.value} back={back.value} series={(e) => [e.illumination?.brightness]} />
-        <Chart title="exposure advised" unit="times as much light" span={span.value} back={back.value} series={(e) => [e.exposure_advice?.factor]} />
+        <Chart title="exposure advised" unit="× as much light" span={span.value} back={back.value} series={(e) => [e.exposure_advice?.factor]} />
         <Chart title="confidence" unit="" span={span.value} back={back.value} series={(e) => [e.confidence]} />
-        {features.value.trace && <Trace />}
+        <Trace />
         <Latency span={span.value} back={back.value} />
       </div>
     </div>
@@ -95,7 +93,7 @@ function Chart({ title, unit, span, back, series }: ChartProps) {
   const isEmpty = useSignal(false);
   const power = useSignal(0);
   const look: ChartLook = {
-    across: "seconds", along: "",
+    across: "seconds", along: unit ? () => `${powerOfTen(power.value)} ${unit}`.trim() : "",
     curves: [
       { label: "−σ", colour: "band-edge", width: 0 }, { label: "+σ", colour: "band-edge", width: 0 },
       { label: title, colour: "accent" },
@@ -123,7 +121,7 @@ function Chart({ title, unit, span, back, series }: ChartProps) {
   const holder = useChart(look, draw, [span, back, paused.value]);
   return (
     <figure class="panel" hidden={isEmpty.value}>
-      <figcaption>{title} <small class="quiet">{powerOfTen(power.value)} {unit}</small></figcaption>
+      <figcaption>{title} {!unit && <small class="quiet">{powerOfTen(power.value)}</small>}</figcaption>
       <div ref={holder} class="chart" />
     </figure>
   );

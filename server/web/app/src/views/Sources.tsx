@@ -6,17 +6,13 @@ import { beginDemo } from "../state/demo";
 import { said, segment, send } from "../state/api";
 import { chosen, look, models, refresh, session, sessions, sources } from "../state/store";
 import { Screen } from "../parts/Screen";
-import { features, useFeatures } from "../state/features";
-import { usePictures } from "../state/pictures";
-import { CameraList, CameraPanel } from "../sources/Camera";
+import { CameraList, CameraPanel, cameras } from "../sources/Camera";
 import { ImageFit } from "../sources/ImageFit";
 import { PlaybackPanel } from "../sources/Playback";
 import { RecordingPanel } from "../sources/Recording";
 import { ScenePanel } from "../sources/Scene";
 
 export function Sources() {
-  usePictures("frame");
-  useFeatures();
   const one = session.value;
   const name = typeof one?.source === "string" ? one.source : "";
   const source = sources.value.find((each) => each.name === name);
@@ -36,7 +32,7 @@ export function Sources() {
             <p>Your program sends them: <code>POST /v1/sessions/{one?.name}/frames</code> (<a href="/docs/api.html#pushed-frames">how</a>).</p></section>
         )}
         {one && !source && <p class="panel quiet">The source of {one.name} is its own, without a name: it can be neither set nor shared. Start it under a name to do that.</p>}
-        {one && features.value.recording && <RecordingPanel key={`record-${one.name}`} session={one.name} />}
+        {one && <RecordingPanel key={`record-${one.name}`} session={one.name} />}
         <ImageFit />
         <CameraList />
       </div>
@@ -85,13 +81,14 @@ function SessionList() {
   );
 }
 
-const KINDS = ["source that runs", "synthetic", "camera", "recording"] as const;
+const KINDS = ["source that runs", "synthetic", "camera", "recording", "pushed"] as const;
 
 function StartForm() {
   const name = useSignal("");
   const model = useSignal("spot");
   const kind = useSignal<(typeof KINDS)[number]>("synthetic");
   const where = useSignal("");
+  const size = useSignal("640x480");
   const fault = useSignal("");
   useEffect(() => { if (kind.value === "source that runs" && !where.value) where.value = sources.value[0]?.name ?? ""; }, [kind.value]);
   const start = async (event: Event) => {
@@ -101,6 +98,7 @@ function StartForm() {
     const documents: Record<string, Record<string, unknown>> = {
       synthetic: { kind: "synthetic", model: model.value, rate_hz: 30, samples: 2, full_well_e: 5000, read_noise_e: 15, motion: model.value === "spot" ? moving : {} },
       camera: { kind: "camera", device: where.value },
+      pushed: { kind: "pushed", width: Number(size.value.split("x")[0]), height: Number(size.value.split("x")[1]), format: "u8" },
       recording: { kind: "recording", path: where.value, rate_hz: 30, loop: true },
     };
     try {
@@ -130,7 +128,9 @@ function StartForm() {
           {sources.value.map((one) => <option key={one.name}>{one.name}</option>)}
         </select></label>
       )}
-      {kind.value === "camera" && <label>device <input required value={where} placeholder="/dev/video0" onInput={(event) => { where.value = event.currentTarget.value; }} /></label>}
+      {kind.value === "camera" && <label>device <input required value={where} placeholder="/dev/video0" list="cameras" onInput={(event) => { where.value = event.currentTarget.value; }} /></label>}
+      {kind.value === "camera" && <datalist id="cameras">{cameras.value?.map((one) => <option key={one.identity} value={one.identity}>{one.name}</option>)}</datalist>}
+      {kind.value === "pushed" && <label>width x height in px, 8 bit <input required value={size} pattern="[0-9]+x[0-9]+" onInput={(event) => { size.value = event.currentTarget.value; }} /></label>}
       {kind.value === "recording" && <label>path on the service's machine <input required value={where} placeholder="/data/run-7" onInput={(event) => { where.value = event.currentTarget.value; }} /></label>}
       <button class="primary">Start</button>
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}

@@ -1,9 +1,10 @@
-// A picture on one canvas, pixel by pixel, and what was fitted on another above it. The first is enlarged and moved by the browser, so
-// that a new picture costs no more than its pixels. Frame coordinates are the service's: (0, 0) is the centre of the top-left pixel.
-import { CENTRE, CONTOUR, GREY, SATURATED } from "./colour";
-import { ellipse } from "./ellipse";
-import type { Preview } from "../state/preview";
+// A picture pixel by pixel, enlarged and moved, and what was fitted above it. Frame coordinates are the service's: (0, 0) is the centre
+// of the top-left pixel.
+import { CENTRE, CONTOUR, GREY, SATURATED } from "../draw/colour";
+import { ellipse } from "../draw/ellipse";
 import type { Estimate, PreviewHead } from "../types";
+import type { Look } from "./messages";
+import type { Preview } from "./preview";
 
 /** Which part of the frame is seen: the frame pixel at the canvas' top-left corner, and canvas pixels a frame pixel. */
 interface View { x: number; y: number; zoom: number }
@@ -14,6 +15,8 @@ const ELLIPSE_PX = 14;
 
 export class Picture {
   private readonly probe = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true })!;
+  /** As it came. */
+  private readonly source = new OffscreenCanvas(1, 1);
   private image: ImageData | null = null;
   private head: PreviewHead | null = null;
   private last: Preview | null = null;
@@ -21,10 +24,7 @@ export class Picture {
   /** How many times larger than it is the ellipse is drawn. */
   ellipseScale = 1;
 
-  constructor(
-    private readonly source: HTMLCanvasElement, private readonly canvas: HTMLCanvasElement, private readonly palette: Uint32Array,
-    private readonly centre: () => string[],
-  ) {}
+  constructor(private readonly canvas: OffscreenCanvas, private readonly palette: Uint32Array, private readonly look: Readonly<Look>) {}
 
   /** Whether the darkest pixel is shown black and the brightest white. */
   isStretched = false;
@@ -119,7 +119,7 @@ export class Picture {
   /** Zooms by a factor about a place on the canvas, in CSS pixels; without a place about the middle. */
   zoom(factor: number, at?: { x: number; y: number }) {
     if (!this.head) return;
-    const ratio = window.devicePixelRatio;
+    const ratio = this.look.ratio;
     const [px, py] = at ? [at.x * ratio, at.y * ratio] : [this.canvas.width / 2, this.canvas.height / 2];
     const seen = this.seen();
     const least = this.fitted().zoom;
@@ -130,7 +130,7 @@ export class Picture {
 
   pan(dx: number, dy: number) {
     if (!this.head || !this.view) return;
-    const ratio = window.devicePixelRatio;
+    const ratio = this.look.ratio;
     this.view.x -= dx * ratio / this.view.zoom;
     this.view.y -= dy * ratio / this.view.zoom;
     this.paint();
@@ -154,7 +154,7 @@ export class Picture {
   valueAt(x: number, y: number): string {
     const head = this.head;
     if (!head) return "";
-    const ratio = window.devicePixelRatio;
+    const ratio = this.look.ratio;
     const seen = this.seen();
     const [fx, fy] = [seen.x + x * ratio / seen.zoom, seen.y + y * ratio / seen.zoom];
     const [i, j] = [Math.round((fx - head.origin[0]) / head.step), Math.round((fy - head.origin[1]) / head.step)];
@@ -174,28 +174,24 @@ export class Picture {
 
   paint() {
     const { canvas, head } = this;
-    const ratio = window.devicePixelRatio;
-    const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
+    const { width, height, ratio } = this.look;
     if (width === 0 || height === 0) return;
-    if (canvas.width !== width || canvas.height !== height) {
-      canvas.width = width;
-      canvas.height = height;
-    }
-    const context = canvas.getContext("2d")!;
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    const context = canvas.getContext("2d", { alpha: false })!;
     context.setTransform(1, 0, 0, 1, 0, 0);
-    context.clearRect(0, 0, width, height);
+    context.fillStyle = this.palette === GREY ? "#000" : "#f7f7f7";
+    context.fillRect(0, 0, width, height);
     if (!head) return;
     const seen = this.seen();
     const to = (x: number, y: number): [number, number] => [(x - seen.x) * seen.zoom, (y - seen.y) * seen.zoom];
     const [left, top] = to(head.origin[0] - head.step / 2, head.origin[1] - head.step / 2);
-    const side = head.step * seen.zoom / ratio;
-    const placed = `translate(${left / ratio}px, ${top / ratio}px) scale(${side})`;
-    if (this.source.style.transform !== placed) this.source.style.transform = placed;
-    this.source.style.imageRendering = side < 1.5 ? "auto" : "pixelated";
+    const side = head.step * seen.zoom;
+    context.imageSmoothingEnabled = side < 1.5 * ratio;
+    context.drawImage(this.source, left, top, head.width * side, head.height * side);
     this.overlay(context, to, ratio, seen.zoom);
   }
 
-  private overlay(context: CanvasRenderingContext2D, to: (x: number, y: number) => [number, number], ratio: number, zoom: number) {
+  private overlay(context: OffscreenCanvasRenderingContext2D, to: (x: number, y: number) => [number, number], ratio: number, zoom: number) {
     const head = this.head!;
     const line = (colour: string, width: number, draw: () => void) => {
       // A dark line under each: seen on white as well.
@@ -216,9 +212,19 @@ export class Picture {
       context.strokeRect(x0, y0, width * zoom, height * zoom);
       context.setLineDash([]);
     }
-    for (const path of head.contour ?? []) {
-      line(CONTOUR, 1.8, () => path.forEach(([x, y], i) => (i === 0 ? context.moveTo(...to(x, y)) : context.lineTo(...to(x, y)))));
+    const follow = (path: [number, number][]) => path.forEach(([x, y], i) => (i === 0 ? context.moveTo(...to(x, y)) : context.lineTo(...to(x, y))));
+    // Where there is an outline, the edge of the domain says only which pixels were fitted.
+    const [drawn, edges] = head.outline?.length ? [head.outline, head.contour ?? []] : [head.contour ?? [], []];
+    context.setLineDash([6 * ratio, 5 * ratio]);
+    context.strokeStyle = CONTOUR;
+    context.lineWidth = ratio;
+    for (const path of edges) {
+      context.beginPath();
+      follow(path);
+      context.stroke();
     }
+    context.setLineDash([]);
+    for (const path of drawn) line(CONTOUR, 1.8, () => follow(path));
     for (const estimate of head.estimates ?? (head.estimate ? [head.estimate] : [])) this.cross(context, to, ratio, zoom, estimate, line);
     for (const axis of head.axes ?? []) {
       const colour = { x: "#ff7b72", y: "#7ee787", z: "#79c0ff" }[axis.axis] ?? "#fff";
@@ -227,10 +233,10 @@ export class Picture {
   }
 
   private cross(
-    context: CanvasRenderingContext2D, to: (x: number, y: number) => [number, number], ratio: number, zoom: number,
+    context: OffscreenCanvasRenderingContext2D, to: (x: number, y: number) => [number, number], ratio: number, zoom: number,
     estimate: Estimate, line: (colour: string, width: number, draw: () => void) => void,
   ) {
-    const names = this.centre();
+    const names = this.look.centre;
     const [cx, cy] = [estimate.parameters[names[0] ?? ""], estimate.parameters[names[1] ?? ""]];
     if (cx === undefined || cy === undefined || estimate.state === "searching" || estimate.state === "lost") return;
     const [x, y] = to(cx, cy);

@@ -1,8 +1,7 @@
 // Pictures of a session, as they come. Where the link is slow they come smaller: compressed, then fewer, then scaled down.
-import { signal } from "@preact/signals";
-import { segment } from "./api";
-import { painted, stream, type Stream } from "./stream";
+import { stream, type Stream } from "../state/stream";
 import type { PreviewHead } from "../types";
+import type { Look, Part } from "./messages";
 
 /** A picture as it came. */
 export interface Preview {
@@ -30,9 +29,6 @@ const RAW_BYTES_MAX = 1_500_000;
 /** Residuals are looked at, not watched. */
 const RESIDUAL_HZ = 10;
 
-/** How pictures come: for people. */
-export const link = signal("");
-
 export function decoded(data: ArrayBuffer): { head: PreviewHead; pixels: Uint8Array } {
   const length = new DataView(data).getUint32(0, true);
   const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))) as PreviewHead;
@@ -44,13 +40,16 @@ function isLocal(): boolean {
 }
 
 export interface PreviewListener {
-  show(preview: Preview): void;
+  /** The next one comes when it is done with this one. */
+  show(preview: Preview): Promise<void>;
   /** Why there is no picture. */
   gone(reason: string): void;
+  /** How pictures come: for people. */
+  link(words: string): void;
 }
 
-/** Follows a session's pictures until closed. `wanted_hz` says how many a second the session could give. */
-export function preview(session: string, part: "frame" | "residual", wantedHz: () => number, listener: PreviewListener): Stream {
+/** Follows the pictures at a path until closed, as they are looked at now. */
+export function preview(path: string, protocols: string[], part: Part, look: Readonly<Look>, listener: PreviewListener): Stream {
   let rung = isLocal() ? 0 : 1;
   let quiet = 0;
   let patience = PATIENCE;
@@ -59,14 +58,13 @@ export function preview(session: string, part: "frame" | "residual", wantedHz: (
   let current: Stream | null = null;
 
   const hzOf = (one: Rung) => (part === "frame" ? one.rate : Math.min(RESIDUAL_HZ, one.rate));
-  const path = () => {
+  const asked = () => {
     const { format, scale } = LADDER[rung]!;
-    const rate = hzOf(LADDER[rung]!);
-    return `/v1/sessions/${segment(session)}/preview?part=${part}&format=${format}&rate=${rate}&scale=${scale}&credit=2`;
+    return `${path}&format=${format}&rate=${hzOf(LADDER[rung]!)}&scale=${scale}&credit=2`;
   };
   const open = () => {
-    if (part === "frame") link.value = describe(LADDER[rung]!);
-    current = stream(path, {
+    listener.link(describe(LADDER[rung]!));
+    current = stream(asked, protocols, {
       async message(data) {
         if (typeof data === "string" || isClosed) return;
         const message: Preview = decoded(data);
@@ -77,8 +75,7 @@ export function preview(session: string, part: "frame" | "residual", wantedHz: (
         }
         if (isClosed) return;
         count += 1;
-        listener.show(message);
-        await painted();
+        await listener.show(message);
       },
       open(isOpen, reason) { if (!isOpen) listener.gone(reason); },
     });
@@ -90,10 +87,10 @@ export function preview(session: string, part: "frame" | "residual", wantedHz: (
   };
   const watch = setInterval(() => {
     const seconds = WATCH_MS / 1000;
-    const wanted = Math.min(hzOf(LADDER[rung]!), wantedHz());
+    const wanted = Math.min(hzOf(LADDER[rung]!), look.rateHz);
     const isSlow = count > 0 && count / seconds < 0.5 * wanted;
     count = 0;
-    if (document.hidden) return;
+    if (look.isHidden) return;
     if (isSlow && rung < LADDER.length - 1) {
       if (quiet < PATIENCE) patience = Math.min(64, patience * 2);
       quiet = 0;

@@ -1,0 +1,83 @@
+// A camera that is not there: what its driver says is made up, what the page makes of it is not.
+import assert from "node:assert/strict";
+import type { Check } from "./checks.ts";
+import { until } from "./checks.ts";
+import { Visit } from "./service.ts";
+
+const DEVICE = "usb-046d_C920_7A3F";
+/** Above this the driver clamps without a word. */
+const GAIN_MAX = 180;
+
+function camera() {
+  const range = { minimum: 0, maximum: 255, step: 5, default: 0 };
+  return {
+    device: "/dev/video0", identity: DEVICE, name: "A webcam", driver: "uvcvideo", bus: "usb-1",
+    formats: [
+      { format: "GREY", is_read: true, sizes: [{ width: 640, height: 480, rates_hz: [60, 30] }] },
+      { format: "S920", is_read: false, sizes: [{ width: 320, height: 240, rates_hz: [15] }] },
+    ],
+    controls: [
+      { name: "auto_exposure", kind: "menu", minimum: 0, maximum: 3, step: 1, default: 3, value: 3, items: { 1: "manual", 3: "aperture priority" } },
+      { name: "exposure_time_absolute", kind: "integer", minimum: 3, maximum: 2047, step: 1, default: 250, value: 250, is_inactive: true },
+      { name: "gain", kind: "integer", ...range, value: 20 },
+      { name: "backlight", kind: "boolean", ...range, value: 0 },
+    ],
+  };
+}
+
+export const cameras: Record<string, Check> = {
+  async "a camera's controls"(browser, service) {
+    const visit = await Visit.open(browser, service);
+    const { page } = visit;
+    const there = camera();
+    const control = (name: string) => there.controls.find((one) => one.name === name)!;
+    const [puts, started]: [Record<string, number>[], { options: { exposure: { control: boolean } } }[]] = [[], []];
+    let isHeld = false;
+    await page.route("**/v1/sources", (route) => route.fulfill({ json: { items: [{ name: "demo", kind: "camera", device: DEVICE, state: "running", frames: 9, sessions: 1 }] } }));
+    await page.route("**/v1/cameras", (route) => route.fulfill({ json: { items: [there] } }));
+    await page.route(`**/v1/cameras/${DEVICE}`, (route) => route.fulfill({ json: there }));
+    await page.route(`**/v1/cameras/${DEVICE}/controls`, async (route) => {
+      if (isHeld) {
+        const problem = { type: "urn:isophote:problem:in-use", detail: "arm-3 has the knobs of `demo` for another 4 s" };
+        return route.fulfill({ status: 409, contentType: "application/problem+json", json: problem });
+      }
+      const asked = route.request().postDataJSON() as Record<string, number>;
+      puts.push(asked);
+      for (const [name, value] of Object.entries(asked)) control(name).value = Math.min(Number(value), name === "gain" ? GAIN_MAX : Infinity);
+      control("exposure_time_absolute").is_inactive = control("auto_exposure").value === 3;
+      return route.fulfill({ json: { controls: asked } });
+    });
+    await page.route("**/v1/sessions/demo", async (route) => {
+      if (route.request().method() !== "PUT") return route.fallback();
+      started.push(route.request().postDataJSON());
+      return route.fulfill({ json: {} });
+    });
+    await visit.go("sources");
+    const panel = page.getByLabel("camera", { exact: true }).and(page.locator("section"));
+    const gain = panel.getByLabel("gain", { exact: true });
+    await gain.waitFor();
+    assert.deepEqual(await gain.evaluate((one: HTMLInputElement) => [one.min, one.max, one.step, one.value]), ["0", "255", "5", "20"], "the driver's range");
+    await gain.focus();
+    await page.keyboard.press("ArrowRight");
+    await until(async () => puts.at(-1)?.["gain"] === 25, "the gain is set");
+    await page.keyboard.press("End");
+    await until(async () => (await gain.inputValue()) === String(GAIN_MAX), "what the driver made of it is shown");
+    const exposure = panel.locator(".slider", { hasText: "exposure time absolute" }).locator("output");
+    assert.match((await exposure.textContent())!, /automatic/);
+    await panel.getByLabel("auto exposure").selectOption("manual");
+    await until(async () => /250 × 100 µs/.test((await exposure.textContent())!), "by hand again");
+    await panel.getByLabel("backlight").check();
+    await until(async () => control("backlight").value === 1, "the switch is on");
+    assert.match((await panel.locator("table").textContent())!, /GREY640 × 48060.*30/);
+    assert.equal(await panel.locator("table", { hasText: "S920" }).count(), 0, "what is not read is not offered");
+    assert.match((await panel.textContent())!, /Exposure advice: × \d/);
+    await panel.getByLabel("set by itself").click();
+    await until(async () => started.at(-1)?.options.exposure.control === true, "the closed loop begins");
+    isHeld = true;
+    await panel.getByLabel("backlight").click();
+    await panel.locator(".fault", { hasText: "arm-3 has the knobs" }).waitFor();
+    await until(async () => panel.getByLabel("backlight").isChecked(), "it is as it was");
+    assert.deepEqual(visit.complaints.filter((one) => !/409/.test(one)), []);
+    await visit.close();
+  },
+};

@@ -1,1 +1,0 @@
-import{K as e,P as t,q as n}from"./store.js";var r=e({recording:!1,shadow:!1,trace:!1}),i=!1;function a(){n(()=>{i||(i=!0,t(`/openapi.json`).then(({paths:e})=>{let t=`/v1/sessions/{name}`;r.value={recording:!!e[`${t}/recording`],shadow:!!e[`${t}/shadow`]?.get,trace:e[`${t}/estimates`]?.get?.parameters?.some(e=>e.name===`trace`)??!1}},()=>{i=!1}))},[])}export{a as n,r as t};
