@@ -13,7 +13,7 @@ use crate::scaled::Definite;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
-use crate::solve::follow::{ShortWay, Tether, follow};
+use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
@@ -182,8 +182,8 @@ pub(super) fn cut_short(
 pub(super) enum Arrival {
     /// It led to a fit.
     There(Box<Fit>),
-    /// It led farther away than it should, by a last step of that length: it is to be gone on from there.
-    Far { parameters: Vec<f64>, step: Option<f64>, report: StageReport },
+    /// It led farther away than it should, by that last step: it is to be gone on from there.
+    Far { parameters: Vec<f64>, stride: Stride, report: StageReport },
     /// The start was not nearly right.
     Lost,
 }
@@ -195,7 +195,7 @@ pub(super) fn followed(
     view: &View,
     constants: &[f64],
     start: &[f64],
-    before: Option<f64>,
+    before: Option<Stride>,
     tether: Option<&Tether>,
 ) -> Result<Arrival, CompileFailure> {
     if compiled.model().stages().len() != 1 || !compiled.is_covariance(0) || compiled.precision() == Precision::F64 {
@@ -215,8 +215,8 @@ pub(super) fn followed(
     if stage.ending == Ending::Budget && !view.is_over() {
         return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
     }
-    if let Some(step) = strained {
-        return Ok(Arrival::Far { parameters, step, report: stage });
+    if let Some(stride) = strained {
+        return Ok(Arrival::Far { parameters, stride, report: stage });
     }
     problem.passes.is_last = stage.ending == Ending::Budget;
     let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);

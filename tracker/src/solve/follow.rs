@@ -8,8 +8,9 @@
 //! `√(δᵀC⁻¹δ)`. Of two steps in a row of lengths a and b, with q = b/a, what is left after the second is at most
 //! `b (q + q² + …) = b q/(1 − q)` where steps go on to shrink as they do. Newton's shrink faster, by a share that falls with
 //! their length, down to what noise bends: so the next q is taken to be `(b + c)/(a + c)` of the last, with a c that is longer
-//! than any noise. When what is left is a small share of a standard deviation the fit is over: two passes from a tenth of a pixel, three from a whole one. Where the frame's budget
-//! ends it before, the last step is taken, though nothing has judged it: from a start that is nearly right it leads nearer.
+//! than any noise. When what is left is a small share of a standard deviation the fit is over: two passes from a tenth of a
+//! pixel, three from a whole one. Where the frame's budget ends it before, the last step is taken, though nothing has judged it:
+//! from a start that is nearly right it leads nearer.
 //!
 //! What a start is wrong about is where the target is: the rest is as it was a frame ago. To second order a target that is
 //! elsewhere looks like one that is wider and fainter as well, and Newton's step believes it. So a step that changes the rest by
@@ -26,6 +27,8 @@ use crate::solve::trust::{Quadratic, Spectrum};
 const LEFT: f64 = 0.05;
 /// A step this long, in standard deviations, shrinks the next one no more than a shorter one does.
 const BENT: f64 = 30.0;
+/// F a pixel may be this many times what it was where the step to the start began.
+const WORSE: f64 = 1.5;
 /// Passes after which a start was not nearly right.
 const PASSES: u32 = 6;
 /// A step moves the places alone where the rest would change by so many standard deviations more, …
@@ -38,8 +41,17 @@ pub(crate) struct ShortWay {
     pub report: StageReport,
     /// At the point where the last step began; F is what it will be at its end.
     pub pass: Pass,
-    /// It ended where its tether did, after a step of that length; not known of one that did not move all.
-    pub strained: Option<Option<f64>>,
+    /// It ended beyond its tether, by that step.
+    pub strained: Option<Stride>,
+}
+
+/// A step that ends where F is another, over other pixels, but nearly the same.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stride {
+    /// In standard deviations; not known of one that did not move all.
+    pub length: Option<f64>,
+    /// F a pixel where it began.
+    pub mean: f64,
 }
 
 /// How far from some point a way may lead.
@@ -61,25 +73,25 @@ impl Tether<'_> {
 
 /// Moves `point` to the minimum; `None`, with `point` as it was, where a step does not do what it promises, where bounds or
 /// rounding have a say, or where too many steps would be needed. What ends every pass is for the caller to find out anew.
-/// `before`: the length of the step that led to the point, where F was another but nearly the same.
+/// `before`: the step that led to the point.
 pub(crate) fn follow<P: CostFunction>(
     problem: &mut P,
     rules: &Rules,
     point: &mut [f64],
-    before: Option<f64>,
+    before: Option<Stride>,
     tether: Option<&Tether>,
 ) -> Option<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
     // F, and the length of the step from there; not known of one that did not move all.
-    let mut before: Option<(f64, Option<f64>)> = before.map(|way| (f64::INFINITY, Some(way)));
+    let mut earlier: Option<(f64, Option<f64>)> = None;
     // By how much F should fall by the step at hand.
-    let mut last = None;
+    let mut promised = None;
     while report.passes < PASSES.min(rules.iterations) {
         match problem.gradient(&at, point, &mut pass) {
             Ok(()) => {}
-            Err(Ending::Budget) => return left(last, rules, report, pass, (at, point)),
+            Err(Ending::Budget) => return left(promised, rules, report, pass, (at, point)),
             Err(_) => return None,
         }
         if report.passes == 0 {
@@ -92,10 +104,14 @@ pub(crate) fn follow<P: CostFunction>(
         let objective = pass.quadratic.objective;
         let slack = rules.slack(objective, pass.pixels);
         if rules.is_traced {
-            let fell = |promised: f64| Some((before?.0 - objective + slack) / (promised + slack));
-            report.note(TracePoint { objective, radius: None, ratio: last.and_then(fell) });
+            let fell = |promised: f64| Some((earlier?.0 - objective + slack) / (promised + slack));
+            report.note(TracePoint { objective, radius: None, ratio: promised.and_then(fell) });
         }
-        if before.is_some_and(|(last, _)| objective > last + slack) {
+        if report.passes == 1 {
+            // Over other pixels F is much the same only by the pixel.
+            earlier = before.map(|stride| (WORSE * stride.mean * pass.pixels as f64, stride.length));
+        }
+        if earlier.is_some_and(|(last, _)| objective > last + slack) {
             return None;
         }
         let whole = newton_step(&pass.quadratic, eigen_resolution(rules.precision))?;
@@ -114,28 +130,29 @@ pub(crate) fn follow<P: CostFunction>(
         let length = (reduction.max(0.0) / variance).sqrt();
         if tether.is_some_and(|tether| !tether.holds(&at, rules, &pass, variance)) {
             point.copy_from_slice(&at);
-            return Some(ShortWay { report, pass, strained: Some(is_whole.then_some(length)) });
+            let stride = Stride { length: is_whole.then_some(length), mean: objective / pass.pixels as f64 };
+            return Some(ShortWay { report, pass, strained: Some(stride) });
         }
-        if is_whole && before.and_then(|(_, last)| last).is_some_and(|last| is_near(last, length)) {
+        if is_whole && earlier.and_then(|(_, last)| last).is_some_and(|last| is_near(last, length)) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
             return Some(ShortWay { report, pass, strained: None });
         }
-        before = Some((objective, is_whole.then_some(length)));
-        last = Some(reduction);
+        earlier = Some((objective, is_whole.then_some(length)));
+        promised = Some(reduction);
     }
     None
 }
 
 /// What a way that was left has come to: the end of its last step.
 fn left(
-    last: Option<f64>,
+    promised: Option<f64>,
     rules: &Rules,
     report: StageReport,
     mut pass: Pass,
     (at, point): (Vec<f64>, &mut [f64]),
 ) -> Option<ShortWay> {
-    let reduction = last?;
+    let reduction = promised?;
     rules.free.iter().for_each(|&i| point[i] = at[i]);
     pass.quadratic.objective -= reduction;
     Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, strained: None })

@@ -25,7 +25,7 @@ use crate::sight::view::View;
 use crate::solve::corrections::{Corrections, Planes, less, roomy};
 use crate::solve::exact;
 use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at};
-use crate::solve::follow::Tether;
+use crate::solve::follow::{Stride, Tether};
 use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
 use crate::solve::workers::InTurn;
@@ -49,8 +49,10 @@ const LEFT: f64 = 0.05;
 const CHANGED: f64 = 0.2;
 /// Predictions that cost what a pixel of a pass does.
 const POINTS_A_PASS: usize = 4;
+/// By how many times this may be more for derivatives of means, of which it is not known but concluded.
+const CONCLUDED: f64 = 2.5;
 /// Fits until a choice and its plane suit.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 8;
 
 /// How a fit samples, and what that was chosen for.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -62,6 +64,9 @@ pub(crate) struct Chosen {
     /// By this share of a step the plane would have followed.
     #[serde(with = "exact")]
     lag: f64,
+    /// The last prediction was too far off for a plane made there.
+    #[serde(default)]
+    is_strained: bool,
     /// What the last fit went on with.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     corrections: Option<Corrections>,
@@ -84,6 +89,14 @@ pub(crate) enum Way {
     Short,
     /// As it has to: from where another fit has ended.
     Any,
+}
+
+/// A part of it, with one plane of corrections.
+#[derive(Clone, Copy, Debug)]
+struct Leg {
+    /// The step that led to its start.
+    before: Option<Stride>,
+    way: Way,
 }
 
 /// A model's kernels with corrections, and its pictures; its default cannot fit.
@@ -152,7 +165,7 @@ impl Sampling {
         constants: &[f64],
         start: &[f64],
         before: Option<&Chosen>,
-        mut way: Way,
+        way: Way,
     ) -> Result<Option<Fit>, CompileFailure> {
         let Some(kernels) = &self.kernels else { return Ok(None) };
         let mut chosen = match before {
@@ -163,26 +176,32 @@ impl Sampling {
             },
         };
         let mut from = start.to_vec();
+        let mut strained = false;
         let mut earlier: Option<StageReport> = None;
-        let (mut before, mut last) = (None, None);
+        let (mut leg, mut last) = (Leg { before: None, way }, None);
         for _ in 0..ROUNDS {
-            let narrow = if way == Way::Short { Some(view.narrowed(domain(&from))) } else { None };
+            let narrow = if leg.way == Way::Short { Some(view.narrowed(domain(&from))) } else { None };
             let seen = narrow.as_ref().unwrap_or(view);
             let room = roomy(seen.window, view.window);
             let kept = chosen.corrections.take().filter(|made| made.serves(chosen.sampled, seen.window));
+            // Where a plane at the prediction would be right, one that is not costs a pass.
+            let kept = kept.filter(|made| chosen.is_strained || kernels.is_near(&chosen, &made.at, &from));
             let made = match kept {
                 None => kernels.made(seen, room, constants, &from, chosen.sampled)?,
                 kept => kept,
             };
             let arrival = match &made {
-                Some(made) => kernels.fit(seen, made, constants, &from, &chosen, before, way)?,
+                Some(made) => kernels.fit(seen, made, constants, &from, chosen.lag, leg)?,
                 None => Arrival::Lost,
             };
             let found = match arrival {
                 Arrival::There(fit) => fit,
-                Arrival::Far { parameters, step, report } => {
+                Arrival::Far { parameters, stride, report } => {
+                    if earlier.is_none() {
+                        strained = stride.length.is_none_or(|length| chosen.lag * length > LEFT);
+                    }
                     earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
-                    (from, before, last) = (parameters, step, made);
+                    (from, leg.before, last) = (parameters, Some(stride), made);
                     continue;
                 }
                 Arrival::Lost => {
@@ -192,7 +211,7 @@ impl Sampling {
                     return Ok(Some(Fit { chosen: Some(Chosen { corrections: Some(made), ..chosen }), ..fit }));
                 }
             };
-            chosen.corrections = made;
+            (chosen.corrections, chosen.is_strained) = (made, strained);
             let mut fit = *found;
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
                 *last = last.clone().after(&earlier);
@@ -206,7 +225,7 @@ impl Sampling {
             let fitted = chosen.sampled;
             if information.iter().zip(&chosen.information).any(is_changed) {
                 match kernels.choose(view, constants, &fit.parameters, Some(fitted))? {
-                    Some(anew) => chosen = Chosen { corrections: chosen.corrections, ..anew },
+                    Some(anew) => chosen = Chosen { corrections: chosen.corrections, is_strained: strained, ..anew },
                     None => return Ok(None),
                 }
             }
@@ -219,7 +238,7 @@ impl Sampling {
             }
             from.clone_from(&fit.parameters);
             earlier = fit.stages.pop();
-            (before, way) = (None, Way::Any);
+            leg = Leg { before: None, way: Way::Any };
         }
         Ok(None)
     }
@@ -244,6 +263,14 @@ impl Kernels {
         if slopes > 1 { &self.mean } else { &self.centre }
     }
 
+    /// Whether a plane made at one point is likely to be right at another.
+    fn is_near(&self, chosen: &Chosen, from: &[f64], to: &[f64]) -> bool {
+        let moved =
+            self.centre.last_parameters().iter().map(|parameter| to[parameter.index()] - from[parameter.index()]);
+        let square: f64 = moved.zip(&chosen.information).map(|(moved, information)| information * moved * moved).sum();
+        chosen.lag * square.sqrt() <= LEFT
+    }
+
     /// One fit by one plane of corrections.
     fn fit(
         &self,
@@ -251,15 +278,14 @@ impl Kernels {
         made: &Corrections,
         constants: &[f64],
         start: &[f64],
-        chosen: &Chosen,
-        before: Option<f64>,
-        way: Way,
+        lag: f64,
+        leg: Leg,
     ) -> Result<Arrival, CompileFailure> {
         let Some(view) = self.corrected(view, made, constants)? else { return Ok(Arrival::Lost) };
         let kernels = self.of(made.sampled.slopes);
-        let tether = Tether { from: &made.at, length: LEFT / chosen.lag };
-        let followed = followed(kernels, &view, constants, start, before, Some(&tether))?;
-        if way == Way::Short || !matches!(followed, Arrival::Lost) {
+        let tether = Tether { from: &made.at, length: LEFT / lag };
+        let followed = followed(kernels, &view, constants, start, leg.before, Some(&tether))?;
+        if leg.way == Way::Short || !matches!(followed, Arrival::Lost) {
             return Ok(followed);
         }
         // Steps that go to and fro near the minimum.
@@ -269,7 +295,8 @@ impl Kernels {
         };
         Ok(match walked.stages.pop() {
             Some(report) if far > tether.length => {
-                Arrival::Far { parameters: walked.parameters, step: Some(far), report }
+                let stride = Stride { length: Some(far), mean: f64::INFINITY };
+                Arrival::Far { parameters: walked.parameters, stride, report }
             }
             report => {
                 walked.stages.extend(report);
@@ -392,11 +419,11 @@ impl Kernels {
         let coarser = before.is_some_and(|before| before.slopes > 1);
         let is_centre = points == 1 || differs <= if coarser { INFORMATION_COARSER } else { INFORMATION };
         // H is twice JᵀWJ, whose derivatives both lag.
-        let lag = 0.5 * differs * if is_centre { 1.0 } else { (of_mean / of_centre).min(1.0) };
+        let lag = 0.5 * differs * if is_centre { 1.0 } else { CONCLUDED * (of_mean / of_centre).min(1.0) };
         let sampled = Sampled { points, slopes: if is_centre { 1 } else { 2 } };
         // Without corrections nothing lags.
         let lag = if sampled.points == sampled.slopes { 0.0 } else { lag };
-        Ok(Some(Chosen { sampled, information: Vec::new(), lag, corrections: None }))
+        Ok(Some(Chosen { sampled, information: Vec::new(), lag, is_strained: false, corrections: None }))
     }
 
     /// 1/variance of each free parameter, if all others were known; of a residual's variance of 1, where the model does not say
