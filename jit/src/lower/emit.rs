@@ -1,5 +1,7 @@
 //! `Emitter`: the function under construction, the record, and access to both.
 
+use std::collections::BTreeMap;
+
 use cranelift_codegen::ir::condcodes::IntCC;
 use cranelift_codegen::ir::{
     self, Block, BlockArg, Endianness, InstBuilder, MemFlagsData, SigRef, SourceLoc, StackSlot, StackSlotData,
@@ -60,6 +62,8 @@ pub(super) struct Emitter<'a, 'p> {
     pub target: Option<ir::Value>,
     /// The addresses of the rows' areas.
     pub areas: Option<Areas>,
+    /// Where the lanes' cells of a table are in memory, by block and place.
+    pub cell_addresses: BTreeMap<(Option<Block>, u16, [ir::Value; 2]), Vec<ir::Value>>,
     record: StackSlot,
     /// The addresses of the record and of the argument block.
     bases: Option<[ir::Value; 2]>,
@@ -101,6 +105,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
             rows: vec![None; plan.program.channels()],
             target: None,
             areas: None,
+            cell_addresses: BTreeMap::new(),
             record,
             bases: None,
             frontend: isa.frontend_config(),

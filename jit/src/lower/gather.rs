@@ -17,25 +17,37 @@ impl Emitter<'_, '_> {
     /// A number of a table for each lane.
     pub fn looked_up(&mut self, lookup: Lookup, places: [ir::Value; 2]) -> ir::Value {
         let kind = self.b.func.dfg.value_type(places[0]);
-        let cells = self.cells(lookup, places);
-        let pair = |emit: &mut Self, first: u8| {
-            let [low, high] = [first, first + 1].map(|lane| emit.fetched(lookup, cells, lane));
+        let addresses = self.addresses(lookup, places, kind.lane_count());
+        let pair = |emit: &mut Self, pair: &[ir::Value]| {
+            let [low, high] = [pair[0], pair[1]].map(|address| emit.fetched(lookup, address));
             let low = emit.b.ins().scalar_to_vector(types::F64X2, low);
             emit.b.ins().insertlane(low, high, 1)
         };
-        let low = pair(self, 0);
+        let low = pair(self, &addresses[..2]);
         if kind == types::F64X2 {
             return low;
         }
-        let high = pair(self, 2);
+        let high = pair(self, &addresses[2..]);
         let [low, high] = [low, high].map(|pair| self.b.ins().fvdemote(pair));
         self.low_halves(low, high)
     }
 
     /// The same of the first lane alone.
     pub fn looked_up_one(&mut self, lookup: Lookup, places: [ir::Value; 2]) -> ir::Value {
+        let addresses = self.addresses(lookup, places, 1);
+        self.fetched(lookup, addresses[0])
+    }
+
+    /// The addresses of the cells of so many lanes, were the table the first; a block finds them once for all their numbers.
+    fn addresses(&mut self, lookup: Lookup, places: [ir::Value; 2], lanes: u32) -> Vec<ir::Value> {
+        let key = (self.b.current_block(), lookup.table, places);
+        if let Some(addresses) = self.cell_addresses.get(&key) {
+            return addresses.clone();
+        }
         let cells = self.cells(lookup, places);
-        self.fetched(lookup, cells, 0)
+        let addresses: Vec<ir::Value> = (0..lanes).map(|lane| self.cell_address(lookup, cells, lane as u8)).collect();
+        self.cell_addresses.insert(key, addresses.clone());
+        addresses
     }
 
     fn table(&self, lookup: Lookup) -> &Table {
@@ -95,12 +107,10 @@ impl Emitter<'_, '_> {
         self.constant_vector(kind, bytes)
     }
 
-    /// The number that the cell of a lane has.
-    fn fetched(&mut self, lookup: Lookup, cells: ir::Value, lane: u8) -> ir::Value {
-        let tables = self.plan.program.tables();
+    /// Of one lane.
+    fn cell_address(&mut self, lookup: Lookup, cells: ir::Value, lane: u8) -> ir::Value {
         let table = self.table(lookup);
         let (count, coefficients) = (table.numbers().len() / table.coefficients(), table.coefficients());
-        let first = tables.start(lookup.table) + usize::from(lookup.coefficient);
         let cell = self.b.ins().extractlane(cells, lane);
         let cell = match self.b.func.dfg.value_type(cell) {
             types::I64 => cell,
@@ -111,7 +121,12 @@ impl Emitter<'_, '_> {
         let bytes = (size_of::<f64>() * coefficients).trailing_zeros();
         let distance = self.b.ins().ishl_imm_u(cell, i64::from(bytes));
         let base = self.arg(types::I64, arg::TABLES);
-        let address = self.b.ins().iadd(base, distance);
+        self.b.ins().iadd(base, distance)
+    }
+
+    /// The number of the cell at an address.
+    fn fetched(&mut self, lookup: Lookup, address: ir::Value) -> ir::Value {
+        let first = self.plan.program.tables().start(lookup.table) + usize::from(lookup.coefficient);
         self.b.ins().load(types::F64, RECORD, address, (size_of::<f64>() * first) as i32)
     }
 }

@@ -69,7 +69,7 @@ impl PartialEq for Table {
 
 impl Table {
     /// The spline through samples, the first axis running fastest. `None` where axes and samples do not fit together: there
-    /// are one or two axes of four samples at least, and everything is finite, steps above 0.
+    /// are one or two axes of four samples at least, and everything is finite, the spline as well, steps above 0.
     pub fn through(axes: &[Axis], samples: &[f64]) -> Option<Table> {
         let is_axis = |axis: &Axis| {
             axis.count >= Axis::COUNT_MIN && axis.first.is_finite() && axis.step.is_finite() && axis.step > 0.0
@@ -94,7 +94,7 @@ impl Table {
                 let (places, powers) = cell_of(cell, width);
                 numbers.extend(powers.iter().map(|power| dot(power, |i| at(places[i], 0))));
             }
-            return Some(Table::alone(axes, numbers));
+            return Table::alone(axes, numbers);
         }
         for row in 0..axes[1].cells() {
             let (rows, along_rows) = cell_of(row, height);
@@ -105,11 +105,12 @@ impl Table {
                 }
             }
         }
-        Some(Table::alone(axes, numbers))
+        Table::alone(axes, numbers)
     }
 
-    fn alone(axes: &[Axis], numbers: Vec<f64>) -> Table {
-        Table { axes: axes.to_vec(), own: 0..numbers.len(), shared: numbers.into() }
+    fn alone(axes: &[Axis], numbers: Vec<f64>) -> Option<Table> {
+        let is_finite = numbers.iter().all(|number| number.is_finite());
+        is_finite.then(|| Table { axes: axes.to_vec(), own: 0..numbers.len(), shared: numbers.into() })
     }
 
     /// One or two.

@@ -85,6 +85,7 @@ fn what_is_no_table_is_refused() {
     assert!(Table::through(&[axis(0.0, 0.0, 4)], &samples).is_none());
     assert!(Table::through(&[axis(f64::NAN, 1.0, 4)], &samples).is_none());
     assert!(Table::through(&[axis(0.0, 1.0, 4)], &[1.0, 2.0, f64::INFINITY, 4.0]).is_none());
+    assert!(Table::through(&[axis(0.0, 1.0, 4)], &[f64::MAX, f64::MIN, f64::MAX, f64::MIN]).is_none());
     assert!(Table::through(&[], &[]).is_none());
 }
 

@@ -92,5 +92,10 @@ fn read_table(faults: &mut Faults, key: &Key, entry: &Entry, left: &mut usize) -
     let (first, step) = (first?, step?);
     let axis = |i: usize, count: usize| Axis { first: first[i], step: step[i], count };
     let axes = [axis(0, width), axis(1, height)];
-    Table::through(if is_flat { &axes } else { &axes[..1] }, &samples)
+    let table = Table::through(if is_flat { &axes } else { &axes[..1] }, &samples);
+    if table.is_none() {
+        let message = "the spline through these samples is not finite";
+        faults.tell("bad-number", &at, values.span, message, "make them smaller, and multiply in the formula");
+    }
+    table
 }
