@@ -72,7 +72,7 @@ fn a_swap_to_a_model_that_is_too_slow_is_refused() {
     // Nor does it come in by way of a shadow.
     service.put("/v1/sessions/one/shadow", &json!({"model": "heavy"})).expect(201);
     let refused = service.request("POST", "/v1/sessions/one/shadow:promote", &[], b"").expect(409);
-    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    assert_eq!(refused["code"], "too-slow", "{refused}");
     assert_eq!(service.delete("/v1/sessions/one/shadow").status, 204);
     assert_eq!(service.get("/v1/sessions/one").expect(200)["requested_model"], "spot");
 
@@ -193,7 +193,7 @@ fn what_sessions_cost_is_known_while_their_source_is_paused() {
     service.wait_for("first", is_tracking);
     service.put("/v1/sources/fast/playback", &json!({"paused": true})).expect(200);
     let refused = service.put("/v1/sessions/first/model", &json!({"model": "heavy"})).expect(409);
-    assert_eq!(refused["type"], "urn:isophote:problem:too-slow", "{refused}");
+    assert_eq!(refused["code"], "too-slow", "{refused}");
     // The second swap has that frame as well, though its model has found nothing in it.
     service.put("/v1/sessions/first/model", &json!({"model": "spot"})).expect(200);
     service.put("/v1/sessions/first/model", &json!({"model": "heavy"})).expect(409);
@@ -203,7 +203,7 @@ fn what_sessions_cost_is_known_while_their_source_is_paused() {
         service.put(&format!("/v1/sessions/more-{number}"), &json!({"source": "fast", "model": "thesis-spot"}))
     };
     let refused = (0..60).map(put).find(|answer| answer.status != 201).unwrap().expect(429);
-    assert_eq!(refused["type"], "urn:isophote:problem:over-capacity", "{refused}");
+    assert_eq!(refused["code"], "over-capacity", "{refused}");
     service.stop();
 }
 
