@@ -12,7 +12,7 @@ export const entered = signal(0);
 
 /** An answer that says no. */
 export class Refused extends Error {
-  constructor(readonly status: number, readonly code: string, detail: string, readonly diagnostics: Diagnostic[]) {
+  constructor(readonly status: number, detail: string, readonly diagnostics: Diagnostic[]) {
     super(detail);
   }
 }
@@ -41,7 +41,7 @@ async function ask(method: string, path: string, body?: BodyInit, headers: Recor
   const detail: string = problem.detail ?? `${method} ${path}: ${answer.status}`;
   // Of what was asked with an older token nothing is learned.
   if (answer.status === 401 && used === token) entrance.value = { reason: token ? detail : "" };
-  throw new Refused(answer.status, String(problem.type ?? "").split(":").pop() ?? "", detail, problem.diagnostics ?? []);
+  throw new Refused(answer.status, detail, problem.diagnostics ?? []);
 }
 
 export async function get<T>(path: string): Promise<T> {
