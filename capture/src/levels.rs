@@ -91,7 +91,7 @@ mod tests {
             (1.0, 0.0, 3.0, 1e-9),
             (1.0, 4.0, 60.0, 1e-9),
         ] {
-            let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e };
+            let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e, row_noise_e: 0.0 };
             let levels = Levels::new(mean, &sensor).unwrap();
             let (mut before, mut average, mut square) = (0.0, 0.0, 0.0);
             for (i, cumulative) in levels.cumulative.iter().enumerate() {
@@ -114,13 +114,13 @@ mod tests {
 
     #[test]
     fn clipped_light_is_at_the_limit_and_wide_distributions_are_left_alone() {
-        let sensor = Sensor { saturation: 253.0, electrons_per_dn: 19.6, read_noise_e: 15.0 };
+        let sensor = Sensor { saturation: 253.0, electrons_per_dn: 19.6, read_noise_e: 15.0, row_noise_e: 0.0 };
         let levels = Levels::new(300.0, &sensor).unwrap();
         assert_eq!((levels.at(0.001), levels.at(0.999_999)), (253, 253));
         let dark = Levels::new(0.0, &sensor).unwrap();
         assert_eq!((dark.at(0.0), dark.at(0.5)), (0, 0));
         assert!(dark.at(0.999_999) >= 3);
-        let wide = Sensor { saturation: 65_535.0, electrons_per_dn: 0.5, read_noise_e: 15.0 };
+        let wide = Sensor { saturation: 65_535.0, electrons_per_dn: 0.5, read_noise_e: 15.0, row_noise_e: 0.0 };
         assert!(Levels::new(30_000.0, &wide).is_none());
         assert!(Levels::new(f32::INFINITY, &sensor).is_none());
     }

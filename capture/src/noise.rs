@@ -1,7 +1,7 @@
 //! The sensor: expected light in, pixel values out.
 //!
 //! A pixel that should read m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts
-//! Poisson(e) of them, adds N(0, read noise²) electrons, is converted back to DN, times the gain, rounded, and clipped to
+//! Poisson(e) of them, adds N(0, read noise²) electrons and what its row is off by, N(0, row noise²), is converted back to DN, times the gain, rounded, and clipped to
 //! 0…saturation, below a gain of 1 to 0…gain · saturation, where the full well ends. Without electrons (a full well of 0) it is only rounded and clipped.
 //!
 //! Poisson numbers are exact: inversion for small means, Hörmann's transformed rejection PTRS otherwise (W. Hörmann, The
@@ -28,6 +28,8 @@ pub(crate) struct Sensor {
     pub electrons_per_dn: f64,
     /// Standard deviation.
     pub read_noise_e: f64,
+    /// Standard deviation of what the pixels of a row have in common.
+    pub row_noise_e: f64,
 }
 
 /// So many equal means in a row are ground, whose values are worth a table…
@@ -83,27 +85,32 @@ impl ReadOut {
             }
             return;
         }
+        let offset_e = match self.sensor.row_noise_e {
+            deviation if deviation > 0.0 => deviation * self.random.normal(),
+            _ => 0.0,
+        };
         for (pixel, mean) in pixels.iter_mut().zip(means) {
             *pixel = match &self.ground {
                 Some(ground) if ground.mean_dn() == *mean => ground.at(self.random.uniform()),
-                _ => self.counted(*mean),
+                _ => self.counted(*mean, offset_e),
             };
         }
     }
 
-    /// One pixel by counting electrons.
-    fn counted(&mut self, mean_dn: f32) -> u16 {
-        let Sensor { electrons_per_dn, read_noise_e, .. } = self.sensor;
+    /// One pixel by counting electrons; its row is off by so many.
+    fn counted(&mut self, mean_dn: f32, offset_e: f64) -> u16 {
+        let Sensor { electrons_per_dn, read_noise_e, row_noise_e, .. } = self.sensor;
         if mean_dn == self.mean_dn {
             self.run += 1;
-            if self.run == GROUND_RUN && self.grounds < GROUNDS_MAX {
+            // No table is of rows that differ.
+            if row_noise_e == 0.0 && self.run == GROUND_RUN && self.grounds < GROUNDS_MAX {
                 self.find_ground(mean_dn);
             }
         } else {
             (self.mean_dn, self.run) = (mean_dn, 1);
             self.poisson = Poisson::new(f64::from(mean_dn) * electrons_per_dn);
         }
-        let mut electrons = self.poisson.sample(&mut self.random);
+        let mut electrons = offset_e + self.poisson.sample(&mut self.random);
         if read_noise_e > 0.0 {
             electrons += read_noise_e * self.random.normal();
         }
@@ -275,7 +282,7 @@ mod tests {
 
     #[test]
     fn read_out_rounds_and_clips_without_noise() {
-        let sensor = Sensor { saturation: 253.0, electrons_per_dn: 0.0, read_noise_e: 15.0 };
+        let sensor = Sensor { saturation: 253.0, electrons_per_dn: 0.0, read_noise_e: 15.0, row_noise_e: 0.0 };
         let means = [-3.0, 0.0, 0.49, 0.5, 1.5, 252.4, 252.6, 900.0, f32::NAN, f32::INFINITY];
         let mut pixels = [7; 10];
         ReadOut::new(sensor).row(&means, &mut pixels);
@@ -287,7 +294,7 @@ mod tests {
     #[test]
     fn below_a_gain_of_one_the_full_well_is_the_end() {
         for electrons_per_dn in [0.0, 19.6] {
-            let sensor = Sensor { saturation: 200.0, electrons_per_dn, read_noise_e: 5.0 };
+            let sensor = Sensor { saturation: 200.0, electrons_per_dn, read_noise_e: 5.0, row_noise_e: 0.0 };
             let mut read_out = ReadOut::new(sensor);
             for (gain, end) in [(1.0, 200), (0.5, 100), (0.333, 66), (2.0, 200)] {
                 read_out.begin(3, 0, gain);
@@ -309,7 +316,7 @@ mod tests {
         for (gain, read_noise_e, mean) in
             [(19.6, 15.0, 20.0), (19.6, 15.0, 150.0), (1.0, 2.0, 100.0), (0.2, 0.0, 120.0)]
         {
-            let sensor = Sensor { saturation: 65_535.0, electrons_per_dn: gain, read_noise_e };
+            let sensor = Sensor { saturation: 65_535.0, electrons_per_dn: gain, read_noise_e, row_noise_e: 0.0 };
             let mut pixels = vec![0; N];
             let mut read_out = ReadOut::new(sensor);
             read_out.begin(42, 7, 1.0);
@@ -332,12 +339,31 @@ mod tests {
         }
     }
 
+    /// Rows of even ground, each of which has its own mean: that of 5,000 rows varies as stated, that within a row as without.
+    #[test]
+    fn pixels_of_a_row_are_off_together() {
+        let sensor = Sensor { saturation: 255.0, electrons_per_dn: 20.0, read_noise_e: 15.0, row_noise_e: 40.0 };
+        let mut read_out = ReadOut::new(sensor);
+        read_out.begin(42, 7, 1.0);
+        let (mut pixels, rows, n) = (vec![0; 300], 5000, 300.0);
+        let [mut between, mut within] = [0.0; 2];
+        for _ in 0..rows {
+            read_out.row(&vec![100.0; 300], &mut pixels);
+            let mean = pixels.iter().map(|p| f64::from(*p)).sum::<f64>() / n;
+            between += (mean - 100.0).powi(2) / f64::from(rows);
+            within += pixels.iter().map(|p| (f64::from(*p) - mean).powi(2)).sum::<f64>() / (n - 1.0) / f64::from(rows);
+        }
+        let pixel = 100.0 / 20.0 + (15.0f64 / 20.0).powi(2) + 1.0 / 12.0;
+        assert!((within / pixel - 1.0).abs() < 0.01, "{within}");
+        assert!((between / (4.0 + pixel / n) - 1.0).abs() < 0.1, "{between}"); // 5 √(2/5000)
+    }
+
     /// Ground by table and the same light counted electron by electron have the same distribution: χ² of two samples.
     #[test]
     fn ground_is_read_as_everything_else() {
         const N: usize = 400_000;
         for (gain, read_noise_e, mean) in [(19.6, 15.0, 20.0), (19.6, 15.0, 250.0), (1.0, 0.0, 4.0), (0.3, 2.0, 90.0)] {
-            let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e };
+            let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e, row_noise_e: 0.0 };
             let count = |means: Vec<f32>, seed| {
                 let mut read_out = ReadOut::new(sensor);
                 read_out.begin(seed, 0, 1.0);
@@ -364,7 +390,7 @@ mod tests {
     /// A frame is the same whether or not others were read before it.
     #[test]
     fn frames_do_not_depend_on_earlier_ones() {
-        let sensor = Sensor { saturation: 255.0, electrons_per_dn: 19.6, read_noise_e: 15.0 };
+        let sensor = Sensor { saturation: 255.0, electrons_per_dn: 19.6, read_noise_e: 15.0, row_noise_e: 0.0 };
         let means = vec![20.0; 2000];
         let (mut fresh, mut used) = (ReadOut::new(sensor), ReadOut::new(sensor));
         let (mut first, mut second) = (vec![0; 2000], vec![0; 2000]);

@@ -28,6 +28,8 @@ pub struct SceneSpec {
     pub full_well_e: f64,
     /// As [`SyntheticSpec::read_noise_e`].
     pub read_noise_e: f64,
+    /// As [`SyntheticSpec::row_noise_e`].
+    pub row_noise_e: f64,
     /// As [`SyntheticSpec::light`].
     pub light: Light,
 }
@@ -68,7 +70,8 @@ impl StagedScene {
         let exposure = light::read_factor("exposure", &spec.exposure).map_err(wrong_light)?;
         let gain = light::read_factor("gain", &spec.gain).map_err(wrong_light)?;
         let electrons_per_dn = spec.full_well_e / spec.saturation;
-        let sensor = Sensor { saturation: spec.saturation, electrons_per_dn, read_noise_e: spec.read_noise_e };
+        let SyntheticSpec { saturation, read_noise_e, row_noise_e, .. } = *spec;
+        let sensor = Sensor { saturation, electrons_per_dn, read_noise_e, row_noise_e };
         Ok(StagedScene { motion, light, exposure, gain, parameters, constants, sensor })
     }
 
@@ -127,7 +130,7 @@ impl SceneKnob {
     /// # Errors
     /// What a camera with such a scene is refused with; or the next frame could not be seen. The scene is as it was then.
     pub fn set(&self, scene: SceneSpec) -> Result<u64, SyntheticError> {
-        let SceneSpec { set, motion, exposure, gain, full_well_e, read_noise_e, light } = scene;
+        let SceneSpec { set, motion, exposure, gain, full_well_e, read_noise_e, row_noise_e, light } = scene;
         let spec = SyntheticSpec {
             set,
             motion,
@@ -135,6 +138,7 @@ impl SceneKnob {
             gain,
             full_well_e,
             read_noise_e,
+            row_noise_e,
             light,
             ..SyntheticSpec::clone(&self.spec)
         };

@@ -36,6 +36,8 @@ pub struct SyntheticSpec {
     pub full_well_e: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f64,
+    /// Standard deviation of what all pixels of a row are off by, electrons.
+    pub row_noise_e: f64,
     /// So many times the light: times what the knob of [`Exposure`](crate::Exposure) says.
     pub exposure: Moving,
     /// DN for each DN, after the electrons are counted: it amplifies light and noise, but not rounding.
@@ -72,6 +74,7 @@ impl SyntheticSpec {
             samples: 8,
             full_well_e: 0.0,
             read_noise_e: 0.0,
+            row_noise_e: 0.0,
             exposure: Moving::Number(1.0),
             gain: Moving::Number(1.0),
             saturation: 255.0,
@@ -191,7 +194,8 @@ pub(crate) fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     in_range("exposure_latency", latency, spec.exposure_latency <= LIMITS.exposure_latency, "0 to 64")?;
     in_range("rate_hz", spec.rate_hz, spec.rate_hz > 0.0, "positive")?;
     in_range("full_well_e", spec.full_well_e, spec.full_well_e >= 0.0, "0 (no noise) or positive")?;
-    in_range("read_noise_e", spec.read_noise_e, spec.read_noise_e >= 0.0, "0 or positive")
+    in_range("read_noise_e", spec.read_noise_e, spec.read_noise_e >= 0.0, "0 or positive")?;
+    in_range("row_noise_e", spec.row_noise_e, spec.row_noise_e >= 0.0, "0 or positive")
 }
 
 /// Parameters and constants of the first frame, motion apart.

@@ -261,6 +261,7 @@ fn a_scene_is_taken_between_two_frames() {
         gain: Moving::Number(1.0),
         full_well_e: spec.full_well_e,
         read_noise_e: 0.0,
+        row_noise_e: 0.0,
         light: Light::default(),
     };
     let (before, after) = (spec(100.0, 0.0), spec(200.0, 9000.0));

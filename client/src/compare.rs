@@ -33,7 +33,7 @@ pub struct CompareArgs {
     /// With --live: look at so many frames [default: 200]
     #[arg(long, value_name = "N", requires = "live", value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub count: Option<u64>,
-    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects, defect_map
+    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.003]

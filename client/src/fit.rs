@@ -45,8 +45,8 @@ pub struct FitArgs {
     /// Look at these pixels only, in all slices; x,y,z,w,h,d names slices as well
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, defects, defect_map, intrinsics; or the
-    /// YAML file that OpenCV's calibration (or ROS's camera_info) writes
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
+    /// intrinsics; or the YAML file that OpenCV's calibration (or ROS's camera_info) writes
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// A JSON document about the target: spots with their positions and radii in mm. With the camera's intrinsics it gives

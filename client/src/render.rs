@@ -51,6 +51,9 @@ pub struct RenderArgs {
     /// Standard deviation of the read noise
     #[arg(long, value_name = "E", default_value_t = 0.0)]
     pub read_noise_e: f64,
+    /// Standard deviation of what all pixels of a row are off by together
+    #[arg(long, value_name = "E", default_value_t = 0.0)]
+    pub row_noise_e: f64,
     /// So many times the light, a number or a formula of t
     #[arg(long, value_name = "FACTOR", default_value = "1")]
     pub exposure: Moving,
@@ -98,6 +101,7 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         samples: args.samples,
         full_well_e: args.full_well_e,
         read_noise_e: args.read_noise_e,
+        row_noise_e: args.row_noise_e,
         exposure: args.exposure.clone(),
         gain: args.gain.clone(),
         light: args.light.as_deref().map(read_light).transpose()?.unwrap_or_default(),

@@ -34,7 +34,8 @@ pub struct StartArgs {
     /// Look at these pixels only
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, defects, defect_map, intrinsics
+    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
+    /// intrinsics
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.003]

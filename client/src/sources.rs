@@ -35,6 +35,9 @@ pub struct SceneArgs {
     /// Standard deviation of the read noise
     #[arg(long, value_name = "E")]
     pub read_noise_e: Option<f64>,
+    /// Standard deviation of what all pixels of a row are off by together
+    #[arg(long, value_name = "E")]
+    pub row_noise_e: Option<f64>,
     /// Glare, occluders, blindness, defocus and hot pixels: JSON, as `light` of a synthetic source
     #[arg(long, value_name = "FILE")]
     pub light: Option<PathBuf>,
@@ -86,6 +89,7 @@ pub fn scene(args: &SceneArgs, out: &mut dyn Write) -> Result<(), Failure> {
         gain: args.gain.clone(),
         full_well_e: args.full_well_e,
         read_noise_e: args.read_noise_e,
+        row_noise_e: args.row_noise_e,
         light: match &args.light {
             Some(path) => serde_json::from_value(source_uri::read_json(path)?)
                 .map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))?,
@@ -121,7 +125,8 @@ pub fn scene(args: &SceneArgs, out: &mut dyn Write) -> Result<(), Failure> {
             vec![name.to_string(), text]
         }));
     }
-    for (name, value) in [("full_well_e", view.scene.full_well_e), ("read_noise_e", view.scene.read_noise_e)] {
+    let SceneDocument { full_well_e, read_noise_e, row_noise_e, .. } = view.scene;
+    for (name, value) in [("full_well_e", full_well_e), ("read_noise_e", read_noise_e), ("row_noise_e", row_noise_e)] {
         rows.extend(value.map(|value| vec![name.to_string(), value.to_string()]));
     }
     output::table(out, &["NAME", "VALUE"], &rows)

@@ -332,11 +332,16 @@ impl TrackerOptions {
         let constant = |name: &str| self.constants.get(name).copied().filter(|_| model.has_noise());
         let positive = "a positive number";
         let not_negative = "0 or a positive number";
-        let rows: [(&str, Option<f64>, f64, &str); 6] = [
+        if let (Some(value), None) = (camera.row_noise_e, camera.electrons_per_dn) {
+            let range = "given together with `electrons_per_dn`".to_string();
+            return Err(TrackError::Range { name: "camera.row_noise_e", value, range });
+        }
+        let rows: [(&str, Option<f64>, f64, &str); 7] = [
             ("camera.black", Some(camera.black), f64::MIN, "a finite number"),
             ("camera.saturation", camera.saturation, camera.black.next_up(), "a number above `black`"),
             ("camera.electrons_per_dn", camera.electrons_per_dn, f64::MIN_POSITIVE, positive),
             ("camera.read_noise_e", camera.read_noise_e, 0.0, not_negative),
+            ("camera.row_noise_e", camera.row_noise_e, 0.0, not_negative),
             ("constants.gain", constant("gain"), 0.0, not_negative),
             ("constants.read_noise", constant("read_noise"), 0.0, not_negative),
         ];

@@ -39,8 +39,8 @@ pub fn measure(document: &Document, frames: usize) -> Vec<Basin> {
 fn found(document: &Document, light: &'static str, [radius, offset]: [f64; 2], frames: usize) -> f64 {
     let task = Task { condition: condition(light), document: "spot-plane", known: nothing };
     let hits = each(frames, |number| {
-        let (scene, image, map, mut random) = shot(&task, number);
-        let outcome = ask(document, (&image, map), &scene, &start(&scene, [radius, offset], &mut random));
+        let (scene, image, camera, mut random) = shot(&task, number);
+        let outcome = ask(document, (&image, camera), &scene, &start(&scene, [radius, offset], &mut random));
         outcome.trial.is_some_and(|trial| trial.error[0].hypot(trial.error[1]) < 0.1 && trial.size.abs() < 0.05)
     });
     hits.iter().filter(|hit| **hit).count() as f64 / frames as f64

@@ -41,8 +41,10 @@ pub fn variances_of(scene: &Scene, beside: Beside, variance: &dyn Fn(f64) -> f64
         })
         .collect();
     let n = truth.len();
-    let product =
-        |i: usize, j: usize| columns[i].iter().zip(&columns[j]).zip(&weights).map(|((a, b), w)| a * b * w).sum();
+    let product = |i: usize, j: usize| {
+        let all = columns[i].iter().zip(&columns[j]).zip(&weights).map(|((a, b), w)| a * b * w).sum::<f64>();
+        all - shared(scene, [&columns[i], &columns[j]], &weights)
+    };
     let fisher: DMatrix<f64> = DMatrix::from_fn(n, n, |i, j| if i <= j { product(i, j) } else { 0.0 });
     let fisher = DMatrix::from_fn(n, n, |i, j| fisher[(i.min(j), i.max(j))]);
     // Unknowns have units from px to px⁻²: scaled to a unit diagonal before the inverse is taken.
@@ -50,6 +52,16 @@ pub fn variances_of(scene: &Scene, beside: Beside, variance: &dyn Fn(f64) -> f64
     let scaled = DMatrix::from_fn(n, n, |i, j| fisher[(i, j)] * scale[i] * scale[j]);
     let inverse = scaled.try_inverse().unwrap();
     (0..n).map(|i| inverse[(i, i)] * scale[i] * scale[i]).collect()
+}
+
+/// What unknown offsets of the rows take from `Σ w a b`: `Σ κ (Σ w a)(Σ w b)` over rows, with `κ = τ²/(1 + τ² Σ w)`.
+fn shared(scene: &Scene, [a, b]: [&[f64]; 2], weights: &[f64]) -> f64 {
+    let (side, variance) = (scene.condition.side_px, scene.condition.row_noise.powi(2));
+    let row = |first: usize| {
+        let sum = |of: &dyn Fn(usize) -> f64| (first..first + side).map(|i| weights[i] * of(i)).sum::<f64>();
+        variance / (1.0 + variance * sum(&|_| 1.0)) * sum(&|i| a[i]) * sum(&|i| b[i])
+    };
+    if variance > 0.0 { (0..side).map(|y| row(y * side)).sum() } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -51,6 +51,19 @@ pub struct Condition {
     pub warm: f64,
     /// What the tracker is told of such pixels.
     pub defects: Defects,
+    /// What the pixels of a row are off by together, DN, …
+    pub row_noise: f64,
+    /// … and whether the tracker is told.
+    pub rows: RowNoise,
+}
+
+/// What is known of rows' offsets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RowNoise {
+    /// Nothing.
+    Unknown,
+    /// The camera's document says how large they are.
+    Stated,
 }
 
 /// What is known of pixels that do not read the light.
@@ -78,14 +91,17 @@ const PLAIN: Condition = Condition {
     hot: 0.0,
     warm: 0.0,
     defects: Defects::Unknown,
+    row_noise: 0.0,
+    rows: RowNoise::Unknown,
 };
+const ROWS_2: Condition = Condition { row_noise: 2.0, rows: RowNoise::Stated, ..PLAIN };
 const WARM: Condition = Condition { warm: 5e-3, ..PLAIN };
 const MAPPED: Condition = Condition { defects: Defects::Mapped, ..PLAIN };
 const SMALL: Condition = Condition { side_px: 25, semi_axes_px: [4.5, 3.3], ..PLAIN };
 const LOBE: Glare = Glare::Lobe { height: 140.0, centre: [8.0, 12.0], width: 35.0 };
 
 /// All conditions, in the order of the tables. Where light matters less than what hides it, 10 or 30 % are saturated.
-pub const CONDITIONS: [Condition; 25] = [
+pub const CONDITIONS: [Condition; 29] = [
     PLAIN,
     Condition { name: "S10", saturated: 0.1, ..PLAIN },
     Condition { name: "S30", saturated: 0.3, ..PLAIN },
@@ -111,6 +127,10 @@ pub const CONDITIONS: [Condition; 25] = [
     Condition { name: "warm5_S30_map", saturated: 0.3, warm: 5e-3, ..MAPPED },
     Condition { name: "hot05_map", hot: 5e-4, ..MAPPED },
     Condition { name: "hot5_map", hot: 5e-3, ..MAPPED },
+    Condition { name: "rows2_S0", ..ROWS_2 },
+    Condition { name: "rows2_S30", saturated: 0.3, ..ROWS_2 },
+    Condition { name: "rows2_dark", background: 8.0, peak: 30.0, ..ROWS_2 },
+    Condition { name: "rows2_untold", rows: RowNoise::Unknown, ..ROWS_2 },
 ];
 
 /// The condition of that name.
@@ -172,10 +192,12 @@ const fn row(condition: &'static str, document: &'static str, goal: [Option<f64>
     Row { condition, document, known: nothing, goal }
 }
 
+/// Of a bound that knows how large rows' offsets are.
+const OFFSET: [Option<f64>; 2] = [Some(1.3), Some(1.3)];
 const CLEAR: [Option<f64>; 2] = [Some(1.06), Some(1.06)];
 
 /// The table: which document is fitted in which condition, and what is to be reached.
-pub const ROWS: [Row; 29] = [
+pub const ROWS: [Row; 33] = [
     row("S0", "spot-plane", CLEAR),
     row("S10", "spot-plane", CLEAR),
     row("S30", "spot-plane", CLEAR),
@@ -205,4 +227,8 @@ pub const ROWS: [Row; 29] = [
     row("warm5_S30_map", "spot-plane", CLEAR),
     row("hot05_map", "spot-plane", CLEAR),
     row("hot5_map", "spot-plane", CLEAR),
+    row("rows2_S0", "spot-plane", OFFSET),
+    row("rows2_S30", "spot-plane", OFFSET),
+    row("rows2_dark", "spot-plane", OFFSET),
+    row("rows2_untold", "spot-plane", OFFSET),
 ];

@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, ParameterId, Precision};
-use isophote_tracker::{
-    Camera, Compiled, DefectMap, Estimate, Frame, InTurn, Plane, TrackState, Tracker, TrackerOptions,
-};
+use isophote_tracker::{Camera, Compiled, Estimate, Frame, InTurn, Plane, TrackState, Tracker, TrackerOptions};
 
 use super::light::PROFILE;
 use super::sensor::{FULL, GAIN, READ_E};
@@ -47,17 +45,13 @@ impl Document {
         Document { compiled: Arc::new(compiled), centre, shape, brightness }
     }
 
-    /// A tracker that has seen nothing, with these starting values beside the profile.
-    pub fn tracker(&self, start: &[(&'static str, f64)], defect_map: Option<DefectMap>) -> Tracker {
+    /// A tracker that has seen nothing, with these starting values beside the profile, and what is known of the camera beside
+    /// its light.
+    pub fn tracker(&self, start: &[(&'static str, f64)], known: Camera) -> Tracker {
         let [k1, k2] = PROFILE;
         let all = [("k1", k1), ("k2", k2)].into_iter().chain(start.iter().copied());
-        let camera = Camera {
-            saturation: Some(FULL),
-            electrons_per_dn: Some(1.0 / GAIN),
-            read_noise_e: Some(READ_E),
-            defect_map,
-            ..Camera::default()
-        };
+        let camera =
+            Camera { saturation: Some(FULL), electrons_per_dn: Some(1.0 / GAIN), read_noise_e: Some(READ_E), ..known };
         let options = TrackerOptions {
             start: all.map(|(name, value)| (name.to_string(), value)).collect(),
             camera,

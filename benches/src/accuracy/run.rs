@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use isophote_tracker::{DefectMap, Frame};
+use isophote_tracker::{Camera, DefectMap, Frame};
 
 use super::bound::variances;
-use super::condition::{Condition, Defects, Glare, Task};
+use super::condition::{Condition, Defects, Glare, RowNoise, Task};
 use super::document::{Document, frame};
 use super::scene::{Beside, Scene};
-use super::sensor::{FULL, Random};
+use super::sensor::{FULL, GAIN, Random};
 use super::summary::Summary;
 use super::trial::{Outcome, ask};
 
@@ -63,12 +63,15 @@ fn beside(task: &Task) -> Beside {
     }
 }
 
-/// One drawing, its frame, what its camera knows of its pixels, and where the random numbers go on.
-pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Option<DefectMap>, Random) {
+/// One drawing, its frame, what is known of its camera's pixels, and where the random numbers go on.
+pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Camera, Random) {
     let mut random = Random::of(task.condition.name, number);
     let scene = Scene::draw(task.condition, &mut random);
-    let Condition { hot, warm, defects, side_px, .. } = task.condition;
-    let mut pixels = random.exposed(&scene.seen().0);
+    let Condition { hot, warm, defects, row_noise, rows, side_px, .. } = task.condition;
+    let mut pixels = match row_noise > 0.0 {
+        true => random.exposed_by_rows(&scene.seen().0, side_px, row_noise),
+        false => random.exposed(&scene.seen().0),
+    };
     let side = side_px as u32;
     let mut map = DefectMap { width: side, height: side, ..DefectMap::default() };
     if hot + warm > 0.0 {
@@ -83,7 +86,9 @@ pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Option<DefectMap>, Ran
             map.pixels.push([place as u32 % side, place as u32 / side]);
         }
     }
-    (scene, frame(pixels, side_px), (defects == Defects::Mapped).then_some(map), random)
+    let defect_map = (defects == Defects::Mapped).then_some(map);
+    let row_noise_e = (rows == RowNoise::Stated).then_some(row_noise / GAIN);
+    (scene, frame(pixels, side_px), Camera { defect_map, row_noise_e, ..Camera::default() }, random)
 }
 
 /// A task over that many frames.
@@ -94,10 +99,10 @@ pub fn measure(task: &Task, document: &Document, frames: usize) -> Measured {
         (variances[0] + variances[1]) / 2.0
     });
     let outcomes: Vec<[Outcome; 2]> = each(frames, |number| {
-        let (scene, image, map, mut random) = shot(task, number);
+        let (scene, image, camera, mut random) = shot(task, number);
         let known = (task.known)(&scene);
         let prior = [scene.prior(&mut random), known.clone()].concat();
-        [known, prior].map(|start| ask(document, (&image, map.clone()), &scene, &start))
+        [known, prior].map(|start| ask(document, (&image, camera.clone()), &scene, &start))
     });
     let column = |start: usize| outcomes.iter().map(|both| both[start].clone()).collect::<Vec<Outcome>>();
     Measured {

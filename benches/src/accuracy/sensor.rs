@@ -47,13 +47,23 @@ impl Random {
 
     /// What the camera makes of this light (DN, unclipped).
     pub fn exposed(&mut self, light: &[f64]) -> Vec<u8> {
-        light.iter().map(|&mean| self.pixel(mean)).collect()
+        light.iter().map(|&mean| self.pixel(mean, 0.0)).collect()
     }
 
-    fn pixel(&mut self, mean: f64) -> u8 {
+    /// The same where each row of so many pixels is off by a number of its own, of this deviation, DN.
+    pub fn exposed_by_rows(&mut self, light: &[f64], width: usize, row_noise: f64) -> Vec<u8> {
+        let mut pixels = Vec::with_capacity(light.len());
+        for row in light.chunks(width) {
+            let offset = row_noise * self.normal();
+            pixels.extend(row.iter().map(|&mean| self.pixel(mean, offset)));
+        }
+        pixels
+    }
+
+    fn pixel(&mut self, mean: f64, offset: f64) -> u8 {
         let photons = Poisson::new(mean / GAIN).map_or(0.0, |poisson| poisson.sample(&mut self.0));
         let electrons = photons + READ_E * self.normal();
-        (electrons * GAIN).round_ties_even().clamp(0.0, FULL) as u8
+        (electrons * GAIN + offset).round_ties_even().clamp(0.0, FULL) as u8
     }
 }
 

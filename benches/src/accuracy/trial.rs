@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use isophote_tracker::{DefectMap, Frame};
+use isophote_tracker::{Camera, Frame};
 
 use super::condition::Known;
 use super::document::{Answer, Document, semi_axes};
@@ -37,9 +37,9 @@ pub struct Outcome {
     pub time_us: f64,
 }
 
-/// Asks a fresh tracker, whose camera may have a map of its defects.
-pub fn ask(document: &Document, (frame, map): (&Frame, Option<DefectMap>), scene: &Scene, start: &Known) -> Outcome {
-    let mut tracker = document.tracker(start, map);
+/// Asks a fresh tracker, of whose camera that is known beside its light.
+pub fn ask(document: &Document, (frame, camera): (&Frame, Camera), scene: &Scene, start: &Known) -> Outcome {
+    let mut tracker = document.tracker(start, camera);
     let begin = Instant::now();
     let estimate = tracker.track(frame);
     let time_us = begin.elapsed().as_secs_f64() * 1e6;

@@ -10,7 +10,8 @@ use serde::Serialize;
 use crate::failure::Failure;
 use crate::{offline, output};
 
-/// Find how noisy the camera is: electrons per DN, and the noise without light; models with a `noise` weigh pixels by them
+/// Find how noisy the camera is: electrons per DN, the noise without light, and what rows are off by; models with a
+/// `noise` weigh pixels by them
 ///
 /// Frames show one scene that stands still, bright here and dark there, at the gain that is used later: whatever differs from
 /// one frame to the next is taken for noise.
@@ -48,6 +49,10 @@ struct NoiseAnswer<'a> {
     read_noise_e_sigma: Option<f64>,
     /// What it does not exceed.
     read_noise_most_e: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    row_noise_e: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    row_noise_e_sigma: Option<f64>,
     black: f64,
     /// Values that entered, DN.
     range: [f64; 2],
@@ -77,6 +82,7 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
         black,
         electrons_per_dn: Some(rounded(found.electrons_per_dn)),
         read_noise_e: found.read_noise_e.map(rounded).or(known.read_noise_e),
+        row_noise_e: found.row_noise_e.map(rounded),
         ..known
     };
     if let Some(path) = &args.out {
@@ -87,6 +93,7 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
         let [electrons_per_dn, electrons_per_dn_sigma] = found.electrons_per_dn;
         let MeasuredNoise { frames, range, reduced_chi_square, left_out, .. } = found;
         let (read_noise_e, read_noise_e_sigma) = found.read_noise_e.map(|[value, sigma]| (value, sigma)).unzip();
+        let (row_noise_e, row_noise_e_sigma) = found.row_noise_e.map(|[value, sigma]| (value, sigma)).unzip();
         let answer = NoiseAnswer {
             frames,
             electrons_per_dn,
@@ -94,6 +101,8 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
             read_noise_e,
             read_noise_e_sigma,
             read_noise_most_e: found.read_noise_most_e,
+            row_noise_e,
+            row_noise_e_sigma,
             black,
             range,
             reduced_chi_square,
@@ -137,8 +146,10 @@ fn sentence(found: &MeasuredNoise, black: f64) -> String {
         Some(read) => format!("{} electrons without light", with_sigma(read)),
         None => format!("at most {:.1} electrons without light, too little to be told", found.read_noise_most_e),
     };
+    let rows = found.row_noise_e.map(|rows| format!(", rows off by {} electrons", with_sigma(rows)));
+    let rows = rows.unwrap_or_default();
     format!(
-        "{} electrons per DN, noise of {read}\n\
+        "{} electrons per DN, noise of {read}{rows}\n\
          from {frames} frames, values of {darkest:.1} to {brightest:.1} DN, black level {black:.2} DN, χ²/ν of the line \
          {reduced_chi_square:.2}, {:.2} % of the pixels left out",
         with_sigma(found.electrons_per_dn),

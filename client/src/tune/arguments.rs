@@ -14,7 +14,7 @@ pub struct TuneArgs {
     /// Write the document there [default: standard output; the tables then go to standard error]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, defects, defect_map
+    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Starts for each frame at each of three distances

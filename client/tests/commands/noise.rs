@@ -17,7 +17,7 @@ fn render(out: &Path, scene: &str, frames: &str, seed: &str) {
 fn a_scene_that_stands_still_gives_a_camera_whose_fits_are_honest() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let (frames, camera) = (path("frames"), path("camera.json"));
+    let (frames, camera, plane) = (path("frames"), path("camera.json"), model("gaussian.toml"));
     render(&frames, "bx=80,by=60,a1=0.0005,a2=0,a3=0.0005,v0=20,v1=160", "24", "7");
     let calibrate = ["calibrate", "noise", text(&frames), "--out", text(&camera)];
     let answer: Value = serde_json::from_str(&output(&[&calibrate[..], &["--json"]].concat())).unwrap();
@@ -50,6 +50,17 @@ fn a_scene_that_stands_still_gives_a_camera_whose_fits_are_honest() {
     }
     std::fs::write(&camera, r#"{"electrons_per_dn": 60, "read_noise_e": 15}"#).unwrap();
     assert!(fits(&["--camera", text(&camera)]).into_iter().all(|chi| chi > 1.5));
+
+    // Rows that are off are measured beside the noise of pixels.
+    let (off, known) = (path("off"), path("known.json"));
+    let scene = "bx=80,by=60,a1=0.0005,a2=0,a3=0.0005,v0=20,v1=160";
+    let common = ["render", text(&plane), "--out", text(&off), "--size", "160x120", "--frames", "24", "--set", scene];
+    let camera = ["--full-well-e", "5000", "--read-noise-e", "15", "--row-noise-e", "40", "--samples", "2"];
+    output(&[&common[..], &camera[..]].concat());
+    let answer: Value =
+        serde_json::from_str(&output(&["calibrate", "noise", text(&off), "--json", "--out", text(&known)])).unwrap();
+    let rows = answer["camera"]["row_noise_e"].as_f64().unwrap();
+    assert!((36.0..44.0).contains(&rows), "{answer}");
 
     let one = path("one");
     render(&one, "bx=80,by=60,a1=0.0005,a2=0,a3=0.0005,v0=20,v1=160", "1", "9");

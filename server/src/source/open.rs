@@ -64,6 +64,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         samples: document.samples,
         full_well_e: document.full_well_e,
         read_noise_e: document.read_noise_e,
+        row_noise_e: document.row_noise_e,
         exposure: document.exposure.clone(),
         gain: document.gain.clone(),
         saturation,

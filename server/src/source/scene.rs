@@ -62,6 +62,7 @@ fn spec(document: &SyntheticDocument) -> SceneSpec {
         gain: document.gain.clone(),
         full_well_e: document.full_well_e,
         read_noise_e: document.read_noise_e,
+        row_noise_e: document.row_noise_e,
         light: (*document.light).clone(),
     }
 }
@@ -73,7 +74,9 @@ pub fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocument, p
         SyntheticError::Motion { name, .. } => format!("motion.{name}"),
         SyntheticError::UnknownName { name, .. } if document.set.contains_key(name) => format!("set.{name}"),
         SyntheticError::UnknownName { name, .. } => format!("motion.{name}"),
-        SyntheticError::Range { name: name @ ("full_well_e" | "read_noise_e" | "saturation"), .. } => name.to_string(),
+        SyntheticError::Range {
+            name: name @ ("full_well_e" | "read_noise_e" | "row_noise_e" | "saturation"), ..
+        } => name.to_string(),
         SyntheticError::Range { .. } | SyntheticError::Unseen { .. } | SyntheticError::Model { .. } => String::new(),
     };
     Problem::wrong_key("wrong-source", format!("{prefix}{key}").trim_end_matches('.'), error.to_string())

@@ -282,6 +282,9 @@ pub struct SyntheticDocument {
     /// Electrons, 1 σ.
     #[serde(default)]
     pub read_noise_e: f64,
+    /// What all pixels of a row are off by together, electrons, 1 σ.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub row_noise_e: f64,
     /// So many times the light, times what a session sets.
     #[serde(default = "default_factor", skip_serializing_if = "is_default_factor")]
     pub exposure: Moving,
@@ -467,6 +470,9 @@ fn is_default_exposure_latency(frames: &u32) -> bool {
 }
 fn default_factor() -> Moving {
     Moving::Number(1.0)
+}
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 fn is_default_factor(factor: &Moving) -> bool {
     *factor == default_factor()

@@ -31,6 +31,9 @@ pub struct SceneDocument {
     /// Electrons, 1 σ.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_e: Option<f64>,
+    /// What all pixels of a row are off by together, electrons, 1 σ.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub row_noise_e: Option<f64>,
     /// Glare, occluders, blindness, defocus, hot pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Box<Light>>,
@@ -46,6 +49,7 @@ impl SceneDocument {
             gain: Some(document.gain.clone()),
             full_well_e: Some(document.full_well_e),
             read_noise_e: Some(document.read_noise_e),
+            row_noise_e: Some(document.row_noise_e).filter(|deviation| *deviation != 0.0),
             light: Some(document.light.clone()),
         }
     }
@@ -59,6 +63,7 @@ impl SceneDocument {
             gain: self.gain.unwrap_or(document.gain),
             full_well_e: self.full_well_e.unwrap_or(document.full_well_e),
             read_noise_e: self.read_noise_e.unwrap_or(document.read_noise_e),
+            row_noise_e: self.row_noise_e.unwrap_or(document.row_noise_e),
             light: self.light.unwrap_or(document.light),
             ..document
         }

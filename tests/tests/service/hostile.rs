@@ -159,6 +159,8 @@ fn numbers_that_make_no_sense_are_refused_at_their_key() {
         ("camera", json!({"electrons_per_dn": 0}), "camera.electrons_per_dn"),
         ("camera", json!({"electrons_per_dn": -1}), "camera.electrons_per_dn"),
         ("camera", json!({"read_noise_e": -1}), "camera.read_noise_e"),
+        ("camera", json!({"electrons_per_dn": 20, "row_noise_e": -1}), "camera.row_noise_e"),
+        ("camera", json!({"row_noise_e": 40}), "camera.row_noise_e"),
         ("camera", json!({"defects": 1}), "camera.defects"),
         ("constants", json!({"gain": -1}), "constants.gain"),
         ("constants", json!({"read_noise": -1}), "constants.read_noise"),

@@ -94,6 +94,7 @@ fn what_is_wrong_with_a_scene_is_said_and_changes_nothing() {
         (json!({"exposure": -1}), "exposure", "must be positive"),
         (json!({"exposure": 2, "gain": "x"}), "gain", "formula of t"),
         (json!({"read_noise_e": -3}), "read_noise_e", "0 or positive"),
+        (json!({"row_noise_e": -3}), "row_noise_e", "0 or positive"),
         (json!({"light": {"blind": [{"x": 1, "soft_px": "sqrt("}]}}), "light.blind[0].soft_px", "formula"),
         (json!({"motion": {"bx": "sqrt(-1 - t)"}}), "", "next frame"),
         (json!({"light": {"defocus_px": "-1 - t"}}), "", "next frame"),

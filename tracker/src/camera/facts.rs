@@ -21,6 +21,9 @@ pub struct Camera {
     /// Standard deviation of a pixel without light, in electrons.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub read_noise_e: Option<f64>,
+    /// Standard deviation of what all pixels of a row are off by together, another one in every row and frame, in electrons.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub row_noise_e: Option<f64>,
     /// The share of pixels that are at `saturation` whatever the light (hot pixels). Default: what the model says, or 0.001.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub defects: Option<f64>,
@@ -78,6 +81,11 @@ pub enum Distortion {
 }
 
 impl Camera {
+    /// The variance of what rows are off by, in pixel values², where it is known and there is some.
+    pub(crate) fn row_variance(&self) -> Option<f64> {
+        Some((self.row_noise_e? / self.electrons_per_dn?).powi(2)).filter(|variance| *variance > 0.0)
+    }
+
     /// The value of a model's constant of that name, as far as this camera gives it: `gain` is pixel values per electron,
     /// `read_noise` and `black` in pixel values (a black level of 0 is one that was not given), `defects` a share of all
     /// pixels, `fx` `fy` `cx` `cy` the lens,

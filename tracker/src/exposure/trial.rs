@@ -112,7 +112,7 @@ impl Kernels {
         let limits = vec![limit; channels];
         let bindings = bindings(solver, parameters, &limits, &[]);
         let mut sums = Totals::default();
-        self.information.sums(&bindings, &vec![light.plane()?; channels], &[light.window], &[], &mut sums)?;
+        self.information.sums(&bindings, &vec![light.plane()?; channels], &[light.window], &[], &[], &mut sums)?;
         let n = solver.compiled.last_parameters().len();
         let upper = sums.outputs.get(1 + n..).filter(|upper| upper.len() == n * (n + 1) / 2)?;
         let mut information = DMatrix::zeros(n, n);

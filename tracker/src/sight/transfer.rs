@@ -8,6 +8,7 @@
 //!
 //! 1. Pixels of each pair of frames, one after the other, are sorted by their mean value. A lamp that flickers makes a
 //!    difference that is a straight line in brightness; it is taken out first.
+//!    So is what each row is off by, where rows are off by more than their pixels' noise.
 //! 2. Half the mean square of the differences of one brightness is the variance there; what lies far off, a thing that moved,
 //!    is left out and counted.
 //! 3. Noise of a pixel knows nothing of its neighbour's. Where differences of neighbours go together, a thing moves that is too
@@ -18,7 +19,10 @@
 use isophote_frame::Frame;
 use isophote_jit::{PixelFormat, Window};
 
+use self::rows::{OfRow, RowNoise};
 use super::view;
+
+mod rows;
 
 /// Frames that are looked at, the first ones.
 const FRAMES_MAX: usize = 64;
@@ -63,6 +67,9 @@ pub struct MeasuredNoise {
     pub read_noise_e: Option<[f64; 2]>,
     /// What the scatter without light does not exceed, two standard deviations farther, electrons.
     pub read_noise_most_e: f64,
+    /// The standard deviation of what all pixels of a row are off by together, electrons, and one standard deviation of that;
+    /// absent where rows are off by nothing that can be told.
+    pub row_noise_e: Option<[f64; 2]>,
     /// Frames that were looked at.
     pub frames: usize,
     /// The darkest and the brightest value that entered, DN.
@@ -170,7 +177,10 @@ impl NoiseMeasurement {
         if self.kept.len() < 2 {
             return Err(NoiseFault::FewFrames(self.kept.len()));
         }
-        let pairs = Pairs::of(&self.kept, self.options.saturation);
+        let mut pairs = Pairs::of(&self.kept, self.options.saturation);
+        let rows = RowNoise::of(&pairs);
+        let row_noise_dn = rows.as_ref().map(|rows| rows.deviation);
+        pairs.rows = rows.map(|rows| rows.rows).unwrap_or_default();
         let mut levels = [Level { limit: f64::INFINITY, ..Level::default() }; LEVELS];
         // The first look has everything in it, the following only what the one before takes for noise.
         for _ in 0..4 {
@@ -231,6 +241,7 @@ impl NoiseMeasurement {
         Ok(MeasuredNoise {
             electrons_per_dn: [electrons, slope_sigma * electrons * electrons],
             read_noise_e,
+            row_noise_e: row_noise_dn.map(|both| both.map(|value| value * electrons)),
             read_noise_most_e: (dark.max(0.0) + 2.0 * at_black_sigma).sqrt() * electrons,
             frames: self.kept.len(),
             range,
@@ -254,6 +265,8 @@ struct Pairs<'a> {
     step: f64,
     /// By how much the second frame of a pair is brighter: at zero, and for each DN.
     drifts: Vec<[f64; 2]>,
+    /// What its rows say, where they are off.
+    rows: Vec<Vec<OfRow>>,
     /// Pairs of pixels that are numbers and below the limit.
     count: f64,
 }
@@ -277,6 +290,7 @@ impl<'a> Pairs<'a> {
             lowest: 0.0,
             step: 0.0,
             drifts: vec![[0.0; 2]; frames.len() - 1],
+            rows: Vec::new(),
             count: 0.0,
         };
         let (mut lowest, mut highest, mut is_rounded, mut count) = (f64::INFINITY, f64::NEG_INFINITY, true, 0.0);
@@ -291,19 +305,29 @@ impl<'a> Pairs<'a> {
     }
 
     /// Calls with the number of the pair, the number of the pixel, the mean of two values and by how much the second is larger,
-    /// the drift taken out.
+    /// the drift taken out and what the row is off by.
     fn each(&self, mut visit: impl FnMut(usize, usize, f64, f64)) {
+        self.each_of_row(|pair, row, place, mean, difference| {
+            let of_row = self.rows.get(pair).and_then(|rows| rows.get(row));
+            visit(pair, place, mean, of_row.map_or(difference, |row| row.widened * (difference - row.mean)));
+        });
+    }
+
+    /// The same with the number of the row after that of the pair, and with what that is off by.
+    fn each_of_row(&self, mut visit: impl FnMut(usize, usize, usize, f64, f64)) {
         for (number, (two, [at_zero, slope])) in self.frames.windows(2).zip(&self.drifts).enumerate() {
             let [width, height, depth, length] = two[0].sides();
+            let rows = height * depth * length;
             for plane in 0..two[0].planes().len() {
                 let views = [two[0].plane_view(plane), two[1].plane_view(plane)];
-                for place in 0..width * height * depth * length {
+                for place in 0..width * rows {
                     let (x, rest) = (place % width, place / width);
                     let (y, rest) = (rest % height, rest / height);
                     let [one, other] = [0, 1].map(|at| views[at].pixel_at([x, y, rest % depth, rest / depth]));
                     if one < self.limit && other < self.limit && one.is_finite() && other.is_finite() {
                         let mean = 0.5 * (one + other);
-                        visit(number, place, mean, other - one - at_zero - slope * mean);
+                        let row = plane * rows + place / width;
+                        visit(number, row, place, mean, other - one - at_zero - slope * mean);
                     }
                 }
             }

@@ -46,6 +46,34 @@ fn gain_and_read_noise_are_found_as_surely_as_is_said() {
     }
 }
 
+/// Rows that are off by 2 DN: they are told apart from the noise of their pixels.
+#[test]
+fn what_rows_are_off_by_is_no_noise_of_pixels() {
+    for seed in 1..=5 {
+        let mut random = Noise(seed + 70);
+        let row_of = |row: &[u8], offset: f64| {
+            row.iter().map(|value| (f64::from(*value) + offset).round().clamp(0.0, 255.0) as u8).collect::<Vec<u8>>()
+        };
+        let off = |frame: &Frame| {
+            let view = frame.plane_view(0);
+            let rows = (0..96).map(|y| (0..128).map(|x| view.pixel(x, y) as u8).collect::<Vec<u8>>());
+            frame_of(rows.flat_map(|row| row_of(&row, 2.0 * random.normal())).collect(), [128, 96])
+        };
+        let clean = frames(20, 180.0, seed);
+        let even = measured(&clean).unwrap();
+        assert_eq!(even.row_noise_e, None, "{even:?}");
+        let found = measured(&clean.iter().map(off).collect::<Vec<Frame>>()).unwrap();
+        let [rows_e, sigma] = found.row_noise_e.unwrap();
+        assert!((rows_e - 2.0 * ELECTRONS).abs() < 4.0 * sigma && sigma < 0.1 * rows_e, "{found:?}");
+        let [electrons, sigma] = found.electrons_per_dn;
+        assert!((electrons - ELECTRONS).abs() < 4.0 * sigma && sigma < 0.02 * ELECTRONS, "{found:?}");
+        // Offsets are rounded with their pixels, once more: 1/12 DN².
+        let [read_e, sigma] = found.read_noise_e.unwrap();
+        let expected_e = (READ_E * READ_E + ELECTRONS * ELECTRONS / 12.0).sqrt();
+        assert!((read_e - expected_e).abs() < 4.0 * sigma && sigma < 0.1 * READ_E, "{found:?}");
+    }
+}
+
 /// Of a sensor of 12 bits whose values end at 4,095, in words of 16.
 #[test]
 fn clipped_pixels_do_not_enter() {

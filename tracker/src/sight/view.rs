@@ -3,6 +3,8 @@
 //! What comes in: planes, a window, the value at which pixels are clipped. What goes out: the same, with what follows from it
 //! for kernels. It never knows what is looked for.
 
+use std::borrow::Cow;
+
 use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::Precision;
 
@@ -16,6 +18,8 @@ use crate::sight::grey::{Grey, Mixture};
 pub(crate) struct PlaneLayout {
     pub formats: Vec<PixelFormat>,
     pub packed: bool,
+    /// Rows have offsets.
+    pub has_rows: bool,
 }
 
 impl PlaneLayout {
@@ -24,19 +28,28 @@ impl PlaneLayout {
         PlaneLayout {
             formats: planes.iter().map(|plane| plane.format()).collect(),
             packed: planes.iter().all(|plane| plane.pixel_stride() == plane.format().bytes_per_pixel()),
+            has_rows: false,
         }
     }
 
     /// That of so many planes of one format: packed when there is one, else interleaved.
     pub fn of_format(format: PixelFormat, planes: usize) -> PlaneLayout {
-        PlaneLayout { formats: vec![format; planes], packed: planes == 1 }
+        PlaneLayout { formats: vec![format; planes], packed: planes == 1, has_rows: false }
+    }
+
+    /// That of the same planes with rows that have no offsets.
+    pub fn without_rows(&self) -> Cow<'_, PlaneLayout> {
+        match self.has_rows {
+            true => Cow::Owned(PlaneLayout { has_rows: false, ..self.clone() }),
+            false => Cow::Borrowed(self),
+        }
     }
 
     /// That of the same planes and so many corrections.
     pub fn corrected(&self, corrections: usize) -> PlaneLayout {
         let mut formats = self.formats.clone();
         formats.extend(vec![PixelFormat::F32; corrections]);
-        PlaneLayout { formats, packed: self.packed }
+        PlaneLayout { formats, ..*self }
     }
 }
 
@@ -63,6 +76,8 @@ pub(crate) struct View<'a> {
     pub rounding: f64,
     /// Pixels of the window that say nothing about light, as rectangles without a common pixel.
     pub gaps: Vec<Window>,
+    /// The variance of rows' offsets, one for each entry of `observed`, where they have some.
+    pub row_variances: Vec<f64>,
     /// Of the frame; none where nothing bounds it.
     pub budget: Option<&'a FrameBudget<'a>>,
 }
@@ -79,8 +94,14 @@ impl<'a> View<'a> {
         let layout = PlaneLayout::of(&planes);
         let step = |plane: &PlaneView| if is_whole(plane) { 0.5 } else { 0.0 };
         let limits = planes.iter().zip(&saturation).map(|(plane, limit)| limit - step(plane)).collect();
-        let gaps = Vec::new();
-        View { planes, window, saturation, limits, layout, rounding: lane * largest, gaps, budget: None }
+        let (gaps, row_variances) = (Vec::new(), Vec::new());
+        View { planes, window, saturation, limits, layout, rounding: lane * largest, gaps, row_variances, budget: None }
+    }
+
+    /// The same, of rows that have offsets of these variances, one for each entry of `observed`.
+    pub fn with_rows(mut self, variances: Vec<f64>) -> View<'a> {
+        self.layout.has_rows = !variances.is_empty();
+        View { row_variances: variances, ..self }
     }
 }
 
@@ -96,7 +117,7 @@ impl<'a> View<'a> {
         view.rounding = self.rounding;
         view.gaps.clone_from(&self.gaps);
         view.budget = self.budget;
-        view
+        view.with_rows(self.row_variances.clone())
     }
 
     /// A window inside of this one.
@@ -109,6 +130,7 @@ impl<'a> View<'a> {
             layout: self.layout.clone(),
             rounding: self.rounding,
             gaps: self.gaps.iter().filter_map(|gap| overlap(*gap, window)).collect(),
+            row_variances: self.row_variances.clone(),
             budget: self.budget,
         }
     }
@@ -140,6 +162,7 @@ impl<'a> View<'a> {
             layout: self.layout.corrected(corrections.len()),
             rounding: self.rounding,
             gaps: self.gaps.clone(),
+            row_variances: self.row_variances.clone(),
             budget: self.budget,
         })
     }

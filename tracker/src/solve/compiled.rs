@@ -23,6 +23,8 @@ pub struct Compiled {
     kernels: StageKernels,
     alternatives: Arc<Shelf<Alternatives>>,
     sampling: Arc<Shelf<Sampling>>,
+    /// Kernels for rows that are off, which are among the model's own.
+    rows: Arc<Shelf<Option<()>>>,
     predictions: Arc<OnceLock<Option<Predictions>>>,
     /// What targets look like, for the constants of so many sessions, the latest last.
     banks: Arc<Mutex<Banks>>,
@@ -63,6 +65,7 @@ impl Compiled {
             kernels: self.kernels.share(),
             alternatives: self.alternatives.clone(),
             sampling: self.sampling.clone(),
+            rows: self.rows.clone(),
             predictions: self.predictions.clone(),
             banks: self.banks.clone(),
         }
@@ -74,6 +77,7 @@ impl Compiled {
             kernels,
             alternatives: Arc::default(),
             sampling: Arc::default(),
+            rows: Arc::default(),
             predictions: Arc::default(),
             banks: Arc::default(),
         }
@@ -118,6 +122,11 @@ impl Compiled {
     /// Where they are kept.
     pub(crate) fn sampling_shelf(&self) -> &Shelf<Sampling> {
         &self.sampling
+    }
+
+    /// Which pixels there are kernels for whose rows are off.
+    pub(crate) fn rows_shelf(&self) -> &Shelf<Option<()>> {
+        &self.rows
     }
 }
 

@@ -17,7 +17,7 @@ use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
-use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, value_kind};
+use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, method, value_kind};
 use crate::solve::trust::{Curvature, Quadratic, Spectrum};
 
 /// Pixels of a pass that cost as much as one gap does.
@@ -65,6 +65,8 @@ pub(crate) struct Worth {
     pub left_out: u64,
     /// Share of the domain's pixels.
     pub saturated: f64,
+    /// What rows are likely to be off by, as a variance in pixel values², where they are: of the first entry of `observed`.
+    pub row_variance: Option<f64>,
     /// Of the last stage's parameters; absent when singular.
     pub covariance: Option<DMatrix<f64>>,
     /// Variances that they would have if all others were known: a lower bound, and never absent.
@@ -284,12 +286,13 @@ pub(crate) fn pass_at(
     control: Control,
     point: &[f64],
 ) -> Result<Option<Pass>, CompileFailure> {
-    let Stage { parameters, method, .. } = &compiled.model().stages()[stage];
+    let Stage { parameters, .. } = &compiled.model().stages()[stage];
+    let method = method(compiled.model(), stage, &view.layout);
     let gradient = compiled.loops(Job::Stage(stage), control, &view.layout)?;
     let bindings = Bindings { parameters: point, entry: point, constants, saturation: &view.limits, shift: &[] };
     let (mut totals, mut pass) = (Totals::default(), Pass::of(parameters.len()));
-    let ran = gradient.sums(&bindings, &view.planes, &[view.window], &view.gaps, &mut totals);
-    Ok(ran.and_then(|()| pass.read(&totals, curvature(*method)).ok()).map(|()| pass))
+    let ran = gradient.sums(&bindings, &view.planes, &[view.window], &view.gaps, &view.row_variances, &mut totals);
+    Ok(ran.and_then(|()| pass.read(&totals, curvature(method)).ok()).map(|()| pass))
 }
 
 /// In f64 a stage ends at a ten-thousandth of its tolerance: who asks for f64 asks for digits.
@@ -336,7 +339,8 @@ impl<'a> Passes<'a> {
         }
         let bindings =
             Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
-        let ran = loops.sums(&bindings, &self.view.planes, self.parts, &self.gaps, &mut self.totals);
+        let View { planes, row_variances, .. } = self.view;
+        let ran = loops.sums(&bindings, planes, self.parts, &self.gaps, row_variances, &mut self.totals);
         ran.map(|()| &self.totals).ok_or(Ending::NonFinite)
     }
 
@@ -355,6 +359,7 @@ impl<'a> Passes<'a> {
         let met = pass.pixels + sums.saturated;
         let mut chi_square = sums.seen.first().ok_or(Ending::NonFinite)? + carried;
         let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
+        let row_variance = sums.rows.variance();
         let quadratic = pass.quadratic;
         let mut objective = quadratic.objective;
         if let Some(report) = report {
@@ -376,7 +381,7 @@ impl<'a> Passes<'a> {
         });
         let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
         let (pixels, left_out) = (pass.pixels, self.totals.left_out);
-        Ok(Worth { objective, reduced, pixels, left_out, saturated, covariance, variance_alone })
+        Ok(Worth { objective, reduced, pixels, left_out, saturated, row_variance, covariance, variance_alone })
     }
 }
 
@@ -458,7 +463,7 @@ impl<'a> Summed<'a> {
     /// Those of a stage.
     fn of(passes: Passes<'a>, index: usize, control: Control) -> Result<Summed<'a>, CompileFailure> {
         let (compiled, layout) = (passes.compiled, &passes.view.layout);
-        let method = compiled.model().stages()[index].method;
+        let method = method(compiled.model(), index, layout);
         let value = match value_kind(compiled.model(), method) {
             ValueKind::Full => Job::Report,
             ValueKind::Entry => Job::Value,

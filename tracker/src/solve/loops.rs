@@ -8,11 +8,16 @@ use std::sync::Arc;
 use isophote_jit::{Kernel, PlaneView, Sums, Window};
 use isophote_symbolic::Bindings;
 
+use crate::solve::rows::{RowOffsets, Rows};
+
 /// One kernel a summand; those of pixels at their limit come after those of the others.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(crate) struct Loops {
     pub seen: Vec<Arc<Kernel>>,
     pub clipped: Vec<Arc<Kernel>>,
+    /// Where rows have offsets: what is summed in the place of these kernels, or, where those sum nothing but F with ln σ²
+    /// and χ², what is taken away from that.
+    pub rows: Option<Arc<Rows>>,
 }
 
 /// What a pass over all of them sums.
@@ -28,15 +33,35 @@ pub(crate) struct Totals {
     pub saturated: u64,
     /// Pixel values of the domain that gaps left out.
     pub left_out: u64,
+    /// Of rows' offsets, where they have some.
+    pub rows: RowOffsets,
     /// Of the kernel that ran last.
     last: Sums,
 }
 
 impl Totals {
-    fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.outputs.clear();
         self.seen.clear();
         (self.pixels, self.saturated, self.left_out) = (0, 0, 0);
+        self.rows = RowOffsets::default();
+    }
+
+    /// Room for so many outputs.
+    pub(super) fn resize(&mut self, outputs: usize) {
+        self.outputs.resize(outputs, 0.0);
+        self.seen.resize(outputs, 0.0);
+    }
+
+    /// Takes what rows' offsets explain from F with ln σ² and from χ².
+    fn explained(&mut self, rows: RowOffsets) {
+        for sums in [&mut self.outputs, &mut self.seen] {
+            if let [full, chi_square] = &mut sums[..] {
+                *full += rows.logarithm - rows.reduction;
+                *chi_square -= rows.reduction;
+            }
+        }
+        self.rows = rows;
     }
 
     /// Takes those of a part away again.
@@ -62,7 +87,7 @@ fn add(to: &mut Vec<f64>, from: &Sums) {
 impl Loops {
     /// The sums over windows without a common pixel, into `totals`, whatever was in there; without those over `gaps`, which
     /// lie inside and have no pixel in common either. `None` when a kernel refuses the planes; they were made for it, so only a
-    /// bug could.
+    /// bug could. `row_variances`: of rows' offsets, one for each entry of `observed`, where they have some.
     ///
     /// Gaps are summed and taken away again, so that kernels need not ask at every pixel.
     pub fn sums(
@@ -71,13 +96,22 @@ impl Loops {
         planes: &[PlaneView],
         windows: &[Window],
         gaps: &[Window],
+        row_variances: &[f64],
         totals: &mut Totals,
     ) -> Option<()> {
+        if let Some(rows) = self.rows.as_ref().filter(|_| self.seen.is_empty()) {
+            return rows.sums(bindings, planes, windows, gaps, row_variances, totals);
+        }
         self.whole(bindings, planes, windows, totals)?;
         if !gaps.is_empty() {
             let mut part = Totals::default();
             self.whole(bindings, planes, gaps, &mut part)?;
             totals.less(&part);
+        }
+        if let Some(rows) = &self.rows {
+            let mut part = Totals::default();
+            rows.sums(bindings, planes, windows, gaps, row_variances, &mut part)?;
+            totals.explained(part.rows);
         }
         Some(())
     }
@@ -143,15 +177,15 @@ mod tests {
         assert!(alone.pixels == 0 && alone.outputs.iter().any(|sum| sum.is_nan()), "{alone:?}");
         let mut totals = Totals::default();
         for clipped in [vec![], vec![empty.clone()]] {
-            let loops = Loops { seen: vec![empty.clone()], clipped };
-            loops.sums(&bindings, &[plane], &[window; 2], &[], &mut totals).unwrap();
+            let loops = Loops { seen: vec![empty.clone()], clipped, rows: None };
+            loops.sums(&bindings, &[plane], &[window; 2], &[], &[], &mut totals).unwrap();
             assert_eq!((totals.outputs.as_slice(), totals.pixels), (&vec![0.0; alone.outputs.len()][..], 0));
         }
         // And with w = 1, beside one that has pixels.
         let bindings = Bindings { parameters: &[1.0, 1.0], entry: &[1.0, 1.0], ..Bindings::default() };
         let full = kernel("x >= 0");
-        let loops = Loops { seen: vec![empty, full.clone()], clipped: vec![] };
-        loops.sums(&bindings, &[plane], &[window], &[], &mut totals).unwrap();
+        let loops = Loops { seen: vec![empty, full.clone()], clipped: vec![], rows: None };
+        loops.sums(&bindings, &[plane], &[window], &[], &[], &mut totals).unwrap();
         let full = full.sums(&bindings, &[plane], window).unwrap();
         assert_eq!((totals.outputs, totals.pixels), (full.outputs, 64));
     }
@@ -165,20 +199,20 @@ mod tests {
         let is_gap =
             |x: usize, y: usize| gaps.iter().any(|g| x >= g.x && x < g.x + g.width && y >= g.y && y < g.y + g.height);
         let kernel = kernel("x >= 1");
-        let loops = Loops { seen: vec![kernel.clone()], clipped: vec![] };
+        let loops = Loops { seen: vec![kernel.clone()], clipped: vec![], rows: None };
         let mut found = Vec::new();
         for hot in [0, 255] {
             let pixel = |i: usize| if is_gap(i % 8, i / 8) { hot } else { i as u8 };
             let pixels: Vec<u8> = (0..64).map(pixel).collect();
             let plane = PlaneView::new(PixelFormat::U8, &pixels, 8, 8, 8, 1).unwrap();
             let mut totals = Totals::default();
-            loops.sums(&bindings, &[plane], &[Window::whole(8, 8)], &gaps, &mut totals).unwrap();
+            loops.sums(&bindings, &[plane], &[Window::whole(8, 8)], &gaps, &[], &mut totals).unwrap();
             assert_eq!((totals.pixels, totals.left_out), (56 - 12, 12));
             found.push(totals.outputs.clone());
             // One by one, the sound pixels alone.
             let sound = (0..64).map(|i| (i % 8, i / 8)).filter(|(x, y)| !is_gap(*x, *y));
             let sound: Vec<Window> = sound.map(|(x, y)| rectangle(x, y, 1, 1)).collect();
-            loops.sums(&bindings, &[plane], &sound, &[], &mut totals).unwrap();
+            loops.sums(&bindings, &[plane], &sound, &[], &[], &mut totals).unwrap();
             found.push(totals.outputs.clone());
         }
         for other in &found[1..] {

@@ -14,6 +14,7 @@ pub(crate) mod loops;
 pub(crate) mod prepare;
 pub(crate) mod readiness;
 pub(crate) mod residuals;
+pub(crate) mod rows;
 pub(crate) mod sampling;
 pub(crate) mod shelf;
 pub(crate) mod stage;

@@ -27,6 +27,8 @@ pub enum Preparing {
 pub(crate) enum Lacking {
     Alternatives,
     Sampling,
+    /// Kernels for rows that are off.
+    Rows,
 }
 
 /// What fits would have used: to be run on another thread.
@@ -51,6 +53,7 @@ impl Preparation {
         match self.lacking {
             Lacking::Alternatives => self.alternatives(keeps_going),
             Lacking::Sampling => self.sampling(keeps_going),
+            Lacking::Rows => self.rows(),
         }
     }
 
@@ -61,7 +64,7 @@ impl Preparation {
         }
         let Some(alternatives) = self.compiled.alternatives(keeps_going) else { return Ok(()) };
         let painted = PlaneLayout::of_format(PixelFormat::F32, self.layout.formats.len());
-        let painted = PlaneLayout { packed: true, ..painted };
+        let painted = PlaneLayout { packed: true, has_rows: self.layout.has_rows, ..painted };
         for compiled in alternatives.compiled() {
             for (layout, control) in [(&self.layout, Control::Dropping), (&painted, Control::Blind)] {
                 if !keeps_going() {
@@ -70,6 +73,16 @@ impl Preparation {
                 compiled.warm_for(layout, &[control], &InTurn).inspect_err(|_| shelf.give_up())?;
             }
         }
+        shelf.warmed(&self.layout);
+        Ok(())
+    }
+
+    fn rows(&self) -> Result<(), CompileFailure> {
+        let shelf = self.compiled.rows_shelf();
+        shelf.get_or_derive(|| Some(Some(())));
+        let layout = PlaneLayout { has_rows: true, ..self.layout.clone() };
+        let warmed = self.compiled.warm_for(&layout, &[Control::Plain, Control::Dropping], &InTurn);
+        warmed.inspect_err(|_| shelf.give_up())?;
         shelf.warmed(&self.layout);
         Ok(())
     }

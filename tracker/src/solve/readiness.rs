@@ -21,6 +21,9 @@ pub struct FrameReadiness {
     /// Finer sampling of pixels.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub sampling: Option<bool>,
+    /// Kernels for rows that are off.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub rows: Option<bool>,
 }
 
 /// One frame's.
@@ -30,6 +33,7 @@ pub(crate) struct Readiness {
     told: Option<FrameReadiness>,
     alternatives: OnceLock<bool>,
     sampling: OnceLock<bool>,
+    rows: OnceLock<Option<bool>>,
 }
 
 impl Readiness {
@@ -54,8 +58,17 @@ impl Readiness {
         is_ready.then(|| compiled.sampling())
     }
 
+    /// Whether there are kernels for rows that are off; `None` where nobody had tried to make them when the frame first asked.
+    pub fn rows(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<bool> {
+        let told = self.told.map(|told| told.rows == Some(true));
+        let found = || compiled.rows_shelf().ready(layout).map(|kernels| kernels.is_some());
+        *self.rows.get_or_init(|| told.or_else(found))
+    }
+
     /// As it turned out.
     pub fn found(&self) -> FrameReadiness {
-        FrameReadiness { alternatives: self.alternatives.get().copied(), sampling: self.sampling.get().copied() }
+        let [alternatives, sampling] = [&self.alternatives, &self.sampling].map(|found| found.get().copied());
+        let rows = self.rows.get().copied().flatten();
+        FrameReadiness { alternatives, sampling, rows }
     }
 }

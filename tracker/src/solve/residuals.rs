@@ -56,6 +56,76 @@ pub(crate) struct Seen {
     pub limit: f64,
 }
 
+/// A row of fewer pixels says nothing of what it is off by, …
+const ROW_PIXELS_MIN: usize = 8;
+/// … nor do fewer pairs of rows.
+const STEPS_MIN: usize = 12;
+/// The square of a normal variable is less than this share of its variance as often as not.
+const MEDIAN: f64 = 0.455;
+/// Rows are off where their means scatter by so many times what their pixels account for.
+const TELLING: f64 = 4.0;
+/// Residuals that are so many standard deviations from the middle one of their row do not show what the row is off by.
+const OUTLIER: f64 = 5.0;
+
+impl Seen {
+    /// The variance of what rows of so many pixels are off by, where they are. By how much each row's mean is off from the next
+    /// one's says it, as often as not: what a model lacks hangs together over rows, or ends at a few of them.
+    pub fn row_variance(&self, width: usize) -> Option<f64> {
+        let mut means: Vec<(usize, f64, f64)> = Vec::new();
+        let (mut scatter, mut freedom) = (0.0, 0.0);
+        for row in self.residuals.chunk_by(|a, b| a.pixel / width == b.pixel / width) {
+            let clear = row.iter().filter(|residual| !residual.saturated);
+            let (mut count, mut sum, mut weights, mut squares) = (0, 0.0, 0.0, 0.0);
+            for residual in clear {
+                count += 1;
+                sum += residual.whitened / residual.deviation;
+                weights += residual.deviation.powi(-2);
+                squares += residual.whitened * residual.whitened;
+            }
+            if count >= ROW_PIXELS_MIN {
+                means.push((row[0].pixel / width, sum / weights, 1.0 / weights));
+                scatter += squares - sum * sum / weights;
+                freedom += (count - 1) as f64;
+            }
+        }
+        let pairs = means.windows(2).filter(|two| two[0].0 + 1 == two[1].0);
+        let mut steps: Vec<f64> = pairs.clone().map(|two| (two[0].1 - two[1].1).powi(2)).collect();
+        if steps.len() < STEPS_MIN {
+            return None;
+        }
+        let by_pixels = pairs.map(|two| two[0].2 + two[1].2).sum::<f64>() / steps.len() as f64 * scatter / freedom;
+        let middle = steps.len() / 2;
+        let found = *steps.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN;
+        (found > TELLING * by_pixels).then_some(0.5 * (found - by_pixels))
+    }
+
+    /// Takes out what each row of so many pixels is off by, as far as that is likely where offsets have this variance.
+    pub fn without_offsets(&mut self, width: usize, variance: f64) {
+        for row in self.residuals.chunk_by_mut(|a, b| a.pixel / width == b.pixel / width) {
+            let offset = offset(row, variance);
+            row.iter_mut().for_each(|residual| residual.whitened -= offset / residual.deviation);
+        }
+    }
+}
+
+/// The likeliest offset of a row.
+fn offset(row: &[Residual], variance: f64) -> f64 {
+    let clear = row.iter().filter(|residual| !residual.saturated);
+    let value = |residual: &Residual| residual.whitened * residual.deviation;
+    let mut values: Vec<f64> = clear.clone().map(value).collect();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    let middle = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let (mut sum, mut weights) = (0.0, 1.0 / variance);
+    for residual in clear.filter(|one| (value(one) - middle).abs() <= OUTLIER * one.deviation) {
+        sum += residual.whitened / residual.deviation;
+        weights += residual.deviation.powi(-2);
+    }
+    sum / weights
+}
+
 impl Predictions {
     /// Nothing for a model whose variance is not predicted.
     pub fn new(
@@ -112,7 +182,11 @@ impl Predictions {
             };
             Some(Seen { residuals: pixels.filter_map(residual).collect(), limit })
         };
-        self.entries.iter().map(one).collect()
+        let mut seen: Vec<Seen> = self.entries.iter().map(one).collect::<Option<_>>()?;
+        for (seen, variance) in seen.iter_mut().zip(&view.row_variances) {
+            seen.without_offsets(view.window.width, *variance);
+        }
+        Some(seen)
     }
 }
 

@@ -3,17 +3,18 @@
 //! What comes in: a checked model. What goes out: kernels, compiled when first asked for and shared by all trackers of the
 //! model. It never knows a frame's pixels.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, has_fma};
 use isophote_symbolic::{
-    Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Stage, Summand, ValueKind,
+    Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Summand, ValueKind,
 };
 
 use crate::sight::view::PlaneLayout;
 use crate::solve::loops::Loops;
+use crate::solve::rows::Rows;
 use crate::solve::trust::Curvature;
-use crate::solve::workers::Workers;
+use crate::solve::workers::{InTurn, Workers};
 
 /// Why a model cannot run here.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -70,6 +71,8 @@ struct Derived {
     parts: Vec<Part>,
     /// The sum that serves each job.
     jobs: Vec<(Job, usize)>,
+    /// Free beside what each job asks for: the offset of the rows.
+    offset: Option<ParameterId>,
 }
 
 struct Ready {
@@ -86,6 +89,8 @@ pub struct StageKernels {
     model: Arc<Model>,
     precision: Precision,
     derived: Arc<Derived>,
+    /// The same of rows that have offsets, once such frames were met.
+    of_rows: Arc<OnceLock<Result<Derived, CompileFailure>>>,
     cache: Arc<KernelCache>,
     ready: Mutex<Vec<Ready>>,
 }
@@ -105,13 +110,19 @@ impl StageKernels {
         workers: &dyn Workers,
     ) -> Result<StageKernels, CompileFailure> {
         let derived = Arc::new(Derived::of(&model, workers)?);
-        Ok(StageKernels { model, precision, derived, cache, ready: Mutex::default() })
+        Ok(StageKernels { model, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
     }
 
     /// The same programs and cache, holding no kernel yet.
     pub fn share(&self) -> StageKernels {
-        let (model, derived, cache) = (self.model.clone(), self.derived.clone(), self.cache.clone());
-        StageKernels { model, precision: self.precision, derived, cache, ready: Mutex::default() }
+        StageKernels {
+            model: self.model.clone(),
+            precision: self.precision,
+            derived: self.derived.clone(),
+            of_rows: self.of_rows.clone(),
+            cache: self.cache.clone(),
+            ready: Mutex::default(),
+        }
     }
 
     /// The model.
@@ -131,9 +142,23 @@ impl StageKernels {
 
     /// The free parameters of a stage, in the order of its sums.
     pub(crate) fn order(&self, stage: usize) -> &[ParameterId] {
-        let sum = self.derived.sum_of(Job::Stage(stage));
-        let part = self.derived.parts.iter().find(|part| Some(part.sum) == sum);
-        part.map_or(&[], |part| part.objective.subset())
+        self.derived.order(Job::Stage(stage))
+    }
+
+    /// What kernels for such pixels are made of, derived now if need be.
+    fn derived(&self, layout: &PlaneLayout, workers: &dyn Workers) -> Result<&Derived, CompileFailure> {
+        match layout.has_rows {
+            false => Ok(&self.derived),
+            true => {
+                let derived = self.of_rows.get_or_init(|| Derived::of_rows(&self.model, workers));
+                derived.as_ref().map_err(CompileFailure::clone)
+            }
+        }
+    }
+
+    /// Whether offsets of rows can be eliminated, derived now if need be: there may be more formulas then than a document may have.
+    pub(crate) fn derives_rows(&self) -> bool {
+        self.of_rows.get_or_init(|| Derived::of_rows(&self.model, &InTurn)).is_ok()
     }
 
     /// True when a stage sums what the covariance is made of.
@@ -165,16 +190,20 @@ impl StageKernels {
         controls: &[Control],
         workers: &dyn Workers,
     ) -> Result<(), CompileFailure> {
+        if layout.has_rows {
+            self.warm_for(&layout.without_rows(), controls, workers)?;
+        }
+        let derived = self.derived(layout, workers)?;
         let each = |part: usize| {
             // Pixels at their limit are looked at when there are some.
-            let clipped = self.derived.parts[part].is_clipped;
+            let clipped = derived.parts[part].is_clipped;
             let controls = controls.iter().filter(move |control| !clipped || **control != Control::Plain);
             controls.map(move |control| (part, *control))
         };
-        let variants: Vec<(usize, Control)> = (0..self.derived.parts.len()).flat_map(each).collect();
+        let variants: Vec<(usize, Control)> = (0..derived.parts.len()).flat_map(each).collect();
         let compiled = all(variants.len(), workers, &|i| {
             let (part, control) = variants[i];
-            self.kernel(part, control, self.precision, layout).map(drop)
+            self.kernel(&derived.parts, part, control, (self.precision, layout)).map(drop)
         });
         compiled.map(drop)
     }
@@ -192,27 +221,59 @@ impl StageKernels {
         control: Control,
         layout: &PlaneLayout,
     ) -> Result<Loops, CompileFailure> {
-        let sum = self.derived.sum_of(job);
-        let mut loops = Loops { seen: Vec::new(), clipped: Vec::new() };
-        for (index, part) in self.derived.parts.iter().enumerate().filter(|(_, part)| Some(part.sum) == sum) {
-            match part.is_clipped {
-                false => loops.seen.push(self.kernel(index, control, precision, layout)?),
-                true if control == Control::Plain => {}
-                true => loops.clipped.push(self.kernel(index, control, precision, layout)?),
+        let derived = self.derived(layout, &InTurn)?;
+        let made_for = (precision, layout);
+        let mut all = Loops::default();
+        if derived.offset.is_none() || job == Job::Report {
+            let even = layout.without_rows();
+            self.each(&self.derived, job, control, (precision, &even), |kernel, is_clipped| match is_clipped {
+                false => all.seen.push(kernel),
+                true => all.clipped.push(kernel),
+            })?;
+        }
+        let Some(offset) = derived.offset else { return Ok(all) };
+        // What offsets explain is told by F.
+        let of_rows = if job == Job::Report { Job::Value } else { job };
+        let mut entries: Vec<Loops> = Vec::new();
+        self.each(derived, of_rows, control, made_for, |kernel, is_clipped| match entries.last_mut() {
+            Some(entry) if is_clipped => entry.clipped.push(kernel),
+            _ => entries.push(Loops { seen: vec![kernel], ..Loops::default() }),
+        })?;
+        let order = derived.order(of_rows);
+        let place = |wanted: &ParameterId| order.iter().position(|id| id == wanted);
+        let places = self.derived.order(of_rows).iter().filter_map(place).collect();
+        let rows = place(&offset).map(|offset| Rows { entries, places, offset, count: order.len() });
+        Ok(Loops { rows: rows.map(Arc::new), ..all })
+    }
+
+    /// Calls with each kernel of a job, and whether it sums pixels at their limit: those of an entry of `observed` follow that of
+    /// the entry's other pixels.
+    fn each(
+        &self,
+        derived: &Derived,
+        job: Job,
+        control: Control,
+        made_for: (Precision, &PlaneLayout),
+        mut visit: impl FnMut(Arc<Kernel>, bool),
+    ) -> Result<(), CompileFailure> {
+        let sum = derived.sum_of(job);
+        for (index, part) in derived.parts.iter().enumerate().filter(|(_, part)| Some(part.sum) == sum) {
+            if !part.is_clipped || control != Control::Plain {
+                visit(self.kernel(&derived.parts, index, control, made_for)?, part.is_clipped);
             }
         }
-        Ok(loops)
+        Ok(())
     }
 
     /// The kernel of a part, compiled now if need be.
     fn kernel(
         &self,
+        parts: &[Part],
         index: usize,
         control: Control,
-        precision: Precision,
-        layout: &PlaneLayout,
+        (precision, layout): (Precision, &PlaneLayout),
     ) -> Result<Arc<Kernel>, CompileFailure> {
-        let part = &self.derived.parts[index];
+        let part = &parts[index];
         // Pixels at their limit are numbers.
         let control = if part.is_clipped { Control::Plain } else { control };
         let find = |ready: &[Ready]| {
@@ -278,14 +339,17 @@ enum Sum {
 }
 
 impl Sum {
-    fn of(model: &Model, job: Job) -> Sum {
+    fn of(model: &Model, job: Job, offset: Option<ParameterId>) -> Sum {
         let last = || model.stages().last().map_or(&[][..], |stage| &stage.parameters);
+        let free = |parameters: &[ParameterId]| parameters.iter().copied().chain(offset).collect();
         match job {
             Job::Stage(index) => {
-                let Stage { parameters, method, .. } = &model.stages()[index];
-                Sum::Derivatives(parameters.clone(), curvature(*method))
+                let method = if offset.is_some() { held(model, index) } else { model.stages()[index].method };
+                Sum::Derivatives(free(&model.stages()[index].parameters), curvature(method))
             }
-            Job::Covariance => Sum::Derivatives(last().to_vec(), Curvature::GaussNewton),
+            Job::Covariance => Sum::Derivatives(free(last()), Curvature::GaussNewton),
+            // With an offset, F has derivatives by it.
+            Job::Value if offset.is_some() => Sum::Derivatives(free(&[]), Curvature::GaussNewton),
             Job::Value => Sum::Value(ValueKind::Entry),
             Job::Report => Sum::Value(ValueKind::Full),
         }
@@ -306,16 +370,30 @@ impl Sum {
 impl Derived {
     /// The sums of every job of a model, each of them once, for each of its summands.
     fn of(model: &Model, workers: &dyn Workers) -> Result<Derived, CompileFailure> {
+        Derived::with_offset(model, None, workers)
+    }
+
+    /// The same with an offset of the pixels free in each of them.
+    fn of_rows(model: &Model, workers: &dyn Workers) -> Result<Derived, CompileFailure> {
+        let (model, offset) = model.with_offset();
+        Derived::with_offset(&model, Some(offset), workers)
+    }
+
+    fn with_offset(
+        model: &Model,
+        offset: Option<ParameterId>,
+        workers: &dyn Workers,
+    ) -> Result<Derived, CompileFailure> {
         // The last stage comes first: its order of parameters is that of the covariance.
         let mut jobs: Vec<Job> = (0..model.stages().len()).rev().map(Job::Stage).collect();
         jobs.extend((!jobs.is_empty()).then_some(Job::Covariance));
         jobs.push(Job::Value);
-        if model.has_noise() {
+        if model.has_noise() && offset.is_none() {
             jobs.push(Job::Report);
         }
         let mut sums: Vec<Sum> = Vec::new();
         let served = jobs.into_iter().map(|job| {
-            let wanted = Sum::of(model, job);
+            let wanted = Sum::of(model, job, offset);
             let known = sums.iter().position(|sum| sum.serves(&wanted));
             (job, known.unwrap_or_else(|| (sums.len(), sums.push(wanted)).0))
         });
@@ -327,7 +405,14 @@ impl Derived {
             let sum = order[i / summands.len()];
             part(&summands[i % summands.len()], sum, &sums[sum])
         })?;
-        Ok(Derived { parts, jobs })
+        Ok(Derived { parts, jobs, offset })
+    }
+
+    /// The free parameters of a job, in the order of its sums.
+    fn order(&self, job: Job) -> &[ParameterId] {
+        let sum = self.sum_of(job);
+        let part = self.parts.iter().find(|part| Some(part.sum) == sum);
+        part.map_or(&[], |part| part.objective.subset())
     }
 
     fn sum_of(&self, job: Job) -> Option<usize> {
@@ -351,6 +436,16 @@ fn part(Summand { model, is_clipped }: &Summand, sum: usize, what: &Sum) -> Resu
 /// How programs are lowered on this machine.
 pub(crate) fn lowering(control: Control) -> Lowering {
     Lowering { fma: has_fma(), drop_saturated: control != Control::Plain }
+}
+
+/// How a stage goes about pixels of such a layout: where rows have offsets, variances are held, since what an offset explains
+/// follows from them.
+pub(crate) fn method(model: &Model, stage: usize, layout: &PlaneLayout) -> Method {
+    if layout.has_rows { held(model, stage) } else { model.stages()[stage].method }
+}
+
+fn held(model: &Model, stage: usize) -> Method {
+    if model.has_noise() { Method::LevenbergMarquardt } else { model.stages()[stage].method }
 }
 
 /// Which F a stage's steps are compared by. Newton differentiates the variance as well, so its F has ln σ² and variances of

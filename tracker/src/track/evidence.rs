@@ -74,6 +74,9 @@ pub(crate) struct Own {
     /// By which factor its pixels are brighter than the background.
     #[serde(with = "exact")]
     pub light: f64,
+    /// The variance of what rows are off by, pixel values², where the fit did not know of that.
+    #[serde(with = "exact", default)]
+    pub rows: Option<f64>,
 }
 
 /// For and against having the target.
@@ -170,7 +173,7 @@ impl Ground {
             return self;
         }
         let light = light(solver, fit, self.limit);
-        let own = solver.structure(look, fit).map(|structure| Own { structure, reduced, light });
+        let own = solver.structure(look, fit).map(|(structure, rows)| Own { structure, reduced, light, rows });
         Ground { own: own.or(self.own), ..self }
     }
 }

@@ -11,6 +11,7 @@ use super::evidence::Ground;
 use super::noise::NoiseLevel;
 use super::past::Past;
 use super::rival::Rival;
+use super::rows::RowLevel;
 use super::search::Candidate;
 use super::shared::SharedParameters;
 use super::solver::{Attempt, Solver};
@@ -57,6 +58,9 @@ pub(crate) struct Memory {
     pub chosen: Option<Chosen>,
     /// How noisy its pixels are, where the model says what they should be.
     pub noise: NoiseLevel,
+    /// What rows are off by, where nobody says it.
+    #[serde(default)]
+    pub rows: RowLevel,
     motion: Option<Mover>,
     /// What was seen last was seen by another model: looks and misfit cannot be compared.
     is_swapped: bool,
@@ -75,6 +79,7 @@ impl Memory {
             found: self.found,
             ground: self.ground,
             motion: motion.and_then(|(motion, places)| motion.of_places(places)),
+            rows: self.rows,
             is_swapped: true,
             ..Memory::default()
         };
@@ -263,6 +268,9 @@ impl Memory {
         {
             self.reduced.into_iter().for_each(|reduced| self.noise.saw(reduced, own));
         }
+        let own = self.ground.and_then(|ground| ground.own);
+        let rows = fit.worth.as_ref().and_then(|worth| solver.of_plane(worth.row_variance?));
+        self.rows.saw(rows, own.and_then(|own| own.rows));
         self.chosen.clone_from(&fit.chosen);
         (self.found, self.is_swapped) = (true, false);
     }

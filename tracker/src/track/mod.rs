@@ -26,6 +26,7 @@ mod posed;
 pub(crate) mod publish;
 mod reconsider;
 mod rival;
+mod rows;
 pub(crate) mod search;
 pub(crate) mod shared;
 pub(crate) mod snapshot;

@@ -54,7 +54,7 @@ mod tests {
     use crate::track::structure::Structure;
 
     fn own(independent: f64) -> Own {
-        Own { structure: Structure { unexplained: 0.0, cell: 0.01, independent }, reduced: 1.0, light: 1.0 }
+        Own { structure: Structure { unexplained: 0.0, cell: 0.01, independent }, reduced: 1.0, light: 1.0, rows: None }
     }
 
     #[test]

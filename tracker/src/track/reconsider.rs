@@ -47,6 +47,10 @@ impl Solver {
         if is_blank || self.is_fine(&attempt, usual) || look.unfinished().is_some() {
             return Ok(attempt);
         }
+        let attempt = self.off_by_rows(look, attempt, start, margin)?;
+        if self.is_fine(&attempt, usual) {
+            return Ok(attempt);
+        }
         let view = self.view(look, self.window(look, start, margin));
         let alternatives = match self.options.preparing {
             Preparing::AtOnce => self.compiled.alternatives(&|| true),

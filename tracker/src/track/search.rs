@@ -225,7 +225,9 @@ impl Search {
             let bounded = look.bounded(&budget);
             let attempt = solver.reconsidered(&bounded, attempt, &start, margin, None, starts)?;
             bounded.wanted().cloned().into_iter().for_each(|preparation| look.want(preparation));
-            if attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
+            let has_rows = look.row_variance().is_none() && bounded.row_variance().is_some();
+            bounded.row_variance().into_iter().for_each(|variance| look.learn_rows(variance));
+            if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
                 search.candidates.push(Candidate::of(solver, attempt, ground));
             }
         }

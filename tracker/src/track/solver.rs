@@ -11,6 +11,7 @@ use isophote_symbolic::{Model, Quadrature};
 
 use super::faint;
 use super::rival::Rival;
+use super::rows::row_shares;
 use super::structure::Structure;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::budget::{FrameBudget, Stop};
@@ -47,6 +48,8 @@ pub(crate) struct Solver {
     pub bank: Option<Arc<Bank>>,
     /// What the camera's map of defects leaves out.
     pub gaps: Option<Gaps>,
+    /// The variance of rows' offsets in each entry of `observed`, over that of a plane; none where rows cannot be told apart.
+    pub(super) row_shares: Vec<f64>,
     reach: Reach,
 }
 
@@ -64,6 +67,8 @@ pub(crate) struct Look<'a> {
     wanted: OnceLock<Preparation>,
     /// What its fits have beside the model's kernels.
     pub ready: Arc<Readiness>,
+    /// The variance of what its rows are off by, as soon as that is known.
+    rows: OnceLock<f64>,
 }
 
 impl<'a> Look<'a> {
@@ -84,6 +89,7 @@ impl<'a> Look<'a> {
     {
         let limits = self.limits.lock().unwrap_or_else(PoisonError::into_inner).clone();
         Look {
+            rows: self.rows.clone(),
             planes: self.planes.clone(),
             limits: Mutex::new(limits),
             budget: Some(budget),
@@ -111,8 +117,8 @@ impl<'a> Look<'a> {
     /// The same, of a part of what may be looked at; `None` where that is outside.
     pub fn narrowed(&self, window: Window) -> Option<Look<'a>> {
         let (planes, limits, wanted) = (self.planes.clone(), Mutex::default(), OnceLock::new());
-        let ready = self.ready.clone();
-        Some(Look { planes, window: overlap(window, self.window)?, limits, wanted, ready, ..*self })
+        let (ready, rows) = (self.ready.clone(), self.rows.clone());
+        Some(Look { planes, window: overlap(window, self.window)?, limits, wanted, ready, rows, ..*self })
     }
 
     /// Asks for a search of all that may be looked at.
@@ -123,6 +129,16 @@ impl<'a> Look<'a> {
     /// Says what a fit went on without.
     pub fn want(&self, preparation: Preparation) {
         self.wanted.get_or_init(|| preparation);
+    }
+
+    /// The variance of what rows are off by, in pixel values², where it is known.
+    pub fn row_variance(&self) -> Option<f64> {
+        self.rows.get().copied()
+    }
+
+    /// It is known from now on.
+    pub fn learn_rows(&self, variance: f64) {
+        self.rows.get_or_init(|| variance);
     }
 
     /// What fits went on without.
@@ -176,7 +192,8 @@ impl Solver {
         let geometry = Geometry::of(compiled.model(), &constants);
         let bank = compiled.bank(&constants);
         let gaps = options.camera.defect_map.as_ref().and_then(Gaps::of);
-        Solver { compiled, options, constants, geometry, bank, gaps, reach }
+        let row_shares = row_shares(compiled.model(), &constants);
+        Solver { compiled, options, constants, geometry, bank, gaps, row_shares, reach }
     }
 
     pub fn model(&self) -> &Model {
@@ -204,14 +221,17 @@ impl Solver {
         let planes = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
         let largest = frame.largest.unwrap_or(f64::INFINITY);
         let (limits, wanted, ready) = (Mutex::default(), OnceLock::new(), Arc::default());
-        Some(Look { planes, window, largest, limits, budget: None, wanted, ready })
+        let look = Look { planes, window, largest, limits, budget: None, wanted, ready, rows: OnceLock::new() };
+        self.options.camera.row_variance().into_iter().for_each(|variance| look.learn_rows(variance));
+        Some(look)
     }
 
     /// A part of what may be looked at.
     pub fn view<'a>(&self, look: &Look<'a>, window: Window) -> View<'a> {
         let view = View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision());
         let gaps = self.gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
-        View { budget: look.budget, gaps, ..view }
+        let view = View { budget: look.budget, gaps, ..view };
+        self.with_rows(look, view, look.row_variance())
     }
 
     /// One limit a plane: the camera's, else what the window's pixels show, but not above what the source's pixels can hold.
@@ -318,12 +338,19 @@ impl Solver {
         fit.chosen.as_ref().map(|chosen| chosen.sampled).or(unchosen)
     }
 
-    /// What hangs together in the residuals of a fit.
-    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<Structure> {
+    /// What hangs together in the residuals of a fit, and the variance of what rows are off by where the fit did not know.
+    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<(Structure, Option<f64>)> {
         let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
         let predictions = self.compiled.predictions()?;
-        let seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
-        Structure::of(&seen, [view.window.width, view.window.height], self.model().coordinates().len())
+        let mut seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
+        let width = view.window.width;
+        let rows = seen.first_mut().filter(|_| self.asks_for_rows(look)).and_then(|seen| {
+            let variance = seen.row_variance(width)?;
+            seen.without_offsets(width, variance);
+            self.of_plane(variance)
+        });
+        let structure = Structure::of(&seen, [width, view.window.height], self.model().coordinates().len())?;
+        Some((structure, rows))
     }
 
     /// The same in a frame of that size; `None` where nothing of the domain is inside.

@@ -202,6 +202,10 @@ impl Tracker {
         let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending), None)).collect();
         let budget = FrameBudget::new(self.solver.options.work_max, watch);
         let look = self.solver.look(frame).map(|look| look.within(&budget).again(ready));
+        let rows = self.tracks.iter().find_map(|track| track.memory.rows.variance());
+        if let (Some(look), Some(variance)) = (&look, rows) {
+            look.learn_rows(variance);
+        }
         let outcomes: Vec<Finding> = match &look {
             Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),

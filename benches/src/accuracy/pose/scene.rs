@@ -28,6 +28,7 @@ pub fn camera() -> Camera {
         black: 0.0,
         electrons_per_dn: Some(ELECTRONS_PER_DN),
         read_noise_e: Some(READ_NOISE_E),
+        row_noise_e: None,
         defects: None,
         defect_map: None,
         intrinsics: Some(lens()),
