@@ -3,7 +3,7 @@
 
 use iced_x86::{Code, Instruction, Register};
 
-use super::{Checked, Pool};
+use super::pool::{Checked, Pool};
 
 /// What no index of a gather is above, `before` being the instruction in front of it.
 ///

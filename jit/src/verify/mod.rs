@@ -20,6 +20,7 @@ mod compiled_tests;
 mod gathered;
 mod known;
 mod listed;
+mod pool;
 mod rules;
 mod state;
 #[cfg(test)]
@@ -30,6 +31,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use iced_x86::{Code, Decoder, DecoderOptions, Instruction, OpKind, Register};
 use isophote_symbolic::Program;
 
+pub(crate) use self::pool::Pool;
 use self::rules::Check;
 use self::state::{Asked, FRAME_BYTES_MAX, State};
 use crate::options::KernelOptions;
@@ -75,22 +77,6 @@ pub(crate) struct Decoded {
     pub instructions: Vec<Instruction>,
     pub pool: Pool,
 }
-
-/// The constants behind the code, and where they begin.
-pub(crate) struct Pool {
-    pub first: u64,
-    pub bytes: Vec<u8>,
-}
-
-impl Pool {
-    /// What an instruction reads of them.
-    fn of(&self, i: &Instruction) -> Option<&[u8]> {
-        let start = i.ip_rel_memory_address().checked_sub(self.first)? as usize;
-        self.bytes.get(start..start.checked_add(i.memory_size().size())?)
-    }
-}
-
-type Checked<T> = Result<T, &'static str>;
 
 /// The instructions, one behind the other. The compiler does not say where the code ends: at the first constant that an
 /// instruction reads, or at the zeros that fill the gap in front of that one.

@@ -6,8 +6,9 @@ use std::mem::offset_of;
 use iced_x86::{Instruction, Mnemonic, OpKind, Register};
 
 use super::known::{Distance, Fact, Few, Limit};
+use super::pool::{Checked, Pool};
 use super::state::{Asked, State, Word};
-use super::{Checked, Permitted, Pool, listed};
+use super::{Permitted, listed};
 use crate::abi::{Args, Functions, PlaneArgs};
 
 /// One instruction with its surroundings.

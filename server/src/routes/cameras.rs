@@ -11,7 +11,8 @@ use super::parameters::DeviceParam;
 use super::{Answer, App, RawName, json, raw};
 use crate::documents::{place, read_json};
 use crate::problem::Problem;
-use crate::source::{CameraNames, camera_problem};
+use crate::source::camera_problem;
+use crate::source::control::CameraNames;
 
 /// The cameras of the service's machine.
 #[utoipa::path(get, path = "/v1/cameras", tag = "cameras", operation_id = "list_cameras",

@@ -2,7 +2,7 @@
 
 use super::Service;
 use crate::problem::Problem;
-use crate::source::CameraNames;
+use crate::source::control::CameraNames;
 
 impl Service {
     /// 409 where a source of that camera has a lease on its knobs.

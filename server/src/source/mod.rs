@@ -5,7 +5,7 @@
 //! pace, and rests while no session listens. Numbers of frames count what the source produced, so that gaps say what was
 //! lost.
 
-mod control;
+pub mod control;
 mod lease;
 mod live;
 mod open;
@@ -30,7 +30,6 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
-pub use control::CameraNames;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,

@@ -16,7 +16,6 @@ pub(crate) mod jet;
 pub(crate) mod likelihood;
 pub(crate) mod monomial;
 pub(crate) mod objective;
-pub(crate) mod offset;
 pub(crate) mod planes;
 pub(crate) mod polynomials;
 pub(crate) mod rank;

@@ -23,45 +23,35 @@ impl Model {
     /// The model at each of `places` (one number a coordinate). `parameters` and `constants` in document order.
     pub fn samples(&self, places: &[Vec<f64>], parameters: &[f64], constants: &[f64]) -> Vec<Sample> {
         let formulas = &self.formulas;
-        let given = |node: &Node| given(node, parameters, constants);
+        let at = |node: &Node, place: &[f64]| leaf(node, place, parameters, constants);
         let roots: Vec<_> = std::iter::once(formulas.intensity).chain(formulas.noise).collect();
-        let mut numbers = Values::of(&formulas.graph, &roots, &given);
+        let mut numbers = Values::of(&formulas.graph, &roots, &|node: &Node| at(node, &[]));
         let mut is_inside = self.insides(parameters, constants);
         let sample = |place: &Vec<f64>| {
-            let values = numbers.at(&|node: &Node| at(node, place, &given));
-            Sample {
-                intensity: values[0].value,
-                variance: values.get(1).map(|variance| variance.value),
-                inside: is_inside(place),
-            }
+            let values = numbers.at(&|node: &Node| at(node, place));
+            let variance = values.get(1).map(|variance| variance.value);
+            Sample { intensity: values[0].value, variance, inside: is_inside(place) }
         };
         places.iter().map(sample).collect()
     }
 
-    /// Whether places (one number a coordinate) are in the domain, one after the other: what does not depend on the place is
-    /// worked out once.
+    /// Whether places (one number a coordinate) are in the domain; what does not depend on the place is worked out once.
     pub fn insides<'a>(&'a self, parameters: &'a [f64], constants: &'a [f64]) -> impl FnMut(&[f64]) -> bool + 'a {
-        let given = |node: &Node| given(node, parameters, constants);
+        let at = move |node: &Node, place: &[f64]| leaf(node, place, parameters, constants);
         let domain: Vec<_> = self.formulas.domain.into_iter().collect();
-        let mut bounds = Values::of(&self.formulas.graph, &domain, &given);
-        move |place| domain.is_empty() || bounds.holds_at(&|node: &Node| at(node, place, &given))
+        let mut bounds = Values::of(&self.formulas.graph, &domain, &|node: &Node| at(node, &[]));
+        move |place| domain.is_empty() || bounds.holds_at(&|node: &Node| at(node, place))
     }
 }
 
-/// What a place does not change.
-fn given(node: &Node, parameters: &[f64], constants: &[f64]) -> f64 {
+/// What a node is at a place, or without one.
+fn leaf(node: &Node, place: &[f64], parameters: &[f64], constants: &[f64]) -> f64 {
     match node {
+        Node::Coordinate(c) => place.get(c.index()).copied().unwrap_or(f64::NAN),
         Node::Input(Input::Parameter(p) | Input::Entry(p)) => parameters[p.index()],
         Node::Input(Input::Constant(c)) => constants[c.index()],
         Node::Input(Input::Shift(_)) => 0.0,
         _ => f64::NAN,
-    }
-}
-
-fn at(node: &Node, place: &[f64], given: &dyn Fn(&Node) -> f64) -> f64 {
-    match node {
-        Node::Coordinate(c) => place.get(c.index()).copied().unwrap_or(f64::NAN),
-        node => given(node),
     }
 }
 

@@ -7,9 +7,7 @@ use std::sync::Arc;
 
 use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{
-    Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage, Start,
-};
+use crate::language::model::{Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage};
 use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
 use crate::proof::hyper::{Evaluator, Hyper, Order};
 use crate::proof::points::{NEAR, Random, centre, plausible};
@@ -57,16 +55,7 @@ impl Model {
             for powers in &terms {
                 let id = ParameterId(model.parameters.len() as u32);
                 let name = format!("background.{number}.x{}y{}", powers[0], powers[1]);
-                let start = Start::Number(0.0);
-                model.parameters.push(Parameter {
-                    name,
-                    start,
-                    others: Vec::new(),
-                    min: None,
-                    max: None,
-                    unit: None,
-                    span: Default::default(),
-                });
+                model.parameters.push(Parameter::added(name));
                 new.push(id);
                 let coefficient = graph.input(Input::Parameter(id));
                 let mut factors = vec![(coefficient, 1)];
@@ -96,6 +85,25 @@ impl Model {
         let method = Method::LevenbergMarquardt;
         let stages = vec![Stage { parameters: free, method, iterations: ITERATIONS, tolerance }];
         Model { formulas, stages, ..model }
+    }
+
+    /// The model with a parameter more, the last one, in pixel values: it is added to the intensity of every entry of
+    /// `observed`, and not to what its noise follows from. No stage frees it.
+    pub fn with_offset(&self) -> (Model, ParameterId) {
+        let mut model = self.clone();
+        let id = ParameterId(model.parameters.len() as u32);
+        model.parameters.push(Parameter::added("common.offset".to_string()));
+        let mut graph = model.formulas.graph.drawing_on(Budget::default());
+        let common = graph.input(Input::Parameter(id));
+        let mut entries = model.formulas.entries.clone();
+        for entry in &mut entries {
+            entry.intensity = graph.add2(entry.intensity, common);
+            graph.set_opaque(entry.intensity);
+        }
+        let Observation { observed, intensity, shown, noise } = entries[0];
+        let graph = Arc::new(graph);
+        let formulas = Formulas { graph, observed, intensity, shown, noise, entries, ..model.formulas };
+        (Model { formulas, ..model }, id)
     }
 
     /// The domain as far as it is near a target: dᵀ A d ≤ reach².

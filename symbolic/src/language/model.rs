@@ -30,6 +30,14 @@ pub struct Parameter {
     pub span: Span,
 }
 
+impl Parameter {
+    /// One that no document has: it starts at 0.
+    pub(crate) fn added(name: String) -> Parameter {
+        let (start, span) = (Start::Number(0.0), Span::default());
+        Parameter { name, start, others: Vec::new(), min: None, max: None, unit: None, span }
+    }
+}
+
 /// The start of a parameter.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub enum Start {

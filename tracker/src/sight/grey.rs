@@ -271,6 +271,17 @@ fn smoothed_across(values: &[f64], stride: usize, count: usize) -> Vec<f64> {
     smooth
 }
 
+/// The variance of rows' offsets in each entry of `observed`, over that of a plane; nothing where rows cannot be told apart, or
+/// pixels cannot be weighed against their row because no formula says how noisy they are.
+pub(crate) fn row_shares(model: &Model, constants: &[f64]) -> Vec<f64> {
+    if !model.has_noise() || model.coordinates().len() < 2 {
+        return Vec::new();
+    }
+    let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
+    let share = |model: &Model| Some(Mixture::linear(model, constants)?.weights.iter().map(|m| m * m).sum());
+    entries.map(|summand| share(&summand.model)).collect::<Option<_>>().unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,12 +6,10 @@
 //! Rows that are off say so by residuals that differ from one row to the next by more than their pixels' noise. From then on
 //! fits know of offsets, and each says what they were.
 
-use isophote_symbolic::Model;
 use serde::{Deserialize, Serialize};
 
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::sight::grey::Mixture;
 use crate::sight::view::View;
 use crate::solve::exact;
 use crate::solve::fit::{Begin, Fit, fit};
@@ -46,17 +44,6 @@ impl RowLevel {
     pub fn variance(&self) -> Option<f64> {
         Some(self.variance).filter(|variance| self.frames > 0 && *variance > 0.0)
     }
-}
-
-/// The variance of rows' offsets in each entry of `observed`, over that of a plane; nothing where rows cannot be told apart, or
-/// pixels cannot be weighed against their row because no formula says how noisy they are.
-pub(super) fn row_shares(model: &Model, constants: &[f64]) -> Vec<f64> {
-    if !model.has_noise() || model.coordinates().len() < 2 {
-        return Vec::new();
-    }
-    let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-    let share = |model: &Model| Some(Mixture::linear(model, constants)?.weights.iter().map(|m| m * m).sum());
-    entries.map(|summand| share(&summand.model)).collect::<Option<_>>().unwrap_or_default()
 }
 
 impl Solver {

@@ -11,7 +11,6 @@ use isophote_symbolic::{Model, Quadrature};
 
 use super::faint;
 use super::rival::Rival;
-use super::rows::row_shares;
 use super::structure::Structure;
 use super::window::{Margin, Reach, half_widths, holds, shape};
 use crate::budget::{FrameBudget, Stop};
@@ -20,6 +19,7 @@ use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::detect::{Bank, Strength};
 use crate::sight::gaps::{Gaps, overlap};
+use crate::sight::grey::row_shares;
 use crate::sight::mask::Mask;
 use crate::sight::view::{View, limit};
 use crate::solve::compiled::Compiled;

@@ -73,7 +73,6 @@ impl ShadowFitter {
         let results = self.tracker.track_all_while(frame, &watch);
         let end_ns = monotonic_ns();
         let [is_over, has_searched] = [&watch.is_over, &watch.has_searched].map(|flag| flag.load(Ordering::Relaxed));
-        drop(watch);
         if results.iter().any(|result| result.ending == Ending::Cancelled) {
             return; // nobody asked for half a fit
         }
