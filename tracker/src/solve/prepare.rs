@@ -53,7 +53,8 @@ impl Preparation {
         match self.lacking {
             Lacking::Alternatives => self.alternatives(keeps_going),
             Lacking::Sampling => self.sampling(keeps_going),
-            Lacking::Rows => self.rows(),
+            // What makes rows look off may hide the target as well, and be gone by the time that these are there.
+            Lacking::Rows => self.rows().and_then(|()| self.alternatives(keeps_going)),
         }
     }
 
