@@ -149,7 +149,12 @@ impl Books {
     }
 
     fn is_used(&self, model: u64) -> bool {
-        self.sessions.values().any(|session| session.models.contains(&model))
+        // One that runs needs the model that it has, and no longer the document's after a swap.
+        let needed = |session: &Declared| match session.runs {
+            Runs::Yes => session.models[1] == model,
+            _ => session.models.contains(&model),
+        };
+        self.sessions.values().any(needed)
     }
 
     fn feeds(&self, source: u64) -> bool {
