@@ -57,9 +57,7 @@ impl Compiler {
         &self,
         work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
-        let place = self.places.clone().try_acquire_owned();
-        let place = place.map_err(|_| Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs))?;
-        self.hand_in(place, work).await
+        self.hand_in(self.place()?, work)?.await.map_err(|_| Problem::stopping())?
     }
 
     /// The same for what nobody could try again: it waits for its place.
@@ -68,23 +66,28 @@ impl Compiler {
         work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
         let place = self.places.clone().acquire_owned().await.map_err(|_| Problem::stopping())?;
-        self.hand_in(place, work).await
+        self.hand_in(place, work)?.await.map_err(|_| Problem::stopping())?
     }
 
-    /// The same where nothing else can be done meanwhile. Not for asynchronous callers.
+    /// The same as [`Compiler::run`] where nothing else can be done meanwhile. Not for asynchronous callers.
     pub fn run_blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
-        let runtime = tokio::runtime::Builder::new_current_thread().build();
-        runtime.map_err(|error| Problem::bug(error.to_string()))?.block_on(self.run_in_turn(work))
+        self.hand_in(self.place()?, work)?.blocking_recv().map_err(|_| Problem::stopping())?
     }
 
-    async fn hand_in<T: Send + 'static>(
+    fn place(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        let place = self.places.clone().try_acquire_owned();
+        place.map_err(|_| Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs))
+    }
+
+    /// Where the answer will come.
+    fn hand_in<T: Send + 'static>(
         &self,
         place: OwnedSemaphorePermit,
         work: impl FnOnce(&mut Owner) -> Result<T, Problem> + Send + 'static,
-    ) -> Result<T, Problem> {
+    ) -> Result<oneshot::Receiver<Result<T, Problem>>, Problem> {
         let (reply, answer) = oneshot::channel();
         let job: Job = Box::new(move |owner| {
             drop(place); // it is out of the queue
@@ -92,13 +95,11 @@ impl Compiler {
             let result = result.unwrap_or_else(|_| Err(Problem::bug("the compile job panicked")));
             drop(reply.send(result)); // the client may have gone
         });
-        {
-            let jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
-            let sender = jobs.as_ref().ok_or_else(Problem::stopping)?;
-            // Full it cannot be: who has a place finds room.
-            sender.try_send(job).map_err(|_| Problem::stopping())?;
-        }
-        answer.await.map_err(|_| Problem::stopping())?
+        let jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        let sender = jobs.as_ref().ok_or_else(Problem::stopping)?;
+        // Full it cannot be: who has a place finds room.
+        sender.try_send(job).map_err(|_| Problem::stopping())?;
+        Ok(answer)
     }
 
     /// Ends the thread after the job that it is at, and waits for that until then.
