@@ -16,6 +16,8 @@
 //! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate; none for a target that moved by less than
 //!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
+//! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: residuals of another shape
+//!    ([`Aspect`]), and a frame that is full of such things ([`prominence`]). What is taken for the target keeps it.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
 
@@ -23,6 +25,8 @@ use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
+use super::aspect::Aspect;
+use super::prominence;
 use super::solver::{Attempt, Look, Solver};
 use super::structure::Structure;
 use crate::solve::exact;
@@ -42,6 +46,10 @@ const IMPERFECT: f64 = 0.002;
 const EXCESS: f64 = 0.02;
 /// e-folds for a substitute that leaves all pixels out.
 const HIDDEN: f64 = 2.5;
+/// Of a target that nobody has seen before this share may be covered: a thing of any shape is one of which enough is covered.
+const HIDDEN_MOST: f64 = 0.35;
+/// What more of it takes of the log odds, of all pixels.
+const VEILED: f64 = 200.0;
 /// A target's pixels are looked at one by one again when χ²/ν has changed by this factor since.
 const GROWN: f64 = 1.35;
 /// A height of so many times what pixels hold can still be told.
@@ -62,6 +70,9 @@ pub(crate) struct Ground {
     pub limit: f64,
     /// Of the target's own pixels, when they were last looked at one by one.
     pub own: Option<Own>,
+    /// Log odds that its looks took away when it was first found.
+    #[serde(with = "exact", default)]
+    pub oddity: f64,
 }
 
 /// A target's own pixels.
@@ -90,6 +101,8 @@ pub struct Evidence {
     pub distance: f64,
     /// e-folds.
     pub strangeness: f64,
+    /// Log odds.
+    pub oddity: f64,
     /// ln of the log-likelihood ratio against background alone; it says that there is something, not that it is the target.
     pub significance: f64,
 }
@@ -129,7 +142,9 @@ impl Evidence {
             }
         };
         let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
-        Some(Evidence { contrast, misfit, significance: (0.5 * gain * freedom).max(1.0).ln(), ..Evidence::default() })
+        let oddity = ground.map_or(0.0, |ground| ground.oddity);
+        let significance = (0.5 * gain * freedom).max(1.0).ln();
+        Some(Evidence { contrast, misfit, oddity, significance, ..Evidence::default() })
     }
 
     /// By which one of several things is taken.
@@ -146,7 +161,7 @@ impl Evidence {
     /// The log odds.
     pub fn log_odds(&self) -> f64 {
         let seen = [self.contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
-        CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>()
+        CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>() - self.oddity
     }
 
     /// The probability that the thing fitted is the target.
@@ -160,7 +175,7 @@ impl Solver {
     pub fn stated_ground(&self, look: &Look, attempt: &Attempt) -> Option<Ground> {
         let fit = attempt.fit.as_ref().filter(|_| self.model().has_noise() && !self.fits_pose())?;
         let limit = self.limit(look, &fit.parameters)?;
-        Some(Ground { variance: f64::NAN, limit, own: None })
+        Some(Ground { variance: f64::NAN, limit, own: None, oddity: 0.0 })
     }
 }
 
@@ -175,6 +190,18 @@ impl Ground {
         let light = light(solver, fit, self.limit);
         let own = solver.structure(look, fit).map(|(structure, rows)| Own { structure, reduced, light, rows });
         Ground { own: own.or(self.own), ..self }
+    }
+
+    /// With what its looks say of a thing that may be the target, of which nothing is known yet.
+    pub fn seen_first(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
+        let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good() && !solver.fits_pose()) else { return self };
+        if let Some(choice) = fit.choice {
+            let hidden = if choice.robust { choice.hidden } else { 0.0 };
+            return Ground { oddity: VEILED * (hidden - HIDDEN_MOST).max(0.0), ..self };
+        }
+        let shape = Aspect::of(solver, look, fit, self.limit).map_or(0.0, Aspect::against);
+        let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against);
+        Ground { oddity: shape + common, ..self }
     }
 }
 
@@ -212,9 +239,10 @@ fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
         let variance = alone(&information, brightness, background)?;
         least = least.min(fit.parameters[order[brightness].index()].powi(2) / variance);
     }
-    // Covariances of a model without noise are in units of χ²/ν, so F is ν there.
+    // Covariances of a model without noise are in units of χ²/ν, so F is ν there. With noise χ²/ν is 1 on average: less is
+    // luck, and of a dozen pixels a lot of it.
     let freedom = worth.pixels.checked_sub(order.len() as u64).filter(|&n| n > 0)? as f64;
-    let reduced = if solver.model().has_noise() { worth.reduced? } else { 1.0 };
+    let reduced = if solver.model().has_noise() { worth.reduced?.max(1.0) } else { 1.0 };
     (least.is_finite() && reduced > 0.0).then(|| least / (freedom * reduced))
 }
 

@@ -9,6 +9,7 @@
 //!                                                           └ not now ─► search nearby     coast, or lose
 //! ```
 
+mod aspect;
 mod branch;
 mod clock;
 mod coordinate;
@@ -23,6 +24,7 @@ mod nearby;
 mod noise;
 mod past;
 mod posed;
+mod prominence;
 pub(crate) mod publish;
 mod reconsider;
 mod rival;
@@ -286,6 +288,8 @@ mod tests;
 mod faint_tests;
 #[cfg(test)]
 mod jitter_tests;
+#[cfg(test)]
+mod odd_tests;
 #[cfg(test)]
 mod sampling_tests;
 #[cfg(test)]

@@ -90,6 +90,8 @@ pub(crate) struct Search {
     /// The most massive thing that no fit explains well.
     doubtful: Option<Doubtful>,
     scope: Scope,
+    /// Nothing is known of how the target looks.
+    is_first: bool,
     /// Things that were fitted, and how many pixels that took in all passes.
     fitted: usize,
     work: u64,
@@ -182,7 +184,8 @@ impl Search {
         scope: Scope,
     ) -> Result<Search, CompileFailure> {
         // Where looks are known, the likeliest is not the largest.
-        let is_known = size_px.is_some() || solver.given_looks() != (None, None) || solver.options.targets > 1;
+        let is_first = size_px.is_none() && solver.given_looks() == (None, None);
+        let is_known = !is_first || solver.options.targets > 1;
         let mut search = Search {
             candidates: Vec::new(),
             claimed: Vec::new(),
@@ -191,6 +194,7 @@ impl Search {
             avoided,
             doubtful: None,
             scope: if is_known { Scope::All } else { scope },
+            is_first,
             fitted: 0,
             work: 0,
         };
@@ -228,6 +232,10 @@ impl Search {
             let has_rows = look.row_variance().is_none() && bounded.row_variance().is_some();
             bounded.row_variance().into_iter().for_each(|variance| look.learn_rows(variance));
             if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
+                let ground = ground
+                    .filter(|_| search.is_first)
+                    .map(|ground| ground.seen_first(solver, look, &attempt))
+                    .or(ground);
                 search.candidates.push(Candidate::of(solver, attempt, ground));
             }
         }
@@ -252,7 +260,7 @@ impl Search {
             return Ok(());
         };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = cold.variance.map(|variance| Ground { variance, limit, own: None });
+        let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0 });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
             if self.is_spent(look) || self.is_beaten(starts, cold.variance) {
@@ -264,7 +272,7 @@ impl Search {
                 self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });
             }
             if attempt.is_good() {
-                let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
+                let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
                 let candidate = Candidate::of(solver, attempt, ground);
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
@@ -277,6 +285,11 @@ impl Search {
             }
         }
         Ok(())
+    }
+
+    fn looked_at(&self, ground: Ground, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
+        let ground = ground.looked_at(solver, look, attempt);
+        if self.is_first { ground.seen_first(solver, look, attempt) } else { ground }
     }
 
     /// Nothing was found that is likely to be the target, or more than one thing is looked for.
@@ -301,7 +314,7 @@ impl Search {
         (self.fitted, self.work) = (0, 0);
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = Some(Ground { variance: spotted.variance, limit, own: None });
+        let ground = Some(Ground { variance: spotted.variance, limit, own: None, oddity: 0.0 });
         for starts in &spotted.sights {
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
             if self.candidates.iter().any(is_known) {
@@ -311,7 +324,7 @@ impl Search {
                 break;
             }
             let attempt = self.try_all(solver, look, starts, control)?;
-            let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
+            let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
             let mut candidate = Candidate::of(solver, attempt, ground);
             // That there is something has been decided: a fit that stays there need not decide again.
             if candidate.attempt.rejection == Some(Rejection::Faint) && candidate.stays(solver, &starts.starts[0]) {

@@ -1,0 +1,83 @@
+#![allow(clippy::unwrap_used)]
+use std::sync::Arc;
+
+use isophote_frame::{Frame, Plane};
+use isophote_jit::PixelFormat;
+use isophote_symbolic::{Model, Precision};
+
+use super::aspect::Aspect;
+use super::prominence;
+use super::window::Margin;
+use crate::picture::Noise;
+use crate::solve::fit::Begin;
+use crate::solve::stage_kernels::Control;
+use crate::{Compiled, Rejection, TrackState, Tracker, TrackerOptions};
+
+const SIZE: [usize; 2] = [320, 240];
+const CENTRE: [f64; 2] = [160.3, 119.6];
+
+/// An 8-bit frame with noise of 2 DN.
+fn frame(light: impl Fn(f64, f64) -> f64) -> Frame {
+    let mut noise = Noise(7);
+    let value = |i: usize| {
+        let (x, y) = ((i % SIZE[0]) as f64 - CENTRE[0], (i / SIZE[0]) as f64 - CENTRE[1]);
+        (20.0 + light(x, y) + 2.0 * noise.normal()).round().clamp(0.0, 255.0) as u8
+    };
+    let bytes = (0..SIZE[0] * SIZE[1]).map(value).collect();
+    Frame::new(&SIZE, vec![Plane::owned(PixelFormat::U8, bytes, SIZE[0])]).unwrap()
+}
+
+fn gaussian(x: f64, y: f64) -> f64 {
+    150.0 * (-2.0 * (x * x + 0.4 * x * y + 1.5 * y * y) / 300.0).exp()
+}
+
+fn square(x: f64, y: f64) -> f64 {
+    if x.abs().max(y.abs()) < 12.0 { 150.0 } else { 0.0 }
+}
+
+/// Bumps of 60 DN, 24 px apart, one of them at the centre.
+fn bumps(x: f64, y: f64) -> f64 {
+    let wave = |u: f64| (u * std::f64::consts::TAU / 24.0).cos();
+    30.0 + 30.0 * wave(x) * wave(y)
+}
+
+fn tracker() -> Tracker {
+    let model = Model::from_toml(include_str!("../../../models/gaussian.toml")).unwrap();
+    let compiled = Compiled::new(Arc::new(model), Precision::F32).unwrap();
+    Tracker::new(Arc::new(compiled), TrackerOptions::default()).unwrap()
+}
+
+/// What shape and prominence of a fit that begins at the centre, with a radius of so many px, take of the log odds.
+fn against(frame: &Frame, radius: f64) -> [f64; 2] {
+    let tracker = tracker();
+    let solver = &tracker.solver;
+    let look = solver.look(frame).unwrap();
+    let a = radius.powi(-2);
+    let start = [CENTRE[0], CENTRE[1], a, 0.0, a, 20.0, 120.0];
+    let margin = Margin::even(0.5, 6.0);
+    let fit = solver.attempt(&look, &start, Begin::Anywhere, Control::Plain, margin).unwrap().fit.unwrap();
+    let shape = Aspect::of(solver, &look, &fit, 255.0).unwrap().against();
+    [shape, prominence::against(prominence::of(solver, &look, &fit).unwrap())]
+}
+
+#[test]
+fn a_target_in_noise_has_nothing_against_it() {
+    assert_eq!(against(&frame(gaussian), 17.0), [0.0, 0.0]);
+}
+
+#[test]
+fn corners_are_held_against_a_thing_and_a_frame_full_of_bumps_against_one_of_them() {
+    let [shape, prominence] = against(&frame(square), 17.0);
+    assert!(shape > 10.0 && prominence == 0.0, "{shape} {prominence}");
+    let [_, prominence] = against(&frame(bumps), 8.0);
+    assert!(prominence > 5.0, "{prominence}");
+}
+
+#[test]
+fn a_lone_square_is_no_target() {
+    let estimate = tracker().track(&frame(square));
+    assert_eq!((estimate.state, estimate.rejection), (TrackState::Searching, Some(Rejection::Unlikely)));
+    assert!(estimate.confidence.unwrap() < 1e-3, "{estimate:?}");
+    let estimate = tracker().track(&frame(gaussian));
+    assert!(estimate.state == TrackState::Tracking && estimate.confidence.unwrap() > 0.99, "{estimate:?}");
+}
