@@ -114,12 +114,12 @@ def noise():
     for value in range(10, 241, 6):
         deviation = math.sqrt(0.8**2 + 0.051 * value)
         for _ in range(5):
-            figure.dot(40 + value, 130 - 22 * chance.gauss(0, deviation), GREY, 1.6)
+            figure.dot(40 + value, 130 - 14 * chance.gauss(0, deviation), GREY, 1.6)
     for sign in (1, -1):
-        figure.line([(40 + v, 130 - sign * 22 * math.sqrt(0.64 + 0.051 * v)) for v in range(10, 241, 5)], ORANGE, 2)
+        figure.line([(40 + v, 130 - sign * 14 * math.sqrt(0.64 + 0.051 * v)) for v in range(10, 241, 5)], ORANGE, 2)
     figure.text(165, 262, "brightness of the pixel, DN", 13)
     figure.text(165, 20, "differences between two pictures of one scene", 12)
-    figure.text(290, 52, "1 σ", 13, colour=ORANGE)
+    figure.text(296, 80, "1 σ", 13, colour=ORANGE)
     for cx, rx, ry, turn, words in ((420, 40, 20, -25, "little light"), (560, 18, 9, -25, "four times the light")):
         figure.add(f'<ellipse cx="{cx}" cy="130" rx="{rx}" ry="{ry}" fill="none" stroke="{BLUE}" stroke-width="2" transform="rotate({turn} {cx} 130)"/>')
         figure.dot(cx, 130, BLUE, 2.5)
@@ -139,7 +139,7 @@ def saturation():
     figure.text(x(1.5) + 4, y(255) + 4, "255: the camera’s limit", 12, "start", ORANGE)
     figure.text(x(0.2), y(345), "the light", 12, "start", GREY)
     figure.text(x(0.95), y(130), "the pixels", 12, "start", BLUE)
-    for i, (word, what) in enumerate((("dropped", "leaves the flat pixels out"), ("predicted", "leaves out where the model is above the limit"), ("censored", "takes them as “at least 255”"))):
+    for i, (word, what) in enumerate((("dropped", "leaves the flat pixels out"), ("predicted", "leaves out what the model expects there"), ("censored", "takes them as “at least 255”"))):
         figure.text(420, 150 + 40 * i, word, 13, "start", INK)
         figure.text(420, 166 + 40 * i, what, 11, "start", GREY)
     figure.write("saturation.svg")

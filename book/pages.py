@@ -58,10 +58,12 @@ def converted(content, page):
             continue
         if fence:
             words = fence.group(2).split()
+            # Commands are full of words that a highlighter takes for the shell's own.
+            words = ["text", *words[1:]] if words[:1] == ["sh"] else words
             if not inside and words[:1] == ["math"] and len(words) == 2:
                 formula = words[1]
                 continue
-            if not inside and len(words) > 1:
+            if not inside and words:
                 name = words[2] if len(words) > 2 else None
                 lines += [f'<p class="file-name">{name}</p>', ""] if name else []
                 line = f"{fence.group(1)}```{words[0]}"
