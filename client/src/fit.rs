@@ -210,6 +210,12 @@ pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) ->
         Some(confidence) => text += &format!("  confidence {confidence:.2}"),
         None => {}
     }
+    // A bad ending stands at the end of the line, and what is unlikely has its confidence.
+    if let Some(rejection) =
+        line.rejection.filter(|why| !matches!(why, wire::Rejection::Ending | wire::Rejection::Unlikely))
+    {
+        text += &format!("  not taken: {}", rejection.name());
+    }
     if let Some(strongest) = &line.strongest {
         let wire::Strength { score, threshold, place: [x, y], .. } = strongest;
         text += &format!("  strongest {score:.1} of {threshold:.1} σ at {x:.0}, {y:.0}");

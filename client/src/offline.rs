@@ -85,13 +85,32 @@ pub fn check_size(options: &TrackerOptions, model: &Model, captured: &Captured) 
 pub fn camera(path: Option<&Path>) -> Result<Camera, Failure> {
     let Some(path) = path else { return Ok(Camera::default()) };
     let text = read(path)?;
-    if text.trim_start().starts_with('{') {
-        return json(path, &text, "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})");
+    if is_json(&text) {
+        return json(path, &text, CAMERA);
     }
-    let intrinsics = Intrinsics::from_opencv_yaml(&text)
-        .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))?;
-    Ok(Camera { intrinsics: Some(intrinsics), ..Camera::default() })
+    Ok(Camera { intrinsics: Some(intrinsics(path, &text)?), ..Camera::default() })
 }
+
+/// The same as a session's document has it.
+pub fn camera_document(path: &Path) -> Result<serde_json::Value, Failure> {
+    let text = read(path)?;
+    match is_json(&text) {
+        true => json(path, &text, CAMERA),
+        false => Ok(serde_json::json!({"intrinsics": intrinsics(path, &text)?})),
+    }
+}
+
+fn is_json(text: &str) -> bool {
+    text.trim_start().starts_with('{')
+}
+
+fn intrinsics(path: &Path, text: &str) -> Result<Intrinsics, Failure> {
+    Intrinsics::from_opencv_yaml(text)
+        .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))
+}
+
+/// What a camera document is.
+const CAMERA: &str = "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})";
 
 /// The target of that document.
 pub fn target(path: &Path) -> Result<Target, Failure> {

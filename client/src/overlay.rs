@@ -9,7 +9,8 @@ use isophote_tracker::Contour;
 const CONTOUR: [f64; 3] = [255.0, 150.0, 0.0];
 const CENTRE: [f64; 3] = [0.0, 220.0, 255.0];
 const LOST: [f64; 3] = [255.0, 0.0, 60.0];
-/// Line width and length of a cross' arms, in pixels of the picture; in a small contour the arms are shorter.
+/// Line width and length of a cross' arms, in pixels of a picture of [`SIDE_PX`] and less, in proportion in a larger one; in a
+/// small contour the arms are shorter.
 const LINE_PX: f64 = 1.6;
 const ARM_PX: f64 = 7.0;
 const ARM_LEAST_PX: f64 = 2.5;
@@ -34,6 +35,8 @@ pub struct OverlayPicture {
 pub fn draw(plane: &PlaneView, part: Window, white: f64, contours: Option<&[Contour]>) -> OverlayPicture {
     let scale = (SIDE_PX / part.width.max(part.height).max(1)).clamp(1, MAGNIFICATION_MAX);
     let (width, height) = (part.width * scale, part.height * scale);
+    // People see a large picture reduced to their screen.
+    let pen = (width.max(height) as f64 / SIDE_PX as f64).max(1.0);
     let mut picture = OverlayPicture { width, height, rgb: Vec::with_capacity(3 * width * height) };
     for row in 0..height {
         // Position of this picture row in the frame; pixel centres are at whole numbers.
@@ -43,8 +46,8 @@ pub fn draw(plane: &PlaneView, part: Window, white: f64, contours: Option<&[Cont
             let gray = plane.pixel(part.x + column / scale, part.y + row / scale) / white * 255.0;
             let mut colour = [if gray.is_finite() { gray.clamp(0.0, 255.0) } else { 0.0 }; 3];
             for contour in contours.unwrap_or_default() {
-                blend(&mut colour, CONTOUR, coverage(distance(contour, x, y) * scale as f64));
-                blend(&mut colour, CENTRE, cross_coverage(contour, x, y, scale as f64));
+                blend(&mut colour, CONTOUR, coverage(distance(contour, x, y) * scale as f64, pen));
+                blend(&mut colour, CENTRE, cross_coverage(contour, x, y, scale as f64, pen));
             }
             if contours.is_none() && (row < 3 || column < 3 || row + 3 >= height || column + 3 >= width) {
                 colour = LOST;
@@ -68,19 +71,19 @@ fn distance(contour: &Contour, x: f64, y: f64) -> f64 {
 }
 
 /// How much of a picture pixel the centre's cross covers, 0…1.
-fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64) -> f64 {
+fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64, pen: f64) -> f64 {
     let (dx, dy) = ((x - contour.centre[0]).abs() * scale, (y - contour.centre[1]).abs() * scale);
     // The larger eigenvalue of A is at most its trace: a length that is surely inside of the contour.
     let inside = contour.shape.map_or(f64::INFINITY, |[[a1, _], [_, a3]]| scale / (a1 + a3).sqrt());
-    let length = (0.5 * inside).clamp(ARM_LEAST_PX, ARM_PX);
-    let arm = |along: f64, across: f64| coverage(across) * (length + 0.5 - along).clamp(0.0, 1.0);
+    let length = (0.5 * inside).clamp(ARM_LEAST_PX * pen, ARM_PX * pen);
+    let arm = |along: f64, across: f64| coverage(across, pen) * (length + 0.5 - along).clamp(0.0, 1.0);
     let cover = arm(dx, dy).max(arm(dy, dx));
     if cover.is_nan() { 0.0 } else { cover }
 }
 
-/// How much of a pixel a line covers whose middle is `distance` pixels away.
-fn coverage(distance: f64) -> f64 {
-    (LINE_PX / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
+/// How much of a pixel a line covers whose middle is `distance` pixels away, drawn with a pen so many times as wide as usual.
+fn coverage(distance: f64, pen: f64) -> f64 {
+    (LINE_PX * pen / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
 }
 
 fn blend(colour: &mut [f64; 3], over: [f64; 3], share: f64) {
@@ -164,6 +167,15 @@ mod tests {
         let lost = draw(&plane, part, 255.0, None);
         assert_eq!(at(&lost, 0, 0), LOST.map(|c| c as u8));
         assert_eq!(at(&lost, 160, 120), [100, 100, 100]);
+    }
+
+    #[test]
+    fn a_large_picture_is_drawn_with_a_broader_pen() {
+        let pixels = vec![100u8; 3840 * 8];
+        let plane = PlaneView::new(PixelFormat::U8, &pixels, 3840, 8, 3840, 1).unwrap();
+        let picture = draw(&plane, part_to_draw(None, 3840, 8), 255.0, Some(&[contour([1920.0, 4.0], None)]));
+        let at = |x: usize| picture.rgb[3 * (4 * 3840 + x)..][..3].to_vec();
+        assert_eq!((at(1945), at(1952)), (CENTRE.map(|c| c as u8).to_vec(), vec![100; 3]));
     }
 
     #[test]

@@ -9,8 +9,8 @@ use serde_json::{Map, Value, json};
 use crate::arguments::{NumberArgs, PrecisionArgument, WindowArgument};
 use crate::failure::Failure;
 use crate::http::{self, RemoteService, ServiceArgs, segment};
-use crate::output;
 use crate::source_uri;
+use crate::{offline, output};
 
 /// Start a session, or replace the one of that name
 #[derive(Clone, Debug, clap::Args)]
@@ -35,9 +35,13 @@ pub struct StartArgs {
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
     /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
-    /// intrinsics
+    /// intrinsics; or the YAML file that OpenCV's calibration (or ROS's camera_info) writes
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
+    /// A JSON document about the target: spots with their positions and radii in mm. With the camera's intrinsics it gives
+    /// poses
+    #[arg(long, value_name = "FILE")]
+    pub target: Option<PathBuf>,
     /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.003]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
@@ -102,7 +106,10 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
         document.insert("window".into(), window);
     }
     if let Some(path) = &args.camera {
-        document.insert("camera".into(), source_uri::read_json(path)?);
+        document.insert("camera".into(), offline::camera_document(path)?);
+    }
+    if let Some(path) = &args.target {
+        document.insert("target".into(), source_uri::read_json(path)?);
     }
     let mut options = Map::new();
     if let Some(precision) = args.precision {

@@ -188,6 +188,21 @@ pub enum Rejection {
     Misfit,
 }
 
+impl Rejection {
+    /// As documents have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Rejection::Ending => "ending",
+            Rejection::OutsideWindow => "outside-window",
+            Rejection::Oversized => "oversized",
+            Rejection::Faint => "faint",
+            Rejection::OutsideBounds => "outside-bounds",
+            Rejection::Unlikely => "unlikely",
+            Rejection::Misfit => "misfit",
+        }
+    }
+}
+
 /// What is different about a fit that was chosen over the plain one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]

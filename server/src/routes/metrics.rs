@@ -161,7 +161,6 @@ fn of_subscribers(all: &mut Exposition, sessions: &Sessions) {
     loads.iter().for_each(|(name, load)| family.sample(&[("session", name.as_str())], load.subscribers as f64));
     let mut family = all.gauge("isophote_ring_bytes", "Estimates that are kept for subscribers in mode all.");
     loads.iter().for_each(|(name, load)| family.sample(&[("session", name.as_str())], load.ring_bytes as f64));
-    let mut family =
-        all.counter("isophote_subscriber_dropped_total", "Frames that subscribers were told to have missed.");
+    let mut family = all.counter("isophote_subscriber_dropped_total", "Frames that subscribers missed.");
     loads.iter().for_each(|(name, load)| family.sample(&[("session", name.as_str())], load.dropped as f64));
 }

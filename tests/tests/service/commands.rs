@@ -106,6 +106,19 @@ fn the_way_through_the_commands() {
     demo.ok(&["session", "start", "three", "--model", "spot", "--source", source, "--start", "a1=0.01"]);
     assert_eq!(demo.ok(&["watch", "three", "--all", "--count", "3"]).lines().count(), 3);
 
+    let [camera, target] = ["camera.yaml", "target.json"].map(|name| folder.0.join(name).display().to_string());
+    let calibrated = "image_width: 640\nimage_height: 480\ncamera_matrix: {rows: 3, cols: 3, data: [600, 0, 320, 0, 600, 240, 0, 0, 1]}\n\
+                      distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}\n";
+    std::fs::write(&camera, calibrated).unwrap();
+    std::fs::write(&target, r#"{"spots": [{"name": "spot", "position_mm": [0, 0, 0], "radius_mm": 30}]}"#).unwrap();
+    let posed = ["session", "start", "posed", "--model", "spot", "--source", "pushed:640x480"];
+    demo.ok(&[&posed[..], &["--camera", &camera, "--target", &target]].concat());
+    let shown = demo.json(&["session", "show", "posed", "--json"]);
+    assert_eq!(
+        (&shown["camera"]["intrinsics"]["fx"], &shown["target"]["spots"][0]["radius_mm"]),
+        (&600.0.into(), &30.0.into())
+    );
+
     demo.fails(&["watch", "nobody"], 1, "nobody");
     demo.fails(&["session", "swap", "demo", "nobody"], 1, "nobody");
     demo.fails(&["session", "start", "x", "--model", "spot", "--source", "synthetic:spot?colour=red"], 1, "colour");

@@ -1,8 +1,8 @@
-// A camera that is not there: what its driver says is made up, what the page makes of it is not.
+// Cameras: one that is not there, whose driver's answers are made up, and one of the kernel's own drivers in a virtual machine.
 import assert from "node:assert/strict";
 import type { Check } from "./checks.ts";
 import { until } from "./checks.ts";
-import { Visit } from "./service.ts";
+import { hasRig, json, serveInRig, Visit } from "./service.ts";
 
 const DEVICE = "usb-046d_C920_7A3F";
 /** Above this the driver clamps without a word. */
@@ -80,4 +80,42 @@ export const cameras: Record<string, Check> = {
     assert.deepEqual(visit.complaints.filter((one) => !/409/.test(one)), []);
     await visit.close();
   },
+
+  async "the controls of a driver"(browser) {
+    if (!hasRig) return "skipped: no rig with cameras beside the repository, or not root";
+    const rig = await serveInRig([], 17300 + (process.pid % 400)).catch((error: Error) => {
+      if (/ended with 125/.test(error.message)) return null; // the rig itself
+      throw error;
+    });
+    if (!rig) return "skipped: the rig cannot be started here";
+    const { items: [there] } = await json<{ items: Camera[] }>(`${rig.url}/v1/cameras`);
+    const named = async (name: string) => (await json<Camera>(`${rig.url}/v1/cameras/${there!.identity}`)).controls.find((one) => one.name === name)!;
+    const source = { kind: "camera", device: there!.device, format: "GREY", width: 320, height: 180, rate_hz: 5 };
+    const put = (path: string, document: object) =>
+      json(`${rig.url}${path}`, { method: "PUT", headers: { "content-type": "application/json" }, body: JSON.stringify(document) });
+    await put("/v1/sources/lab", source);
+    await put("/v1/sessions/lab", { source: "lab", model: "gaussian" });
+    const visit = await Visit.open(browser, rig);
+    await visit.go("sources");
+    const panel = visit.page.getByLabel("camera", { exact: true }).and(visit.page.locator("section"));
+    const slider = panel.getByLabel("brightness", { exact: true });
+    await slider.waitFor({ timeout: 60_000 });
+    const before = await named("brightness");
+    const range = await slider.evaluate((one: HTMLInputElement) => [one.min, one.max, one.step, one.value].map(Number));
+    assert.deepEqual(range, [before.minimum, before.maximum, before.step, before.value], "the driver's range and value");
+    await slider.focus();
+    await visit.page.keyboard.press("ArrowRight");
+    await until(async () => (await named("brightness")).value === before.value + before.step, "the driver has taken the slider's value");
+    const flip = panel.getByLabel("horizontal flip", { exact: true });
+    const was = await flip.isChecked();
+    await flip.click();
+    await until(async () => Boolean((await named("horizontal_flip")).value) === !was, "the driver has taken the switch");
+    assert.deepEqual(visit.complaints, []);
+    await visit.close();
+    await rig.stop();
+    return `${there!.driver}, ${there!.controls.length} controls`;
+  },
 };
+
+interface Control { name: string; minimum: number; maximum: number; step: number; value: number }
+interface Camera { device: string; identity: string; driver: string; controls: Control[] }

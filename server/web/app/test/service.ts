@@ -18,7 +18,22 @@ export interface Service { url: string; /** Of what was started here. */ pid?: n
 
 /** Starts the program and waits until it says where it listens. */
 export function serve(args: string[], address = "127.0.0.1:0"): Promise<Service> {
-  const started: ChildProcess = spawn(PROGRAM, ["serve", "--listen", address, ...args], { stdio: ["ignore", "ignore", "pipe"] });
+  return listening(spawn(PROGRAM, ["serve", "--listen", address, ...args], { stdio: ["ignore", "ignore", "pipe"] }));
+}
+
+/** The small virtual machine with cameras, beside the repository; it needs root. */
+const RIG = resolve(TOP, "../shared/v4l-rig/run.sh");
+
+export const hasRig = existsSync(RIG) && process.getuid?.() === 0;
+
+/** The same on that machine, whose `port` is this one's. */
+export function serveInRig(args: string[], port: number): Promise<Service> {
+  const env = { ...process.env, V4L_RIG_FORWARD: `${port}:${port}`, V4L_RIG_TIMEOUT: "110", V4L_RIG_QUIET: "1" };
+  const address = `127.0.0.1:${port}`;
+  return listening(spawn(RIG, [PROGRAM, "serve", "--listen", address, ...args], { env, stdio: ["ignore", "ignore", "pipe"] }));
+}
+
+function listening(started: ChildProcess): Promise<Service> {
   return new Promise((done, failed) => {
     let said = "";
     started.on("error", failed);

@@ -5,7 +5,7 @@ import { tags } from "@lezer/highlight";
 
 const FUNCTIONS = [
   "sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "erf", "erfc", "sinc", "bessel_j0",
-  "bessel_j1", "abs", "atan2", "min", "max", "if", "sum", "product", "transpose", "dot", "norm", "inv", "det", "table",
+  "bessel_j1", "abs", "atan2", "min", "max", "if", "piecewise", "sum", "product", "table",
 ];
 const WORDS = ["and", "or", "not", "pi"];
 const KEYS = [
