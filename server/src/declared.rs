@@ -13,7 +13,8 @@ use crate::registry::{ModelText, Pin};
 use crate::store::{RecordTable, Store, StoreError, Transaction};
 
 /// Whether what is put is there after a restart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Keeping {
     /// It is.
     Declared,

@@ -2,6 +2,7 @@
 
 use isophote_wire::{SessionDocument, SourceDocument};
 
+use crate::command::Command;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
@@ -22,10 +23,11 @@ pub fn start(service: &Service, owner: &mut Owner) -> Result<(), Problem> {
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
     if !service.has_source(&name) {
-        service.put_source(owner, &name, source, None, Keeping::Passing)?;
+        let name = name.clone();
+        service.apply(owner, Command::PutSource { name, document: source, keeping: Keeping::Passing })?;
     }
     if !service.has_session(&name) {
-        service.put_session(owner, &name, session, None, None, Keeping::Passing)?;
+        service.apply(owner, Command::PutSession { name, document: session, keeping: Keeping::Passing })?;
     }
     Ok(())
 }

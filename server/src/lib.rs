@@ -17,6 +17,7 @@
 mod access;
 mod capacity;
 mod check;
+mod command;
 mod compiler;
 mod counters;
 mod declared;

@@ -2,6 +2,9 @@
 //!
 //! It accepts by itself because axum 0.8 gives a client for ever to finish a request's head.
 
+#[cfg(test)]
+mod autobahn;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::pin::pin;

@@ -2,8 +2,12 @@
 //! prepared beside it; read from anywhere. What is put is made ready, written, and only then takes its place: acknowledged means
 //! durable, refused means that nothing was changed.
 
+mod apply;
 mod declare;
 mod knobs;
+mod models;
+#[cfg(test)]
+mod replay;
 mod restore;
 mod shadows;
 #[cfg(test)]
@@ -19,12 +23,12 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
 use isophote_jit::VectorWidth;
-use isophote_machine::monotonic_ns;
-use isophote_symbolic::{Model, Precision};
-use isophote_wire::{ModelAnswer, SessionDocument, SourceDocument, SourceReference};
+use isophote_symbolic::Model;
+use isophote_wire::{SessionDocument, SourceDocument, SourceReference};
 use tokio::sync::oneshot;
 
 use crate::capacity::Load;
+use crate::command::Command;
 use crate::compiler::{Compiler, Owner};
 use crate::counters::ServiceCounters;
 use crate::declared::{Declarations, Keeping, SessionRecord, SourceRecord};
@@ -33,7 +37,7 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::node::ServiceNode;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, ModelEntry, Placed, Registry, imported};
+use crate::registry::{ModelEntry, Registry, imported};
 use crate::session::{
     PreparedSession, PreparedSwap, SearchRoom, Session, SessionStart, SourceOf, Swapped, prepare_session,
 };
@@ -156,68 +160,6 @@ impl Service {
         list(&self.sources)
     }
 
-    /// Parses, compiles and reports a document; nothing is kept.
-    pub fn check_model(
-        &self,
-        name: &Name,
-        media: Media,
-        text: &str,
-        workers: &FairWorkers,
-    ) -> Result<(ModelEntry, ModelAnswer), Problem> {
-        let model = workers.piece(|| media.model(text)).map_err(Problem::wrong_document)?;
-        let entry = ModelEntry::new(name.clone(), 0, model, media, text, self.registry.cache().clone());
-        let kernels = entry.kernels_by(Precision::F32, workers)?;
-        let report = workers.piece(|| kernels.report(&monotonic_ns))?;
-        let compile_ms: f64 = report.stages.iter().map(|stage| stage.compile_ms).sum();
-        self.counters.compile_s.observe(compile_ms / 1e3);
-        Ok((entry, ModelAnswer { name: name.to_string(), version: 0, collected: Vec::new(), report }))
-    }
-
-    /// `PUT /v1/models/{name}`, prepared by [`Service::check_model`].
-    pub fn put_model(
-        &self,
-        owner: &mut Owner,
-        name: &Name,
-        expected: &Expected,
-        (entry, mut answer): (ModelEntry, ModelAnswer),
-    ) -> Result<(Put, Arc<ModelEntry>, ModelAnswer), Problem> {
-        self.refuse_when_draining()?;
-        let Placed { is_new, entry, collected } = self.registry.put(owner, name, expected, entry, &self.pinned())?;
-        (answer.version, answer.collected) = (entry.version, collected);
-        tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
-        Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
-    }
-
-    /// `POST /v1/models/{name}:rollback`, prepared by [`Service::check_model`].
-    pub fn roll_back_model(
-        &self,
-        owner: &mut Owner,
-        name: &Name,
-        expected: &Expected,
-        version: u64,
-        (entry, mut answer): (ModelEntry, ModelAnswer),
-    ) -> Result<(Arc<ModelEntry>, ModelAnswer), Problem> {
-        self.refuse_when_draining()?;
-        let placed = self.registry.roll_back(owner, name, expected, entry, version, &self.pinned())?;
-        answer.version = version;
-        Ok((placed.entry, answer))
-    }
-
-    /// `DELETE /v1/models/{name}`.
-    pub fn remove_model(&self, owner: &mut Owner, name: &Name, expected: &Expected) -> Result<(), Problem> {
-        self.registry.get(name.as_str())?;
-        if let Some((session, _)) = self.sessions().iter().find(|(_, session)| session.uses_model(name.as_str())) {
-            return Err(Problem::conflict("in-use", format!("session `{session}` uses the model `{name}`")));
-        }
-        if let Some(session) = self.standing_user(name) {
-            let detail = format!("session `{session}`, which does not run, uses the model `{name}`; delete it first");
-            return Err(Problem::conflict("in-use", detail));
-        }
-        self.registry.remove(owner, name, expected, &self.pinned())?;
-        tracing::info!(model = name.as_str(), "model removed");
-        Ok(())
-    }
-
     /// `PUT /v1/sources/{name}`, opened already where that takes its time.
     pub fn put_source(
         &self,
@@ -227,49 +169,55 @@ impl Service {
         opened: Option<Opened>,
         keeping: Keeping,
     ) -> Result<Put, Problem> {
-        self.refuse_when_draining()?;
-        let before = get(&self.sources, "source", name.as_str()).ok();
-        let is_known = before.is_some() || self.standing_sources.has(name);
-        match &before {
-            Some(source) if source.sessions() > 0 => return Err(source_in_use(name, source)),
-            None if !is_known && self.sources().len() + self.standing_sources.len() >= LIMITS.sources => {
-                return Err(Problem::over_limit("sources", LIMITS.sources));
+        let command = Command::PutSource { name: name.clone(), document: document.clone(), keeping };
+        owner.change(command, |owner| {
+            self.refuse_when_draining()?;
+            let before = get(&self.sources, "source", name.as_str()).ok();
+            let is_known = before.is_some() || self.standing_sources.has(name);
+            match &before {
+                Some(source) if source.sessions() > 0 => return Err(source_in_use(name, source)),
+                None if !is_known && self.sources().len() + self.standing_sources.len() >= LIMITS.sources => {
+                    return Err(Problem::over_limit("sources", LIMITS.sources));
+                }
+                _ => {}
             }
-            _ => {}
-        }
-        // A camera that its last session has left may not be closed yet.
-        let held = before.as_ref().map(|before| before.pause());
-        let model = self.model_of_source(&document)?;
-        let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
-        let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
-        let source = Source::start(name.as_str(), document.clone(), opened)?;
-        let kept = self.keep_source(owner, name, document, model, keeping);
-        kept.inspect_err(|_| source.stop())?;
-        tracing::info!(source = name.as_str(), kind = source.document().kind(), "source put");
-        insert(&self.sources, name, source);
-        self.standing_sources.remove(name);
-        if let Some(before) = before {
-            before.stop();
-        }
-        drop(held);
-        Ok(if is_known { Put::Replaced } else { Put::Created })
+            // A camera that its last session has left may not be closed yet.
+            let held = before.as_ref().map(|before| before.pause());
+            let model = self.model_of_source(&document)?;
+            let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
+            let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
+            let source = Source::start(name.as_str(), document.clone(), opened)?;
+            let kept = self.keep_source(owner, name, document, model, keeping);
+            kept.inspect_err(|_| source.stop())?;
+            tracing::info!(source = name.as_str(), kind = source.document().kind(), "source put");
+            insert(&self.sources, name, source);
+            self.standing_sources.remove(name);
+            if let Some(before) = before {
+                before.stop();
+            }
+            drop(held);
+            Ok(if is_known { Put::Replaced } else { Put::Created })
+        })
     }
 
     /// `DELETE /v1/sources/{name}`.
     pub fn remove_source(&self, owner: &mut Owner, name: &Name) -> Result<(), Problem> {
-        let source = get(&self.sources, "source", name.as_str());
-        if let (Err(unknown), false) = (&source, self.standing_sources.has(name)) {
-            return Err(unknown.clone());
-        }
-        if let Some(source) = source.as_ref().ok().filter(|source| source.sessions() > 0) {
-            return Err(source_in_use(name, source));
-        }
-        self.declared_sources.remove(owner, name).map_err(StoreError::problem)?;
-        self.standing_sources.remove(name);
-        remove(&self.sources, name);
-        source.into_iter().for_each(|source| source.stop());
-        tracing::info!(source = name.as_str(), "source removed");
-        Ok(())
+        let command = Command::RemoveSource { name: name.clone() };
+        owner.change(command, |owner| {
+            let source = get(&self.sources, "source", name.as_str());
+            if let (Err(unknown), false) = (&source, self.standing_sources.has(name)) {
+                return Err(unknown.clone());
+            }
+            if let Some(source) = source.as_ref().ok().filter(|source| source.sessions() > 0) {
+                return Err(source_in_use(name, source));
+            }
+            self.declared_sources.remove(owner, name).map_err(StoreError::problem)?;
+            self.standing_sources.remove(name);
+            remove(&self.sources, name);
+            source.into_iter().for_each(|source| source.stop());
+            tracing::info!(source = name.as_str(), "source removed");
+            Ok(())
+        })
     }
 
     /// What takes its time before [`Service::put_session`], and whether there is room for it beside what runs.
@@ -318,45 +266,48 @@ impl Service {
         prepared: Option<&PreparedSession>,
         keeping: Keeping,
     ) -> Result<(Put, Option<oneshot::Receiver<()>>), Problem> {
-        self.refuse_when_draining()?;
-        let before = get(&self.sessions, "session", name.as_str()).ok();
-        let is_known = before.is_some() || self.standing_sessions.has(name);
-        if !is_known && self.sessions().len() + self.standing_sessions.len() >= LIMITS.sessions {
-            return Err(Problem::over_limit("sessions", LIMITS.sessions));
-        }
-        // A source of its own has no frames yet on which anything could be measured.
-        if let (Some(prepared), SourceReference::Named(_)) = (prepared, &document.source) {
-            self.admit(name, prepared)?;
-        }
-        let entry = self.registry.get(&document.model)?;
-        let source_model = match &document.source {
-            SourceReference::Own(source) => self.model_of_source(source)?,
-            SourceReference::Named(_) => None,
-        };
-        // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
-        let is_camera =
-            matches!(&document.source, SourceReference::Own(source) if matches!(**source, SourceDocument::Camera(_)));
-        let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
-        let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
-        let declared = (keeping == Keeping::Declared).then(|| self.declared_now());
-        let run = self.run(declared)?;
-        let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
-        let source = self.source_of(name, &document.source, opened, find)?;
-        let session = self.session_of(name, document.clone(), source, (&entry, &BTreeMap::new()), run)?;
-        session.expect_cost(prepared.and_then(|prepared| prepared.fit_ms));
-        let prepared_ms = prepared.map_or(0.0, |prepared| prepared.compile_ms);
-        self.counters.compile_s.observe((prepared_ms + session.compile_ms()) / 1e3);
-        let kept = self.keep_session(owner, name, document, &entry, source_model, declared);
-        kept.inspect_err(|_| discarded(name, &session))?;
-        session.begin();
-        tracing::info!(session = name.as_str(), frame = 0, model = entry.id(), "session started");
-        insert(&self.sessions, name, session);
-        self.standing_sessions.remove(name);
-        let put = if is_known { Put::Replaced } else { Put::Created };
-        let Some(before) = before else { return Ok((put, None)) };
-        let ended = ending(name, before);
-        drop(held);
-        Ok((put, Some(ended)))
+        let command = Command::PutSession { name: name.clone(), document: document.clone(), keeping };
+        owner.change(command, |owner| {
+            self.refuse_when_draining()?;
+            let before = get(&self.sessions, "session", name.as_str()).ok();
+            let is_known = before.is_some() || self.standing_sessions.has(name);
+            if !is_known && self.sessions().len() + self.standing_sessions.len() >= LIMITS.sessions {
+                return Err(Problem::over_limit("sessions", LIMITS.sessions));
+            }
+            // A source of its own has no frames yet on which anything could be measured.
+            if let (Some(prepared), SourceReference::Named(_)) = (prepared, &document.source) {
+                self.admit(name, prepared)?;
+            }
+            let entry = self.registry.get(&document.model)?;
+            let source_model = match &document.source {
+                SourceReference::Own(source) => self.model_of_source(source)?,
+                SourceReference::Named(_) => None,
+            };
+            // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
+            let is_camera =
+                matches!(&document.source, SourceReference::Own(source) if matches!(**source, SourceDocument::Camera(_)));
+            let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
+            let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
+            let declared = (keeping == Keeping::Declared).then(|| self.declared_now());
+            let run = self.run(declared)?;
+            let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
+            let source = self.source_of(name, &document.source, opened, find)?;
+            let session = self.session_of(name, document.clone(), source, (&entry, &BTreeMap::new()), run)?;
+            session.expect_cost(prepared.and_then(|prepared| prepared.fit_ms));
+            let prepared_ms = prepared.map_or(0.0, |prepared| prepared.compile_ms);
+            self.counters.compile_s.observe((prepared_ms + session.compile_ms()) / 1e3);
+            let kept = self.keep_session(owner, name, document, &entry, source_model, declared);
+            kept.inspect_err(|_| discarded(name, &session))?;
+            session.begin();
+            tracing::info!(session = name.as_str(), frame = 0, model = entry.id(), "session started");
+            insert(&self.sessions, name, session);
+            self.standing_sessions.remove(name);
+            let put = if is_known { Put::Replaced } else { Put::Created };
+            let Some(before) = before else { return Ok((put, None)) };
+            let ended = ending(name, before);
+            drop(held);
+            Ok((put, Some(ended)))
+        })
     }
 
     /// Ready, but without frames.
@@ -394,17 +345,20 @@ impl Service {
 
     /// `DELETE /v1/sessions/{name}`; the receiver hears when it has ended.
     pub fn remove_session(&self, owner: &mut Owner, name: &Name) -> Result<oneshot::Receiver<()>, Problem> {
-        let session = get(&self.sessions, "session", name.as_str());
-        if let (Err(unknown), false) = (&session, self.standing_sessions.has(name)) {
-            return Err(unknown.clone());
-        }
-        self.declared_sessions.remove(owner, name).map_err(StoreError::problem)?;
-        self.standing_sessions.remove(name);
-        remove(&self.sessions, name);
-        match session {
-            Ok(session) => Ok(ending(name, session)),
-            Err(_) => Ok(oneshot::channel().1), // there is nothing to wait for
-        }
+        let command = Command::RemoveSession { name: name.clone() };
+        owner.change(command, |owner| {
+            let session = get(&self.sessions, "session", name.as_str());
+            if let (Err(unknown), false) = (&session, self.standing_sessions.has(name)) {
+                return Err(unknown.clone());
+            }
+            self.declared_sessions.remove(owner, name).map_err(StoreError::problem)?;
+            self.standing_sessions.remove(name);
+            remove(&self.sessions, name);
+            match session {
+                Ok(session) => Ok(ending(name, session)),
+                Err(_) => Ok(oneshot::channel().1), // there is nothing to wait for
+            }
+        })
     }
 
     /// The second half of a hot swap: what was prepared is handed over.
@@ -416,13 +370,19 @@ impl Service {
         entry: &ModelEntry,
         prepared: PreparedSwap,
     ) -> Result<oneshot::Receiver<Swapped>, Problem> {
-        self.refuse_when_draining()?;
-        if !Arc::ptr_eq(&self.session(name)?, session) {
-            return Err(Problem::conflict("not-applicable", "the session was replaced before it took the model"));
-        }
-        self.counters.compile_s.observe(prepared.compile_ms / 1e3);
-        self.keep_swap(owner, name, entry, prepared.constants())?;
-        session.commit_swap(owner, prepared)
+        let command = match prepared.is_promotion() {
+            true => Command::PromoteShadow { session: name.to_string() },
+            false => Command::SwapModel { session: name.to_string(), model: entry.name.to_string() },
+        };
+        owner.change(command, |owner| {
+            self.refuse_when_draining()?;
+            if !Arc::ptr_eq(&self.session(name)?, session) {
+                return Err(Problem::conflict("not-applicable", "the session was replaced before it took the model"));
+            }
+            self.counters.compile_s.observe(prepared.compile_ms / 1e3);
+            self.keep_swap(owner, name, entry, prepared.constants())?;
+            session.commit_swap(owner, prepared)
+        })
     }
 
     /// From now on nothing new is taken, and every stream ends.

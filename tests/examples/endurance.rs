@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p isophote-tests --example endurance -- soak 30`: thirty minutes with a swap a second and a fault a
 //! minute, beside a witness, a healthy session of 30 frames a second. `… -- swaps 100000`: so many swaps, one after the other.
+//! `… -- slow 1000`: so many heads that do not end, and then bodies. `… -- readers 10`: ten minutes with 32 readers of each kind that
+//! read nothing, and come again every five seconds.
 //! Says every minute, or every thousand swaps, what the process has; ends with status 1 if it has more at the end.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
@@ -10,9 +12,10 @@
 mod client;
 
 use std::fs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::ExitCode;
+use std::time::Instant;
 
 use client::{Folder, Running, Socket, session};
 use isophote_tests::{Service, program};
@@ -26,6 +29,12 @@ const MINUTE: u64 = 60 * SECOND;
 const GROWTH_KIB: u64 = 4096;
 /// A thousand swaps may take so much, KiB.
 const SWAPS_GROWTH_KIB: f64 = 64.0;
+/// Readers that read nothing may take so much, KiB.
+const READERS_GROWTH_KIB: u64 = 1024;
+/// Clients that do not go on are gone by then, s.
+const SLOW_S_MAX: f64 = 12.0;
+const SLOW_HEAD: &str = "GET /v1/sessions HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
+const SLOW_BODY: &str = "POST /v1/sessions/pushed/frames HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/octet-stream\r\nContent-Length: 3072\r\n\r\nxxxx";
 /// Models that follow each other in the session beside the witness.
 const MODELS: [&str; 3] = ["gaussian", "moffat", "spot"];
 
@@ -64,11 +73,11 @@ impl Faults {
                 "16 subscribers that never read"
             }
             1 => {
-                self.begun(running, "GET /v1/sessions HTTP/1.1\r\nHost: localhost\r\nX-Slow: ");
+                self.begun(running, SLOW_HEAD);
                 "16 heads that do not end"
             }
             2 => {
-                self.begun(running, "POST /v1/sessions/pushed/frames HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/octet-stream\r\nContent-Length: 3072\r\n\r\nxxxx");
+                self.begun(running, SLOW_BODY);
                 "16 bodies that do not end"
             }
             3 => {
@@ -99,12 +108,15 @@ impl Faults {
     }
 
     fn begun(&mut self, running: &Running, text: &str) {
-        self.streams.extend((0..16).map(|_| {
-            let mut stream = TcpStream::connect(&running.address).unwrap();
-            stream.write_all(text.as_bytes()).unwrap();
-            stream
-        }));
+        self.streams.extend((0..16).map(|_| begun(running, text)));
     }
+}
+
+/// A client that sends that, and then nothing.
+fn begun(running: &Running, text: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(&running.address).unwrap();
+    stream.write_all(text.as_bytes()).unwrap();
+    stream
 }
 
 /// The largest gap between two frames of the witness of which 1 % are larger, ms.
@@ -156,6 +168,78 @@ fn soak(running: &Running, process: u32, minutes: u64) -> bool {
     memory_kib <= GROWTH_KIB && threads <= 1 && descriptors <= 2 && dropped == 0
 }
 
+/// Each of them is left in time, and the witness loses nothing.
+fn slow(running: &Running, _process: u32, count: u64) -> bool {
+    running.put("/v1/sessions/witness", &session("realtime", RATE_HZ)).expect(201);
+    let pushed = json!({"source": {"kind": "pushed", "width": 64, "height": 48, "format": "u8"}, "model": "spot"});
+    running.put("/v1/sessions/pushed", &pushed).expect(201);
+    let mut witness = running.socket("witness", "mode=all");
+    let mut is_well = true;
+    for (what, text) in [("heads", SLOW_HEAD), ("bodies", SLOW_BODY)] {
+        let begin = Instant::now();
+        let streams: Vec<TcpStream> = (0..count).map(|_| begun(running, text)).collect();
+        for mut stream in streams {
+            // What it is told does not matter here; that it ends does.
+            stream.read_to_end(&mut Vec::new()).ok();
+        }
+        let gone_s = begin.elapsed().as_secs_f64();
+        println!("{count} {what} that do not end: gone after {gone_s:.1} s");
+        is_well &= gone_s <= SLOW_S_MAX;
+    }
+    let newest = running.get("/v1/sessions/witness").expect(200)["frames"].as_u64().unwrap();
+    let (mut frame, mut dropped) = (0, 0);
+    while frame + 1 < newest {
+        let estimate = witness.next().unwrap();
+        frame = estimate["frame"].as_u64().unwrap();
+        dropped += estimate["dropped"].as_u64().unwrap();
+    }
+    println!("the witness dropped {dropped} of {frame} frames");
+    is_well && dropped == 0
+}
+
+/// 32 of each kind, the places of a session each.
+fn readers(running: &Running, process: u32, minutes: u64) -> bool {
+    running.put("/v1/sessions/witness", &session("realtime", RATE_HZ)).expect(201);
+    let mut document = session("fit", 500.0);
+    document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
+    let kinds = ["application/x-ndjson", "text/event-stream", "websocket"];
+    let path = |number: usize| format!("/v1/sessions/read-{number}");
+    (0..kinds.len()).for_each(|number| drop(running.put(&path(number), &document).expect(201)));
+    let mut witness = running.socket("witness", "mode=all");
+    let (mut sockets, mut streams, mut memory_kib, mut refused) = (Vec::new(), Vec::new(), Vec::new(), 0);
+    for frame in 0..minutes * MINUTE {
+        if frame % (5 * SECOND) == 0 {
+            (sockets, streams) = (Vec::new(), Vec::new());
+            for (number, kind) in kinds.iter().enumerate() {
+                let head = format!(
+                    "GET {}/estimates?mode=all HTTP/1.1\r\nHost: localhost\r\nAccept: {kind}\r\n\r\n",
+                    path(number)
+                );
+                for _ in 0..32 {
+                    match *kind {
+                        "websocket" => match running.try_socket(&format!("read-{number}"), "mode=all", "isophote.v1") {
+                            Ok(socket) => sockets.push(socket),
+                            Err(_) => refused += 1, // those before have not been left yet
+                        },
+                        _ => streams.push(begun(running, &head)),
+                    }
+                }
+            }
+        }
+        witness.next().unwrap();
+        if frame % MINUTE == MINUTE - 1 {
+            let usage = Usage::of(process);
+            println!("minute {:3}: {usage:?}, {refused} sockets were refused", frame / MINUTE + 1);
+            memory_kib.push(usage.memory_kib);
+        }
+    }
+    drop((sockets, streams));
+    // The first minute fills what is kept on purpose.
+    let growth_kib = memory_kib.iter().skip(1).max().unwrap_or(&0).saturating_sub(memory_kib[0]);
+    println!("at most {growth_kib} KiB more than after the first minute");
+    growth_kib <= READERS_GROWTH_KIB
+}
+
 fn swaps(running: &Running, process: u32, count: u64) -> bool {
     running.put("/v1/sessions/swapped", &session("realtime", 500.0)).expect(201);
     let mut memory_kib = Vec::new();
@@ -179,6 +263,11 @@ fn swaps(running: &Running, process: u32, count: u64) -> bool {
     growth <= SWAPS_GROWTH_KIB
 }
 
+fn usage() -> ExitCode {
+    println!("usage: endurance soak MINUTES | swaps COUNT | slow COUNT | readers MINUTES");
+    ExitCode::from(2)
+}
+
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (what, count) = match &arguments[..] {
@@ -187,20 +276,15 @@ fn main() -> ExitCode {
     };
     let folder = Folder::new("endurance");
     let data = folder.0.join("data");
-    let start = || Service::start(&program().unwrap(), &["--data", data.to_str().unwrap()], &folder.0).unwrap();
-    let is_well = match (what, count) {
-        ("soak", Some(minutes)) => {
-            let mut service = start();
-            soak(&Running::at(service.address()), service.child().id(), minutes)
-        }
-        ("swaps", Some(count)) => {
-            let mut service = start();
-            swaps(&Running::at(service.address()), service.child().id(), count)
-        }
-        _ => {
-            println!("usage: endurance soak MINUTES | swaps COUNT");
-            return ExitCode::from(2);
-        }
+    let run = match what {
+        "soak" => soak,
+        "swaps" => swaps,
+        "slow" => slow,
+        "readers" => readers,
+        _ => return usage(),
     };
+    let Some(count) = count else { return usage() };
+    let mut service = Service::start(&program().unwrap(), &["--data", data.to_str().unwrap()], &folder.0).unwrap();
+    let is_well = run(&Running::at(service.address()), service.child().id(), count);
     if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -48,7 +48,9 @@ pub async fn get(State(app): State<App>, name: RawName) -> Answer {
 pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
     let session = app.service.session(&raw(name)?)?;
     let in_order = app.service.workshop.in_order("session", session.name()).await;
-    app.service.compiler.run(move |owner| session.drop_shadow(owner, "the shadow was dropped")).await?;
+    let service = app.service.clone();
+    let work = move |owner: &mut Owner| service.drop_shadow(owner, &session, "the shadow was dropped");
+    app.service.compiler.run(work).await?;
     drop(in_order);
     Ok(StatusCode::NO_CONTENT.into_response())
 }
@@ -68,7 +70,8 @@ pub async fn promote(State(app): State<App>, name: RawName) -> Answer {
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
     let answer = taken(&app, session.clone(), &entry, prepared).await?;
     // It may have been dropped meanwhile, with its session.
-    app.service.compiler.run(move |owner| Ok(session.drop_shadow(owner, "the shadow has taken over").is_ok())).await?;
+    let work = move |owner: &mut Owner| Ok(service.drop_shadow(owner, &session, "the shadow has taken over").is_ok());
+    app.service.compiler.run(work).await?;
     drop(in_order);
     json(StatusCode::OK, &answer)
 }

@@ -6,6 +6,7 @@ use isophote_wire::ShadowView;
 
 use super::{Put, Service};
 use crate::capacity::Load;
+use crate::command::Command;
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -20,24 +21,33 @@ impl Service {
         session: &Arc<Session>,
         prepared: PreparedShadow,
     ) -> Result<(Put, ShadowView), Problem> {
-        self.refuse_when_draining()?;
-        if !Arc::ptr_eq(&self.session(name)?, session) {
-            return Err(Problem::conflict("not-applicable", "the session was replaced before it had the shadow"));
-        }
-        let sessions = self.sessions();
-        let others = sessions.iter().filter(|(other, _)| other.as_str() != name);
-        let shadows: Vec<_> = others.filter_map(|(_, session)| session.shadow().ok()).collect();
-        if shadows.len() >= LIMITS.shadows {
-            return Err(Problem::over_limit("shadows", LIMITS.shadows));
-        }
-        if let Some(rate_hz) = session.source().source.realtime_hz() {
-            let running: f64 = sessions.iter().filter_map(|(_, session)| session.load()).sum();
-            let running = running + shadows.iter().filter_map(|shadow| shadow.load()).sum::<f64>();
-            let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
-            Load::of_machine(running).admit(&format!("a shadow of the session `{name}`"), added)?;
-        }
-        self.counters.compile_s.observe(prepared.compile_ms / 1e3);
-        let put = if session.put_shadow(owner, prepared)? { Put::Replaced } else { Put::Created };
-        Ok((put, session.shadow()?.view()))
+        let command = Command::PutShadow { session: name.to_string(), document: prepared.document() };
+        owner.change(command, |owner| {
+            self.refuse_when_draining()?;
+            if !Arc::ptr_eq(&self.session(name)?, session) {
+                return Err(Problem::conflict("not-applicable", "the session was replaced before it had the shadow"));
+            }
+            let sessions = self.sessions();
+            let others = sessions.iter().filter(|(other, _)| other.as_str() != name);
+            let shadows: Vec<_> = others.filter_map(|(_, session)| session.shadow().ok()).collect();
+            if shadows.len() >= LIMITS.shadows {
+                return Err(Problem::over_limit("shadows", LIMITS.shadows));
+            }
+            if let Some(rate_hz) = session.source().source.realtime_hz() {
+                let running: f64 = sessions.iter().filter_map(|(_, session)| session.load()).sum();
+                let running = running + shadows.iter().filter_map(|shadow| shadow.load()).sum::<f64>();
+                let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
+                Load::of_machine(running).admit(&format!("a shadow of the session `{name}`"), added)?;
+            }
+            self.counters.compile_s.observe(prepared.compile_ms / 1e3);
+            let put = if session.put_shadow(owner, prepared)? { Put::Replaced } else { Put::Created };
+            Ok((put, session.shadow()?.view()))
+        })
+    }
+
+    /// Ends the shadow of a session.
+    pub fn drop_shadow(&self, owner: &mut Owner, session: &Session, why: &str) -> Result<(), Problem> {
+        let command = Command::DropShadow { session: session.name().to_string() };
+        owner.change(command, |owner| session.drop_shadow(owner, why))
     }
 }

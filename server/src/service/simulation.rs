@@ -1,84 +1,69 @@
-//! The owner under clients that come in any order, a disk that fills up, and starts that die: commands drawn from a seed, each
-//! answered as a few lines of plain bookkeeping say, and everything that is declared seen where it should be after each of them.
-//! `ISOPHOTE_COMMANDS` says how many (a million takes minutes), `ISOPHOTE_SEED` which.
+//! The owner under clients that come in any order, frames, a disk that fills up, and starts that die: commands drawn from a seed,
+//! each answered as a few lines of plain bookkeeping say, and everything that is declared seen where it should be after each of
+//! them. `ISOPHOTE_COMMANDS` says how many (a million takes minutes), `ISOPHOTE_SEED` which.
 
 #![allow(clippy::unwrap_used)]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use isophote_capture::Captured;
 use isophote_jit::VectorWidth;
-use isophote_wire::{ModelAnswer, SessionState};
-use serde_json::json;
+use isophote_wire::{ModelAnswer, SessionDocument, SessionState, SourceDocument, SourceReference};
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
 
 use super::Service;
 use super::tests::Disk;
+use crate::command::Command;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry};
-use crate::session::SlowModels;
+use crate::session::inbox::Reply;
+use crate::streams::pushed::{FrameMedia, decode};
 
 const COMMANDS: u64 = 4_000;
 /// Names of each kind, and clients that prepare a model now and put it later.
 const NAMES: u64 = 3;
 const CLIENTS: u64 = 4;
-/// A swap waits a second for a frame, which these sources do not have.
-const COMMANDS_FOR_A_SWAP: u64 = 5_000;
+/// Of sources that sessions have for themselves, px.
+const WIDTH: usize = 8;
+const HEIGHT: usize = 6;
+/// Of every pixel.
+const LIGHT: u8 = 100;
 
-/// What clients ask for, and what happens to the service. Numbers are names: model 2 is `m2`.
-#[derive(Clone, Copy, Debug)]
-enum Command {
-    /// A client has a document checked, whose only number is `start`.
-    Prepare {
+/// What happens to the service.
+#[derive(Clone, Debug)]
+pub(super) enum Event {
+    Asked(Command),
+    /// A client has a document checked, whose only constant is `offset`.
+    Prepared {
         client: u64,
-        model: u64,
-        start: u64,
+        model: String,
+        offset: u64,
     },
     /// It puts what it prepared, where it wants to find nothing or does not care.
     Put {
         client: u64,
         is_new: bool,
     },
-    RollBack {
-        model: u64,
-        version: u64,
+    /// A frame is pushed to a session's source.
+    Frame {
+        session: String,
     },
-    RemoveModel {
-        model: u64,
-    },
-    PutSource {
-        source: u64,
-        width: u64,
-    },
-    RemoveSource {
-        source: u64,
-    },
-    /// Of a named source, or of one of its own.
-    PutSession {
-        session: u64,
-        model: u64,
-        source: Option<u64>,
-    },
-    Swap {
-        session: u64,
-        model: u64,
-    },
-    RemoveSession {
-        session: u64,
-    },
-    FillDisk,
+    FullDisk,
     EmptyDisk,
-    /// Of the process, at once; it may have lived for long enough before.
-    Kill {
+    /// The process ends at once; it may have lived for long enough before.
+    Killed {
         has_lived: bool,
     },
 }
 
 /// Numbers that follow from a seed.
-struct Draws(u64);
+pub(super) struct Draws(pub u64);
 
 impl Draws {
     fn below(&mut self, limit: u64) -> u64 {
@@ -88,28 +73,48 @@ impl Draws {
         (bits ^ (bits >> 31)) % limit
     }
 
-    fn command(&mut self) -> Command {
-        if self.below(COMMANDS_FOR_A_SWAP) == 0 {
-            return Command::Swap { session: self.below(NAMES), model: self.below(NAMES) };
-        }
-        match self.below(100) {
-            0..15 => Command::Prepare { client: self.below(CLIENTS), model: self.below(NAMES), start: self.below(50) },
-            15..30 => Command::Put { client: self.below(CLIENTS), is_new: self.below(4) == 0 },
-            30..35 => Command::RollBack { model: self.below(NAMES), version: self.below(6) },
-            35..42 => Command::RemoveModel { model: self.below(NAMES) },
-            42..54 => Command::PutSource { source: self.below(NAMES), width: 8 + self.below(9) },
-            54..62 => Command::RemoveSource { source: self.below(NAMES) },
-            62..76 => {
-                let (model, named) = (self.below(NAMES), self.below(3) > 0);
-                let source = named.then(|| self.below(NAMES));
-                Command::PutSession { session: self.below(NAMES), model, source }
+    fn called(&mut self, kind: &str) -> String {
+        format!("{kind}{}", self.below(NAMES))
+    }
+
+    fn name(&mut self, kind: &str) -> Name {
+        Name::parse(&self.called(kind)).unwrap()
+    }
+
+    pub(super) fn event(&mut self, books: &Books) -> Event {
+        let command = match self.below(100) {
+            0..13 => {
+                let (client, model) = (self.below(CLIENTS), self.called("m"));
+                return Event::Prepared { client, model, offset: self.below(50) };
             }
-            76..90 => Command::RemoveSession { session: self.below(NAMES) },
-            90..93 => Command::FillDisk,
-            93..99 => Command::EmptyDisk,
-            _ if self.below(4) == 0 => Command::Kill { has_lived: self.below(2) == 0 },
-            _ => Command::EmptyDisk,
-        }
+            13..26 => return Event::Put { client: self.below(CLIENTS), is_new: self.below(4) == 0 },
+            26..31 => {
+                let name = self.name("m");
+                // One of the newest, which are kept.
+                let last = books.models.get(name.as_str()).map_or(1, |(offsets, _)| offsets.len() as u64);
+                Command::RollBackModel { name, version: last.saturating_sub(self.below(6)).max(1) }
+            }
+            31..37 => Command::RemoveModel { name: self.name("m") },
+            37..46 => {
+                let (name, document) = (self.name("c"), source(WIDTH + self.below(9) as usize));
+                Command::PutSource { name, document, keeping: Keeping::Declared }
+            }
+            46..53 => Command::RemoveSource { name: self.name("c") },
+            53..65 => {
+                let (name, model) = (self.name("s"), self.called("m"));
+                let named = (self.below(3) > 0).then(|| self.called("c"));
+                let from = named.map_or_else(|| json!(source(WIDTH)), Value::from);
+                let document = serde_json::from_value(json!({"source": from, "model": model})).unwrap();
+                Command::PutSession { name, document, keeping: Keeping::Declared }
+            }
+            65..75 => Command::RemoveSession { name: self.name("s") },
+            75..80 => Command::SwapModel { session: self.called("s"), model: self.called("m") },
+            80..90 => return Event::Frame { session: self.called("s") },
+            90..93 => return Event::FullDisk,
+            _ if self.below(28) == 0 => return Event::Killed { has_lived: self.below(2) == 0 },
+            _ => return Event::EmptyDisk,
+        };
+        Event::Asked(command)
     }
 }
 
@@ -125,40 +130,43 @@ enum Runs {
 #[derive(Clone, Debug)]
 struct Declared {
     /// Of the document, and the one that runs.
-    models: [u64; 2],
-    start: u64,
-    source: Option<u64>,
+    models: [String; 2],
+    /// Of the one that runs.
+    offset: u64,
+    /// Nothing where it has one for itself.
+    source: Option<String>,
     runs: Runs,
 }
 
 /// What there should be.
 #[derive(Default)]
-struct Books {
-    /// Numbers of the documents by version, from 1, and the version in force.
-    models: BTreeMap<u64, (Vec<u64>, usize)>,
-    sources: BTreeSet<u64>,
-    sessions: BTreeMap<u64, Declared>,
+pub(super) struct Books {
+    /// Constants of the documents by version, from 1, and the version in force.
+    models: BTreeMap<String, (Vec<u64>, usize)>,
+    /// With their widths.
+    sources: BTreeMap<String, usize>,
+    sessions: BTreeMap<String, Declared>,
     is_full: bool,
     /// Starts that died.
     died: u32,
 }
 
 impl Books {
-    fn start_of(&self, model: u64) -> Option<u64> {
-        self.models.get(&model).map(|(starts, version)| starts[version - 1])
+    fn offset_of(&self, model: &str) -> Option<u64> {
+        self.models.get(model).map(|(offsets, version)| offsets[version - 1])
     }
 
-    fn is_used(&self, model: u64) -> bool {
+    fn is_used(&self, model: &str) -> bool {
         // One that runs needs the model that it has, and no longer the document's after a swap.
         let needed = |session: &Declared| match session.runs {
             Runs::Yes => session.models[1] == model,
-            _ => session.models.contains(&model),
+            _ => session.models.iter().any(|one| one == model),
         };
         self.sessions.values().any(needed)
     }
 
-    fn feeds(&self, source: u64) -> bool {
-        self.sessions.values().any(|session| session.source == Some(source) && session.runs == Runs::Yes)
+    fn feeds(&self, source: &str) -> bool {
+        self.sessions.values().any(|session| session.source.as_deref() == Some(source) && session.runs == Runs::Yes)
     }
 
     /// The next start of the service, after the last one died.
@@ -170,7 +178,7 @@ impl Books {
             session.runs = match session.runs {
                 Runs::Stopped => Runs::Stopped,
                 _ if is_held => Runs::Stopped,
-                _ if session.source.is_some_and(|source| !self.sources.contains(&source)) => Runs::Failed,
+                _ if session.source.as_ref().is_some_and(|source| !self.sources.contains_key(source)) => Runs::Failed,
                 _ => Runs::Yes,
             };
         }
@@ -179,36 +187,27 @@ impl Books {
 
 type Checked = (ModelEntry, ModelAnswer);
 
-struct Simulation {
+pub(super) struct Simulation {
     disk: Arc<Disk>,
-    service: Service,
+    pub(super) service: Service,
     owner: Owner,
-    books: Books,
-    pending: BTreeMap<u64, (u64, u64, Checked)>,
-    digests: BTreeMap<(u64, u64), String>,
+    pub(super) books: Books,
+    pending: BTreeMap<u64, (String, u64, Checked)>,
+    digests: BTreeMap<(String, u64), String>,
     /// Of each start of a session.
     epochs: BTreeSet<(String, u64)>,
-}
-
-fn name(kind: &str, number: u64) -> Name {
-    Name::parse(&format!("{kind}{number}")).unwrap()
 }
 
 fn code<T>(answer: &Result<T, Problem>) -> &'static str {
     answer.as_ref().map_or_else(|problem| problem.code, |_| "done")
 }
 
-/// What is right where the disk refuses whatever else would be done.
-fn on_disk(is_full: bool) -> &'static str {
-    if is_full { "storage" } else { "done" }
-}
-
-fn source(width: u64) -> serde_json::Value {
-    json!({"kind": "pushed", "width": width, "height": 6, "format": "u8"})
+fn source(width: usize) -> SourceDocument {
+    serde_json::from_value(json!({"kind": "pushed", "width": width, "height": HEIGHT, "format": "u8"})).unwrap()
 }
 
 impl Simulation {
-    fn new() -> Simulation {
+    pub(super) fn new() -> Simulation {
         let disk = Arc::new(Disk::default());
         let service = Service::of_store(disk.clone(), VectorWidth::default()).unwrap();
         let (books, pending) = (Books::default(), BTreeMap::new());
@@ -216,160 +215,149 @@ impl Simulation {
         Simulation { disk, service, owner: Owner::new(), books, pending, digests, epochs }
     }
 
-    fn checked(&self, model: u64, start: u64) -> Checked {
-        let document = json!({"name": format!("m{model}"), "coordinates": ["x", "y"], "channels": ["phi"],
-                              "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}});
-        let workers = self.service.workshop.at_once();
-        self.service.check_model(&name("m", model), Media::Json, &document.to_string(), &workers).unwrap()
+    fn checked(&self, model: &str, offset: u64) -> Checked {
+        let document = json!({"name": model, "coordinates": ["x", "y"], "channels": ["phi"], "constants": {"k": offset},
+                              "parameters": {"v0": {"start": 1}}, "model": {"intensity": "v0 + k"}});
+        let (name, workers) = (Name::parse(model).unwrap(), self.service.workshop.at_once());
+        self.service.check_model(&name, Media::Json, &document.to_string(), &workers).unwrap()
     }
 
-    /// The answer, and the one that is right.
-    fn run(&mut self, command: Command) -> (&'static str, &'static str) {
-        let is_full = self.books.is_full;
-        match command {
-            Command::Prepare { client, model, start } => {
-                let checked = self.checked(model, start);
-                self.digests.insert((model, start), checked.0.model.digest().to_string());
-                self.pending.insert(client, (model, start, checked));
+    /// What the service answers, and what is right.
+    pub(super) fn run(&mut self, event: Event) -> (&'static str, &'static str) {
+        match event {
+            Event::Asked(command) => self.ask(command),
+            Event::Prepared { client, model, offset } => {
+                let checked = self.checked(&model, offset);
+                self.digests.insert((model.clone(), offset), checked.0.model.digest().to_string());
+                self.pending.insert(client, (model, offset, checked));
                 ("done", "done")
             }
-            Command::Put { client, is_new } => {
-                let Some((model, start, checked)) = self.pending.remove(&client) else { return ("done", "done") };
-                let expected = if is_new { Expected::Nothing } else { Expected::Anything };
-                let answer = self.service.put_model(&mut self.owner, &name("m", model), &expected, checked);
-                let is_stale = is_new && self.books.models.contains_key(&model);
-                let right = if is_stale { "stale" } else { on_disk(is_full) };
-                if right == "done" {
-                    let (starts, version) = self.books.models.entry(model).or_default();
-                    starts.push(start);
-                    *version = starts.len();
-                    assert_eq!(answer.as_ref().unwrap().2.version, *version as u64);
-                }
-                (code(&answer), right)
+            Event::Put { client, is_new } => match self.pending.remove(&client) {
+                Some(pending) => self.put(pending, is_new),
+                None => ("done", "done"),
+            },
+            Event::Frame { session } => {
+                self.push(&session);
+                ("done", "done")
             }
-            Command::RollBack { model, version } => {
-                let Some((starts, _)) = self.books.models.get(&model) else { return ("done", "done") };
-                // One of the newest, which are kept.
-                let version = starts.len().saturating_sub(version as usize).max(1);
-                let checked = self.checked(model, self.books.models[&model].0[version - 1]);
-                let answer = self.service.roll_back_model(
-                    &mut self.owner,
-                    &name("m", model),
-                    &Expected::Something,
-                    version as u64,
-                    checked,
-                );
-                if !is_full {
-                    self.books.models.get_mut(&model).unwrap().1 = version;
-                }
-                (code(&answer), on_disk(is_full))
-            }
-            Command::RemoveModel { model } => {
-                let answer = self.service.remove_model(&mut self.owner, &name("m", model), &Expected::Anything);
-                let right = match self.books.models.contains_key(&model) {
-                    false => "unknown-name",
-                    true if self.books.is_used(model) => "in-use",
-                    true => on_disk(is_full),
-                };
-                if right == "done" {
-                    self.books.models.remove(&model);
-                }
-                (code(&answer), right)
-            }
-            Command::PutSource { source: number, width } => {
-                let document = serde_json::from_value(source(width)).unwrap();
-                let name = name("c", number);
-                let answer = self.service.put_source(&mut self.owner, &name, document, None, Keeping::Declared);
-                let right = if self.books.feeds(number) { "in-use" } else { on_disk(is_full) };
-                if right == "done" {
-                    self.books.sources.insert(number);
-                }
-                (code(&answer), right)
-            }
-            Command::RemoveSource { source: number } => {
-                let answer = self.service.remove_source(&mut self.owner, &name("c", number));
-                let right = match self.books.sources.contains(&number) {
-                    false => "unknown-name",
-                    true if self.books.feeds(number) => "in-use",
-                    true => on_disk(is_full),
-                };
-                if right == "done" {
-                    self.books.sources.remove(&number);
-                }
-                (code(&answer), right)
-            }
-            Command::PutSession { session, model, source: named } => self.put_session(session, model, named),
-            Command::Swap { session, model } => self.swap(session, model),
-            Command::RemoveSession { session } => {
-                let answer = self.service.remove_session(&mut self.owner, &name("s", session));
-                let right = match self.books.sessions.contains_key(&session) {
-                    false => "unknown-name",
-                    true => on_disk(is_full),
-                };
-                if right == "done" {
-                    self.books.sessions.remove(&session);
-                }
-                let answered = code(&answer);
-                drop(answer.map(|ended| ended.blocking_recv()));
-                (answered, right)
-            }
-            Command::FillDisk | Command::EmptyDisk => {
-                self.books.is_full = matches!(command, Command::FillDisk);
+            Event::FullDisk | Event::EmptyDisk => {
+                self.books.is_full = matches!(event, Event::FullDisk);
                 self.disk.fill(self.books.is_full);
                 ("done", "done")
             }
-            Command::Kill { has_lived } => {
+            Event::Killed { has_lived } => {
                 self.kill(has_lived);
                 ("done", "done")
             }
         }
     }
 
-    fn put_session(&mut self, session: u64, model: u64, named: Option<u64>) -> (&'static str, &'static str) {
-        let from = named.map_or_else(|| source(8), |number| json!(format!("c{number}")));
-        let document = serde_json::from_value(json!({"source": from, "model": format!("m{model}")})).unwrap();
-        let name = name("s", session);
-        let answer = self.service.put_session(&mut self.owner, &name, document, None, None, Keeping::Declared);
-        let is_known = named.is_none_or(|number| self.books.sources.contains(&number));
-        let right = match self.books.start_of(model) {
-            None => "unknown-name",
-            Some(_) if !is_known => "unknown-name",
-            Some(start) => {
-                if !self.books.is_full {
-                    let declared = Declared { models: [model; 2], start, source: named, runs: Runs::Yes };
-                    self.books.sessions.insert(session, declared);
-                }
-                on_disk(self.books.is_full)
-            }
-        };
-        let answered = code(&answer);
-        if let Ok((_, ended)) = answer {
-            if let Some(ended) = ended {
-                ended.blocking_recv().ok(); // where nobody could wait for it, it ends alone
-            }
-            self.begun(session);
+    fn put(&mut self, (model, offset, checked): (String, u64, Checked), is_new: bool) -> (&'static str, &'static str) {
+        let (name, expected) =
+            (Name::parse(&model).unwrap(), if is_new { Expected::Nothing } else { Expected::Anything });
+        let answer = self.service.put_model(&mut self.owner, &name, &expected, checked);
+        if is_new && self.books.models.contains_key(&model) {
+            return (code(&answer), "stale");
         }
-        // A full disk may be found before or after a name that is unknown.
-        let is_either = self.books.is_full && right == "unknown-name" && answered == "storage";
-        (answered, if is_either { answered } else { right })
+        if !self.books.is_full {
+            let (offsets, version) = self.books.models.entry(model).or_default();
+            offsets.push(offset);
+            *version = offsets.len();
+            assert_eq!(answer.as_ref().unwrap().2.version, *version as u64);
+        }
+        (code(&answer), self.on_disk())
     }
 
-    fn swap(&mut self, session: u64, model: u64) -> (&'static str, &'static str) {
-        let Some(declared) = self.books.sessions.get_mut(&session).filter(|one| one.runs == Runs::Yes) else {
-            return ("done", "done");
+    /// What is right where the disk refuses whatever else would be done.
+    fn on_disk(&self) -> &'static str {
+        if self.books.is_full { "storage" } else { "done" }
+    }
+
+    fn ask(&mut self, command: Command) -> (&'static str, &'static str) {
+        let answer = self.service.apply(&mut self.owner, command.clone());
+        let (answered, done) = (code(&answer), self.on_disk());
+        let right = match &command {
+            Command::RollBackModel { name, .. } if !self.books.models.contains_key(name.as_str()) => "unknown-name",
+            Command::RemoveModel { name } => match self.books.models.contains_key(name.as_str()) {
+                false => "unknown-name",
+                true if self.books.is_used(name.as_str()) => "in-use",
+                true => done,
+            },
+            Command::PutSource { name, .. } if self.books.feeds(name.as_str()) => "in-use",
+            Command::RemoveSource { name } => match self.books.sources.contains_key(name.as_str()) {
+                false => "unknown-name",
+                true if self.books.feeds(name.as_str()) => "in-use",
+                true => done,
+            },
+            Command::PutSession { document, .. } => {
+                let is_known = source_of(document).is_none_or(|named| self.books.sources.contains_key(&named));
+                match self.books.offset_of(&document.model) {
+                    // A full disk may be found before or after a name that is unknown.
+                    _ if self.books.is_full && answered == "storage" => "storage",
+                    Some(_) if is_known => done,
+                    _ => "unknown-name",
+                }
+            }
+            Command::RemoveSession { name } if !self.books.sessions.contains_key(name.as_str()) => "unknown-name",
+            Command::SwapModel { session, model } => match self.books.sessions.get(session).map(|one| one.runs) {
+                Some(Runs::Stopped | Runs::Failed) => "not-applicable",
+                Some(Runs::Yes) if self.books.models.contains_key(model) => done,
+                _ => "unknown-name",
+            },
+            _ => done,
         };
-        let Ok(entry) = self.service.registry.get(&format!("m{model}")) else { return ("done", "done") };
-        let running = self.service.session(&format!("s{session}")).unwrap();
-        let workers = self.service.workshop.at_once();
-        let prepared = running.prepare_swap(&entry, SlowModels::Allowed, &workers).unwrap();
-        let answer = self.service.commit_swap(&mut self.owner, &format!("s{session}"), &running, &entry, prepared);
-        if !self.books.is_full {
-            let (starts, version) = &self.books.models[&model];
-            (declared.models[1], declared.start) = (model, starts[version - 1]);
+        if right == "done" {
+            self.book(command);
         }
-        let answered = code(&answer);
-        drop(answer.map(|swapped| swapped.blocking_recv()));
-        (answered, on_disk(self.books.is_full))
+        (answered, right)
+    }
+
+    /// What was done is in the books.
+    fn book(&mut self, command: Command) {
+        let books = &mut self.books;
+        match command {
+            Command::RollBackModel { name, version } => {
+                books.models.get_mut(name.as_str()).unwrap().1 = version as usize;
+            }
+            Command::RemoveModel { name } => drop(books.models.remove(name.as_str())),
+            Command::PutSource { name, document: SourceDocument::Pushed(document), .. } => {
+                books.sources.insert(name.to_string(), document.width);
+            }
+            Command::RemoveSource { name } => drop(books.sources.remove(name.as_str())),
+            Command::PutSession { name, document, .. } => {
+                let (offset, source) = (books.offset_of(&document.model).unwrap(), source_of(&document));
+                let models = [document.model.clone(), document.model];
+                books.sessions.insert(name.to_string(), Declared { models, offset, source, runs: Runs::Yes });
+                self.begun(name.as_str());
+            }
+            Command::RemoveSession { name } => drop(books.sessions.remove(name.as_str())),
+            Command::SwapModel { session, model } => {
+                let offset = books.offset_of(&model).unwrap();
+                let declared = books.sessions.get_mut(&session).unwrap();
+                (declared.models[1], declared.offset) = (model, offset);
+            }
+            other => panic!("{other:?} is not drawn"),
+        }
+    }
+
+    /// A frame is fitted by the model that the session has, all of it.
+    fn push(&self, session: &str) {
+        let Some(declared) = self.books.sessions.get(session).filter(|declared| declared.runs == Runs::Yes) else {
+            return;
+        };
+        let running = self.service.session(session).unwrap();
+        let SourceDocument::Pushed(document) = running.source().source.document().clone() else { panic!() };
+        let width = declared.source.as_ref().map_or(WIDTH, |source| self.books.sources[source]);
+        assert_eq!(document.width, width);
+        let frame = decode(&document, FrameMedia::Raw, vec![LIGHT; width * HEIGHT]).unwrap();
+        let (sender, answer) = oneshot::channel();
+        let reply = Reply { session: running.inbox().clone(), sender };
+        running.source().source.push(Captured { frame, file: None, truth: None }, reply).unwrap();
+        let estimate = serde_json::to_value(&*answer.blocking_recv().unwrap()).unwrap();
+        let digest = &self.digests[&(declared.models[1].clone(), declared.offset)];
+        assert_eq!(estimate["model"], format!("{}@{digest}", declared.models[1]));
+        let level = estimate["parameters"]["v0"].as_f64().unwrap() + declared.offset as f64;
+        assert!((level - f64::from(LIGHT)).abs() < 1e-3, "{estimate}");
     }
 
     /// Nothing more reaches the disk; then everything that was declared runs again, or says why it does not.
@@ -393,37 +381,33 @@ impl Simulation {
         }
         self.books.start();
         let runs = self.books.sessions.iter().filter(|(_, session)| session.runs == Runs::Yes);
-        runs.map(|(session, _)| *session).collect::<Vec<_>>().into_iter().for_each(|session| self.begun(session));
+        let runs: Vec<String> = runs.map(|(session, _)| session.clone()).collect();
+        runs.iter().for_each(|session| self.begun(session));
     }
 
     /// A session has just begun: under an epoch that none had before.
-    fn begun(&mut self, session: u64) {
-        let view = self.service.session_view(&format!("s{session}")).unwrap();
+    fn begun(&mut self, session: &str) {
+        let view = self.service.session_view(session).unwrap();
         assert!(self.epochs.insert((view.node.clone(), view.epoch.unwrap())), "{view:?}");
     }
 
     /// Everything that there should be, and nothing else.
     fn check(&mut self) {
-        let numbered = |kind: &str, name: &str| name.strip_prefix(kind).and_then(|number| number.parse::<u64>().ok());
+        let is_ours = |name: &str| name.strip_prefix('m').is_some_and(|rest| rest.parse::<u64>().is_ok());
         let entries = self.service.registry.list();
-        let models: BTreeMap<u64, (u64, String)> = entries
-            .iter()
-            .filter_map(|entry| {
-                Some((numbered("m", entry.name.as_str())?, (entry.version, entry.model.digest().into())))
-            })
-            .collect();
-        let wanted = self.books.models.iter().map(|(model, (starts, version))| {
-            (*model, (*version as u64, self.digests[&(*model, starts[version - 1])].clone()))
+        let entries = entries.iter().filter(|entry| is_ours(entry.name.as_str()));
+        let models = entries.map(|entry| (entry.name.to_string(), (entry.version, entry.model.digest().to_string())));
+        let wanted = self.books.models.iter().map(|(model, (offsets, version))| {
+            (model.clone(), (*version as u64, self.digests[&(model.clone(), offsets[version - 1])].clone()))
         });
-        assert_eq!(models, wanted.collect(), "models");
-        let sources: BTreeSet<u64> =
-            self.service.source_views().iter().filter_map(|view| numbered("c", &view.name)).collect();
-        assert_eq!(sources, self.books.sources, "sources");
+        assert_eq!(models.collect::<BTreeMap<_, _>>(), wanted.collect(), "models");
+        let sources = self.service.source_views().into_iter().map(|view| view.name);
+        assert!(sources.eq(self.books.sources.keys().cloned()), "sources");
         let views = self.service.session_views();
         assert_eq!(views.len(), self.books.sessions.len(), "sessions");
         for view in views {
-            let declared = &self.books.sessions[&numbered("s", &view.name).unwrap()];
-            let digest = &self.digests[&(declared.models[1], declared.start)];
+            let declared = &self.books.sessions[&view.name];
+            let digest = &self.digests[&(declared.models[1].clone(), declared.offset)];
             assert_eq!(&view.active_digest, digest, "{view:?}");
             let runs = match view.state {
                 SessionState::Stopped => Runs::Stopped,
@@ -436,15 +420,22 @@ impl Simulation {
     }
 }
 
+fn source_of(document: &SessionDocument) -> Option<String> {
+    match &document.source {
+        SourceReference::Named(name) => Some(name.clone()),
+        SourceReference::Own(_) => None,
+    }
+}
+
 #[test]
 fn the_owner_does_what_its_books_say() {
     let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |text| text.parse().unwrap());
     let (commands, seed) = (number("ISOPHOTE_COMMANDS", COMMANDS), number("ISOPHOTE_SEED", 1));
     let (mut draws, mut simulation, mut refused) = (Draws(seed), Simulation::new(), 0);
     for step in 0..commands {
-        let command = draws.command();
-        let (answered, right) = simulation.run(command);
-        assert_eq!(answered, right, "seed {seed}, command {step}: {command:?}");
+        let event = draws.event(&simulation.books);
+        let (answered, right) = simulation.run(event.clone());
+        assert_eq!(answered, right, "seed {seed}, command {step}: {event:?}");
         refused += u64::from(answered != "done");
         simulation.check();
     }

@@ -53,6 +53,11 @@ pub struct PreparedSwap {
 }
 
 impl PreparedSwap {
+    /// Whether a shadow takes over.
+    pub fn is_promotion(&self) -> bool {
+        self.swap.warm.is_some()
+    }
+
     /// Constants of its own.
     pub fn constants(&self) -> &BTreeMap<String, f64> {
         &self.swap.active.constants

@@ -35,7 +35,7 @@ impl Credit {
 }
 
 /// Pings, and when the client was heard of.
-pub(super) struct LifeSigns {
+pub struct LifeSigns {
     ping: Interval,
     heard: Instant,
 }

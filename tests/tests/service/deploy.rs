@@ -86,5 +86,14 @@ fn the_container_says_what_the_program_knows() {
         let key = name.strip_prefix("ISOPHOTE_").unwrap().to_lowercase();
         assert_eq!(origin(&shown, &key), "environment", "{name}");
     }
+    // Its user owns nothing but the data folder, which is a volume.
+    let of = |word: &str| file.lines().filter_map(|line| line.strip_prefix(word)).last().unwrap().trim();
+    assert_eq!(
+        shown["items"].as_array().unwrap().iter().find(|item| item["key"] == "data").unwrap()["value"],
+        of("VOLUME")
+    );
+    assert!(file.contains(&format!("RUN useradd --system --uid 990 --groups video --home-dir {} ", of("VOLUME"))));
+    assert_eq!(of("USER"), "isophote");
+    assert!(of("COPY --from=build /build/target/release/isophote ") == "/usr/local/bin/isophote");
     assert!(file.contains("\nENTRYPOINT [\"/usr/local/bin/isophote\"]\n") && file.ends_with("CMD [\"serve\"]\n"));
 }

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use isophote_machine::monotonic_ns;
 use isophote_tracker::{Compiled, Tracker, TrackerOptions};
-use isophote_wire::{ShadowState, ShadowView};
+use isophote_wire::{ShadowDocument, ShadowState, ShadowView};
 
 use super::beside::PreparationThread;
 use super::searches::SearchRoom;
@@ -55,6 +55,13 @@ pub struct PreparedShadow {
     pub compile_ms: f64,
     /// A fit of it, ms, where there was a frame to try it on.
     pub fit_ms: Option<f64>,
+}
+
+impl PreparedShadow {
+    /// What was asked for.
+    pub fn document(&self) -> ShadowDocument {
+        ShadowDocument { model: self.entry.name.to_string(), constants: self.constants.clone() }
+    }
 }
 
 /// A shadow that runs.

@@ -1,0 +1,65 @@
+//! A command by itself: prepared and made in one go, for whoever has nothing else to do meanwhile.
+
+use tokio::sync::oneshot;
+
+use super::Service;
+use crate::command::Command;
+use crate::compiler::Owner;
+use crate::problem::Problem;
+use crate::registry::Expected;
+use crate::session::SlowModels;
+
+impl Service {
+    /// Makes a change, and waits until what it ends has ended and what it swaps to is active. What was measured when the command
+    /// was asked for, such as the cost of a model, is not measured again. Not for asynchronous callers.
+    pub fn apply(&self, owner: &mut Owner, command: Command) -> Result<(), Problem> {
+        let workers = self.workshop.at_once();
+        match command {
+            Command::PutModel { name, media, text } => {
+                let prepared = self.check_model(&name, media, &text, &workers)?;
+                self.put_model(owner, &name, &Expected::Anything, prepared).map(drop)
+            }
+            Command::RollBackModel { name, version } => {
+                let content = self.registry.version(&name, version)?;
+                let prepared = self.check_model(&name, content.media, &content.text, &workers)?;
+                self.roll_back_model(owner, &name, &Expected::Anything, version, prepared).map(drop)
+            }
+            Command::RemoveModel { name } => self.remove_model(owner, &name, &Expected::Anything),
+            Command::PutSource { name, document, keeping } => {
+                self.put_source(owner, &name, document, None, keeping).map(drop)
+            }
+            Command::RemoveSource { name } => self.remove_source(owner, &name),
+            Command::PutSession { name, document, keeping } => {
+                let (_, ended) = self.put_session(owner, &name, document, None, None, keeping)?;
+                ended.into_iter().for_each(wait);
+                Ok(())
+            }
+            Command::RemoveSession { name } => self.remove_session(owner, &name).map(wait),
+            Command::SwapModel { session: name, model } => {
+                let (session, entry) = (self.session(&name)?, self.registry.get(&model)?);
+                let prepared = session.prepare_swap(&entry, SlowModels::Allowed, &workers)?;
+                self.commit_swap(owner, &name, &session, &entry, prepared).map(wait)
+            }
+            Command::PutShadow { session: name, document } => {
+                let (session, entry) = (self.session(&name)?, self.registry.get(&document.model)?);
+                let prepared = session.prepare_shadow(entry, &document, &workers)?;
+                self.put_shadow(owner, &name, &session, prepared).map(drop)
+            }
+            Command::DropShadow { session } => {
+                let session = self.session(&session)?;
+                self.drop_shadow(owner, &session, "the shadow was dropped")
+            }
+            Command::PromoteShadow { session: name } => {
+                let session = self.session(&name)?;
+                let entry = session.shadow()?.entry().clone();
+                let prepared = session.prepare_promotion(&entry, &workers)?;
+                self.commit_swap(owner, &name, &session, &entry, prepared).map(wait)
+            }
+        }
+    }
+}
+
+/// Where nobody says when it ends, it ends alone.
+fn wait<T>(ended: oneshot::Receiver<T>) {
+    ended.blocking_recv().ok();
+}
