@@ -64,9 +64,8 @@ async fn the_suite_finds_no_fault() {
     let found: Value = serde_json::from_slice(&std::fs::read(folder.join("index.json")).unwrap()).unwrap();
     std::fs::remove_dir_all(&folder).unwrap();
     let found = found["isophote"].as_object().unwrap();
-    let is_fault =
-        |key: &str| move |case: &Value| matches!(case[key].as_str(), Some("FAILED" | "WRONG CODE" | "UNCLEAN"));
-    let faults = found.iter().filter(|(_, case)| is_fault("behavior")(case) || is_fault("behaviorClose")(case));
+    let is_fault = |how: &Value| matches!(how.as_str(), Some("FAILED" | "WRONG CODE" | "UNCLEAN"));
+    let faults = found.iter().filter(|(_, case)| is_fault(&case["behavior"]) || is_fault(&case["behaviorClose"]));
     let faults: Vec<_> = faults.map(|(name, case)| format!("{name}: {case}")).collect();
     assert!(faults.is_empty(), "{faults:#?}");
     assert_eq!(found.len(), CASES);
