@@ -28,7 +28,7 @@ pub async fn index(headers: HeaderMap) -> Response {
 }
 
 /// Any file of the book; a page without its ending, too.
-#[utoipa::path(get, path = "/docs/{*path}", tag = "operation", operation_id = "book_page",
+#[utoipa::path(get, path = "/docs/{path}", tag = "operation", operation_id = "book_page",
     params(("path" = String, Path, description = "From the book's top, with `/`.")),
     responses((status = 200, description = "The file."), (status = 404, description = "The book has no such file.")))]
 pub async fn page(Path(path): Path<String>, headers: HeaderMap) -> Response {

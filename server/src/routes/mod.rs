@@ -56,7 +56,12 @@ pub fn router(app: App) -> Router {
         .route("/v1/models:check", post(models::check))
         .route(
             "/v1/models/{name}",
-            put(models::put).get(models::get).delete(models::delete).post(models::act).layer(from_fn(models::methods)),
+            put(models::put)
+                .get(models::get)
+                .delete(models::delete)
+                .post(models::act)
+                .fallback(async || Problem::wrong_method()) // without it, methods that no model has go round the layer
+                .layer(from_fn(models::methods)),
         )
         .route("/v1/models/{name}/explain", get(models::explain))
         .route("/v1/models/{name}/versions", get(models::versions))

@@ -168,6 +168,8 @@ fn what_is_refused() {
         ("POST", "/v1/models/spot", "GET,HEAD,PUT,DELETE"),
         ("PUT", "/v1/models/spot:fit", "POST"),
         ("GET", "/v1/models/spot%3Arollback", "POST"),
+        ("OPTIONS", "/v1/models/spot", "GET,HEAD,PUT,DELETE"),
+        ("OPTIONS", "/v1/models/spot:fit", "POST"),
     ] {
         let answer = service.request(method, path, &[], b"");
         assert_eq!(answer.allow, allowed, "{method} {path}");
