@@ -43,7 +43,7 @@ pub enum Command {
         /// Its own.
         name: Name,
         /// As put.
-        document: SourceDocument,
+        document: Box<SourceDocument>,
         /// Whether it is there after a restart.
         keeping: Keeping,
     },
@@ -57,7 +57,7 @@ pub enum Command {
         /// Its own.
         name: Name,
         /// As put.
-        document: SessionDocument,
+        document: Box<SessionDocument>,
         /// Whether it is there after a restart.
         keeping: Keeping,
     },

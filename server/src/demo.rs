@@ -24,10 +24,10 @@ pub fn start(service: &Service, owner: &mut Owner) -> Result<(), Problem> {
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
     if !service.has_source(&name) {
         let name = name.clone();
-        service.apply(owner, Command::PutSource { name, document: source, keeping: Keeping::Passing })?;
+        service.apply(owner, Command::PutSource { name, document: source.into(), keeping: Keeping::Passing })?;
     }
     if !service.has_session(&name) {
-        service.apply(owner, Command::PutSession { name, document: session, keeping: Keeping::Passing })?;
+        service.apply(owner, Command::PutSession { name, document: session.into(), keeping: Keeping::Passing })?;
     }
     Ok(())
 }

@@ -169,7 +169,7 @@ impl Service {
         opened: Option<Opened>,
         keeping: Keeping,
     ) -> Result<Put, Problem> {
-        let command = Command::PutSource { name: name.clone(), document: document.clone(), keeping };
+        let command = Command::PutSource { name: name.clone(), document: document.clone().into(), keeping };
         owner.change(command, |owner| {
             self.refuse_when_draining()?;
             let before = get(&self.sources, "source", name.as_str()).ok();
@@ -266,7 +266,7 @@ impl Service {
         prepared: Option<&PreparedSession>,
         keeping: Keeping,
     ) -> Result<(Put, Option<oneshot::Receiver<()>>), Problem> {
-        let command = Command::PutSession { name: name.clone(), document: document.clone(), keeping };
+        let command = Command::PutSession { name: name.clone(), document: document.clone().into(), keeping };
         owner.change(command, |owner| {
             self.refuse_when_draining()?;
             let before = get(&self.sessions, "session", name.as_str()).ok();

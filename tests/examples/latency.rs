@@ -14,6 +14,7 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::ExitCode;
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use client::{Folder, Running, session};
@@ -58,9 +59,10 @@ fn bare(count: usize, bytes: usize) -> Vec<f64> {
     let mut to = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
     to.set_nodelay(true).unwrap();
     let mut from = listener.accept().unwrap().0;
+    let (_never, ended) = sync_channel::<()>(0);
     let send = move || {
         for _ in 0..FIRST + count {
-            std::thread::sleep(Duration::from_secs_f64(1.0 / RATE_HZ));
+            ended.recv_timeout(Duration::from_secs_f64(1.0 / RATE_HZ)).ok(); // it waits, and nothing else
             let mut message = vec![0; bytes.max(8)];
             message[..8].copy_from_slice(&monotonic_ns().to_le_bytes());
             to.write_all(&message).unwrap();

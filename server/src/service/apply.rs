@@ -26,11 +26,11 @@ impl Service {
             }
             Command::RemoveModel { name } => self.remove_model(owner, &name, &Expected::Anything),
             Command::PutSource { name, document, keeping } => {
-                self.put_source(owner, &name, document, None, keeping).map(drop)
+                self.put_source(owner, &name, *document, None, keeping).map(drop)
             }
             Command::RemoveSource { name } => self.remove_source(owner, &name),
             Command::PutSession { name, document, keeping } => {
-                let (_, ended) = self.put_session(owner, &name, document, None, None, keeping)?;
+                let (_, ended) = self.put_session(owner, &name, *document, None, None, keeping)?;
                 ended.into_iter().for_each(wait);
                 Ok(())
             }

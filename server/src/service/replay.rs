@@ -13,7 +13,7 @@ use tracing::span::{Attributes, Id, Record};
 use tracing::{Metadata, Subscriber};
 
 use super::Service;
-use super::simulation::{Draws, Event, Simulation};
+use super::simulation::{Draws, SimulatedEvent, Simulation};
 use crate::command::Command;
 use crate::compiler::Owner;
 
@@ -77,7 +77,7 @@ fn the_log_of_changes_leads_to_the_same_declarations() {
     for _ in 0..1_000 {
         let event = match draws.event(&simulation.books) {
             // Too many that died keep sessions from running, and what does not run keeps nothing in use.
-            Event::Killed { .. } => Event::Killed { has_lived: true },
+            SimulatedEvent::Killed { .. } => SimulatedEvent::Killed { has_lived: true },
             event => event,
         };
         simulation.run(event);

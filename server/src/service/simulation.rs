@@ -37,7 +37,7 @@ const LIGHT: u8 = 100;
 
 /// What happens to the service.
 #[derive(Clone, Debug)]
-pub(super) enum Event {
+pub(super) enum SimulatedEvent {
     Asked(Command),
     /// A client has a document checked, whose only constant is `offset`.
     Prepared {
@@ -81,13 +81,13 @@ impl Draws {
         Name::parse(&self.called(kind)).unwrap()
     }
 
-    pub(super) fn event(&mut self, books: &Books) -> Event {
+    pub(super) fn event(&mut self, books: &Books) -> SimulatedEvent {
         let command = match self.below(100) {
             0..13 => {
                 let (client, model) = (self.below(CLIENTS), self.called("m"));
-                return Event::Prepared { client, model, offset: self.below(50) };
+                return SimulatedEvent::Prepared { client, model, offset: self.below(50) };
             }
-            13..26 => return Event::Put { client: self.below(CLIENTS), is_new: self.below(4) == 0 },
+            13..26 => return SimulatedEvent::Put { client: self.below(CLIENTS), is_new: self.below(4) == 0 },
             26..31 => {
                 let name = self.name("m");
                 // One of the newest, which are kept.
@@ -96,7 +96,7 @@ impl Draws {
             }
             31..37 => Command::RemoveModel { name: self.name("m") },
             37..46 => {
-                let (name, document) = (self.name("c"), source(WIDTH + self.below(9) as usize));
+                let (name, document) = (self.name("c"), source(WIDTH + self.below(9) as usize).into());
                 Command::PutSource { name, document, keeping: Keeping::Declared }
             }
             46..53 => Command::RemoveSource { name: self.name("c") },
@@ -109,12 +109,12 @@ impl Draws {
             }
             65..75 => Command::RemoveSession { name: self.name("s") },
             75..80 => Command::SwapModel { session: self.called("s"), model: self.called("m") },
-            80..90 => return Event::Frame { session: self.called("s") },
-            90..93 => return Event::FullDisk,
-            _ if self.below(28) == 0 => return Event::Killed { has_lived: self.below(2) == 0 },
-            _ => return Event::EmptyDisk,
+            80..90 => return SimulatedEvent::Frame { session: self.called("s") },
+            90..93 => return SimulatedEvent::FullDisk,
+            _ if self.below(28) == 0 => return SimulatedEvent::Killed { has_lived: self.below(2) == 0 },
+            _ => return SimulatedEvent::EmptyDisk,
         };
-        Event::Asked(command)
+        SimulatedEvent::Asked(command)
     }
 }
 
@@ -223,29 +223,29 @@ impl Simulation {
     }
 
     /// What the service answers, and what is right.
-    pub(super) fn run(&mut self, event: Event) -> (&'static str, &'static str) {
+    pub(super) fn run(&mut self, event: SimulatedEvent) -> (&'static str, &'static str) {
         match event {
-            Event::Asked(command) => self.ask(command),
-            Event::Prepared { client, model, offset } => {
+            SimulatedEvent::Asked(command) => self.ask(command),
+            SimulatedEvent::Prepared { client, model, offset } => {
                 let checked = self.checked(&model, offset);
                 self.digests.insert((model.clone(), offset), checked.0.model.digest().to_string());
                 self.pending.insert(client, (model, offset, checked));
                 ("done", "done")
             }
-            Event::Put { client, is_new } => match self.pending.remove(&client) {
+            SimulatedEvent::Put { client, is_new } => match self.pending.remove(&client) {
                 Some(pending) => self.put(pending, is_new),
                 None => ("done", "done"),
             },
-            Event::Frame { session } => {
+            SimulatedEvent::Frame { session } => {
                 self.push(&session);
                 ("done", "done")
             }
-            Event::FullDisk | Event::EmptyDisk => {
-                self.books.is_full = matches!(event, Event::FullDisk);
+            SimulatedEvent::FullDisk | SimulatedEvent::EmptyDisk => {
+                self.books.is_full = matches!(event, SimulatedEvent::FullDisk);
                 self.disk.fill(self.books.is_full);
                 ("done", "done")
             }
-            Event::Killed { has_lived } => {
+            SimulatedEvent::Killed { has_lived } => {
                 self.kill(has_lived);
                 ("done", "done")
             }
@@ -320,7 +320,8 @@ impl Simulation {
                 books.models.get_mut(name.as_str()).unwrap().1 = version as usize;
             }
             Command::RemoveModel { name } => drop(books.models.remove(name.as_str())),
-            Command::PutSource { name, document: SourceDocument::Pushed(document), .. } => {
+            Command::PutSource { name, document, .. } => {
+                let SourceDocument::Pushed(document) = *document else { panic!() };
                 books.sources.insert(name.to_string(), document.width);
             }
             Command::RemoveSource { name } => drop(books.sources.remove(name.as_str())),

@@ -87,7 +87,7 @@ fn the_container_says_what_the_program_knows() {
         assert_eq!(origin(&shown, &key), "environment", "{name}");
     }
     // Its user owns nothing but the data folder, which is a volume.
-    let of = |word: &str| file.lines().filter_map(|line| line.strip_prefix(word)).last().unwrap().trim();
+    let of = |word: &str| file.lines().filter_map(|line| line.strip_prefix(word)).next_back().unwrap().trim();
     assert_eq!(
         shown["items"].as_array().unwrap().iter().find(|item| item["key"] == "data").unwrap()["value"],
         of("VOLUME")
