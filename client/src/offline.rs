@@ -3,6 +3,7 @@
 //! In: paths and options of a command. Out: an [`OfflineRun`], and the documents about camera and target. It never knows what is done
 //! with the frames.
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,7 +11,9 @@ use isophote_capture::{Captured, Recording};
 use isophote_jit::KernelCache;
 use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, CompileFailure, Compiled, Intrinsics, Target, Tracker, TrackerOptions};
+use isophote_tracker::{
+    Camera, CompileFailure, Compiled, Frame, Intrinsics, Response, Target, Tracker, TrackerOptions,
+};
 use isophote_wire::explain;
 
 use crate::failure::Failure;
@@ -91,6 +94,21 @@ pub fn camera(path: Option<&Path>) -> Result<Camera, Failure> {
     let intrinsics = Intrinsics::from_opencv_yaml(&text)
         .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))?;
     Ok(Camera { intrinsics: Some(intrinsics), ..Camera::default() })
+}
+
+/// The frame in light, where its camera has a response.
+pub fn linear<'a>(
+    camera: &Camera,
+    response: Option<&Response>,
+    captured: &'a Captured,
+) -> Result<Cow<'a, Frame>, Failure> {
+    let (Some(response), Some(document)) = (response, &camera.response) else {
+        return Ok(Cow::Borrowed(&captured.frame));
+    };
+    let name = captured.file.as_deref().unwrap_or("the frame");
+    let checked = document.check_size(captured.frame.size());
+    checked.map_err(|error| Failure::Usage(format!("{name}: {error}")))?;
+    Ok(Cow::Owned(response.linear(&captured.frame)))
 }
 
 /// The target of that document.

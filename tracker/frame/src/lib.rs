@@ -4,6 +4,7 @@
 //! [`PlaneView`] for each channel. A frame of more than two dimensions is a stack: its outer dimensions are rows.
 
 mod mend;
+mod response;
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use isophote_jit::{PixelFormat, PlaneError, PlaneView};
 
 pub use mend::Mend;
+pub use response::{CameraResponse, GainMap, Response, ResponseError};
 
 /// Dimensions that a frame may have.
 const DIMENSIONS_MAX: usize = 4;
