@@ -108,7 +108,7 @@ pub fn linear<'a>(
     let name = captured.file.as_deref().unwrap_or("the frame");
     let checked = document.check_size(captured.frame.size());
     checked.map_err(|error| Failure::Usage(format!("{name}: {error}")))?;
-    Ok(Cow::Owned(response.linear(&captured.frame)))
+    Ok(Cow::Owned(captured.frame.linear(response)))
 }
 
 /// The target of that document.

@@ -7,8 +7,9 @@ use isophote_capture::{FrameSource, Recording};
 use isophote_tracker::{Camera, MeasuredNoise, NoiseMeasurement, NoiseOptions};
 use serde::Serialize;
 
-use super::{Dark, rounded};
+use super::dark::Dark;
 use crate::failure::Failure;
+use crate::output::rounded;
 use crate::{offline, output};
 
 /// Find how noisy the camera is: electrons per DN, the noise without light, and what rows are off by; models with a

@@ -10,9 +10,9 @@ use isophote_tracker::{
 };
 use serde::Serialize;
 
-use super::{Dark, rounded};
+use super::dark::Dark;
 use crate::failure::Failure;
-use crate::output::with_deviation;
+use crate::output::{rounded, with_deviation};
 use crate::{offline, output};
 
 /// Find how pixel values follow from light: the black level, the gamma, and the gain of each pixel; fits and searches see light then

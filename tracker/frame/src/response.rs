@@ -1,7 +1,7 @@
 //! How a camera's pixel values follow from light: `CameraResponse` as documents have it, and `Response`, prepared.
 //!
-//! In: a camera's black level, where it clips, and its response. Out: frames whose values are proportional to light, or the values
-//! that light reads. It never knows what a frame shows.
+//! In: a camera's black level, where it clips, and its response. Out: light of values, row by row, or the values that light
+//! reads. It never knows a frame.
 //!
 //! Light L, in DN above black, reads `c = black + W·(g L/W)^gamma`, with `W = saturation − black` and g the gain of the pixel. So a
 //! pixel of gain 1 that clips has the light W, and a linear camera (gamma 1) has `L = c − black`. Below black, where noise takes pixels,
@@ -13,8 +13,6 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use isophote_jit::{PixelFormat, PlaneView};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-use crate::{Buffer, Frame, Plane};
 
 /// What a camera's gamma may be.
 const GAMMAS: [f64; 2] = [0.1, 10.0];
@@ -189,36 +187,15 @@ impl Response {
         Some(gains.row(y).iter().map(|step| gains.gains[usize::from(step.to_ne_bytes()[0])]))
     }
 
-    /// The frame in light, DN above black, in fractions of 32 bits, its planes interleaved; the size fits. No pixel that clips has
-    /// less than its `largest`.
-    pub fn linear(&self, frame: &Frame) -> Frame {
-        const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
-        let [width, height, depth, length] = frame.sides();
-        let (rows, channels) = (height * depth * length, frame.planes().len());
-        let mut bytes = vec![0; width * rows * channels * BYTES];
-        let mut light = vec![0.0; width];
-        for channel in 0..channels {
-            let view = frame.plane_view(channel);
-            for (row, into) in bytes.chunks_exact_mut(width * channels * BYTES).enumerate() {
-                self.linear_row(&view, [0, row % height, row / height % depth, row / height / depth], &mut light);
-                let into = into.chunks_exact_mut(channels * BYTES);
-                into.zip(&light).for_each(|(pixel, light)| {
-                    pixel[channel * BYTES..][..BYTES].copy_from_slice(&light.to_ne_bytes());
-                });
-            }
-        }
-        let buffer = Buffer::Owned(bytes.into());
-        let plane = |channel| Plane::interleaved(PixelFormat::F32, &buffer, width, channels, channel);
-        let planes = (0..channels).map(plane).collect();
-        let is_whole = |plane: &Plane| matches!(plane.format, PixelFormat::U8 | PixelFormat::U16);
-        let half = if frame.planes().iter().any(is_whole) { HALF_STEP } else { 0.0 };
-        let clipped = self.light(self.black + self.range - half);
-        let largest = clipped / self.gains.as_ref().map_or(1.0, |gains| gains.largest);
-        Frame { planes, largest: Some(largest), ..frame.clone() }
+    /// What no pixel that clips has less of, whatever its gain. Whole values stand for all light that is rounded to them.
+    pub(crate) fn clipped(&self, format: PixelFormat) -> f64 {
+        let half = if matches!(format, PixelFormat::U8 | PixelFormat::U16) { HALF_STEP } else { 0.0 };
+        let light = self.light(self.black + self.range - half);
+        light / self.gains.as_ref().map_or(1.0, |gains| gains.largest)
     }
 
-    /// One row, from its first pixel on.
-    fn linear_row(&self, view: &PlaneView, place: [usize; 4], light: &mut [f32]) {
+    /// The light of one row, from its first pixel on.
+    pub(crate) fn linear_row(&self, view: &PlaneView, place: [usize; 4], light: &mut [f32]) {
         let width = light.len();
         match (self.table(view.format()), view.bytes_of_row(place, width), view.words_of_row(place, width)) {
             (Some(table), Some(row), _) => {
@@ -303,42 +280,6 @@ mod tests {
         assert_eq!(response(1.0, None).light(200.25), 184.25);
         // Half the light of a camera for screens is 73 % of its range.
         assert!((response(1.0 / 2.2, None).value(119.5) - (16.0 + 239.0 * 0.7297)).abs() < 0.01);
-    }
-
-    #[test]
-    fn frames_of_every_layout_become_light() {
-        let gains = [1.0, 1.1, 0.9, 1.0, 1.05, 0.95];
-        let camera = response(0.45, Some(GainMap::of(3, 2, &gains)));
-        let values = [16u8, 20, 100, 200, 254, 255];
-        let words: Vec<u8> = values.iter().flat_map(|value| u16::from(*value).to_ne_bytes()).collect();
-        let floats: Vec<u8> = values.iter().flat_map(|value| f32::from(*value).to_ne_bytes()).collect();
-        let twice: Vec<u8> = values.iter().flat_map(|value| [*value, *value]).collect();
-        let interleaved = Plane { pixel_stride: 2, row_stride: 6, ..Plane::owned(PixelFormat::U8, twice, 3) };
-        let planes = vec![
-            Plane::owned(PixelFormat::U8, values.to_vec(), 3),
-            Plane::owned(PixelFormat::U16, words, 3),
-            Plane::owned(PixelFormat::F32, floats, 3),
-            interleaved,
-        ];
-        let linear = camera.linear(&Frame::new(&[3, 2], planes).unwrap());
-        for channel in 0..4 {
-            for (place, (value, gain)) in values.iter().zip(gains).enumerate() {
-                let light = linear.plane_view(channel).pixel(place % 3, place / 3);
-                let expected = camera.light(f64::from(*value)) / gain;
-                // Steps of the map are 0.1 / 127.
-                assert!((light - expected).abs() <= 5e-4 * expected, "{channel} {place}: {light}, {expected}");
-            }
-        }
-        // Every pixel that clips is at the limit, whatever its gain.
-        let limit = linear.largest.unwrap();
-        assert!((limit - camera.light(254.5) / 1.1).abs() < 1e-9 && camera.light(255.0) / 1.1 > limit);
-        let document = CameraResponse { gamma: 0.45, gains: Some(GainMap::of(3, 2, &gains)) };
-        assert_eq!(document.check_size(&[3, 2, 5]), Ok(()));
-        assert!(
-            document
-                .check_size(&[2, 3])
-                .is_err_and(|error| error.to_string().contains("3 × 2 px, the frames are 2 × 3 px"))
-        );
     }
 
     #[test]

@@ -210,7 +210,7 @@ impl Solver {
         let document = self.options.camera.response.as_ref();
         let frame = match &self.response {
             Some(response) if document.is_some_and(|document| document.check_size(frame.size()).is_ok()) => {
-                Cow::Owned(response.linear(frame))
+                Cow::Owned(frame.linear(response))
             }
             _ => Cow::Borrowed(frame),
         };

@@ -54,7 +54,7 @@ impl GainMeasurement {
             return;
         }
         self.size = size;
-        let linear = self.response.linear(frame);
+        let linear = frame.linear(&self.response);
         let view = linear.plane_view(0);
         let half = self.frames % 2;
         let sums = &mut self.halves[half];
