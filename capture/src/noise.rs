@@ -2,12 +2,16 @@
 //!
 //! A pixel that should read m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts
 //! Poisson(e) of them, adds N(0, read noise²) electrons and what its row is off by, N(0, row noise²), is converted back to DN, times the gain, rounded, and clipped to
-//! 0…saturation, below a gain of 1 to 0…gain · saturation, where the full well ends. Without electrons (a full well of 0) it is only rounded and clipped.
+//! 0…saturation, below a gain of 1 to 0…gain · saturation, where the full well ends. With a response DN are light above black, from
+//! which values follow before they are rounded. Without electrons (a full well of 0) it is only rounded and clipped.
 //!
 //! Poisson numbers are exact: inversion for small means, Hörmann's transformed rejection PTRS otherwise (W. Hörmann, The
 //! transformed rejection method for generating Poisson random variables, Insurance: Mathematics and Economics 12, 1993).
 //! Even ground is read from a table of its distribution ([`Levels`]). Logarithms come from `libm`, so a seed gives the same frames on every machine.
 
+use std::sync::Arc;
+
+use isophote_frame::Response;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rand_pcg::rand_core::{Rng, SeedableRng};
@@ -43,6 +47,8 @@ pub(crate) struct ReadOut {
     sensor: Sensor,
     /// …and at a gain of 1.
     ungained: Sensor,
+    /// How values follow from light, where they are not light as they are.
+    response: Option<Arc<Response>>,
     random: FrameRandom,
     /// The last mean, how many pixels it has stood for, and its distribution.
     mean_dn: f32,
@@ -57,10 +63,10 @@ pub(crate) struct ReadOut {
 
 impl ReadOut {
     /// For frames from number 0 on.
-    pub fn new(sensor: Sensor) -> ReadOut {
+    pub fn new(sensor: Sensor, response: Option<Arc<Response>>) -> ReadOut {
         let (random, poisson) = (FrameRandom::of_frame(0, 0), Poisson::new(0.0));
         let (ungained, mean_dn) = (sensor, f32::NAN);
-        ReadOut { sensor, ungained, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
+        ReadOut { sensor, ungained, response, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
     }
 
     /// Starts a frame: its random numbers are its own. With a gain of g, m electrons read g times as many DN: the means
@@ -81,7 +87,7 @@ impl ReadOut {
     pub fn row(&mut self, means: &[f32], pixels: &mut [u16]) {
         if self.sensor.electrons_per_dn <= 0.0 {
             for (pixel, mean) in pixels.iter_mut().zip(means) {
-                *pixel = self.sensor.digitised(f64::from(*mean));
+                *pixel = self.value(f64::from(*mean));
             }
             return;
         }
@@ -102,8 +108,8 @@ impl ReadOut {
         let Sensor { electrons_per_dn, read_noise_e, row_noise_e, .. } = self.sensor;
         if mean_dn == self.mean_dn {
             self.run += 1;
-            // No table is of rows that differ.
-            if row_noise_e == 0.0 && self.run == GROUND_RUN && self.grounds < GROUNDS_MAX {
+            // No table is of rows that differ, or of values that are not light.
+            if row_noise_e == 0.0 && self.response.is_none() && self.run == GROUND_RUN && self.grounds < GROUNDS_MAX {
                 self.find_ground(mean_dn);
             }
         } else {
@@ -114,7 +120,15 @@ impl ReadOut {
         if read_noise_e > 0.0 {
             electrons += read_noise_e * self.random.normal();
         }
-        self.sensor.digitised(electrons / electrons_per_dn)
+        self.value(electrons / electrons_per_dn)
+    }
+
+    /// What is read of so much light and noise.
+    fn value(&self, dn: f64) -> u16 {
+        let Some(response) = &self.response else { return self.sensor.digitised(dn) };
+        // A full well ends the light, whatever values are left above it.
+        let full = response.range() * self.sensor.saturation / self.ungained.saturation;
+        self.ungained.digitised(response.value(dn.min(full)))
     }
 
     fn find_ground(&mut self, mean_dn: f32) {
@@ -285,7 +299,7 @@ mod tests {
         let sensor = Sensor { saturation: 253.0, electrons_per_dn: 0.0, read_noise_e: 15.0, row_noise_e: 0.0 };
         let means = [-3.0, 0.0, 0.49, 0.5, 1.5, 252.4, 252.6, 900.0, f32::NAN, f32::INFINITY];
         let mut pixels = [7; 10];
-        ReadOut::new(sensor).row(&means, &mut pixels);
+        ReadOut::new(sensor, None).row(&means, &mut pixels);
         assert_eq!(pixels, [0, 0, 0, 1, 2, 252, 253, 253, 0, 253]);
     }
 
@@ -295,7 +309,7 @@ mod tests {
     fn below_a_gain_of_one_the_full_well_is_the_end() {
         for electrons_per_dn in [0.0, 19.6] {
             let sensor = Sensor { saturation: 200.0, electrons_per_dn, read_noise_e: 5.0, row_noise_e: 0.0 };
-            let mut read_out = ReadOut::new(sensor);
+            let mut read_out = ReadOut::new(sensor, None);
             for (gain, end) in [(1.0, 200), (0.5, 100), (0.333, 66), (2.0, 200)] {
                 read_out.begin(3, 0, gain);
                 let mut pixels = vec![0; 1000];
@@ -318,7 +332,7 @@ mod tests {
         {
             let sensor = Sensor { saturation: 65_535.0, electrons_per_dn: gain, read_noise_e, row_noise_e: 0.0 };
             let mut pixels = vec![0; N];
-            let mut read_out = ReadOut::new(sensor);
+            let mut read_out = ReadOut::new(sensor, None);
             read_out.begin(42, 7, 1.0);
             // A neighbour that differs by nothing that matters: no ground, every pixel is counted.
             let means: Vec<f32> = (0..N).map(|i| if i % 2 == 0 { mean } else { mean * 1.000_001 }).collect();
@@ -343,7 +357,7 @@ mod tests {
     #[test]
     fn pixels_of_a_row_are_off_together() {
         let sensor = Sensor { saturation: 255.0, electrons_per_dn: 20.0, read_noise_e: 15.0, row_noise_e: 40.0 };
-        let mut read_out = ReadOut::new(sensor);
+        let mut read_out = ReadOut::new(sensor, None);
         read_out.begin(42, 7, 1.0);
         let (mut pixels, rows, n) = (vec![0; 300], 5000, 300.0);
         let [mut between, mut within] = [0.0; 2];
@@ -365,7 +379,7 @@ mod tests {
         for (gain, read_noise_e, mean) in [(19.6, 15.0, 20.0), (19.6, 15.0, 250.0), (1.0, 0.0, 4.0), (0.3, 2.0, 90.0)] {
             let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e, row_noise_e: 0.0 };
             let count = |means: Vec<f32>, seed| {
-                let mut read_out = ReadOut::new(sensor);
+                let mut read_out = ReadOut::new(sensor, None);
                 read_out.begin(seed, 0, 1.0);
                 let mut pixels = vec![0; N];
                 read_out.row(&means, &mut pixels);
@@ -392,7 +406,7 @@ mod tests {
     fn frames_do_not_depend_on_earlier_ones() {
         let sensor = Sensor { saturation: 255.0, electrons_per_dn: 19.6, read_noise_e: 15.0, row_noise_e: 0.0 };
         let means = vec![20.0; 2000];
-        let (mut fresh, mut used) = (ReadOut::new(sensor), ReadOut::new(sensor));
+        let (mut fresh, mut used) = (ReadOut::new(sensor, None), ReadOut::new(sensor, None));
         let (mut first, mut second) = (vec![0; 2000], vec![0; 2000]);
         used.begin(1, 0, 1.0);
         used.row(&means, &mut second);

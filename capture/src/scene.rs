@@ -69,7 +69,8 @@ impl StagedScene {
         let light = light::read(&spec.light).map_err(wrong_light)?;
         let exposure = light::read_factor("exposure", &spec.exposure).map_err(wrong_light)?;
         let gain = light::read_factor("gain", &spec.gain).map_err(wrong_light)?;
-        let electrons_per_dn = spec.full_well_e / spec.saturation;
+        let light_dn = spec.response.as_ref().map_or(spec.saturation, |_| spec.saturation - spec.black);
+        let electrons_per_dn = spec.full_well_e / light_dn;
         let SyntheticSpec { saturation, read_noise_e, row_noise_e, .. } = *spec;
         let sensor = Sensor { saturation, electrons_per_dn, read_noise_e, row_noise_e };
         Ok(StagedScene { motion, light, exposure, gain, parameters, constants, sensor })

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use isophote_frame::{CameraResponse, Response, ResponseError};
 use isophote_symbolic::{Diagnostics, Estimator, Model, Start};
 
 use crate::light::Light;
@@ -44,6 +45,10 @@ pub struct SyntheticSpec {
     pub gain: Moving,
     /// Pixel values are clipped here, DN.
     pub saturation: f64,
+    /// The pixel value without light, DN; only with a response.
+    pub black: f64,
+    /// How values follow from light, which the model's intensity is then, in DN above black; absent: they are the intensity.
+    pub response: Option<CameraResponse>,
     /// Glare, occluders, blindness, defocus.
     pub light: Light,
     /// Of the noise; same seed, same frames.
@@ -78,10 +83,21 @@ impl SyntheticSpec {
             exposure: Moving::Number(1.0),
             gain: Moving::Number(1.0),
             saturation: 255.0,
+            black: 0.0,
+            response: None,
             light: Light::default(),
             seed: 1,
             exposure_latency: 2,
         }
+    }
+}
+
+impl SyntheticSpec {
+    /// What its values follow from light by, where they are not light as they are.
+    pub(crate) fn prepared_response(&self) -> Result<Option<Response>, ResponseError> {
+        let Some(response) = &self.response else { return Ok(None) };
+        response.check_size(&[self.width, self.height])?;
+        Response::new(self.black, Some(self.saturation), response).map(Some)
     }
 }
 
@@ -126,6 +142,9 @@ pub enum SyntheticError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The response cannot be.
+    #[error(transparent)]
+    Response(#[from] ResponseError),
     /// Another scene, whose formulas say nothing for the next frame.
     #[error("the next frame could not be seen: {reason}")]
     Unseen {
@@ -190,6 +209,8 @@ pub(crate) fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     let (saturation, range) =
         (spec.saturation, format!("at least 1 and at most {largest}, the largest of {} bits", spec.bits));
     in_range("saturation", saturation, (1.0..=largest).contains(&saturation), &range)?;
+    in_range("black", spec.black, spec.black == 0.0 || spec.response.is_some(), "0 without a `response`")?;
+    spec.prepared_response()?;
     let latency = f64::from(spec.exposure_latency);
     in_range("exposure_latency", latency, spec.exposure_latency <= LIMITS.exposure_latency, "0 to 64")?;
     in_range("rate_hz", spec.rate_hz, spec.rate_hz > 0.0, "positive")?;

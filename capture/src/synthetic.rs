@@ -1,8 +1,9 @@
 //! The synthetic camera: any model, rendered with sub-pixel samples, motion, noise and saturation; the truth with each frame.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
 
-use isophote_frame::{Frame, Plane};
+use isophote_frame::{Frame, Plane, Response};
 use isophote_jit::{PixelFormat, Slices, Window};
 
 use crate::exposure::Exposure;
@@ -29,6 +30,7 @@ pub struct Synthetic {
     /// One a channel, and its read-out.
     scenes: Vec<Scene>,
     read_outs: Vec<ReadOut>,
+    response: Option<Arc<Response>>,
     staged: Box<StagedScene>,
     knob: SceneKnob,
     frame: u64,
@@ -57,7 +59,8 @@ impl Synthetic {
         };
         let scenes = models.iter().map(scene).collect::<Result<Vec<_>, _>>()?;
         let staged = Box::new(StagedScene::read(&spec)?);
-        let read_outs = scenes.iter().map(|_| ReadOut::new(staged.sensor)).collect();
+        let response = spec.prepared_response()?.map(Arc::new);
+        let read_outs = scenes.iter().map(|_| ReadOut::new(staged.sensor, response.clone())).collect();
         let (scratch, means) = (Scratch::default(), Vec::new());
         let exposures = std::iter::repeat_n(1.0, spec.exposure_latency as usize).collect();
         let exposure = Exposure::default();
@@ -67,6 +70,7 @@ impl Synthetic {
             size,
             scenes,
             read_outs,
+            response,
             staged,
             frame: 0,
             scratch,
@@ -102,7 +106,8 @@ impl Synthetic {
         let Some(staged) = self.knob.begin(frame) else { return };
         // Tables are of the sensor that they were made for.
         if staged.sensor != self.staged.sensor {
-            self.read_outs = self.scenes.iter().map(|_| ReadOut::new(staged.sensor)).collect();
+            let read_out = |_| ReadOut::new(staged.sensor, self.response.clone());
+            self.read_outs = self.scenes.iter().map(read_out).collect();
         }
         self.staged = staged;
     }
@@ -163,6 +168,9 @@ impl Synthetic {
                     }
                     if factor != 1.0 {
                         means.iter_mut().for_each(|mean| *mean *= factor);
+                    }
+                    if let Some(gains) = self.response.as_ref().and_then(|response| response.gains(y)) {
+                        means.iter_mut().zip(gains).for_each(|(mean, gain)| *mean *= gain);
                     }
                     read_out.row(means, &mut row);
                     if let Some(shine) = &seen.shine {

@@ -119,6 +119,7 @@ enum CalibrateCommand {
     Colours(calibrate::ColoursArgs),
     Noise(calibrate::NoiseArgs),
     Pixels(calibrate::PixelsArgs),
+    Response(calibrate::ResponseArgs),
     Profile(profile::ProfileArgs),
 }
 
@@ -224,6 +225,7 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Calibrate(CalibrateCommand::Colours(args)) => calibrate::colours(args, out),
         Command::Calibrate(CalibrateCommand::Noise(args)) => calibrate::noise(args, out),
         Command::Calibrate(CalibrateCommand::Pixels(args)) => calibrate::pixels(args, out),
+        Command::Calibrate(CalibrateCommand::Response(args)) => calibrate::response(args, out),
         Command::Calibrate(CalibrateCommand::Profile(args)) => profile::run(args, out),
     }
 }

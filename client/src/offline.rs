@@ -3,6 +3,7 @@
 //! In: paths and options of a command. Out: an [`OfflineRun`], and the documents about camera and target. It never knows what is done
 //! with the frames.
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,7 +11,9 @@ use isophote_capture::{Captured, Recording};
 use isophote_jit::KernelCache;
 use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, CompileFailure, Compiled, Intrinsics, Target, Tracker, TrackerOptions};
+use isophote_tracker::{
+    Camera, CompileFailure, Compiled, Frame, Intrinsics, Response, Target, Tracker, TrackerOptions,
+};
 use isophote_wire::explain;
 
 use crate::failure::Failure;
@@ -111,6 +114,21 @@ fn intrinsics(path: &Path, text: &str) -> Result<Intrinsics, Failure> {
 
 /// What a camera document is.
 const CAMERA: &str = "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})";
+
+/// The frame in light, where its camera has a response.
+pub fn linear<'a>(
+    camera: &Camera,
+    response: Option<&Response>,
+    captured: &'a Captured,
+) -> Result<Cow<'a, Frame>, Failure> {
+    let (Some(response), Some(document)) = (response, &camera.response) else {
+        return Ok(Cow::Borrowed(&captured.frame));
+    };
+    let name = captured.file.as_deref().unwrap_or("the frame");
+    let checked = document.check_size(captured.frame.size());
+    checked.map_err(|error| Failure::Usage(format!("{name}: {error}")))?;
+    Ok(Cow::Owned(captured.frame.linear(response)))
+}
 
 /// The target of that document.
 pub fn target(path: &Path) -> Result<Target, Failure> {

@@ -81,6 +81,12 @@ pub fn with_deviation(value: f64, deviation: Option<f64>) -> String {
     format!("{value:.digits$e} ± {deviation:.1e}")
 }
 
+/// At the digits that it is known to, and one more.
+pub fn rounded([value, sigma]: [f64; 2]) -> f64 {
+    let digits = (1.0 - sigma.log10().floor()).clamp(0.0, 6.0);
+    (value * 10f64.powf(digits)).round() / 10f64.powf(digits)
+}
+
 fn shortest(value: f64) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-3..1e6).contains(&magnitude) { format!("{value:.4}") } else { format!("{value:.5e}") }

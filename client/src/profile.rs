@@ -94,8 +94,9 @@ fn roles(args: &ProfileArgs, model: &Model) -> Result<Roles, Failure> {
 /// The profile as frames show it that are fitted with a model, and how many there were.
 fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(MeasuredProfile, usize), Failure> {
     let camera = offline::camera(args.camera.as_deref())?;
-    let usable = UsablePixels::of(&camera);
-    let options = TrackerOptions { camera, ..TrackerOptions::default() };
+    let mut usable = UsablePixels::of(&camera);
+    let response = camera.linear_response().map_err(|error| Failure::Usage(error.to_string()))?;
+    let options = TrackerOptions { camera: camera.clone(), ..TrackerOptions::default() };
     let cache = Arc::new(KernelCache::default());
     let mut run = offline::OfflineRun::open(&args.model, model, &args.frames, None, (options, cache))?;
     let roles = roles(args, model)?;
@@ -111,7 +112,11 @@ fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(Measur
                 let number = captured.frame.sequence;
                 return Err(Failure::Usage(format!("{}: frame {number}: {message}", args.frames.display())));
             }
-            add(&mut measurement, &roles, &captured.frame, &estimate, (reach, &usable));
+            let frame = offline::linear(&camera, response.as_ref(), &captured)?;
+            if response.is_some() {
+                usable.saturation = frame.largest;
+            }
+            add(&mut measurement, &roles, &frame, &estimate, (reach, &usable));
             frames += 1;
         }
     }

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::arguments::{FormulaArgs, NumberArgs, Size};
 use crate::failure::Failure;
-use crate::model_files;
+use crate::{model_files, offline};
 
 /// Render a model to PNG files (stacks to TIFF), with sub-pixel samples, motion, noise and saturation
 #[derive(Clone, Debug, clap::Args)]
@@ -45,15 +45,19 @@ pub struct RenderArgs {
     /// Sub-pixel samples per side, along x and y
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub samples: u32,
-    /// Electrons at the saturation limit; 0: no noise
-    #[arg(long, value_name = "E", default_value_t = 0.0)]
-    pub full_well_e: f64,
-    /// Standard deviation of the read noise
-    #[arg(long, value_name = "E", default_value_t = 0.0)]
-    pub read_noise_e: f64,
-    /// Standard deviation of what all pixels of a row are off by together
-    #[arg(long, value_name = "E", default_value_t = 0.0)]
-    pub row_noise_e: f64,
+    /// Electrons at the saturation limit; 0: no noise [default: what the camera says, or 0]
+    #[arg(long, value_name = "E")]
+    pub full_well_e: Option<f64>,
+    /// Standard deviation of the read noise [default: what the camera says, or 0]
+    #[arg(long, value_name = "E")]
+    pub read_noise_e: Option<f64>,
+    /// Standard deviation of what all pixels of a row are off by together [default: what the camera says, or 0]
+    #[arg(long, value_name = "E")]
+    pub row_noise_e: Option<f64>,
+    /// A JSON document about the camera that sees it: saturation, electrons_per_dn, read_noise_e, row_noise_e; with a response, the model
+    /// is light above its black level, and pixels read what that camera's would
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
     /// So many times the light, a number or a formula of t
     #[arg(long, value_name = "FACTOR", default_value = "1")]
     pub exposure: Moving,
@@ -63,7 +67,7 @@ pub struct RenderArgs {
     /// Glare, occluders, blindness, defocus and hot pixels: JSON, as `light` of a synthetic source
     #[arg(long, value_name = "FILE")]
     pub light: Option<PathBuf>,
-    /// Pixel values are clipped here [default: the largest of the bits, 255 for 8]
+    /// Pixel values are clipped here [default: what the camera says, or the largest of the bits, 255 for 8]
     #[arg(long, value_name = "DN")]
     pub saturation: Option<f64>,
     /// Of the noise; same seed, same frames
@@ -89,6 +93,12 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     let typical = SyntheticSpec::new(model.clone());
     let [width, height, depth, length] = sides(args, &typical)?;
+    let seen_by = offline::camera(args.camera.as_deref())?;
+    let largest = f64::from((1u32 << args.bits.clamp(1, 16)) - 1);
+    let saturation = args.saturation.or(seen_by.saturation).unwrap_or(largest);
+    // Only values that do not follow from light as they are have a black level beside the model's background.
+    let black = if seen_by.response.is_some() { seen_by.black } else { 0.0 };
+    let full_well_e = seen_by.electrons_per_dn.map(|electrons| electrons * (saturation - black));
     let spec = SyntheticSpec {
         set: NumberArgs::merged(&args.set).map_err(Failure::Usage)?,
         motion: FormulaArgs::merged(&args.motion).map_err(Failure::Usage)?,
@@ -99,13 +109,15 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
         rate_hz: args.rate_hz,
         bits: args.bits,
         samples: args.samples,
-        full_well_e: args.full_well_e,
-        read_noise_e: args.read_noise_e,
-        row_noise_e: args.row_noise_e,
+        full_well_e: args.full_well_e.or(full_well_e).unwrap_or(0.0),
+        read_noise_e: args.read_noise_e.or(seen_by.read_noise_e).unwrap_or(0.0),
+        row_noise_e: args.row_noise_e.or(seen_by.row_noise_e).unwrap_or(0.0),
         exposure: args.exposure.clone(),
         gain: args.gain.clone(),
         light: args.light.as_deref().map(read_light).transpose()?.unwrap_or_default(),
-        saturation: args.saturation.unwrap_or_else(|| f64::from((1u32 << args.bits.clamp(1, 16)) - 1)),
+        saturation,
+        black,
+        response: seen_by.response,
         seed: args.seed,
         ..typical
     };

@@ -30,7 +30,7 @@ pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};
 pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TracePoint, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
-pub use isophote_frame::{Buffer, Frame, FrameError, Lease, Plane};
+pub use isophote_frame::{Buffer, CameraResponse, Frame, FrameError, GainMap, Lease, Plane, Response, ResponseError};
 pub use options::{
     CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions,
 };
@@ -46,6 +46,9 @@ pub use sight::defective::{DefectFault, DefectMeasurement, DefectOptions, Defect
 pub use sight::detect::Strength;
 pub use sight::mixing::{Mixing, MixingError, MixingMeasurement};
 pub use sight::radial::{MeasuredProfile, ProfileMeasurement};
+pub use sight::response::{
+    GainMeasurement, MeasuredGains, MeasuredResponse, ResponseFault, ResponseMeasurement, ResponseOptions,
+};
 pub use sight::transfer::{MeasuredNoise, NoiseFault, NoiseMeasurement, NoiseOptions};
 pub use solve::compiled::Compiled;
 pub use solve::prepare::{Preparation, Preparing};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use isophote_frame::ResponseError;
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
@@ -143,6 +144,9 @@ pub enum TrackError {
     /// The map of defects cannot be, or is that of other pictures.
     #[error(transparent)]
     DefectMap(#[from] DefectMapError),
+    /// The response cannot be, or is that of other pictures.
+    #[error(transparent)]
+    Response(#[from] ResponseError),
     /// The target cannot be.
     #[error(transparent)]
     Target(#[from] TargetError),
@@ -283,6 +287,7 @@ impl TrackerOptions {
         if let Some(map) = &self.camera.defect_map {
             map.check()?;
         }
+        self.camera.linear_response()?;
         let is_share = |share: &f64| (0.0..1.0).contains(share);
         let of_model =
             model.defects().map(|constant| ("constants.defects", self.constants_of(model)[constant.index()]));
@@ -302,7 +307,7 @@ impl TrackerOptions {
         self.check_lens(model)
     }
 
-    /// Checks that the window has something of frames of that size, px, inner first, that the map of defects is of theirs, and
+    /// Checks that the window has something of frames of that size, px, inner first, that the maps of defects and gains are of theirs, and
     /// that poses can follow from them.
     ///
     /// # Errors
@@ -310,6 +315,9 @@ impl TrackerOptions {
     pub fn check_size(&self, model: &Model, size: &[usize]) -> Result<(), TrackError> {
         if let Some(map) = &self.camera.defect_map {
             map.check_size(size)?;
+        }
+        if let Some(response) = &self.camera.response {
+            response.check_size(size)?;
         }
         if let Some(window) = &self.window {
             let first = [window.x, window.y, window.slices.first[0], window.slices.first[1]];

@@ -22,7 +22,7 @@ pub struct ColoursArgs {
     /// The model document whose channels they are (TOML; JSON if it is named *.json)
     #[arg(long, value_name = "FILE")]
     pub model: PathBuf,
-    /// A JSON document about the camera, for its saturation
+    /// A JSON document about the camera, for its saturation and response
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Print the answer as JSON
@@ -54,11 +54,15 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
     let mut recording = offline::recording(&args.frames, &model)?;
     let camera = offline::camera(args.camera.as_deref())?;
-    let mut measurement = MixingMeasurement::new(channels.len(), camera.saturation);
+    let response = camera.linear_response().map_err(|error| Failure::Usage(error.to_string()))?;
+    // Light clips where the frames say it does.
+    let saturation = camera.saturation.filter(|_| response.is_none());
+    let mut measurement = MixingMeasurement::new(channels.len(), saturation);
     let refused =
         |error: MixingError| Failure::Other(format!("{}: {}", args.frames.display(), reason(&error, channels)));
     while let Some(captured) = recording.next().map_err(Failure::other)? {
-        measurement.add(&captured.frame).map_err(refused)?;
+        let frame = offline::linear(&camera, response.as_ref(), &captured)?;
+        measurement.add(&frame).map_err(refused)?;
     }
     let mixing = measurement.finish().map_err(refused)?;
     let constants = constants(&model, &mixing);

@@ -1,13 +1,15 @@
 //! `isophote calibrate noise`: electrons per DN and the noise without light, from frames of a scene that stands still.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use isophote_capture::{FrameSource, Recording};
 use isophote_tracker::{Camera, MeasuredNoise, NoiseMeasurement, NoiseOptions};
 use serde::Serialize;
 
+use super::dark::Dark;
 use crate::failure::Failure;
+use crate::output::rounded;
 use crate::{offline, output};
 
 /// Find how noisy the camera is: electrons per DN, the noise without light, and what rows are off by; models with a
@@ -65,21 +67,28 @@ struct NoiseAnswer<'a> {
 /// Looks at all frames, then answers.
 pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let known = offline::camera(args.camera.as_deref())?;
-    let black = args.dark.as_deref().map_or(Ok(known.black), black_of)?;
-    let mut measurement = NoiseMeasurement::new(NoiseOptions { black, saturation: known.saturation });
+    let dark = args.dark.as_deref().map(Dark::of).transpose()?;
+    let black = dark.map_or(known.black, |dark| dark.mean[0]);
+    let known = Camera { black, ..known };
+    let response = known.linear_response().map_err(|error| Failure::Usage(error.to_string()))?;
+    let options = match response {
+        None => NoiseOptions { black, saturation: known.saturation, rounding_gain: 0.0 },
+        Some(_) => NoiseOptions { black: 0.0, saturation: None, rounding_gain: known.rounding_gain() },
+    };
+    let mut measurement = NoiseMeasurement::new(options);
     let paths = || args.frames.iter().chain(&args.folder);
     for path in paths() {
         let mut recording = Recording::open(path).map_err(Failure::other)?;
         while !measurement.is_full() {
             let Some(captured) = recording.next().map_err(Failure::other)? else { break };
-            let added = measurement.add(&captured.frame);
+            let frame = offline::linear(&known, response.as_ref(), &captured)?;
+            let added = measurement.add(&frame);
             added.map_err(|fault| Failure::Other(format!("{}: {fault}", path.display())))?;
         }
     }
     let first = paths().next().map(|path| path.display().to_string()).unwrap_or_default();
     let found = measurement.finish().map_err(|fault| Failure::Other(format!("{first}: {fault}")))?;
     let camera = Camera {
-        black,
         electrons_per_dn: Some(rounded(found.electrons_per_dn)),
         read_noise_e: found.read_noise_e.map(rounded).or(known.read_noise_e),
         row_noise_e: found.row_noise_e.map(rounded),
@@ -116,27 +125,6 @@ pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
         writeln!(out, "--out FILE writes the camera's document with them").map_err(Failure::output)?;
     }
     Ok(())
-}
-
-/// The mean of all pixels of all frames.
-fn black_of(path: &Path) -> Result<f64, Failure> {
-    let mut recording = Recording::open(path).map_err(Failure::other)?;
-    let (mut sum, mut count) = (0.0, 0.0);
-    while let Some(captured) = recording.next().map_err(Failure::other)? {
-        for plane in 0..captured.frame.planes().len() {
-            let view = captured.frame.plane_view(plane);
-            let places = (0..view.height()).flat_map(|y| (0..view.width()).map(move |x| (x, y)));
-            let values = places.map(|(x, y)| view.pixel(x, y)).filter(|value| value.is_finite());
-            values.for_each(|value| (sum, count) = (sum + value, count + 1.0));
-        }
-    }
-    if count > 0.0 { Ok(sum / count) } else { Err(Failure::Other(format!("{}: there is no pixel", path.display()))) }
-}
-
-/// At the digits that it is known to, and one more.
-fn rounded([value, sigma]: [f64; 2]) -> f64 {
-    let digits = (1.0 - sigma.log10().floor()).clamp(0.0, 6.0);
-    (value * 10f64.powf(digits)).round() / 10f64.powf(digits)
 }
 
 fn sentence(found: &MeasuredNoise, black: f64) -> String {

@@ -53,10 +53,15 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
     let saturation = given.saturation.unwrap_or(SATURATION);
     let electrons_per_dn = given.electrons_per_dn.unwrap_or(FULL_WELL_E / saturation);
     let read_noise_e = given.read_noise_e.unwrap_or(READ_NOISE_E);
-    let known = (Some(saturation), Some(electrons_per_dn), Some(read_noise_e));
-    // Rendered frames have no defects, and a size of their own.
-    let camera =
-        Camera { saturation: known.0, electrons_per_dn: known.1, read_noise_e: known.2, defect_map: None, ..given };
+    // Rendered frames have no defects, are light as they are, and have a size of their own.
+    let camera = Camera {
+        saturation: Some(saturation),
+        electrons_per_dn: Some(electrons_per_dn),
+        read_noise_e: Some(read_noise_e),
+        defect_map: None,
+        response: None,
+        ..given
+    };
     let spec = SyntheticSpec {
         bits: if saturation > SATURATION { 16 } else { 8 },
         saturation,

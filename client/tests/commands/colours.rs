@@ -62,3 +62,55 @@ fn what_is_wrong_is_told_with_the_channel() {
     assert_eq!(status, 3, "{message}");
     assert!(message.contains("`observed` mixes the channels r, g, b"), "{message}");
 }
+
+/// The pose of coloured spots from raw channels in one fit, whatever these are called; the mixing stands in the target's document.
+#[test]
+fn poses_come_straight_from_raw_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (document, frames, camera, target) =
+        (model("three-spots-pose-raw.toml"), path("frames"), path("camera.json"), path("target.json"));
+    let lens = r#"{"width": 640, "height": 480, "fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}"#;
+    std::fs::write(
+        &camera,
+        format!(r#"{{"saturation": 255, "electrons_per_dn": 19.6, "read_noise_e": 15, "intrinsics": {lens}}}"#),
+    )
+    .unwrap();
+    let spot =
+        |name: &str, x: f64, y: f64| format!(r#"{{"name": "{name}", "position_mm": [{x}, {y}, 0], "radius_mm": 30}}"#);
+    let spots = [spot("red", 0.0, 80.0), spot("green", -70.0, -40.0), spot("blue", 70.0, -40.0)].join(", ");
+    let mixing = "[[1, 0.3, 0.075], [0.25, 1, 0.3], [0.06, 0.21, 1]]";
+    std::fs::write(&target, format!(r#"{{"name": "lamps", "spots": [{spots}], "mixing": {mixing}}}"#)).unwrap();
+    let truth =
+        [("tx", 60.0), ("ty", -30.0), ("tz", 1500.0), ("vr", 150.0), ("vg", 120.0), ("vb", 90.0), ("v0b", 12.0)];
+    let set: Vec<String> = truth.iter().map(|(name, value)| format!("{name}={value}")).collect();
+    let mixed = "m1=0.1,m2=-0.12,m3=0.3,blur=0.101,v0r=20,v0g=16,\
+                 m_rg=0.3,m_rb=0.075,m_gr=0.25,m_gb=0.3,m_br=0.06,m_bg=0.21";
+    let set = format!("{},{mixed}", set.join(","));
+    let seen = ["--frames", "6", "--full-well-e", "5000", "--read-noise-e", "15"];
+    output(&[&["render", text(&document), "--set", &set, "--out", text(&frames)], &seen[..]].concat());
+    let fitted = |document: &Path| -> Vec<Value> {
+        let seen = ["--camera", text(&camera), "--target", text(&target), "--json"];
+        let told = output(&[&["fit", text(document), "--frames", text(&frames)], &seen[..]].concat());
+        told.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    };
+    let estimates = fitted(&document);
+    for estimate in &estimates {
+        assert_eq!((&estimate["state"], &estimate["pose"]["degrees_of_freedom"]), (&"tracking".into(), &6.into()));
+        let order: Vec<&str> =
+            estimate["order"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+        for (name, truth) in truth {
+            let at = order.iter().position(|other| *other == name).unwrap();
+            let sigma = estimate["covariance"][at][at].as_f64().unwrap().sqrt();
+            let off = estimate["parameters"][name].as_f64().unwrap() - truth;
+            assert!(off.abs() < 5.0 * sigma && sigma < 0.01 * truth.abs().max(20.0), "{name}: {off} ± {sigma}");
+        }
+    }
+    let renamed = path("renamed.toml");
+    let old = std::fs::read_to_string(&document).unwrap();
+    let names = |channels: &str| old.replace(r#"["r", "g", "b"]"#, channels).replace("[r, g, b]", "[one, two, three]");
+    std::fs::write(&renamed, names(r#"["one", "two", "three"]"#)).unwrap();
+    let again = fitted(&renamed);
+    assert_eq!(estimates.len(), again.len());
+    assert!(estimates.iter().zip(&again).all(|(one, other)| one["parameters"] == other["parameters"]));
+}

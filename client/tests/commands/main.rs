@@ -6,6 +6,7 @@ mod noise;
 mod offline;
 mod pixels;
 mod profile;
+mod response;
 mod tune;
 mod volumes;
 

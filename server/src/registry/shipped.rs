@@ -10,7 +10,7 @@ use super::entry::{Media, ModelEntry};
 use crate::name::Name;
 
 /// The shipped documents.
-pub const SHIPPED: [&str; 25] = [
+pub const SHIPPED: [&str; 26] = [
     include_str!("../../../models/bead.toml"),
     include_str!("../../../models/blob-3d.toml"),
     include_str!("../../../models/blob-4d.toml"),
@@ -33,6 +33,7 @@ pub const SHIPPED: [&str; 25] = [
     include_str!("../../../models/spot.toml"),
     include_str!("../../../models/thesis-spot.toml"),
     include_str!("../../../models/three-spots-pose-lens.toml"),
+    include_str!("../../../models/three-spots-pose-raw.toml"),
     include_str!("../../../models/three-spots-pose.toml"),
     include_str!("../../../models/three-spots-raw.toml"),
     include_str!("../../../models/three-spots.toml"),

@@ -140,7 +140,7 @@ impl Session {
         let start_ns = monotonic_ns();
         let compiled = entry.kernels_by(self.document.options.precision, workers)?;
         if let Some(format) = shape.format {
-            compiled.warm(format, workers)?;
+            compiled.warm(self.document.camera.seen_format(format), workers)?;
         }
         let compile_ms = elapsed_ms(start_ns);
         let mut options = swap::options_known(&self.document, &entry.model);
@@ -223,7 +223,7 @@ pub fn prepare_session(
     let start_ns = monotonic_ns();
     let compiled = entry.kernels_by(document.options.precision, workers)?;
     if let Some(format) = shape.format {
-        compiled.warm(format, workers)?;
+        compiled.warm(document.camera.seen_format(format), workers)?;
     }
     let compile_ms = elapsed_ms(start_ns);
     let of_own = || own.and_then(|own| realtime_hz(own, None));

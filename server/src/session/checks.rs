@@ -85,6 +85,7 @@ pub(super) fn wrong_options(document: &SessionDocument, entry: &ModelEntry, erro
         (None, None, TrackError::Pose(PoseMismatch::Size { .. })) => "camera.intrinsics".to_string(),
         (None, None, TrackError::Pose(_)) => "target".to_string(),
         (None, None, TrackError::DefectMap(_)) => "camera.defect_map".to_string(),
+        (None, None, TrackError::Response(_)) => "camera.response".to_string(),
         (None, None, TrackError::Intrinsics(_)) => "camera.intrinsics".to_string(),
         (None, None, _) => "model".to_string(),
     };

@@ -97,7 +97,7 @@ impl Session {
         let start_ns = monotonic_ns();
         let compiled = entry.kernels(document.options.precision)?;
         if let Some(format) = source.source.shape().format {
-            compiled.warm(format, &Threads)?;
+            compiled.warm(document.camera.seen_format(format), &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);
         let mut options = match document.model == entry.name.as_str() {

@@ -28,7 +28,7 @@ pub fn fit_once(
     check_shape(&entry.model, &shape).map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
     let compiled = entry.kernels(document.options.precision)?;
     if let Some(format) = shape.format {
-        compiled.warm(format, &Threads)?;
+        compiled.warm(document.camera.seen_format(format), &Threads)?;
     }
     let options = TrackerOptions { preparing: Preparing::AtOnce, ..swap::options(document) };
     let tracker = tracker(compiled, options, &shape).map_err(|error| wrong_options(document, entry, &error));

@@ -68,6 +68,8 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         exposure: document.exposure.clone(),
         gain: document.gain.clone(),
         saturation,
+        black: document.black,
+        response: document.response.clone(),
         light: (*document.light).clone(),
         seed: document.seed,
         exposure_latency: document.exposure_latency,

@@ -75,8 +75,10 @@ pub fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocument, p
         SyntheticError::UnknownName { name, .. } if document.set.contains_key(name) => format!("set.{name}"),
         SyntheticError::UnknownName { name, .. } => format!("motion.{name}"),
         SyntheticError::Range {
-            name: name @ ("full_well_e" | "read_noise_e" | "row_noise_e" | "saturation"), ..
+            name: name @ ("full_well_e" | "read_noise_e" | "row_noise_e" | "saturation" | "black"),
+            ..
         } => name.to_string(),
+        SyntheticError::Response(_) => "response".to_string(),
         SyntheticError::Range { .. } | SyntheticError::Unseen { .. } | SyntheticError::Model { .. } => String::new(),
     };
     Problem::wrong_key("wrong-source", format!("{prefix}{key}").trim_end_matches('.'), error.to_string())

@@ -8,7 +8,7 @@ use isophote_capture::pixels::Colour;
 use isophote_capture::{Light, Moving};
 use isophote_symbolic::Precision;
 pub use isophote_tracker::ExposureGoal;
-use isophote_tracker::{Camera, Target};
+use isophote_tracker::{Camera, CameraResponse, Target};
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use utoipa::openapi::{ObjectBuilder, OneOfBuilder, Ref, Schema};
@@ -294,6 +294,12 @@ pub struct SyntheticDocument {
     /// Largest pixel value; 2^bits − 1 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation: Option<f64>,
+    /// The pixel value without light; with a `response` only.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub black: f64,
+    /// How pixel values follow from light, as in a camera's document; the model's intensity is light above `black` then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub response: Option<CameraResponse>,
     /// Glare, occluders, blindness, defocus, hot pixels.
     #[serde(default, skip_serializing_if = "Light::is_clean")]
     pub light: Box<Light>,

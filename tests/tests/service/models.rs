@@ -41,6 +41,7 @@ fn the_shipped_models_are_there() {
         "three-spots",
         "three-spots-pose",
         "three-spots-pose-lens",
+        "three-spots-pose-raw",
         "three-spots-raw",
     ];
     assert_eq!(names, shipped);

@@ -5,6 +5,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use isophote_tests::{Finished, Service, finish, program, repository};
+use isophote_tracker::{CameraResponse, GainMap};
 use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, large, session};
@@ -181,6 +182,32 @@ fn a_shadow_that_took_over_is_repeated() {
     assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
     let verdict: Value = serde_json::from_str(&verified.stdout).unwrap();
     assert_eq!((&verdict["swaps"], &verdict["is_equal"]), (&json!(1), &json!(true)), "{verdict}");
+}
+
+/// What a camera for screens reads is made light of before fits, in a session as when it is replayed.
+#[test]
+fn fits_through_a_response_are_repeated() {
+    let (folder, _process, service) = served("replayed-response");
+    let mut document = session("fit", 100.0);
+    let steps: Vec<i8> = (0..64 * 48).map(|place: i32| (place * 37 % 41 - 20) as i8).collect();
+    let gains = GainMap { width: 64, height: 48, step: 0.002, steps: steps.into() };
+    let response = CameraResponse { gamma: 0.45, gains: Some(gains) };
+    document["source"]["full_well_e"] = json!(5000);
+    (document["source"]["black"], document["source"]["response"]) = (json!(16), json!(response));
+    service.put("/v1/sessions/raw", &document).expect(201);
+    document["camera"] = json!({"black": 16, "saturation": 255, "response": response});
+    service.put("/v1/sessions/light", &document).expect(201);
+    service.put("/v1/sessions/light/recording", &json!({"name": "light"})).expect(201);
+    service.recording("light", |view| view["fits"].as_u64() > Some(40));
+    assert_eq!(service.delete("/v1/sessions/light/recording").status, 204);
+    let ground = |name: &str| {
+        let view = service.wait_for(name, |view| view["last"]["state"] == "tracking");
+        view["last"]["parameters"]["v0"].as_f64().unwrap()
+    };
+    assert!((ground("light") - 20.0).abs() < 1.0, "{}", ground("light"));
+    assert!(ground("raw") > 60.0, "{}", ground("raw"));
+    let verified = run(&["replay", folder.0.join("recorded/light-0001.mcap").to_str().unwrap(), "--verify"]);
+    assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
 }
 
 #[test]

@@ -4,6 +4,7 @@
 //! [`PlaneView`] for each channel. A frame of more than two dimensions is a stack: its outer dimensions are rows.
 
 mod mend;
+mod response;
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use isophote_jit::{PixelFormat, PlaneError, PlaneView};
 
 pub use mend::Mend;
+pub use response::{CameraResponse, GainMap, Response, ResponseError};
 
 /// Dimensions that a frame may have.
 const DIMENSIONS_MAX: usize = 4;
@@ -243,6 +245,30 @@ impl Frame {
         view.expect("Frame::new made this very view, and a buffer's bytes stay the same")
     }
 
+    /// The same in light, DN above black, in fractions of 32 bits, its planes interleaved; the size is that of the response's gains.
+    /// No pixel that clips has less than its `largest`.
+    pub fn linear(&self, response: &Response) -> Frame {
+        const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
+        let [width, height, depth, length] = self.sides();
+        let channels = self.planes.len();
+        let mut bytes = vec![0; width * height * depth * length * channels * BYTES];
+        let mut light = vec![0.0; width];
+        for channel in 0..channels {
+            let view = self.plane_view(channel);
+            for (row, into) in bytes.chunks_exact_mut(width * channels * BYTES).enumerate() {
+                let place = [0, row % height, row / height % depth, row / height / depth];
+                response.linear_row(&view, place, &mut light);
+                into.chunks_exact_mut(channels * BYTES).zip(&light).for_each(|(pixel, light)| {
+                    pixel[channel * BYTES..][..BYTES].copy_from_slice(&light.to_ne_bytes());
+                });
+            }
+        }
+        let buffer = Buffer::Owned(bytes.into());
+        let plane = |channel| Plane::interleaved(PixelFormat::F32, &buffer, width, channels, channel);
+        let largest = self.planes.iter().map(|plane| response.clipped(plane.format)).fold(f64::INFINITY, f64::min);
+        Frame { planes: (0..channels).map(plane).collect(), largest: Some(largest), ..self.clone() }
+    }
+
     /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in the first plane's format, rounded to
     /// whole values when that has no fractions. Frames of any other number of planes, and planes with names, come back as they
     /// are.
@@ -308,6 +334,42 @@ mod tests {
         assert_eq!(luma.planes()[0].buffer.bytes(), [255, 76, 82]); // 0.587·100 + 0.114·200 = 81.5
         assert_eq!(luma.sequence, 7);
         assert_eq!(luma.luma().planes()[0].buffer.bytes(), [255, 76, 82]);
+    }
+
+    #[test]
+    fn frames_of_every_layout_become_light() {
+        let gains = [1.0, 1.1, 0.9, 1.0, 1.05, 0.95];
+        let document = CameraResponse { gamma: 0.45, gains: Some(GainMap::of(3, 2, &gains)) };
+        let camera = Response::new(16.0, Some(255.0), &document).unwrap();
+        let values = [16u8, 20, 100, 200, 254, 255];
+        let words: Vec<u8> = values.iter().flat_map(|value| u16::from(*value).to_ne_bytes()).collect();
+        let floats: Vec<u8> = values.iter().flat_map(|value| f32::from(*value).to_ne_bytes()).collect();
+        let twice: Vec<u8> = values.iter().flat_map(|value| [*value, *value]).collect();
+        let interleaved = Plane { pixel_stride: 2, row_stride: 6, ..Plane::owned(PixelFormat::U8, twice, 3) };
+        let planes = vec![
+            Plane::owned(PixelFormat::U8, values.to_vec(), 3),
+            Plane::owned(PixelFormat::U16, words, 3),
+            Plane::owned(PixelFormat::F32, floats, 3),
+            interleaved,
+        ];
+        let linear = Frame::new(&[3, 2], planes).unwrap().linear(&camera);
+        for channel in 0..4 {
+            for (place, (value, gain)) in values.iter().zip(gains).enumerate() {
+                let light = linear.plane_view(channel).pixel(place % 3, place / 3);
+                let expected = camera.light(f64::from(*value)) / gain;
+                // Steps of the map are 0.1 / 127.
+                assert!((light - expected).abs() <= 5e-4 * expected, "{channel} {place}: {light}, {expected}");
+            }
+        }
+        // Every pixel that clips is at the limit, whatever its gain.
+        let limit = linear.largest.unwrap();
+        assert!((limit - camera.light(254.5) / 1.1).abs() < 1e-9 && camera.light(255.0) / 1.1 > limit);
+        assert_eq!(document.check_size(&[3, 2, 5]), Ok(()));
+        assert!(
+            document
+                .check_size(&[2, 3])
+                .is_err_and(|error| error.to_string().contains("3 × 2 px, the frames are 2 × 3 px"))
+        );
     }
 
     #[test]

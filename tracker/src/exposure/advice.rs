@@ -151,7 +151,7 @@ fn best(
     let value = |index: usize| parameters[index];
     let height = value(roles.brightness?.index());
     let ground = roles.background.map_or(0.0, |background| value(background.index()));
-    let black = solver.options.camera.black;
+    let black = solver.options.camera.linear_black();
     // With this much light the peak is at the limit.
     let unit = (limit - black) / (ground - black + height.max(0.0)).max(f64::MIN_POSITIVE);
     let try_at = |octaves: f64| {

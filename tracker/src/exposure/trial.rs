@@ -181,7 +181,7 @@ fn bound(solver: &Solver, goal: ExposureGoal, information: &DMatrix<f64>, parame
 /// The parameters with more light: brightness and what the background is above black.
 fn brighter(solver: &Solver, parameters: &[f64], factor: f64) -> Vec<f64> {
     let mut parameters = parameters.to_vec();
-    let black = solver.options.camera.black;
+    let black = solver.options.camera.linear_black();
     let mut grounds = Vec::new();
     for roles in solver.model().roles() {
         if let Some(brightness) = roles.brightness {

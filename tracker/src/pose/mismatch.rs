@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn a_target_has_the_models_spots_and_no_others() {
         let three = [("red", 0.0), ("green", 0.0), ("blue", 0.0)];
-        for document in ["three-spots", "three-spots-raw", "three-spots-pose"] {
+        for document in ["three-spots", "three-spots-raw", "three-spots-pose", "three-spots-pose-raw"] {
             assert_eq!(verdict(document, &three), None, "{document}");
             let told = verdict(document, &three[..2]).unwrap();
             assert!(

@@ -17,6 +17,7 @@ pub(crate) mod halved;
 pub(crate) mod mask;
 pub(crate) mod mixing;
 pub(crate) mod radial;
+pub(crate) mod response;
 pub(crate) mod start;
 pub(crate) mod transfer;
 pub(crate) mod view;

@@ -56,6 +56,8 @@ pub struct NoiseOptions {
     pub black: f64,
     /// The pixel value at which the sensor clips, DN; the format's largest where it is absent.
     pub saturation: Option<f64>,
+    /// By how much the variance of rounding grows with each DN: frames that were made light of.
+    pub rounding_gain: f64,
 }
 
 /// What was found.
@@ -221,7 +223,7 @@ impl NoiseMeasurement {
             return Err(narrow);
         }
         let line = Line::through(&used, self.options.black);
-        let [slope, slope_sigma] = line.slope;
+        let [slope, slope_sigma] = [line.slope[0] - self.options.rounding_gain, line.slope[1]];
         if slope.is_nan() || slope < SLOPE_MIN * slope_sigma {
             return Err(narrow);
         }

@@ -29,7 +29,7 @@ fn frame_of(bytes: Vec<u8>, size: [usize; 2]) -> Frame {
 }
 
 fn measured(frames: &[Frame]) -> Result<MeasuredNoise, NoiseFault> {
-    let mut measurement = NoiseMeasurement::new(NoiseOptions { black: 0.0, saturation: None });
+    let mut measurement = NoiseMeasurement::new(NoiseOptions { black: 0.0, saturation: None, rounding_gain: 0.0 });
     frames.iter().try_for_each(|frame| measurement.add(frame))?;
     measurement.finish()
 }

@@ -30,7 +30,7 @@ use crate::solve::residuals::Over;
 use crate::solve::sampling::{Chosen, Sampling, Way};
 use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
-use isophote_frame::Frame;
+use isophote_frame::{Frame, Response};
 
 /// About a domain, for what its walk through the model may have missed.
 const DOMAIN_MARGIN: Margin = Margin { share: 0.05, px: [2.0; 4] };
@@ -46,6 +46,8 @@ pub(crate) struct Solver {
     pub geometry: Option<Geometry>,
     /// What its target looks like, for searches.
     pub bank: Option<Arc<Bank>>,
+    /// What makes light of the camera's values, where they are not light as they are.
+    response: Option<Response>,
     /// What the camera's map of defects leaves out.
     pub gaps: Option<Gaps>,
     /// The variance of rows' offsets in each entry of `observed`, over that of a plane; none where rows cannot be told apart.
@@ -192,20 +194,32 @@ impl Solver {
         let geometry = Geometry::of(compiled.model(), &constants);
         let bank = compiled.bank(&constants);
         let gaps = options.camera.defect_map.as_ref().and_then(Gaps::of);
+        // A response that cannot be was refused with the options.
+        let response = options.camera.linear_response().ok().flatten();
         let row_shares = row_shares(compiled.model(), &constants);
-        Solver { compiled, options, constants, geometry, bank, gaps, row_shares, reach }
+        Solver { compiled, options, constants, geometry, bank, response, gaps, row_shares, reach }
     }
 
     pub fn model(&self) -> &Model {
         self.compiled.model()
     }
 
-    /// The frame with its defects mended, where the camera has a map of them; as it is where that is the map of other frames.
+    /// The frame as fits see it: in light where the camera has a response, its defects mended where it has a map of them; as
+    /// it is where these are of other frames.
     pub fn mended<'a>(&self, frame: &'a Frame) -> Cow<'a, Frame> {
+        let document = self.options.camera.response.as_ref();
+        let frame = match &self.response {
+            Some(response) if document.is_some_and(|document| document.check_size(frame.size()).is_ok()) => {
+                Cow::Owned(frame.linear(response))
+            }
+            _ => Cow::Borrowed(frame),
+        };
         let map = self.options.camera.defect_map.as_ref();
         match &self.gaps {
-            Some(gaps) if map.is_some_and(|map| map.check_size(frame.size()).is_ok()) => Cow::Owned(gaps.mended(frame)),
-            _ => Cow::Borrowed(frame),
+            Some(gaps) if map.is_some_and(|map| map.check_size(frame.size()).is_ok()) => {
+                Cow::Owned(gaps.mended(&frame))
+            }
+            _ => frame,
         }
     }
 
@@ -234,10 +248,11 @@ impl Solver {
         self.with_rows(look, view, look.row_variance())
     }
 
-    /// One limit a plane: the camera's, else what the window's pixels show, but not above what the source's pixels can hold.
+    /// One limit a plane: the camera's (that of light where it has a response), else what the window's pixels show, but not above what the source's pixels can hold.
     /// Looked for once a frame and window.
     fn limits(&self, look: &Look, window: Window) -> Vec<f64> {
-        if let Some(limit) = self.options.camera.saturation {
+        let of_light = self.response.as_ref().map(|_| look.largest);
+        if let Some(limit) = of_light.or(self.options.camera.saturation) {
             return vec![limit; look.planes.len()];
         }
         let mut known = look.limits.lock().unwrap_or_else(PoisonError::into_inner);

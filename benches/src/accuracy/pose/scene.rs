@@ -31,6 +31,7 @@ pub fn camera() -> Camera {
         row_noise_e: None,
         defects: None,
         defect_map: None,
+        response: None,
         intrinsics: Some(lens()),
     }
 }

@@ -100,7 +100,7 @@ struct View {
 }
 
 impl MixingMeasurement {
-    /// For so many channels; `saturation` in pixel values, by default the format's largest.
+    /// For so many channels; `saturation` in pixel values, by default the largest that frames can hold.
     pub fn new(channels: usize, saturation: Option<f64>) -> MixingMeasurement {
         MixingMeasurement { channels, saturation, views: Vec::new(), clipped: Vec::new() }
     }
@@ -111,7 +111,8 @@ impl MixingMeasurement {
         if planes.len() != self.channels || self.channels < 2 {
             return Err(MixingError::Planes { found: planes.len(), wanted: self.channels.max(2) });
         }
-        let limit = self.saturation.unwrap_or(largest_value(planes[0].format()));
+        let largest = frame.largest.unwrap_or(f64::INFINITY).min(largest_value(planes[0].format()));
+        let limit = self.saturation.unwrap_or(largest);
         let window = Window::whole(frame.width(), frame.rows());
         let limits = vec![limit; planes.len()];
         let grey = Grey::read(&planes, window, &limits, &Mixture::mean(planes.len()));

@@ -1,0 +1,307 @@
+//! How a camera's pixel values follow from light: `CameraResponse` as documents have it, and `Response`, prepared.
+//!
+//! In: a camera's black level, where it clips, and its response. Out: light of values, row by row, or the values that light
+//! reads. It never knows a frame.
+//!
+//! Light L, in DN above black, reads `c = black + W·(g L/W)^gamma`, with `W = saturation − black` and g the gain of the pixel. So a
+//! pixel of gain 1 that clips has the light W, and a linear camera (gamma 1) has `L = c − black`. Below black, where noise takes pixels,
+//! the curve is its own mirror image: without it, the mean of dark pixels would not be that of their light.
+
+use std::sync::{Arc, OnceLock};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use isophote_jit::{PixelFormat, PlaneView};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// What a camera's gamma may be.
+const GAMMAS: [f64; 2] = [0.1, 10.0];
+/// What a pixel's gain may be.
+const GAINS: [f64; 2] = [0.5, 2.0];
+/// Half a step of whole values: light is rounded to them.
+const HALF_STEP: f64 = 0.5;
+
+/// How the values of a camera follow from light, between its black level and where it clips.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct CameraResponse {
+    /// Values above black grow with light to this power: 1 for a linear camera, 0.45 for most that make pictures for screens.
+    #[serde(default = "linear")]
+    pub gamma: f64,
+    /// How much more light than the others each pixel reads.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gains: Option<GainMap>,
+}
+
+/// The gain of each pixel of a sensor, 1 being that of most.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct GainMap {
+    /// Width of the image that it is for, px.
+    pub width: u32,
+    /// Height of that image, px.
+    pub height: u32,
+    /// A pixel's gain is 1 and so many times its number.
+    pub step: f64,
+    /// A number for each pixel, row by row, -127 to 127: signed bytes, in base64.
+    #[serde(serialize_with = "to_base64", deserialize_with = "from_base64")]
+    #[cfg_attr(feature = "schema", schema(value_type = String))]
+    pub steps: Arc<[i8]>,
+}
+
+/// Why a response cannot be one, or not that of some frames.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ResponseError {
+    /// See the text.
+    #[error("the response's gamma is {0}; it must be from {least} to {most}", least = GAMMAS[0], most = GAMMAS[1])]
+    Gamma(f64),
+    /// See the text.
+    #[error(
+        "a response holds between `black` and `saturation`: the camera's document must say where pixels clip, above black"
+    )]
+    NoSaturation,
+    /// See the text.
+    #[error("the response's gains are {found}; {width} × {height} px have {} of them", u64::from(*width) * u64::from(*height))]
+    Count {
+        /// Numbers of pixels.
+        found: usize,
+        /// Of the map.
+        width: u32,
+        /// Of the map.
+        height: u32,
+    },
+    /// See the text.
+    #[error("the response's gains go from {0:.3} to {1:.3}; they must be from {least} to {most}", least = GAINS[0], most = GAINS[1])]
+    Gains(f64, f64),
+    /// See the text.
+    #[error(
+        "the camera's response has gains for images of {0} × {1} px, the frames are {2} × {3} px: gains are those of pixels, so \
+         measure them with frames of this size (`isophote calibrate response`)"
+    )]
+    Size(usize, usize, usize, usize),
+}
+
+fn linear() -> f64 {
+    1.0
+}
+
+fn to_base64<S: Serializer>(steps: &Arc<[i8]>, serializer: S) -> Result<S::Ok, S::Error> {
+    let bytes: Vec<u8> = steps.iter().map(|step| step.to_ne_bytes()[0]).collect();
+    serializer.serialize_str(&BASE64_STANDARD.encode(bytes))
+}
+
+fn from_base64<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<[i8]>, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    let bytes = BASE64_STANDARD.decode(text).map_err(serde::de::Error::custom)?;
+    Ok(bytes.into_iter().map(|byte| i8::from_ne_bytes([byte])).collect())
+}
+
+impl CameraResponse {
+    /// Whether it is that of frames of such a size, px, inner first.
+    ///
+    /// # Errors
+    /// When it has gains of pixels of other frames.
+    pub fn check_size(&self, size: &[usize]) -> Result<(), ResponseError> {
+        let Some(map) = &self.gains else { return Ok(()) };
+        let [width, height] = [0, 1].map(|axis| size.get(axis).copied().unwrap_or(1));
+        match (map.width as usize, map.height as usize) {
+            own if own == (width, height) => Ok(()),
+            own => Err(ResponseError::Size(own.0, own.1, width, height)),
+        }
+    }
+
+    /// By how much the variance of rounding grows with each DN of light, of which pixels have `range_dn` where they clip: what 1/12 DN²
+    /// of a value is in light, at black left as it is, and true where pixels clip. Where gamma is a half it is a line.
+    pub fn rounding_gain(&self, range_dn: f64) -> f64 {
+        (self.gamma.powi(-2) - 1.0) / (12.0 * range_dn)
+    }
+}
+
+impl GainMap {
+    /// That of such gains, row by row, in the finest steps that reach all of them.
+    pub fn of(width: usize, height: usize, gains: &[f64]) -> GainMap {
+        let most = gains.iter().map(|gain| (gain - 1.0).abs()).fold(0.0, f64::max);
+        let step = if most > 0.0 { most / f64::from(i8::MAX) } else { 1.0 };
+        let steps = gains.iter().map(|gain| ((gain - 1.0) / step).round() as i8).collect();
+        GainMap { width: width as u32, height: height as u32, step, steps }
+    }
+}
+
+/// A response, ready to be used; clones of what is costly are not made.
+#[derive(Debug)]
+pub struct Response {
+    black: f64,
+    /// From black to where pixels clip.
+    range: f64,
+    gamma: f64,
+    gains: Option<Gains>,
+    /// Light of each value of 8 bits, and of 16.
+    tables: [OnceLock<Vec<f32>>; 2],
+}
+
+#[derive(Debug)]
+struct Gains {
+    map: GainMap,
+    /// Of each of the map's numbers, as a byte.
+    gains: Vec<f32>,
+    /// The reciprocals of these.
+    factors: Vec<f32>,
+    largest: f64,
+}
+
+impl Response {
+    /// Of a camera with this black level that clips at `saturation`.
+    ///
+    /// # Errors
+    /// When it cannot be.
+    pub fn new(black: f64, saturation: Option<f64>, response: &CameraResponse) -> Result<Response, ResponseError> {
+        let range = saturation.map(|saturation| saturation - black).filter(|range| *range > 0.0 && range.is_finite());
+        let range = range.ok_or(ResponseError::NoSaturation)?;
+        if !(GAMMAS[0]..=GAMMAS[1]).contains(&response.gamma) {
+            return Err(ResponseError::Gamma(response.gamma));
+        }
+        let gains = response.gains.as_ref().map(Gains::new).transpose()?;
+        Ok(Response { black, range, gamma: response.gamma, gains, tables: Default::default() })
+    }
+
+    /// The light of a value, DN above black, of a pixel of gain 1.
+    pub fn light(&self, value: f64) -> f64 {
+        self.range * mirrored((value - self.black) / self.range, 1.0 / self.gamma)
+    }
+
+    /// The value, neither rounded nor clipped, that a light reads which its pixel's gain is already in.
+    pub fn value(&self, light: f64) -> f64 {
+        self.black + self.range * mirrored(light / self.range, self.gamma)
+    }
+
+    /// The light at which a pixel of gain 1 clips, DN above black.
+    pub fn range(&self) -> f64 {
+        self.range
+    }
+
+    /// How much more light the pixels of a row read, where they differ.
+    pub fn gains(&self, y: usize) -> Option<impl Iterator<Item = f32>> {
+        let gains = self.gains.as_ref()?;
+        Some(gains.row(y).iter().map(|step| gains.gains[usize::from(step.to_ne_bytes()[0])]))
+    }
+
+    /// What no pixel that clips has less of, whatever its gain. Whole values stand for all light that is rounded to them.
+    pub(crate) fn clipped(&self, format: PixelFormat) -> f64 {
+        let half = if matches!(format, PixelFormat::U8 | PixelFormat::U16) { HALF_STEP } else { 0.0 };
+        let light = self.light(self.black + self.range - half);
+        light / self.gains.as_ref().map_or(1.0, |gains| gains.largest)
+    }
+
+    /// The light of one row, from its first pixel on.
+    pub(crate) fn linear_row(&self, view: &PlaneView, place: [usize; 4], light: &mut [f32]) {
+        let width = light.len();
+        match (self.table(view.format()), view.bytes_of_row(place, width), view.words_of_row(place, width)) {
+            (Some(table), Some(row), _) => {
+                light.iter_mut().zip(row).for_each(|(light, value)| *light = table[usize::from(*value)]);
+            }
+            (Some(table), _, Some(row)) => {
+                let values = row.chunks_exact(2).map(|word| u16::from_ne_bytes([word[0], word[1]]));
+                light.iter_mut().zip(values).for_each(|(light, value)| *light = table[usize::from(value)]);
+            }
+            (table, _, _) => {
+                for (x, light) in light.iter_mut().enumerate() {
+                    let value = view.pixel_at([x, place[1], place[2], place[3]]);
+                    *light = table.map_or_else(|| self.light(value) as f32, |table| table[value as usize]);
+                }
+            }
+        }
+        if let Some(gains) = &self.gains {
+            let factors = gains.row(place[1]).iter().map(|step| gains.factors[usize::from(step.to_ne_bytes()[0])]);
+            light.iter_mut().zip(factors).for_each(|(light, factor)| *light *= factor);
+        }
+    }
+
+    fn table(&self, format: PixelFormat) -> Option<&[f32]> {
+        let (table, values) = match format {
+            PixelFormat::U8 => (&self.tables[0], 1 << 8),
+            PixelFormat::U16 => (&self.tables[1], 1 << 16),
+            PixelFormat::F32 | PixelFormat::F64 => return None,
+        };
+        Some(table.get_or_init(|| (0..values).map(|value| self.light(f64::from(value)) as f32).collect()))
+    }
+}
+
+impl Gains {
+    fn new(map: &GainMap) -> Result<Gains, ResponseError> {
+        let (width, height, found) = (map.width, map.height, map.steps.len());
+        if found as u64 != u64::from(width) * u64::from(height) || found == 0 {
+            return Err(ResponseError::Count { found, width, height });
+        }
+        let gain = |step: i8| 1.0 + map.step * f64::from(step);
+        let ends = map.steps.iter().fold([i8::MAX, i8::MIN], |[low, high], step| [low.min(*step), high.max(*step)]);
+        let [one, other] = ends.map(gain);
+        let (least, largest) = (one.min(other), one.max(other));
+        if !(least >= GAINS[0] && largest <= GAINS[1]) {
+            return Err(ResponseError::Gains(least, largest));
+        }
+        let gains: Vec<f32> = (0..=u8::MAX).map(|byte| gain(i8::from_ne_bytes([byte])) as f32).collect();
+        let factors = gains.iter().map(|gain| gain.recip()).collect();
+        Ok(Gains { map: map.clone(), gains, factors, largest })
+    }
+
+    fn row(&self, y: usize) -> &[i8] {
+        let width = self.map.width as usize;
+        &self.map.steps[y * width..][..width]
+    }
+}
+
+/// A power of a share's magnitude, with its sign. The same on every machine.
+fn mirrored(share: f64, power: f64) -> f64 {
+    if power == 1.0 { share } else { libm::pow(share.abs(), power).copysign(share) }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn response(gamma: f64, gains: Option<GainMap>) -> Response {
+        Response::new(16.0, Some(255.0), &CameraResponse { gamma, gains }).unwrap()
+    }
+
+    #[test]
+    fn values_of_light_are_the_light_of_values() {
+        for gamma in [0.45, 1.0, 2.2] {
+            let camera = response(gamma, None);
+            for value in [3.0, 16.0, 17.0, 100.0, 254.5, 255.0] {
+                assert!((camera.value(camera.light(value)) - value).abs() < 1e-9, "{gamma} {value}");
+            }
+            assert_eq!((camera.light(16.0), camera.light(255.0)), (0.0, 239.0));
+            // A value below black is as much less light as its mirror image is more.
+            assert_eq!(camera.light(13.0), -camera.light(19.0));
+        }
+        assert_eq!(response(1.0, None).light(200.25), 184.25);
+        // Half the light of a camera for screens is 73 % of its range.
+        assert!((response(1.0 / 2.2, None).value(119.5) - (16.0 + 239.0 * 0.7297)).abs() < 0.01);
+    }
+
+    #[test]
+    fn documents_keep_gains_and_impossible_ones_are_refused() {
+        let map = GainMap::of(3, 1, &[0.98, 1.0, 1.03]);
+        let text = serde_json::to_string(&CameraResponse { gamma: 0.45, gains: Some(map.clone()) }).unwrap();
+        let read: CameraResponse = serde_json::from_str(&text).unwrap();
+        assert_eq!(read.gains, Some(map.clone()));
+        assert!(serde_json::from_str::<CameraResponse>(&text.replace("\"steps\":\"", "\"steps\":\"?")).is_err());
+        let refused = |black: f64, saturation, gamma, gains| {
+            Response::new(black, saturation, &CameraResponse { gamma, gains }).unwrap_err()
+        };
+        assert_eq!(refused(0.0, None, 1.0, None), ResponseError::NoSaturation);
+        assert_eq!(refused(255.0, Some(255.0), 1.0, None), ResponseError::NoSaturation);
+        for gamma in [0.0, 0.09, 10.1, f64::NAN] {
+            assert!(matches!(refused(0.0, Some(1.0), gamma, None), ResponseError::Gamma(_)), "{gamma}");
+        }
+        let short = GainMap { width: 2, ..map.clone() };
+        assert_eq!(refused(0.0, Some(1.0), 1.0, Some(short)), ResponseError::Count { found: 3, width: 2, height: 1 });
+        for step in [0.02, f64::NAN, f64::INFINITY] {
+            let wide = GainMap { step, ..map.clone() };
+            assert!(matches!(refused(0.0, Some(1.0), 1.0, Some(wide)), ResponseError::Gains(..)), "{step}");
+        }
+    }
+}
