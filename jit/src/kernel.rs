@@ -127,7 +127,7 @@ impl Kernel {
         }
     }
 
-    fn regions<'a>(&self, planes: &'a [PlaneView<'a>], window: Window) -> Result<SmallVec<[Region<'a>; 1]>, RunError> {
+    fn regions<'a>(&self, planes: &'a [PlaneView<'a>], window: Window) -> Result<SmallVec<[Region<'a>; 2]>, RunError> {
         let formats = &self.options.formats;
         if planes.len() != formats.len() {
             return Err(RunError::Planes { channels: formats.len(), planes: planes.len() });

@@ -1,70 +1,155 @@
 //! Covariances, informations and Hessians, whose entries differ by many orders of magnitude (px beside px⁻²): by Cholesky,
 //! after their diagonal is scaled to one.
+//!
+//! A frame factorises a dozen of them, of a few rows each, so they are plain rows of numbers, whose memory serves the next one.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector};
 
 /// A positive definite matrix by its factors: `H = D L Lᵀ D` with D the root of its diagonal.
+#[derive(Default)]
 pub(crate) struct Definite {
-    scale: DVector<f64>,
-    factor: Cholesky<f64, Dyn>,
+    /// The diagonal of D.
+    scale: Vec<f64>,
+    /// L by rows, what is above the diagonal left alone; entries of the diagonal are kept as their inverse.
+    factor: Vec<f64>,
+    /// Of a step: D x.
+    scaled: Vec<f64>,
 }
 
 impl Definite {
     /// `None` when the matrix is not positive definite.
-    pub fn of(hessian: &DMatrix<f64>) -> Option<Definite> {
-        let scale = hessian.diagonal().map(f64::sqrt);
-        if !scale.iter().all(|entry| *entry > 0.0) {
-            return None;
-        }
-        let factor = scaled(hessian, &scale).cholesky()?;
-        Some(Definite { scale, factor })
+    pub fn of(matrix: &DMatrix<f64>) -> Option<Definite> {
+        let mut definite = Definite::default();
+        definite.become_of(matrix, matrix.nrows(), |row| row).then_some(definite)
     }
 
-    /// From D and L.
-    pub fn of_factor(scale: DVector<f64>, factor: Cholesky<f64, Dyn>) -> Definite {
-        Definite { scale, factor }
+    /// Becomes that of the rows and columns that `place` numbers, in the memory that it has; false when that is not positive
+    /// definite.
+    pub fn become_of(&mut self, matrix: &DMatrix<f64>, count: usize, place: impl Fn(usize) -> usize) -> bool {
+        let diagonal = |i: usize| matrix[(place(i), place(i))];
+        self.scale.clear();
+        self.scale.extend((0..count).map(|i| diagonal(i).sqrt()));
+        self.factor.clear();
+        self.factor.reserve(count * count);
+        for i in 0..count {
+            let entry = |j: usize| matrix[(place(i), place(j))] / (self.scale[i] * self.scale[j]);
+            self.factor.extend((0..count).map(|j| if j <= i { entry(j) } else { 0.0 }));
+        }
+        self.scale.iter().all(|entry| *entry > 0.0) && factorised(&mut self.factor, count)
+    }
+
+    /// From D and `D⁻¹HD⁻¹`.
+    pub fn of_scaled(scale: &DVector<f64>, scaled: &DMatrix<f64>) -> Option<Definite> {
+        let definite = Definite::of(scaled)?;
+        let scale = definite.scale.iter().zip(scale.iter()).map(|(inner, outer)| inner * outer).collect();
+        Some(Definite { scale, ..definite })
     }
 
     /// The diagonal of D.
-    pub fn scale(&self) -> &DVector<f64> {
-        &self.scale
+    pub fn scale(&self) -> DVector<f64> {
+        DVector::from_column_slice(&self.scale)
+    }
+
+    fn row(&self, i: usize) -> &[f64] {
+        let n = self.scale.len();
+        &self.factor[i * n..][..=i]
     }
 
     /// True where no eigenvalue of `D⁻¹HD⁻¹` could be taken for zero. These have the sum n, so the product of all but the
     /// least is below `(n/(n − 1))ⁿ⁻¹ < e`.
     pub fn is_clear(&self, resolution: f64) -> bool {
         let n = self.scale.len() as f64;
-        self.factor.determinant() > std::f64::consts::E * n * n * resolution
+        let determinant = (0..self.scale.len()).map(|i| self.row(i)[i].powi(-2)).product::<f64>();
+        determinant > std::f64::consts::E * n * n * resolution
     }
 
-    /// `−H⁻¹g`, and by how much F falls there.
-    pub fn newton_step(&self, gradient: &DVector<f64>) -> (DVector<f64>, f64) {
-        let delta = -self.factor.solve(&gradient.component_div(&self.scale)).component_div(&self.scale);
-        let reduction = -0.5 * delta.dot(gradient);
-        (delta, reduction)
+    /// `x` becomes `L⁻¹ x`.
+    fn lower(&self, x: &mut [f64]) {
+        for i in 0..x.len() {
+            let (row, (known, rest)) = (self.row(i), x.split_at_mut(i));
+            rest[0] = (rest[0] - dot(row, known)) * row[i];
+        }
+    }
+
+    /// `x` becomes `L⁻ᵀ x`.
+    fn upper(&self, x: &mut [f64]) {
+        for i in (0..x.len()).rev() {
+            let (row, (before, rest)) = (self.row(i), x.split_at_mut(i));
+            rest[0] *= row[i];
+            before.iter_mut().zip(row).for_each(|(x, entry)| *x -= entry * rest[0]);
+        }
+    }
+
+    /// Puts `−H⁻¹g` into `delta`; by how much F falls there. `gradient`: of the rows that it is of.
+    pub fn newton_step(&mut self, gradient: impl Iterator<Item = f64> + Clone, delta: &mut Vec<f64>) -> f64 {
+        let mut scaled = std::mem::take(&mut self.scaled);
+        scaled.clear();
+        scaled.extend(gradient.clone().zip(&self.scale).map(|(slope, scale)| slope / scale));
+        self.lower(&mut scaled);
+        self.upper(&mut scaled);
+        delta.clear();
+        delta.extend(scaled.iter().zip(&self.scale).map(|(step, scale)| -step / scale));
+        self.scaled = scaled;
+        -0.5 * delta.iter().zip(gradient).map(|(step, slope)| step * slope).sum::<f64>()
     }
 
     /// H⁻¹.
     pub fn inverse(&self) -> DMatrix<f64> {
-        let inverse = self.factor.inverse();
-        let mean = |i, j| 0.5 * (inverse[(i, j)] + inverse[(j, i)]);
-        DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| mean(i, j) / (self.scale[i] * self.scale[j]))
+        let n = self.scale.len();
+        let mut inverse = DMatrix::identity(n, n);
+        for (j, column) in inverse.as_mut_slice().chunks_exact_mut(n.max(1)).enumerate() {
+            self.lower(column);
+            self.upper(column);
+            column.iter_mut().zip(&self.scale).for_each(|(entry, scale)| *entry /= scale * self.scale[j]);
+        }
+        inverse.fill_upper_triangle_with_lower_triangle();
+        inverse
     }
 
     /// `√(gᵀH⁻¹g)`.
     pub fn length(&self, gradient: &DVector<f64>) -> f64 {
-        let gradient = gradient.component_div(&self.scale);
-        gradient.dot(&self.factor.solve(&gradient)).max(0.0).sqrt()
+        let mut scaled: Vec<f64> = gradient.iter().zip(&self.scale).map(|(slope, scale)| slope / scale).collect();
+        self.lower(&mut scaled);
+        dot(&scaled, &scaled).sqrt()
     }
 
     /// The largest relative difference of another H, in whatever direction.
     pub fn differs(&self, other: &DMatrix<f64>) -> f64 {
-        let lower = self.factor.l();
-        let half = lower.solve_lower_triangular(&scaled(other, &self.scale));
-        let whole = half.and_then(|half| lower.solve_lower_triangular(&half.transpose()));
-        let eigenvalues = whole.map(|whole| (0.5 * (&whole + whole.transpose())).symmetric_eigenvalues());
-        eigenvalues.map_or(f64::INFINITY, |values| values.iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max))
+        let n = self.scale.len();
+        let mut whole = DMatrix::from_fn(n, n, |i, j| other[(i, j)] / (self.scale[i] * self.scale[j]));
+        // L⁻¹ from the left, and, transposed, once more.
+        for _ in 0..2 {
+            whole.as_mut_slice().chunks_exact_mut(n.max(1)).for_each(|column| self.lower(column));
+            whole.transpose_mut();
+        }
+        if !whole.iter().all(|entry| entry.is_finite()) {
+            return f64::INFINITY;
+        }
+        let eigenvalues = (0.5 * (&whole + whole.transpose())).symmetric_eigenvalues();
+        eigenvalues.iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max)
     }
+}
+
+/// Of as many numbers as the shorter one has.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Puts L, with the inverses of its diagonal, in the place of a matrix' lower triangle; false when it is not positive definite.
+fn factorised(rows: &mut [f64], n: usize) -> bool {
+    for i in 0..n {
+        let (above, below) = rows.split_at_mut(i * n);
+        let row = &mut below[..=i];
+        for (j, other) in above.chunks_exact(n).enumerate() {
+            row[j] = (row[j] - dot(&row[..j], other)) * other[j];
+        }
+        let square = row[i] - dot(&row[..i], &row[..i]);
+        if square.is_nan() || square <= 0.0 {
+            return false;
+        }
+        row[i] = square.sqrt().recip();
+    }
+    true
 }
 
 /// `D⁻¹ M D⁻¹`.
@@ -75,4 +160,66 @@ pub(crate) fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64
 /// The inverse; `None` when the matrix is not positive definite.
 pub(crate) fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(Definite::of(matrix)?.inverse())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Positive definite, of entries between 1e-8 and 1e8.
+    fn matrix(n: usize) -> DMatrix<f64> {
+        let root = DMatrix::from_fn(n, n, |i, j| if i == j { 2.0 } else { ((3 * i + 7 * j) % 5) as f64 / 5.0 - 0.4 });
+        let scale = DVector::from_fn(n, |i, _| 10f64.powi(4 - 8 * (i as i32 % 2)));
+        let product = &root * root.transpose();
+        DMatrix::from_fn(n, n, |i, j| product[(i, j)] * scale[i] * scale[j])
+    }
+
+    #[test]
+    fn factors_are_those_of_the_matrix() {
+        let (mut definite, mut delta) = (Definite::default(), Vec::new());
+        for n in [5, 1, 3, 7] {
+            let matrix = matrix(n);
+            assert!(definite.become_of(&matrix, n, |row| row));
+            let identity = definite.inverse() * &matrix;
+            assert!((identity - DMatrix::identity(n, n)).amax() < 1e-6, "{n}");
+            // D⁻¹HD⁻¹ has the determinant of the root, squared.
+            let unit = scaled(&matrix, &definite.scale());
+            let clear = unit.determinant() / (std::f64::consts::E * (n * n) as f64);
+            assert!(definite.is_clear(0.999 * clear) && !definite.is_clear(1.001 * clear), "{n}");
+            let gradient = DVector::from_fn(n, |i, _| matrix[(i, i)].sqrt() * (i as f64 - 1.3));
+            let reduction = definite.newton_step(gradient.iter().copied(), &mut delta);
+            let back = &matrix * DVector::from_column_slice(&delta) + &gradient;
+            assert!(
+                back.iter().zip(gradient.iter()).all(|(left, slope)| left.abs() < 1e-9 * slope.abs()),
+                "{n}: {back}"
+            );
+            assert!((2.0 * reduction - definite.length(&gradient).powi(2)).abs() < 1e-9 * reduction, "{n}");
+            assert!((definite.differs(&(1.25 * &matrix)) - 0.25).abs() < 1e-9 && definite.differs(&matrix) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_part_is_that_of_some_rows() {
+        let whole = matrix(5);
+        let rows = [3, 0, 4];
+        let part = whole.select_rows(&rows).select_columns(&rows);
+        let mut definite = Definite::default();
+        assert!(definite.become_of(&whole, 3, |row| rows[row]));
+        let other = Definite::of(&part).map(|other| other.inverse());
+        assert_eq!(Some(definite.inverse()), other);
+    }
+
+    #[test]
+    fn what_is_not_positive_definite_has_no_factors() {
+        let mut flat = matrix(3);
+        flat.set_column(2, &flat.column(1).into_owned());
+        flat.set_row(2, &flat.row(1).into_owned());
+        let mut bent = matrix(3);
+        bent[(0, 1)] *= 100.0;
+        bent[(1, 0)] *= 100.0;
+        let unknown = DMatrix::from_element(2, 2, f64::NAN);
+        for matrix in [flat, bent, -matrix(2), unknown] {
+            assert!(Definite::of(&matrix).is_none(), "{matrix}");
+        }
+    }
 }

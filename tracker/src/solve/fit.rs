@@ -421,7 +421,7 @@ fn inverse_fisher(quadratic: &Quadratic, precision: Precision) -> Option<DMatrix
     let definite = Definite::of(&quadratic.hessian)?;
     let inverse = match definite.is_clear(resolution) {
         true => definite.inverse(),
-        false => Spectrum::new(quadratic, definite.scale(), resolution)?.inverse()?,
+        false => Spectrum::new(quadratic, &definite.scale(), resolution)?.inverse()?,
     };
     Some(inverse * 2.0)
 }

@@ -16,8 +16,6 @@
 //! elsewhere looks like one that is wider and fainter as well, and Newton's step believes it. So a step that changes the rest by
 //! more than noise does, though the places account for much of what it promises, moves the places alone; the next one moves all.
 
-use nalgebra::DVector;
-
 use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::scaled::Definite;
 use crate::solve::stage::{CostFunction, Pass, QUANTISATION, Rules, eigen_resolution};
@@ -65,9 +63,11 @@ pub(crate) struct Tether<'a> {
 impl Tether<'_> {
     /// `√(½ dᵀHd)` over that of a residual is how far a point is.
     pub fn holds(&self, at: &[f64], rules: &Rules, pass: &Pass, variance: f64) -> bool {
-        let apart = DVector::from_iterator(rules.free.len(), rules.free.iter().map(|&i| at[i] - self.from[i]));
-        let square = 0.5 * apart.dot(&(&pass.quadratic.hessian * &apart)) / variance;
-        square <= self.length * self.length
+        let apart = |row: usize| at[rules.free[row]] - self.from[rules.free[row]];
+        let columns = pass.quadratic.hessian.column_iter().enumerate();
+        let term = |column: &[f64]| column.iter().enumerate().map(|(row, entry)| entry * apart(row)).sum::<f64>();
+        let square: f64 = columns.map(|(number, column)| apart(number) * term(column.as_slice())).sum();
+        0.5 * square / variance <= self.length * self.length
     }
 }
 
@@ -83,6 +83,7 @@ pub(crate) fn follow<P: CostFunction>(
 ) -> Option<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
+    let mut step = Step { moved: Vec::with_capacity(rules.places.len()), ..Step::default() };
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
     // F, and the length of the step from there; not known of one that did not move all.
     let mut earlier: Option<(f64, Option<f64>)> = None;
@@ -114,16 +115,15 @@ pub(crate) fn follow<P: CostFunction>(
         if earlier.is_some_and(|(last, _)| objective > last + slack) {
             return None;
         }
-        let whole = newton_step(&pass.quadratic, eigen_resolution(rules.precision))?;
-        let of_places = rules.place_step(&pass, whole.1);
-        let is_whole = of_places.is_none();
-        let (delta, reduction) = of_places.unwrap_or(whole);
+        let whole = step.newton(&pass.quadratic, eigen_resolution(rules.precision))?;
+        let of_places = step.of_places(rules, &pass, whole);
+        let (is_whole, reduction) = (of_places.is_none(), of_places.unwrap_or(whole));
         let variance = if rules.noise { 1.0 } else { rules.reduced(&pass).filter(|reduced| *reduced > 0.0)? };
         if !reduction.is_finite() {
             return None;
         }
         report.iterations += 1;
-        moved(&mut at, &rules.free, &delta);
+        rules.free.iter().zip(&step.delta).for_each(|(&i, delta)| at[i] += delta);
         if !problem.allowed(&at) {
             return None;
         }
@@ -158,41 +158,54 @@ fn left(
     Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, strained: None })
 }
 
-/// `−H⁻¹g`, and by how much F falls there, where H bends upwards.
-fn newton_step(quadratic: &Quadratic, resolution: f64) -> Option<(DVector<f64>, f64)> {
-    let definite = Definite::of(&quadratic.hessian)?;
-    if definite.is_clear(resolution) {
-        return Some(definite.newton_step(&quadratic.gradient));
-    }
-    let spectrum = Spectrum::new(quadratic, definite.scale(), resolution)?;
-    let step = spectrum.step(f64::INFINITY);
-    (step.interior && !spectrum.is_indefinite()).then_some((step.delta, step.reduction))
+/// A step from one point, in the memory of those before it.
+#[derive(Default)]
+struct Step {
+    definite: Definite,
+    delta: Vec<f64>,
+    /// Of the places alone.
+    moved: Vec<f64>,
 }
 
-impl Rules {
-    /// The same with all but the places held, and by how much F falls there, where that is the better step of the two: the
-    /// whole one promises `whole`.
-    fn place_step(&self, pass: &Pass, whole: f64) -> Option<(DVector<f64>, f64)> {
-        let Quadratic { objective, gradient, hessian, .. } = &pass.quadratic;
-        // Of a residual, as far as it will be left.
-        let variance = match self.noise {
-            true => 1.0,
-            false => (objective - whole) / pass.pixels.max(1) as f64 + QUANTISATION + self.rounding.powi(2),
-        };
-        let much = REST * REST * variance;
-        if whole <= much {
+impl Step {
+    /// Becomes `−H⁻¹g`; by how much F falls there, where H bends upwards.
+    fn newton(&mut self, quadratic: &Quadratic, resolution: f64) -> Option<f64> {
+        let Quadratic { gradient, hessian, .. } = quadratic;
+        if !self.definite.become_of(hessian, gradient.len(), |row| row) {
             return None;
         }
-        let hessian = hessian.select_rows(&self.places).select_columns(&self.places);
-        let (moved, reduction) = Definite::of(&hessian)?.newton_step(&gradient.select_rows(&self.places));
-        let mut delta = DVector::zeros(gradient.len());
-        self.places.iter().zip(moved.iter()).for_each(|(&row, moved)| delta[row] = *moved);
-        (whole - reduction > much && reduction > BY_PLACE * whole).then_some((delta, reduction))
+        if self.definite.is_clear(resolution) {
+            return Some(self.definite.newton_step(gradient.iter().copied(), &mut self.delta));
+        }
+        let spectrum = Spectrum::new(quadratic, &self.definite.scale(), resolution)?;
+        let step = spectrum.step(f64::INFINITY);
+        self.delta.clear();
+        self.delta.extend(step.delta.iter());
+        (step.interior && !spectrum.is_indefinite()).then_some(step.reduction)
     }
-}
 
-fn moved(at: &mut [f64], free: &[usize], delta: &DVector<f64>) {
-    free.iter().zip(delta.iter()).for_each(|(&i, delta)| at[i] += delta);
+    /// Becomes the same with all but the places held, where that is the better step of the two: the whole one promises `whole`.
+    /// By how much F falls there.
+    fn of_places(&mut self, rules: &Rules, pass: &Pass, whole: f64) -> Option<f64> {
+        let Quadratic { objective, gradient, hessian, .. } = &pass.quadratic;
+        // Of a residual, as far as it will be left.
+        let variance = match rules.noise {
+            true => 1.0,
+            false => (objective - whole) / pass.pixels.max(1) as f64 + QUANTISATION + rules.rounding.powi(2),
+        };
+        let much = REST * REST * variance;
+        if whole <= much || !self.definite.become_of(hessian, rules.places.len(), |row| rules.places[row]) {
+            return None;
+        }
+        let slopes = rules.places.iter().map(|&row| gradient[row]);
+        let reduction = self.definite.newton_step(slopes, &mut self.moved);
+        if whole - reduction <= much || reduction <= BY_PLACE * whole {
+            return None;
+        }
+        self.delta.fill(0.0);
+        rules.places.iter().zip(&self.moved).for_each(|(&row, moved)| self.delta[row] = *moved);
+        Some(reduction)
+    }
 }
 
 /// Whether little is left after a step of that length, the one before it being `last` long.
@@ -204,7 +217,7 @@ fn is_near(last: f64, length: f64) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::DMatrix;
+    use nalgebra::{DMatrix, DVector};
 
     use super::*;
     use crate::solve::trust::Curvature;

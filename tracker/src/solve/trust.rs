@@ -180,8 +180,7 @@ impl Spectrum {
         if self.values.min() <= self.zero {
             return None;
         }
-        let factor = self.scaled.clone().cholesky()?;
-        Some(Definite::of_factor(self.scale.clone(), factor).inverse())
+        Some(Definite::of_scaled(&self.scale, &self.scaled)?.inverse())
     }
 
     /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ cannot be told from 0, see [`Answered`].

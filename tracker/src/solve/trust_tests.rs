@@ -150,14 +150,16 @@ fn what_is_clearly_definite_has_the_steps_of_its_spectrum() {
         let mut valley = quadratic(&[3.0, -1.0, 0.5], &[2.0, same, 0.1, same, 2.0, 0.1, 0.1, 0.1, 50.0]);
         valley.curvature = Curvature::GaussNewton;
         valley.objective = 1e30;
-        let Some(definite) = Definite::of(&valley.hessian) else { continue };
-        let spectrum = Spectrum::new(&valley, definite.scale(), 1e-8).unwrap();
+        let Some(mut definite) = Definite::of(&valley.hessian) else { continue };
+        let spectrum = Spectrum::new(&valley, &definite.scale(), 1e-8).unwrap();
         if !definite.is_clear(1e-8) {
             continue;
         }
         clear += 1;
         assert!(spectrum.values.min() > spectrum.zero, "{apart}: {} of {}", spectrum.values.min(), spectrum.zero);
-        let ((delta, reduction), step) = (definite.newton_step(&valley.gradient), spectrum.step(f64::INFINITY));
+        let (mut delta, step) = (Vec::new(), spectrum.step(f64::INFINITY));
+        let reduction = definite.newton_step(valley.gradient.iter().copied(), &mut delta);
+        let delta = DVector::from_vec(delta);
         assert!((&delta - &step.delta).norm() <= 1e-6 * delta.norm(), "{apart}: {delta} {}", step.delta);
         assert!((reduction / step.reduction - 1.0).abs() < 1e-6, "{apart}");
         let unit = definite.inverse() * &valley.hessian - DMatrix::identity(3, 3);

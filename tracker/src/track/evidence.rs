@@ -29,6 +29,7 @@ use super::aspect::Aspect;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
 use super::structure::Structure;
+use crate::scaled;
 use crate::solve::exact;
 use crate::solve::fit::{Fit, Worth};
 
@@ -229,7 +230,7 @@ fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
 
 /// `F₀/F − 1`, the least of all targets of the model.
 fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
-    let information = worth.covariance.clone()?.cholesky()?.inverse();
+    let information = scaled::inverse(worth.covariance.as_ref()?)?;
     let order = solver.compiled.last_parameters();
     let place = |parameter| order.iter().position(|&p| p == parameter);
     let mut least = f64::INFINITY;

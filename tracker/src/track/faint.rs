@@ -12,6 +12,7 @@
 use isophote_symbolic::{ParameterId, Roles};
 
 use super::window::half_widths;
+use crate::scaled;
 use crate::sight::cold::FALSE_ALARMS;
 use crate::solve::fit::Fit;
 
@@ -38,7 +39,7 @@ pub(super) fn is_bright(order: &[ParameterId], fit: &Fit, roles: &Roles, blank: 
     }
     let background = roles.background.and_then(place);
     // Its variance when nothing but the background is unknown beside it.
-    let information = covariance.clone().cholesky().map(|factor| factor.inverse());
+    let information = scaled::inverse(covariance);
     let variance = information.map(|information| {
         let shared = |other: usize| information[(brightness, other)].powi(2) / information[(other, other)];
         1.0 / (information[(brightness, brightness)] - background.map_or(0.0, shared))

@@ -15,7 +15,7 @@ use super::rows::RowLevel;
 use super::search::Candidate;
 use super::shared::SharedParameters;
 use super::solver::{Attempt, Solver};
-use super::window::half_widths;
+use super::window::{half_widths, sizes};
 use crate::estimate::Ahead;
 use crate::options::PredictOptions;
 use crate::solve::exact;
@@ -189,7 +189,8 @@ impl Memory {
             let n = roles.centre.len();
             let off = (measured.values.rows(at, n) - state.rows(at, n)).norm();
             at += n;
-            let widths = half_widths(roles, dimensions, &self.last).unwrap_or_default();
+            let widths =
+                half_widths(roles, dimensions, &self.last).unwrap_or_else(|| sizes(solver.model(), &self.last));
             off <= widths.into_iter().fold(0.0, f64::max)
         });
         let positions = measured.values.len() - at;

@@ -232,8 +232,8 @@ impl Track {
     fn expecting(&self, solver: &Solver, mut candidate: Candidate, time_s: f64) -> Candidate {
         let is_near = self.is_near(solver, &candidate, time_s);
         if let Some(evidence) = &mut candidate.evidence {
-            let distance = self.memory.distance(solver, &candidate.attempt, time_s).filter(|_| !is_near);
-            evidence.distance = distance.map_or(0.0, Predicted::excess);
+            let distance = || self.memory.distance(solver, &candidate.attempt, time_s);
+            evidence.distance = if is_near { None } else { distance() }.map_or(0.0, Predicted::excess);
             evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);
         }
         candidate
@@ -258,10 +258,13 @@ impl Track {
 
     /// A χ²/ν far above the last one.
     fn is_jump(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> bool {
-        let Some(fit) = &attempt.fit else { return false };
-        let rounding = solver.view(look, solver.window(look, &fit.parameters, Margin::NONE)).rounding;
-        let last = self.memory.reduced.map(|reduced| MISFIT * reduced.max(solver.least_reduced(rounding)));
-        last.is_some_and(|limit| attempt.reduced().is_some_and(|reduced| reduced > limit))
+        let (Some(fit), Some(last), Some(reduced)) = (&attempt.fit, self.memory.reduced, attempt.reduced()) else {
+            return false;
+        };
+        reduced > MISFIT * last && {
+            let rounding = solver.view(look, solver.window(look, &fit.parameters, Margin::NONE)).rounding;
+            reduced > MISFIT * solver.least_reduced(rounding)
+        }
     }
 
     /// Inside the gate, or no farther off than the target is large; true where nothing was expected.

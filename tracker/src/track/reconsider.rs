@@ -11,7 +11,7 @@ use crate::estimate::Rejection;
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
-use crate::solve::sampling::{Chosen, Way};
+use crate::solve::sampling::{Chosen, Sampling, Way};
 use crate::solve::stage_kernels::CompileFailure;
 
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
@@ -94,7 +94,10 @@ impl Solver {
 
     /// A candidate whose fit did not sample as it has to, where the model leaves that open, with one that does.
     pub fn resampled(&self, look: &Look, candidate: Candidate, margin: Margin, before: Option<&Chosen>) -> Candidate {
-        let is_plain = |fit: &&Fit| fit.chosen.is_none() && fit.choice.is_none() && fit.ending.is_fit();
+        let is_plain = |fit: &&Fit| {
+            let is_finer = fit.chosen.is_some() || !Sampling::applies(&self.compiled);
+            !is_finer && fit.choice.is_none() && fit.ending.is_fit()
+        };
         let Some(plain) = candidate.attempt.fit.as_ref().filter(is_plain) else { return candidate };
         let view = self.view(look, self.window(look, &plain.parameters, margin));
         let Some(sampling) = self.sampling(look, &view) else { return candidate };

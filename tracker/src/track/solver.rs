@@ -279,19 +279,20 @@ impl Solver {
         margin: Margin,
     ) -> Result<Attempt, CompileFailure> {
         let mut window = self.window(look, start, margin);
-        let mut fitted = self.fit(look, &self.view(look, window), start, begin, control)?;
+        let mut view = self.view(look, window);
+        let mut fitted = self.fit(look, &view, start, begin, control)?;
         for _ in 1..WINDOWS {
             if !fitted.ending.is_fit() || holds(window, self.window(look, &fitted.parameters, Margin::NONE)) {
                 break;
             }
             window = self.window(look, &fitted.parameters, margin);
-            let view = self.view(look, window);
+            view = self.view(look, window);
             let again = self.fit(look, &view, &fitted.parameters, Begin::Anywhere, control)?;
             let reports = again.stages.iter().zip(&fitted.stages);
             let stages = reports.map(|(report, earlier)| report.clone().after(earlier)).collect();
             fitted = Fit { stages, ..again };
         }
-        let rejection = self.rejection(&fitted, &self.view(look, window), look.window);
+        let rejection = self.rejection(&fitted, &view, look.window);
         Ok(Attempt::of(fitted, rejection))
     }
 

@@ -145,24 +145,42 @@ fn walk(model: &Model, parameters: &[f64], constants: &[f64], roles: &Roles, sem
 
 /// A of one target; `None` without the role `shape`.
 pub(crate) fn shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<DMatrix<f64>> {
-    let mut upper = roles.shape.iter().map(|parameter| parameters[parameter.index()]);
     let mut a = DMatrix::zeros(dimensions, dimensions);
+    set_shape(roles, dimensions, parameters, |place, entry| a[place] = entry)?;
+    Some(a)
+}
+
+/// Calls with each entry of A and its row and column; `None` without the role `shape`.
+fn set_shape(
+    roles: &Roles,
+    dimensions: usize,
+    parameters: &[f64],
+    mut set: impl FnMut((usize, usize), f64),
+) -> Option<()> {
+    let mut upper = roles.shape.iter().map(|parameter| parameters[parameter.index()]);
     for row in 0..dimensions {
         for column in row..dimensions {
             let entry = upper.next()?;
-            a[(row, column)] = entry;
-            a[(column, row)] = entry;
+            set((row, column), entry);
+            set((column, row), entry);
         }
     }
-    Some(a)
+    Some(())
 }
 
 /// Half the outline's width along each coordinate, `√(A⁻¹)_ii`; `None` when A is not positive definite.
 pub(crate) fn half_widths(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<Vec<f64>> {
     let mut whole = Matrix4::identity(); // asked for many times a frame: on the stack
-    whole.view_mut((0, 0), (dimensions, dimensions)).copy_from(&shape(roles, dimensions, parameters)?);
+    set_shape(roles, dimensions, parameters, |place, entry| whole[place] = entry)?;
     let inverse = whole.cholesky()?.inverse();
     Some((0..dimensions).map(|axis| inverse[(axis, axis)].sqrt()).collect())
+}
+
+/// What begins as the size of what is seen, where that is a model's only target.
+pub(crate) fn sizes(model: &Model, parameters: &[f64]) -> Vec<f64> {
+    let is_size = |start: &Start| matches!(start, Start::Estimator(Estimator::Size(_)));
+    let known = model.parameters().iter().zip(parameters).filter(|_| model.roles().len() == 1);
+    known.filter(|(parameter, _)| is_size(&parameter.start)).map(|(_, value)| value.abs()).collect()
 }
 
 /// The pixels between two corners that are inside `whole`. A coordinate that has no corners keeps its extent.
