@@ -148,7 +148,8 @@ mod tests {
                 let is_apart = |at: usize| handlers[..at].ends_with([' ', '.']);
                 let at = handlers.match_indices(&head).map(|(at, _)| at).find(|at| is_apart(*at));
                 if at.is_some_and(|at| !handlers[at + head.len()..].starts_with("|| absent(")) {
-                    found.insert((path.to_string(), method.to_string()));
+                    // The description has no word for "any further segments".
+                    found.insert((path.replace("{*", "{"), method.to_string()));
                 }
             }
         }
@@ -173,7 +174,7 @@ mod tests {
     #[test]
     fn every_route_is_described() {
         let source = include_str!("mod.rs");
-        let routes = routed(source.split_once(".fallback(").unwrap().0);
+        let routes = routed(source.split_once(".with_state(").unwrap().0);
         assert!(routes.len() > 20, "{routes:?}");
         let (described, remedy) = (described(), "give the handler #[utoipa::path(…)] and name it in openapi.rs");
         let missing: Vec<_> = routes.difference(&described).collect();
@@ -184,10 +185,10 @@ mod tests {
 
     #[test]
     fn routes_are_found_in_the_source() {
-        let source =
-            ".route(\"/a/{b}\", put(a::put).get(b::get))\n.route(\"/c\", post(|| absent(\"c\")).delete(c::delete))\n";
+        let source = ".route(\"/a/{b}\", put(a::put).get(b::get))\n.route(\"/c\", post(|| absent(\"c\")).delete(c::delete))\n\
+             .route(\"/d/{*e}\", get(d::get))";
         let found: Vec<_> = routed(source).into_iter().map(|(path, method)| format!("{method} {path}")).collect();
-        assert_eq!(found, ["get /a/{b}", "put /a/{b}", "delete /c"]);
+        assert_eq!(found, ["get /a/{b}", "put /a/{b}", "delete /c", "get /d/{e}"]);
     }
 
     /// Nothing is referred to that is not there, and every operation has an id of its own.
