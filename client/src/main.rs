@@ -140,7 +140,7 @@ enum ModelCommand {
 
 #[derive(Subcommand)]
 enum SessionCommand {
-    Start(sessions::StartArgs),
+    Start(Box<sessions::StartArgs>),
     List(sessions::ListSessionsArgs),
     /// Show a session with its document and its last estimate
     Show(sessions::SessionNameArgs),
