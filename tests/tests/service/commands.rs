@@ -161,7 +161,7 @@ fn versions_and_plain_files() {
     .unwrap();
     let pushed = demo.json(&["model", "push", level.to_str().unwrap(), "--json"]);
     let counted = demo.json(&["data", "export", &shown, "--json"]);
-    assert_eq!((&counted["models"], &counted["sessions"]), (&Value::from(27), &Value::from(1)), "{counted}");
+    assert_eq!((&counted["models"], &counted["sessions"]), (&Value::from(28), &Value::from(1)), "{counted}");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
     assert_eq!(read("models/mine.toml"), std::fs::read_to_string(repository().join("models/ring.toml")).unwrap());
     let session: Value = serde_json::from_str(&read("sessions/demo.json")).unwrap();

@@ -8,7 +8,7 @@ use crate::client::Running;
 const RATE_HZ: f64 = 200.0;
 /// The frames in bad light that are looked at, 20 s to 20.1 s.
 const BAD: std::ops::Range<u64> = 4000..4020;
-/// From here on frames are looked at. Before, from 0.5 s on, the same light was there for a while: alternatives to the model
+/// From here on frames are looked at. Before, from 0.5 s to 2 s, the same light was there: alternatives to the model
 /// are prepared beside the fits from the first such frame on, which takes a while on a busy machine.
 const FIRST: u64 = 3990;
 
@@ -30,7 +30,7 @@ fn twice(entry: &Value) -> Value {
         (entry["from_s"], entry["to_s"]) = (from_s.into(), to_s.into());
         entry
     };
-    json!([at(0.5, 0.55), at(20.0, 20.1)])
+    json!([at(0.5, 2.0), at(20.0, 20.1)])
 }
 
 /// The estimates of the frames from [`FIRST`] up to 20.2 s.

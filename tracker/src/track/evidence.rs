@@ -16,8 +16,8 @@
 //! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate; none for a target that moved by less than
 //!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
-//! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: residuals of another shape
-//!    ([`Aspect`]), and a frame that is full of such things ([`prominence`]). What is taken for the target keeps it.
+//! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
+//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), and more that is hidden than may be. What is taken for the target keeps it.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
 
@@ -25,7 +25,7 @@ use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use super::aspect::Aspect;
+use super::asymmetry;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
 use super::structure::Structure;
@@ -200,7 +200,7 @@ impl Ground {
             let hidden = if choice.robust { choice.hidden } else { 0.0 };
             return Ground { oddity: VEILED * (hidden - HIDDEN_MOST).max(0.0), ..self };
         }
-        let shape = Aspect::of(solver, look, fit, self.limit).map_or(0.0, Aspect::against);
+        let shape = asymmetry::of(solver, look, fit, self.limit).map_or(0.0, asymmetry::against);
         let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against);
         Ground { oddity: shape + common, ..self }
     }

@@ -9,7 +9,7 @@
 //!                                                           └ not now ─► search nearby     coast, or lose
 //! ```
 
-mod aspect;
+mod asymmetry;
 mod branch;
 mod clock;
 mod coordinate;

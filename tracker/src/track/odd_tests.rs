@@ -5,7 +5,7 @@ use isophote_frame::{Frame, Plane};
 use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 
-use super::aspect::Aspect;
+use super::asymmetry;
 use super::prominence;
 use super::window::Margin;
 use crate::picture::Noise;
@@ -56,7 +56,7 @@ fn against(frame: &Frame, radius: f64) -> [f64; 2] {
     let start = [CENTRE[0], CENTRE[1], a, 0.0, a, 20.0, 120.0];
     let margin = Margin::even(0.5, 6.0);
     let fit = solver.attempt(&look, &start, Begin::Anywhere, Control::Plain, margin).unwrap().fit.unwrap();
-    let shape = Aspect::of(solver, &look, &fit, 255.0).unwrap().against();
+    let shape = asymmetry::against(asymmetry::of(solver, &look, &fit, 255.0).unwrap());
     [shape, prominence::against(prominence::of(solver, &look, &fit).unwrap())]
 }
 
@@ -71,6 +71,13 @@ fn corners_are_held_against_a_thing_and_a_frame_full_of_bumps_against_one_of_the
     assert!(shape > 10.0 && prominence == 0.0, "{shape} {prominence}");
     let [_, prominence] = against(&frame(bumps), 8.0);
     assert!(prominence > 5.0, "{prominence}");
+}
+
+/// A rough model is better than none.
+#[test]
+fn a_disc_that_is_alone_may_be_taken_for_a_gaussian() {
+    let disc = |x: f64, y: f64| if x.hypot(1.3 * y) < 14.0 { 150.0 } else { 0.0 };
+    assert_eq!(against(&frame(disc), 17.0), [0.0, 0.0]);
 }
 
 #[test]

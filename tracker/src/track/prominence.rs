@@ -10,7 +10,7 @@
 
 use isophote_jit::Window;
 
-use super::aspect::spread;
+use super::asymmetry::spread;
 use super::solver::{Look, Solver};
 use super::window::Margin;
 use crate::sight::grey::Mixture;
