@@ -37,7 +37,8 @@ impl Report {
                     .replace(", one thread;", ";")
             ),
             format!(
-                "## Centre\n\n{frames} frames a row. Figures that miss what is to be reached stand in bold.\n\n{}\n{}",
+                "## Centre\n\n{frames} frames a row: a ratio scatters by {:.1} %. Figures that miss what is to be reached stand in bold.\n\n{}\n{}",
+                50.0 / (frames.max(1) as f64).sqrt(),
                 table::HEAD,
                 lines.join("\n")
             ),
