@@ -15,6 +15,7 @@ use nalgebra::{Cholesky, Matrix2, Vector2};
 
 use super::solver::{Look, Solver};
 use super::window::{Margin, shape};
+use crate::sight::background::spread;
 use crate::solve::fit::Fit;
 use crate::solve::residuals::{Over, Residual};
 
@@ -22,8 +23,6 @@ use crate::solve::residuals::{Over, Residual};
 const AROUND: Margin = Margin { share: 0.6, px: [4.0; 4] };
 /// Light makes the middle of a target noisier than its domain is on average, by about this factor.
 const LIT: f64 = 1.4;
-/// From the median of magnitudes to a standard deviation, of normal noise.
-const NORMAL: f64 = 1.4826;
 /// Waves around the outline, …
 const WAVES: [f64; 4] = [3.0, 4.0, 5.0, 6.0];
 /// … looked at between these values of s.
@@ -83,19 +82,6 @@ impl Plane {
     }
 }
 
-/// The middle one of all numbers but NaN; NaN of none.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.filter(|value| !value.is_nan()).collect();
-    let middle = values.len() / 2;
-    if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-}
-
-/// A standard deviation about the median, of numbers most of which are normal.
-pub(super) fn spread(values: &[f64]) -> f64 {
-    let middle = median(values.iter().copied());
-    NORMAL * median(values.iter().map(|value| (value - middle).abs()))
-}
-
 /// Of a target in two dimensions; `limit` is the largest value that a pixel may have. `None` where the model has no centre or
 /// outline, or hardly any pixel says something.
 pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit, limit: f64) -> Option<f64> {
@@ -135,12 +121,12 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit, limit: f64) -> Option<
     }
     let count = f64::max(count, 1.0);
     let power = sums.iter().flatten().map(|sum| (2.0 * sum / count).powi(2)).sum::<f64>();
-    let curvatures: Vec<f64> = pixels.iter().map(|pixel| plane.curvature(*pixel)).collect();
-    let noise = Some(LIT * spread(&curvatures) / 6.0_f64.sqrt()).filter(|noise| !noise.is_nan()).unwrap_or(0.0);
+    let curvatures = pixels.iter().map(|pixel| plane.curvature(*pixel)).filter(|value| !value.is_nan());
+    let noise = LIT * spread(&curvatures.collect::<Vec<f64>>()) / 6.0_f64.sqrt();
     let mut is_inside = vec![false; view.window.pixels()];
     inside.residuals.iter().for_each(|residual| is_inside[residual.pixel] = true);
     let beside = (0..is_inside.len()).filter(|pixel| !is_inside[*pixel]).map(|pixel| plane.smoothed(pixel));
-    let beside: Vec<f64> = beside.collect();
+    let beside: Vec<f64> = beside.filter(|value| !value.is_nan()).collect();
     let beside = if beside.len() < PIXELS_MIN { 0.0 } else { spread(&beside) };
     // Each of the squares is 2σ²/n of noise alone; thrice that is hardly ever exceeded.
     let forgiven = 3.0 * 4.0 * WAVES.len() as f64 * noise * noise / count + beside * beside;

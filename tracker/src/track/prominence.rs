@@ -10,9 +10,9 @@
 
 use isophote_jit::Window;
 
-use super::asymmetry::spread;
 use super::solver::{Look, Solver};
 use super::window::Margin;
+use crate::sight::background::spread;
 use crate::sight::grey::Mixture;
 use crate::solve::fit::Fit;
 use crate::solve::residuals::{Over, Residual};
@@ -123,11 +123,11 @@ impl Filter {
             let some = self.weights.iter().step_by(ASKED);
             some.map(move |([x, y], _)| [left + x, top + y]).collect::<Vec<_>>()
         };
-        let curvatures: Vec<f64> = places.iter().flat_map(asked).map(curvature).collect();
+        let curvatures = places.iter().flat_map(asked).map(curvature).filter(|value| !value.is_nan());
+        let curvatures: Vec<f64> = curvatures.collect();
         // Of the sum of products, as that of the pixels alone makes it.
-        let noise = spread(&curvatures) / (6.0 * self.own).sqrt();
         let scatter = spread(&found);
-        let noise = if noise.is_nan() { scatter } else { noise };
+        let noise = if curvatures.is_empty() { scatter } else { spread(&curvatures) / (6.0 * self.own).sqrt() };
         let structure = STRUCTURE.powi(2) * (scatter * scatter - UNEVEN * noise * noise).max(0.0);
         Some(structure.sqrt().recip().min(PROMINENCE_MAX))
     }
