@@ -28,11 +28,14 @@ pub struct NewTokenArgs {
     /// To revoke it by [default: its role and a number]
     #[arg(long)]
     name: Option<String>,
+    /// Whose it is: tenants have models, sources and sessions of their own, and do not see each other's
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    tenant: String,
     #[command(flatten)]
     place: PlaceArgs,
 }
 
-/// List the tokens: names, roles, since when
+/// List the tokens: names, roles, whose they are, since when
 #[derive(Clone, Debug, clap::Args)]
 pub struct ListTokensArgs {
     #[command(flatten)]
@@ -104,7 +107,7 @@ pub fn run(command: &TokenCommand, out: &mut dyn Write) -> Result<(), Failure> {
 
 fn new(args: &NewTokenArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let file = args.place.file()?;
-    let (record, secret) = file.add(args.role.into(), args.name.as_deref()).map_err(failure)?;
+    let (record, secret) = file.add_for(&args.tenant, args.role.into(), args.name.as_deref()).map_err(failure)?;
     let token = secret.text();
     if args.place.json {
         let TokenRecord { name, role, tenant, created, .. } = record;
@@ -112,7 +115,8 @@ fn new(args: &NewTokenArgs, out: &mut dyn Write) -> Result<(), Failure> {
         return output::json(out, &answer);
     }
     writeln!(out, "{token}").map_err(Failure::output)?;
-    eprintln!("`{}`, role {}, in {}; keep it: it is shown this once", record.name, record.role, file.path().display());
+    let TokenRecord { name, role, tenant, .. } = record;
+    eprintln!("`{name}`, role {role}, tenant {tenant}, in {}; keep it: it is shown this once", file.path().display());
     Ok(())
 }
 
@@ -121,9 +125,12 @@ fn list(args: &ListTokensArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if args.place.json {
         return output::json(out, &json!({"items": tokens}));
     }
-    let row = |token: &TokenRecord| vec![token.name.clone(), token.role.to_string(), token.created.clone()];
+    let row = |token: &TokenRecord| {
+        let TokenRecord { name, role, tenant, created, .. } = token;
+        vec![name.clone(), role.to_string(), tenant.clone(), created.clone()]
+    };
     let rows: Vec<Vec<String>> = tokens.iter().map(row).collect();
-    output::table(out, &["NAME", "ROLE", "CREATED"], &rows)
+    output::table(out, &["NAME", "ROLE", "TENANT", "CREATED"], &rows)
 }
 
 fn revoke(args: &RevokeArgs, out: &mut dyn Write) -> Result<(), Failure> {

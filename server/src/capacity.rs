@@ -30,6 +30,12 @@ impl Load {
         Load { running, capacity: LIMITS.load_share * processors as f64 }
     }
 
+    /// Of the share that one of so many tenants has of this machine.
+    pub fn of_share(running: f64, tenants: usize) -> Load {
+        let Load { running, capacity } = Load::of_machine(running);
+        Load { running, capacity: capacity / tenants.max(1) as f64 }
+    }
+
     /// 429 where one more, the session `a` or its shadow, which keeps `added` processors busy, is too many. `None`: it could not be
     /// measured.
     pub fn admit(self, what: &str, added: Option<(f64, f64)>) -> Result<(), Problem> {

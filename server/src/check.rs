@@ -4,8 +4,10 @@
 
 use std::net::TcpListener;
 use std::path::Path;
+use std::sync::Arc;
 
 use isophote_capture::{FrameSource, Synthetic, SyntheticSpec};
+use isophote_jit::KernelCache;
 use isophote_symbolic::Diagnostic;
 use isophote_tracker::TrackState;
 use isophote_wire::SessionDocument;
@@ -29,7 +31,7 @@ pub fn check(options: &Options) -> Vec<StartFinding> {
     let said = |error: &dyn std::fmt::Display| error.to_string();
     let opened = |data| {
         let store = store_of(data).map_err(|error| said(&error))?;
-        Registry::open(store, options.width).map_err(|error| said(&error))
+        Registry::open(store, Arc::new(KernelCache::of_width(options.width))).map_err(|error| said(&error))
     };
     let (data, kernel) = match opened(options.data.as_deref()) {
         Ok(registry) => (writable(options.data.as_deref()), kernel(&registry)),

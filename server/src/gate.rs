@@ -10,10 +10,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::sync::{AcquireError, OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Sleep, sleep};
 
 use crate::limits::LIMITS;
+use crate::room::{Room, RoomTaken};
 
 /// Bytes of a message that come without room for it: its head is no longer.
 const HEAD_BYTES: usize = 16;
@@ -33,15 +33,15 @@ enum State {
     /// A message has begun, and waits for room.
     Waiting(Bound, Acquiring),
     /// It has room, until then.
-    Receiving { bound: Bound, _room: OwnedSemaphorePermit, patience: Pin<Box<Sleep>> },
+    Receiving { bound: Bound, _room: RoomTaken, patience: Pin<Box<Sleep>> },
 }
 
-type Acquiring = Pin<Box<dyn Future<Output = std::result::Result<OwnedSemaphorePermit, AcquireError>> + Send>>;
+type Acquiring = Pin<Box<dyn Future<Output = RoomTaken> + Send>>;
 
 /// What a message may need.
 #[derive(Clone)]
 struct Bound {
-    room: Arc<Semaphore>,
+    room: Room,
     permits: u32,
 }
 
@@ -51,7 +51,7 @@ impl MessageGate {
     }
 
     /// From now on each message takes so many permits of that room.
-    pub fn close(&self, room: Arc<Semaphore>, permits: u32) {
+    pub fn close(&self, room: Room, permits: u32) {
         *self.lock() = State::Between(Bound { room, permits });
     }
 
@@ -85,7 +85,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for GatedSocket<S> {
         let GatedSocket { socket, gate } = self.get_mut();
         let mut state = gate.lock();
         if let State::Waiting(bound, waiting) = &mut *state {
-            let room = ready!(waiting.as_mut().poll(context)).map_err(Error::other)?;
+            let room = ready!(waiting.as_mut().poll(context));
             let patience = Box::pin(sleep(LIMITS.body_time));
             *state = State::Receiving { bound: bound.clone(), _room: room, patience };
         }
@@ -98,7 +98,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for GatedSocket<S> {
                 let read = head.filled().len();
                 buffer.put_slice(&first[..read]);
                 if read > 0 {
-                    let waiting = Box::pin(bound.room.clone().acquire_many_owned(bound.permits));
+                    let waiting = Box::pin(bound.room.clone().take(bound.permits));
                     *state = State::Waiting(bound.clone(), waiting);
                 }
                 Poll::Ready(Ok(()))
@@ -149,7 +149,7 @@ mod tests {
     /// Nothing is held between messages; of a message without room only the head is read.
     #[tokio::test]
     async fn a_message_takes_room_from_its_beginning_to_its_end() {
-        let room = Arc::new(Semaphore::new(10));
+        let room = Room::new(10);
         let (mut client, socket) = duplex(1024);
         let (mut socket, gate) = GatedSocket::new(socket);
         let mut bytes = [0; 1024];
@@ -157,15 +157,15 @@ mod tests {
         assert_eq!(socket.read(&mut bytes).await.unwrap(), 100, "an open gate");
 
         gate.close(room.clone(), 6);
-        assert_eq!(room.available_permits(), 10);
+        assert_eq!(room.taken(), 0);
         client.write_all(&[2; 100]).await.unwrap();
         assert_eq!(socket.read(&mut bytes).await.unwrap(), HEAD_BYTES);
         assert_eq!(socket.read(&mut bytes).await.unwrap(), 100 - HEAD_BYTES);
-        assert_eq!(room.available_permits(), 4);
+        assert_eq!(room.taken(), 6);
         gate.message_over();
-        assert_eq!(room.available_permits(), 10);
+        assert_eq!(room.taken(), 0);
 
-        let others = room.clone().try_acquire_many_owned(5).unwrap();
+        let others = room.try_take(5).unwrap();
         client.write_all(&[3; 100]).await.unwrap();
         assert_eq!(socket.read(&mut bytes).await.unwrap(), HEAD_BYTES);
         assert!(timeout(Duration::from_millis(1), socket.read(&mut bytes)).await.is_err(), "no room");
@@ -173,6 +173,6 @@ mod tests {
         assert_eq!(socket.read(&mut bytes).await.unwrap(), 100 - HEAD_BYTES);
         // Whoever hangs up in the middle of a message gives all of it back.
         drop((client, socket, gate));
-        assert_eq!(room.available_permits(), 10);
+        assert_eq!(room.taken(), 0);
     }
 }

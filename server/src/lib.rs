@@ -15,9 +15,11 @@
 //! named threads, waited for when the service stops, and never for long.
 
 mod access;
+mod app;
 mod capacity;
 mod check;
 mod command;
+mod commons;
 mod compiler;
 mod counters;
 mod declared;
@@ -31,12 +33,14 @@ pub mod limits;
 mod listener;
 mod name;
 mod node;
+mod openings;
 mod places;
 mod preview;
 mod problem;
 mod recording;
 mod registry;
 mod restore;
+mod room;
 mod routes;
 mod service;
 mod session;
@@ -44,6 +48,7 @@ mod socket;
 mod source;
 mod store;
 mod streams;
+mod tenants;
 mod thread;
 mod turns;
 mod watchdog;

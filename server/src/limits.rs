@@ -59,6 +59,8 @@ pub struct ServiceLimits {
     pub sockets_per_address: usize,
     /// Tokens.
     pub tokens: usize,
+    /// Those whose tokens they are.
+    pub tenants: usize,
     /// Documents that a tenant may have compiled in a minute.
     pub compiles_a_minute: u32,
     /// Bytes of the file of tokens.
@@ -189,6 +191,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     told_time: Duration::from_secs(2),
     sockets_per_address: 64,
     tokens: 1024,
+    tenants: 16,
     compiles_a_minute: 30,
     token_file_bytes: 1024 * 1024,
     token_interval: Duration::from_millis(250),

@@ -20,22 +20,24 @@ use isophote_jit::VectorWidth;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio_rustls::TlsAcceptor;
 use tower::util::MapRequest;
 
 use crate::access::{Access, AccessError, AccessOptions, LocalAddress};
+use crate::app::App;
+use crate::commons::Commons;
 use crate::gate::GatedSocket;
 use crate::limits::LIMITS;
 use crate::places::{SocketPlaces, SocketTaken};
 use crate::problem::Problem;
 use crate::recording::RecordingFolder;
-use crate::restore::restore;
-use crate::routes::{App, full, router};
+use crate::routes::{full, router};
 use crate::service::{OpenError, Service};
 use crate::socket::{ClientSocket, raise_bound_on_files};
+use crate::tenants::Tenants;
 use crate::thread::beside;
-use crate::{demo, guard, watchdog};
+use crate::{demo, guard};
 
 /// How the service is started.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -90,7 +92,7 @@ pub enum StartError {
 /// A running service.
 pub struct Server {
     address: SocketAddr,
-    service: Arc<Service>,
+    tenants: Arc<Tenants>,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -99,12 +101,18 @@ impl Server {
     /// Listens and serves on threads of its own.
     pub fn start(options: &Options) -> Result<Server, StartError> {
         let access = Arc::new(options.access.open(options.listen, options.data.as_deref())?);
-        let service = Arc::new(Service::open(options.data.as_deref(), options.width)?);
+        let commons = Arc::new(Commons::of_machine(options.width));
+        let service = Service::open(options.data.as_deref(), &commons)?;
         // A start that fails for reasons of its own has not died of what was declared.
-        Server::begin(options, access, service.clone()).inspect_err(|_| service.lived())
+        Server::begin(options, access, commons, &service).inspect_err(|_| service.lived())
     }
 
-    fn begin(options: &Options, access: Arc<Access>, service: Arc<Service>) -> Result<Server, StartError> {
+    fn begin(
+        options: &Options,
+        access: Arc<Access>,
+        commons: Arc<Commons>,
+        service: &Arc<Service>,
+    ) -> Result<Server, StartError> {
         if let Some(folder) = &options.models {
             let wrong = |reason| StartError::Models { folder: folder.clone(), reason };
             service.put_folder(folder).map_err(wrong)?;
@@ -128,15 +136,19 @@ impl Server {
         let unfinished = folder.clone();
         drop(beside("of recordings", move || unfinished.mend_all())); // nobody waits for it
         let (stop, stopped) = watch::channel(false);
-        let serving = service.clone();
+        let (places, streams) = (SocketPlaces::default(), mpsc::channel(1));
+        let app = App::new(service.clone(), places.sockets(), (access.recordings.clone(), folder));
+        let ends = (streams.0.downgrade(), stopped.clone());
+        let tenants = Arc::new(Tenants::new(commons, options.data.clone(), access.clone(), app, ends));
+        let serving = tenants.clone();
         let thread = std::thread::Builder::new()
             .name("listener".into())
             .spawn(move || {
-                runtime.block_on(serve(listener, serving.clone(), (access, folder), stopped));
+                runtime.block_on(serve(listener, serving, access, places, streams, stopped));
                 runtime.shutdown_timeout(Duration::from_millis(500));
             })
             .map_err(StartError::Runtime)?;
-        Ok(Server { address, service, stop, thread: Some(thread) })
+        Ok(Server { address, tenants, stop, thread: Some(thread) })
     }
 
     /// Where it listens, port filled in.
@@ -165,12 +177,12 @@ impl Server {
 
     fn end(&mut self) {
         let Some(thread) = self.thread.take() else { return };
-        self.service.drain();
+        self.tenants.drain();
         self.stop.send_replace(true);
         if thread.join().is_err() {
             tracing::error!("the listener panicked");
         }
-        self.service.stop();
+        self.tenants.stop();
     }
 }
 
@@ -253,27 +265,14 @@ fn bound(address: SocketAddr) -> std::io::Result<TcpListener> {
 
 async fn serve(
     listener: TcpListener,
-    service: Arc<Service>,
-    (access, folder): (Arc<Access>, RecordingFolder),
+    tenants: Arc<Tenants>,
+    access: Arc<Access>,
+    places: SocketPlaces,
+    (held, mut all_held): (mpsc::Sender<()>, mpsc::Receiver<()>),
     mut stopped: watch::Receiver<bool>,
 ) {
-    let (held, mut all_held) = mpsc::channel(1);
-    let places = SocketPlaces::default();
-    tokio::spawn(watchdog::watch(service.clone()));
-    let app = App {
-        service,
-        stream: held.clone(),
-        openings: Arc::new(Semaphore::new(LIMITS.openings)),
-        frames: Arc::default(),
-        images: Arc::default(),
-        sockets: places.sockets(),
-        recordings: access.recordings.clone(),
-        folder,
-        downloads: Arc::new(Semaphore::new(LIMITS.downloads)),
-        pictures: Arc::new(Semaphore::new(LIMITS.picture_bytes)),
-    };
-    tokio::spawn(restore(app.clone(), stopped.clone()));
-    let router = router(app).layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
+    tokio::spawn(tenants.clone().begin());
+    let router = router(tenants).layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
     let full = full().layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
     let following = access.keyring.clone().map(|keyring| tokio::spawn(keyring.follow()));
     let stops = stopped.clone();

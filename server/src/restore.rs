@@ -6,10 +6,11 @@ use std::time::Instant;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use crate::app::App;
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
+use crate::openings::opened_ahead;
 use crate::problem::Problem;
-use crate::routes::{App, opened_ahead};
 use crate::service::Service;
 
 /// Starts what was declared, sources first. Then waits until this start counts as one that has not died. The service does not

@@ -1,10 +1,9 @@
-//! Everything that runs: models, sources, sessions. Changed on the compile thread only, one change after the other, from what was
+//! Everything of one tenant that runs: models, sources, sessions. Changed on its compile thread only, one change after the other, from what was
 //! prepared beside it; read from anywhere. What is put is made ready, written, and only then takes its place: acknowledged means
 //! durable, refused means that nothing was changed.
 
 mod apply;
 mod declare;
-mod knobs;
 mod models;
 #[cfg(test)]
 mod replay;
@@ -19,16 +18,15 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock, Weak};
 use std::time::Instant;
 
-use isophote_jit::VectorWidth;
 use isophote_symbolic::Model;
 use isophote_wire::{SessionDocument, SourceDocument, SourceReference};
 use tokio::sync::oneshot;
 
-use crate::capacity::Load;
 use crate::command::Command;
+use crate::commons::{Commons, Holding, Member};
 use crate::compiler::{Compiler, Owner};
 use crate::counters::ServiceCounters;
 use crate::declared::{Declarations, Keeping, SessionRecord, SourceRecord};
@@ -41,6 +39,7 @@ use crate::registry::{ModelEntry, Registry, imported};
 use crate::session::{
     PreparedSession, PreparedSwap, SearchRoom, Session, SessionStart, SourceOf, Swapped, prepare_session,
 };
+use crate::source::control::CameraNames;
 use crate::source::{self, Opened, Source};
 use crate::store::{self, FolderError, MemoryStore, Store, StoreError};
 use crate::thread;
@@ -70,6 +69,8 @@ pub struct Service {
     standing_sources: Standing,
     standing_sessions: Standing,
     searches: Arc<SearchRoom>,
+    /// What it shares with other tenants.
+    pub commons: Arc<Commons>,
     is_draining: AtomicBool,
 }
 
@@ -118,9 +119,12 @@ pub enum OpenError {
 }
 
 impl Service {
-    /// Models are loaded, and what was declared is known, but nothing runs yet; kernels will have vectors of that width.
-    pub fn open(data: Option<&Path>, width: VectorWidth) -> Result<Service, OpenError> {
-        Service::of_store(store_of(data)?, width)
+    /// Models are loaded, and what was declared is known, but nothing runs yet. It has a share of what all tenants have.
+    pub fn open(data: Option<&Path>, commons: &Arc<Commons>) -> Result<Arc<Service>, OpenError> {
+        let service = Arc::new(Service::of_store(store_of(data)?, commons.clone())?);
+        let member: Weak<Service> = Arc::downgrade(&service);
+        commons.join(member);
+        Ok(service)
     }
 
     /// True while it stops.
@@ -176,8 +180,8 @@ impl Service {
             let is_known = before.is_some() || self.standing_sources.has(name);
             match &before {
                 Some(source) if source.sessions() > 0 => return Err(source_in_use(name, source)),
-                None if !is_known && self.sources().len() + self.standing_sources.len() >= LIMITS.sources => {
-                    return Err(Problem::over_limit("sources", LIMITS.sources));
+                None if !is_known => {
+                    self.commons.refuse_more("sources", LIMITS.sources, self.holding(), |of| of.sources)?;
                 }
                 _ => {}
             }
@@ -240,8 +244,8 @@ impl Service {
         let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
         let others = self.sessions().into_iter().filter(|(other, _)| other != name);
         let running = others.filter_map(|(_, session)| session.load()).sum();
-        Load::of_machine(running)
-            .admit(&format!("the session `{name}`"), prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz)))
+        let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
+        self.commons.admit(&format!("the session `{name}`"), (self.holding().load, running), added)
     }
 
     /// 429 where the sessions of a source that goes faster would keep more than the machine busy.
@@ -252,7 +256,7 @@ impl Service {
             Some(if Arc::ptr_eq(&session.source().source, source) { (load * ratio).min(1.0) } else { load })
         };
         let running = self.sessions().into_iter().filter_map(load).sum();
-        Load::of_machine(running).admit("a source at that speed", None)
+        self.commons.admit("a source at that speed", (self.holding().load, running), None)
     }
 
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
@@ -271,8 +275,8 @@ impl Service {
             self.refuse_when_draining()?;
             let before = get(&self.sessions, "session", name.as_str()).ok();
             let is_known = before.is_some() || self.standing_sessions.has(name);
-            if !is_known && self.sessions().len() + self.standing_sessions.len() >= LIMITS.sessions {
-                return Err(Problem::over_limit("sessions", LIMITS.sessions));
+            if !is_known {
+                self.commons.refuse_more("sessions", LIMITS.sessions, self.holding(), |of| of.sessions)?;
             }
             // A source of its own has no frames yet on which anything could be measured.
             if let (Some(prepared), SourceReference::Named(_)) = (prepared, &document.source) {
@@ -412,6 +416,23 @@ impl Service {
 
     fn refuse_when_draining(&self) -> Result<(), Problem> {
         if self.is_draining() { Err(Problem::stopping()) } else { Ok(()) }
+    }
+}
+
+impl Member for Service {
+    fn holding(&self) -> Holding {
+        let sessions = self.sessions();
+        Holding {
+            sources: self.sources().len() + self.standing_sources.len(),
+            sessions: sessions.len() + self.standing_sessions.len(),
+            shadows: sessions.iter().filter(|(_, session)| session.shadow().is_ok()).count(),
+            load: sessions.iter().filter_map(|(_, session)| session.load()).sum(),
+        }
+    }
+
+    fn refuse_control(&self, camera: &CameraNames) -> Result<(), Problem> {
+        self.sources().iter().try_for_each(|(_, source)| source.refuse_others(camera))?;
+        self.sessions().iter().try_for_each(|(_, session)| session.source().source.refuse_others(camera))
     }
 }
 

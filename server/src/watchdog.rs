@@ -68,6 +68,7 @@ pub async fn watch(service: Arc<Service>) {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::commons::Commons;
     use isophote_jit::VectorWidth;
     use std::sync::mpsc::sync_channel;
     use tokio::time::timeout;
@@ -86,7 +87,7 @@ mod tests {
     /// A job that holds the owner up is planted: the service is not ready, says why, and is again when the job has ended.
     #[tokio::test]
     async fn an_owner_that_does_not_answer_is_noticed() {
-        let service = Arc::new(Service::open(None, VectorWidth::default()).unwrap());
+        let service = Service::open(None, &Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
         let watching = tokio::spawn(watch(service.clone()));
         until(|| service.watch.answer_time() > Duration::ZERO).await;
         assert!(service.readiness().is_ok());

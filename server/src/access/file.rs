@@ -15,7 +15,7 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 
 /// What a tenant is called when nobody says so.
-const TENANT: &str = "default";
+pub const DEFAULT_TENANT: &str = "default";
 /// The file's name in a data folder.
 const FILE: &str = "tokens.json";
 
@@ -123,9 +123,14 @@ impl TokenFile {
         }
     }
 
-    /// Makes a token. Without a name it is called by its role and a number.
+    /// Makes a token of the tenant that there always is. Without a name it is called by its role and a number.
     pub fn add(&self, role: Role, name: Option<&str>) -> Result<(TokenRecord, Secret), TokenError> {
-        if let Some(name) = name.filter(|name| !is_name(name)) {
+        self.add_for(DEFAULT_TENANT, role, name)
+    }
+
+    /// The same for another tenant.
+    pub fn add_for(&self, tenant: &str, role: Role, name: Option<&str>) -> Result<(TokenRecord, Secret), TokenError> {
+        if let Some(name) = name.into_iter().chain([tenant]).find(|name| !is_name(name)) {
             return Err(TokenError::WrongName(name.into()));
         }
         self.change(|tokens| {
@@ -139,7 +144,7 @@ impl TokenFile {
                 None => (1..).map(|n| format!("{role}-{n}")).find(|name| !is_taken(name)).unwrap_or_default(),
             };
             let secret = Secret::random()?;
-            let record = TokenRecord { name, role, tenant: TENANT.into(), created: now(), sha256: secret.digest() };
+            let record = TokenRecord { name, role, tenant: tenant.into(), created: now(), sha256: secret.digest() };
             tokens.push(record.clone());
             Ok((record, secret))
         })

@@ -36,6 +36,11 @@ impl Keyring {
         self.tokens.borrow().len()
     }
 
+    /// Whose they are; some more than once.
+    pub fn tenants(&self) -> Vec<String> {
+        self.tokens.borrow().iter().map(|token| token.tenant.clone()).collect()
+    }
+
     /// Whose token that is. All are compared, in full, whichever it is.
     pub fn identify(&self, secret: &Secret) -> Option<TokenOwner> {
         let digest = secret.digest();

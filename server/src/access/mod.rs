@@ -15,7 +15,7 @@ mod tls;
 mod token;
 
 pub use budget::is_compiling;
-pub use file::{TokenError, TokenFile, TokenRecord};
+pub use file::{DEFAULT_TENANT, TokenError, TokenFile, TokenRecord};
 pub use hosts::{HostName, LocalAddress};
 pub use keyring::Visitor;
 pub use options::{Access, AccessError, AccessOptions, TlsFiles};

@@ -50,12 +50,12 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) -> Ve
         // Each viewer's socket has a copy of it.
         let bytes = u32::try_from(message.len()).unwrap_or(u32::MAX);
         for ask in asks {
-            match ask.room.clone().try_acquire_many_owned(bytes) {
-                Ok(room) => {
+            match ask.room.try_take(bytes) {
+                Some(room) => {
                     let shown = ShownFrame { number: frame.sequence, message: message.clone(), room };
                     ask.reply.send(shown).ok(); // the viewer may have gone
                 }
-                Err(_) => left.push(ask),
+                None => left.push(ask),
             }
         }
     }

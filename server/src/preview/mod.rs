@@ -19,11 +19,12 @@ use std::time::{Duration, Instant};
 
 use isophote_tracker::{Estimate, Frame, Viewer};
 use isophote_wire::{EstimateView, PreviewFormat, PreviewPart};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::sync::oneshot;
 
 use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::room::{Room, RoomTaken};
 use crate::thread::step_aside;
 pub use draw::PreviewMessage;
 
@@ -93,7 +94,7 @@ struct Ask {
     /// The number after that of the frame that the viewer has.
     after_seen: u64,
     /// What messages of all viewers take their bytes of.
-    room: Arc<Semaphore>,
+    room: Room,
     reply: oneshot::Sender<ShownFrame>,
 }
 
@@ -105,13 +106,13 @@ pub struct ShownFrame {
     /// Of what was asked for.
     pub message: PreviewMessage,
     /// That of the message's bytes, to be kept until they are sent.
-    pub room: OwnedSemaphorePermit,
+    pub room: RoomTaken,
 }
 
 /// One viewer; it leaves when this is dropped.
 pub struct PreviewSeat {
     preview: Arc<Preview>,
-    room: Arc<Semaphore>,
+    room: Room,
 }
 
 impl Preview {
@@ -160,7 +161,7 @@ impl Preview {
     }
 
     /// A new viewer of a session of that name, whose messages take their bytes of that room.
-    pub fn look(self: &Arc<Preview>, session: &str, room: Arc<Semaphore>) -> Result<PreviewSeat, Problem> {
+    pub fn look(self: &Arc<Preview>, session: &str, room: Room) -> Result<PreviewSeat, Problem> {
         let starts = {
             let mut state = self.lock();
             state.viewers += 1;

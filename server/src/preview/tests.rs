@@ -19,7 +19,8 @@ fn a_viewer_waits_until_there_is_room_for_its_picture() {
         let frame = frame.with_sequence(number);
         FittedScene { frame, estimates, views, viewer: viewer.clone(), session, epoch: 1 }
     };
-    let (preview, room) = (Arc::new(Preview::new(|| ())), Arc::new(Semaphore::new(100)));
+    let (preview, room) = (Arc::new(Preview::new(|| ())), Room::new(10_000));
+    let others = room.try_take(9_900).unwrap();
     let wait_for = |is_there: &dyn Fn() -> bool| {
         while !is_there() {
             std::thread::yield_now();
@@ -32,10 +33,10 @@ fn a_viewer_waits_until_there_is_room_for_its_picture() {
     preview.show(scene(0));
     wait_for(&|| preview.messages.count() == 1 && preview.is_wanted());
     assert!(shown.try_recv().is_err(), "its message has more than 100 bytes");
-    room.add_permits(10_000);
+    drop(others);
     preview.show(scene(1));
     let ShownFrame { number, message, room: taken } = shown.blocking_recv().unwrap();
-    assert_eq!((number, room.available_permits()), (1, 10_100 - message.len()));
+    assert_eq!((number, room.taken()), (1, message.len()));
     drop(taken);
-    assert_eq!(room.available_permits(), 10_100);
+    assert_eq!(room.taken(), 0);
 }

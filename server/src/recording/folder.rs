@@ -100,6 +100,11 @@ impl RecordingFolder {
         )
     }
 
+    /// That one, or none.
+    pub fn at(folder: Option<PathBuf>) -> RecordingFolder {
+        RecordingFolder(folder)
+    }
+
     fn path(&self) -> Result<&Path, FolderFault> {
         self.0.as_deref().ok_or(FolderFault::None)
     }

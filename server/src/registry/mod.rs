@@ -13,7 +13,7 @@ mod shipped;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError, RwLock};
 
-use isophote_jit::{KernelCache, VectorWidth};
+use isophote_jit::KernelCache;
 use isophote_machine::unix_ms;
 use isophote_wire::VersionList;
 
@@ -30,7 +30,7 @@ use shipped::{refused, shipped};
 
 /// All models.
 pub struct Registry {
-    /// The kernels of all models and sessions.
+    /// The kernels of all models and sessions, those of other tenants among them.
     cache: Arc<KernelCache>,
     store: Arc<dyn Store>,
     /// Which are there under their names unless these were put or removed.
@@ -70,8 +70,7 @@ pub struct Placed {
 impl Registry {
     /// The shipped models, and those of the store over them. A stored document that this build refuses is reported and left
     /// where it is.
-    pub fn open(store: Arc<dyn Store>, width: VectorWidth) -> Result<Registry, StoreError> {
-        let cache = Arc::new(KernelCache::of_width(width));
+    pub fn open(store: Arc<dyn Store>, cache: Arc<KernelCache>) -> Result<Registry, StoreError> {
         let shipped = shipped(&cache);
         let contents = store.list(RecordTable::Contents)?.into_iter().map(|(key, _)| key).collect();
         let state = State { entries: shipped.clone(), records: BTreeMap::new(), contents };
@@ -337,7 +336,7 @@ mod tests {
 
     #[test]
     fn a_second_session_and_a_model_sent_again_compile_nothing() {
-        let registry = Registry::open(Arc::new(MemoryStore::default()), VectorWidth::default()).unwrap();
+        let registry = Registry::open(Arc::new(MemoryStore::default()), Arc::default()).unwrap();
         let warm = |entry: &ModelEntry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8, &Threads).unwrap();
         let spot = registry.get("spot").unwrap();
         warm(&spot);

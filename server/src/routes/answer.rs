@@ -1,69 +1,19 @@
 //! What the handlers share: what they get, what they answer, and names in paths.
 
-use std::sync::Arc;
-
 use axum::extract::Path;
 use axum::extract::rejection::PathRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use isophote_symbolic::Model;
-use isophote_wire::SourceDocument;
 use serde::Serialize;
-use tokio::sync::{Semaphore, mpsc};
 
-use crate::access::Recordings;
-use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::recording::RecordingFolder;
-use crate::service::{Put, Service};
-use crate::source::{self, Opened};
-use crate::streams::pushed::FrameRoom;
+use crate::service::Put;
 
 /// The name of the WebSockets' subprotocol.
 const PROTOCOL: &str = "isophote.v1";
-
-/// What every handler gets.
-#[derive(Clone)]
-pub struct App {
-    /// Everything that runs.
-    pub service: Arc<Service>,
-    /// Held by every stream: the service has stopped when all are dropped.
-    pub stream: mpsc::Sender<()>,
-    /// Places for those whose recordings are being opened.
-    pub openings: Arc<Semaphore>,
-    /// For pushed frames.
-    pub frames: Arc<FrameRoom>,
-    /// For single images.
-    pub images: Arc<ImagePlaces>,
-    /// Places for connections.
-    pub sockets: Arc<Semaphore>,
-    /// Which may be named.
-    pub recordings: Recordings,
-    /// Where sessions are recorded.
-    pub folder: RecordingFolder,
-    /// Places for those who read recordings.
-    pub downloads: Arc<Semaphore>,
-    /// Room for pictures that viewers have not taken yet, bytes.
-    pub pictures: Arc<Semaphore>,
-}
-
-/// Places for single images.
-pub struct ImagePlaces {
-    /// Fitted, or waiting for it.
-    pub admitted: Arc<Semaphore>,
-    /// Fitted.
-    pub fitting: Arc<Semaphore>,
-}
-
-impl Default for ImagePlaces {
-    fn default() -> ImagePlaces {
-        let places = |count| Arc::new(Semaphore::new(count));
-        ImagePlaces { admitted: places(LIMITS.images), fitting: places(LIMITS.image_fits) }
-    }
-}
 
 /// What a handler answers.
 pub type Answer = Result<Response, Problem>;
@@ -110,33 +60,6 @@ pub(super) fn upgraded(
         return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
     }
     Ok(upgrade)
-}
-
-/// Opens a recording where its disk may take its time, and nobody else waits for it; its document then has the path by which it
-/// is found again. Other sources open at once, by whoever puts them.
-pub async fn opened_ahead(
-    app: &App,
-    document: &mut SourceDocument,
-    prefix: &'static str,
-    reader: Option<Arc<Model>>,
-) -> Result<Option<Opened>, Problem> {
-    let SourceDocument::Recording(recording) = document else { return Ok(None) };
-    let reach = app.recordings.reach(prefix)?;
-    let (sent, openings) = (recording.clone(), app.openings.clone());
-    let seconds = LIMITS.open_time.as_secs();
-    let busy = |_| Problem::late(format!("the recordings before this one were not opened within {seconds} s"));
-    let place = tokio::time::timeout(LIMITS.open_time, openings.acquire_owned()).await.map_err(busy)?;
-    let place = place.map_err(|_| Problem::stopping())?;
-    let open = move || {
-        let _place = place;
-        source::open_recording(&sent, prefix, reader.as_deref(), &reach)
-    };
-    let late = |_| Problem::late(format!("the recording was not opened within {seconds} s"));
-    let opening = tokio::time::timeout(LIMITS.open_time, tokio::task::spawn_blocking(open));
-    let opened = opening.await.map_err(late)?.map_err(|_| Problem::bug("opening the recording panicked"))?;
-    let (address, opened) = opened?;
-    recording.path = address;
-    Ok(Some(opened))
 }
 
 /// 201 or 200.

@@ -1,7 +1,6 @@
 //! `/v1/cameras`: the cameras of this machine, and their controls.
 
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use isophote_capture::CameraError;
 use isophote_capture::camera::{self, ControlValue, ControlValues};
@@ -34,16 +33,16 @@ pub async fn get(name: RawName) -> Answer {
 #[utoipa::path(put, path = "/v1/cameras/{device}/controls", tag = "cameras", operation_id = "set_controls",
     params(DeviceParam), request_body = BTreeMap<String, ControlValue>,
     responses((status = 200, description = "As read back.", body = ControlsAnswer)))]
-pub async fn set(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn set(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let device = raw(name)?;
     let (values, text) = read_json::<ControlValues>(&headers, body).await?;
-    let service = app.service.clone();
+    let commons = app.service.commons.clone();
     let set = move || {
         let found = camera::camera(&device).map_err(|error| problem(&error))?;
         let names = CameraNames::of(&found);
-        let set = camera::set_controls(&found.device, &values, &|| service.refuse_control(&names).is_ok());
+        let set = camera::set_controls(&found.device, &values, &|| commons.refuse_control(&names).is_ok());
         // Whoever has taken a lease meanwhile sets what it wants from now on.
-        service.refuse_control(&names)?;
+        commons.refuse_control(&names)?;
         set.map_err(|error| problem(&error))
     };
     let controls = blocking(set).await?.map_err(|problem| place(problem, &text))?;

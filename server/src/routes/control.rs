@@ -1,8 +1,8 @@
 //! `/v1/sources/{name}/control`: one at a time turns the knobs of a source.
 
 use axum::body::Body;
+use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use isophote_wire::{ControlDocument, ControlView};
@@ -26,7 +26,7 @@ pub struct LeaseQuery {
 /// Who turns the knobs of a source, and what was set last.
 #[utoipa::path(get, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "get_control", params(NameParam),
     responses((status = 200, description = "The lease, if there is one.", body = ControlView)))]
-pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+pub async fn get(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.source(&raw(name)?)?.control()?)
 }
 
@@ -35,7 +35,7 @@ pub async fn get(State(app): State<App>, name: RawName) -> Answer {
     request_body = ControlDocument,
     responses((status = 201, description = "The lease is new; its id renews and ends it.", body = ControlView),
               (status = 200, description = "It is renewed.", body = ControlView)))]
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let source = app.service.source(&raw(name)?)?;
     source.control()?;
     let (document, text) = read_json::<ControlDocument>(&headers, body).await?;
@@ -49,7 +49,7 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 /// Gives the lease up; what was set stays.
 #[utoipa::path(delete, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "delete_control",
     params(NameParam, LeaseQuery), responses((status = 204, description = "The knobs are free.")))]
-pub async fn delete(State(app): State<App>, name: RawName, query: Result<Query<LeaseQuery>, QueryRejection>) -> Answer {
+pub async fn delete(app: App, name: RawName, query: Result<Query<LeaseQuery>, QueryRejection>) -> Answer {
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     app.service.source(&raw(name)?)?.leave_control(query.lease.as_deref())?;
     Ok(StatusCode::NO_CONTENT.into_response())

@@ -3,7 +3,7 @@
 use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Extension, Query, State};
+use axum::extract::{Extension, Query};
 use axum::http::{HeaderMap, StatusCode, header};
 use isophote_wire::EstimateView;
 use serde::Deserialize;
@@ -48,7 +48,7 @@ pub struct EstimatesQuery {
               (status = 200, description = "Until the session ends.",
                content((EstimateView = "application/x-ndjson"), (EstimateView = "text/event-stream")))))]
 pub async fn get(
-    State(app): State<App>,
+    app: App,
     Extension(visitor): Extension<Visitor>,
     name: RawName,
     query: Result<Query<EstimatesQuery>, QueryRejection>,

@@ -81,8 +81,9 @@ pub async fn post(app: App, model: &str, uri: &Uri, headers: &HeaderMap, body: B
         drop(read_body(body, 0).await); // thrown away, so that the sender gets to read the answer
         Err(problem)
     };
-    let Ok(admitted) = app.images.admitted.clone().try_acquire_owned() else {
-        return refuse(body, Problem::over_limit("images that are fitted or wait for it", LIMITS.images)).await;
+    let Some(admitted) = app.images.admitted.try_take(1) else {
+        return refuse(body, Problem::over_limit("images that are fitted or wait for it", app.images.admitted.most()))
+            .await;
     };
     let length = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse().ok());
     let room = match app.frames.room_now(length.unwrap_or(bytes_max).min(bytes_max)) {
@@ -95,8 +96,8 @@ pub async fn post(app: App, model: &str, uri: &Uri, headers: &HeaderMap, body: B
     let derive = move |workers: &FairWorkers| deriving.kernels_by(precision, workers).map(drop);
     app.service.workshop.prepare(Lane::Uploads, derive).await?;
     let late = |_| Problem::late("the images before this one were not fitted in time");
-    let turn = tokio::time::timeout(LIMITS.push_time, app.images.fitting.clone().acquire_owned()).await;
-    let turn = turn.map_err(late)?.map_err(|_| Problem::stopping())?;
+    let turn = tokio::time::timeout(LIMITS.push_time, app.images.fitting.clone().take(1)).await;
+    let turn = turn.map_err(late)?;
     let wanted = Wanted::default();
     let (service, is_unwanted) = (app.service.clone(), wanted.0.clone());
     let work = move || {

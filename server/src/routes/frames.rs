@@ -6,7 +6,7 @@ use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Extension, Query, State};
+use axum::extract::{Extension, Query};
 use axum::http::{HeaderMap, StatusCode, header};
 use isophote_wire::{EstimateView, FrameTime};
 
@@ -26,7 +26,7 @@ use crate::streams::pushed::{FrameMedia, Pushed};
     request_body(content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"), (Vec<u8> = "application/octet-stream"))),
     responses((status = 200, description = "Of the first target, where there are several.", body = EstimateView)))]
 pub async fn post(
-    State(app): State<App>,
+    app: App,
     name: RawName,
     headers: HeaderMap,
     query: Result<Query<FrameTime>, QueryRejection>,
@@ -55,7 +55,7 @@ pub async fn post(
 #[utoipa::path(get, path = "/v1/sessions/{name}/frames", tag = "sessions", operation_id = "frames_socket", params(NameParam),
     responses((status = 101, description = "The socket is open.")))]
 pub async fn get(
-    State(app): State<App>,
+    app: App,
     Extension(visitor): Extension<Visitor>,
     Extension(gate): Extension<Arc<MessageGate>>,
     name: RawName,

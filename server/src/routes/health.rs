@@ -2,7 +2,6 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use axum::extract::State;
 use axum::http::StatusCode;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{Health, Time};
@@ -19,7 +18,7 @@ pub async fn livez() -> Answer {
 /// Whether changes are taken: 503 while the service stops, and when the thread that owns all changes does not answer.
 #[utoipa::path(get, path = "/readyz", tag = "operation", operation_id = "readyz",
     responses((status = 200, description = "They are.", body = Health)))]
-pub async fn readyz(State(app): State<App>) -> Answer {
+pub async fn readyz(app: App) -> Answer {
     app.service.readiness()?;
     json(StatusCode::OK, &Health { status: "ok".into() })
 }

@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use isophote_wire::SessionState;
@@ -35,7 +34,7 @@ const SESSION_STATES: [(SessionState, &str); 6] = [
 /// Counters, gauges and histograms for Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "operation", operation_id = "metrics",
     responses((status = 200, description = "Text format 0.0.4.", body = String, content_type = "text/plain")))]
-pub async fn get(State(app): State<App>) -> Response {
+pub async fn get(app: App) -> Response {
     let sessions = app.service.sessions();
     let mut all = Exposition::default();
     of_service(&mut all, &app);

@@ -23,22 +23,25 @@ mod sessions;
 mod shadow;
 mod sources;
 
+use std::sync::Arc;
+
 use axum::Router;
 use axum::body::Body;
 use axum::http::{StatusCode, Uri, header};
 use axum::middleware::from_fn;
 use axum::routing::{get, post, put};
 
+use crate::app::App;
 use crate::documents::read_body;
 use crate::limits::LIMITS;
+use crate::openings::opened_ahead;
 use crate::problem::Problem;
+use crate::tenants::Tenants;
 
-pub use answer::App;
-pub use answer::opened_ahead;
 use answer::{Answer, RawName, json, new_name, old_name, put_status, raw, upgraded};
 
 /// All routes.
-pub fn router(app: App) -> Router {
+pub fn router(tenants: Arc<Tenants>) -> Router {
     Router::new()
         .route("/", get(page::html))
         .route("/page.js", get(page::script))
@@ -86,7 +89,7 @@ pub fn router(app: App) -> Router {
         .route("/v1/sessions/{name}/shadow:promote", post(shadow::promote))
         .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
         .method_not_allowed_fallback(async || Problem::wrong_method())
-        .with_state(app)
+        .with_state(tenants)
 }
 
 /// What those get for whom there is no place: all but whether the service lives is refused, and the connection closed.

@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Extension, Query, Request, State};
+use axum::extract::{Extension, Query, Request};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -32,7 +32,7 @@ use crate::workshop::Lane;
     responses((status = 201, description = "It is new.", body = ModelAnswer),
               (status = 200, description = "It took the place of another.", body = ModelAnswer)))]
 pub async fn put(
-    State(app): State<App>,
+    app: App,
     Extension(visitor): Extension<Visitor>,
     name: RawName,
     headers: HeaderMap,
@@ -60,7 +60,7 @@ pub async fn put(
 #[utoipa::path(post, path = "/v1/models:check", tag = "models", operation_id = "check_model",
     request_body(content((String = "application/toml"), (Object = "application/json")), description = "The model document."),
     responses((status = 200, description = "It can be compiled.", body = CheckAnswer)))]
-pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> Answer {
+pub async fn check(app: App, headers: HeaderMap, body: Body) -> Answer {
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
     let work = move |workers: &FairWorkers| {
@@ -73,7 +73,7 @@ pub async fn check(State(app): State<App>, headers: HeaderMap, body: Body) -> An
 
 /// `POST /v1/models/{name}:{verb}`, which the verbs describe themselves: routes know no part of a segment, so the verb is looked up here.
 pub async fn act(
-    State(app): State<App>,
+    app: App,
     Extension(visitor): Extension<Visitor>,
     name: RawName,
     uri: Uri,
@@ -128,14 +128,14 @@ pub async fn roll_back(app: App, visitor: &Visitor, name: &str, headers: &Header
 /// The versions of a model, newest first.
 #[utoipa::path(get, path = "/v1/models/{name}/versions", tag = "models", operation_id = "list_versions", params(NameParam),
     responses((status = 200, description = "All that are kept.", body = VersionList)))]
-pub async fn versions(State(app): State<App>, name: RawName) -> Answer {
+pub async fn versions(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.registry.versions(&raw(name)?)?)
 }
 
 /// A model: as JSON, or as sent where TOML is asked for and was sent.
 #[utoipa::path(get, path = "/v1/models/{name}", tag = "models", operation_id = "get_model", params(NameParam),
     responses((status = 200, description = "Its ETag is opaque.", content((ModelView = "application/json"), (String = "application/toml")))))]
-pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> Answer {
+pub async fn get(app: App, name: RawName, headers: HeaderMap) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
     let response = if accept.contains("application/toml") && entry.media == Media::Toml {
@@ -151,12 +151,7 @@ pub async fn get(State(app): State<App>, name: RawName, headers: HeaderMap) -> A
 /// Removes a model that no session uses.
 #[utoipa::path(delete, path = "/v1/models/{name}", tag = "models", operation_id = "delete_model", params(NameParam, MatchHeaders),
     responses((status = 204, description = "It is gone.")))]
-pub async fn delete(
-    State(app): State<App>,
-    Extension(visitor): Extension<Visitor>,
-    name: RawName,
-    headers: HeaderMap,
-) -> Answer {
+pub async fn delete(app: App, Extension(visitor): Extension<Visitor>, name: RawName, headers: HeaderMap) -> Answer {
     let name = old_name("model", name)?;
     keep_shipped(&app, &visitor, &name)?;
     let expected = expected(&headers)?;
@@ -168,7 +163,7 @@ pub async fn delete(
 /// All models, by name.
 #[utoipa::path(get, path = "/v1/models", tag = "models", operation_id = "list_models", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<ModelItem>)))]
-pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+pub async fn list(app: App, query: RawPage) -> Answer {
     let all = app.service.registry.list();
     json(StatusCode::OK, &page(query, all, |entry| entry.name.as_str(), |entry| entry.item())?)
 }
@@ -189,11 +184,7 @@ pub struct ExplainQuery {
 /// What becomes of a model, for some of its parameters.
 #[utoipa::path(get, path = "/v1/models/{name}/explain", tag = "models", operation_id = "explain_model",
     params(NameParam, ExplainQuery), responses((status = 200, description = "Figures and text.", body = Explanation)))]
-pub async fn explain(
-    State(app): State<App>,
-    name: RawName,
-    query: Result<Query<ExplainQuery>, QueryRejection>,
-) -> Answer {
+pub async fn explain(app: App, name: RawName, query: Result<Query<ExplainQuery>, QueryRejection>) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     let work = move |workers: &FairWorkers| {

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use isophote_wire::{PlaybackDocument, PlaybackView, SceneDocument, SceneView};
 
@@ -20,7 +19,7 @@ fn source(app: &App, name: RawName) -> Result<Arc<Source>, Problem> {
 /// What a synthetic source shows.
 #[utoipa::path(get, path = "/v1/sources/{name}/scene", tag = "sources", operation_id = "get_scene", params(NameParam),
     responses((status = 200, description = "All of it, and since which frame.", body = SceneView)))]
-pub async fn scene(State(app): State<App>, name: RawName) -> Answer {
+pub async fn scene(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &source(&app, name)?.scene()?)
 }
 
@@ -28,7 +27,7 @@ pub async fn scene(State(app): State<App>, name: RawName) -> Answer {
 #[utoipa::path(put, path = "/v1/sources/{name}/scene", tag = "sources", operation_id = "put_scene", params(NameParam),
     request_body = SceneDocument,
     responses((status = 200, description = "All of it, and from which frame on.", body = SceneView)))]
-pub async fn set_scene(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn set_scene(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let source = source(&app, name)?;
     source.scene()?;
     let (document, text) = read_json::<SceneDocument>(&headers, body).await?;
@@ -41,7 +40,7 @@ pub async fn set_scene(State(app): State<App>, name: RawName, headers: HeaderMap
 /// How a recording or a synthetic source goes on.
 #[utoipa::path(get, path = "/v1/sources/{name}/playback", tag = "sources", operation_id = "get_playback", params(NameParam),
     responses((status = 200, description = "Whether it stands still, how fast it goes, and where it is.", body = PlaybackView)))]
-pub async fn playback(State(app): State<App>, name: RawName) -> Answer {
+pub async fn playback(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &source(&app, name)?.playback()?)
 }
 
@@ -49,7 +48,7 @@ pub async fn playback(State(app): State<App>, name: RawName) -> Answer {
 #[utoipa::path(put, path = "/v1/sources/{name}/playback", tag = "sources", operation_id = "put_playback", params(NameParam),
     request_body = PlaybackDocument,
     responses((status = 200, description = "How it goes on from now on.", body = PlaybackView)))]
-pub async fn set_playback(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn set_playback(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let source = source(&app, name)?;
     source.playback()?;
     let (document, text) = read_json::<PlaybackDocument>(&headers, body).await?;

@@ -3,7 +3,7 @@
 use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Extension, Query, State};
+use axum::extract::{Extension, Query};
 use axum::http::{HeaderMap, header};
 use isophote_wire::{PreviewFormat, PreviewPart};
 use serde::Deserialize;
@@ -79,7 +79,7 @@ impl PreviewQuery {
     params(NameParam, PreviewQuery),
     responses((status = 101, description = "The socket is open.")))]
 pub async fn get(
-    State(app): State<App>,
+    app: App,
     Extension(visitor): Extension<Visitor>,
     name: RawName,
     query: Result<Query<PreviewQuery>, QueryRejection>,

@@ -3,7 +3,6 @@
 use std::io::Read;
 
 use axum::body::{Body, Bytes};
-use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::IntoResponse;
 use futures_util::stream;
@@ -25,7 +24,7 @@ const PIECES: usize = 4;
 #[utoipa::path(put, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "put_recording", params(NameParam),
     request_body = RecordDocument,
     responses((status = 201, description = "It has begun.", body = RecordingView)))]
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let session = app.service.session(&raw(name)?)?;
     let (document, text) = read_json::<RecordDocument>(&headers, body).await?;
     if app.service.is_draining() {
@@ -39,14 +38,14 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 /// What the recording of a session does.
 #[utoipa::path(get, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "get_recording", params(NameParam),
     responses((status = 200, description = "Its document with its state.", body = RecordingView)))]
-pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+pub async fn get(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.session(&raw(name)?)?.recording()?)
 }
 
 /// Ends the recording of a session; answers when its file has its end.
 #[utoipa::path(delete, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "delete_recording", params(NameParam),
     responses((status = 204, description = "It has ended.")))]
-pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
+pub async fn delete(app: App, name: RawName) -> Answer {
     let recording = app.service.session(&raw(name)?)?.stop_recording()?;
     beside(move || {
         recording.wait(std::time::Instant::now() + LIMITS.recording_end_time);
@@ -62,7 +61,7 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
 /// Recordings that are finished, by name.
 #[utoipa::path(get, path = "/v1/recordings", tag = "sessions", operation_id = "list_recordings", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<RecordedFile>)))]
-pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+pub async fn list(app: App, query: RawPage) -> Answer {
     let folder = app.folder.clone();
     let items = beside(move || match folder.list() {
         Err(FolderFault::None) => Ok(Vec::new()),
@@ -74,10 +73,11 @@ pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
 /// A finished recording.
 #[utoipa::path(get, path = "/v1/recordings/{file}", tag = "sessions", operation_id = "get_recorded_file", params(FileParam),
     responses((status = 200, description = "The file.", body = String, content_type = "application/octet-stream")))]
-pub async fn read(State(app): State<App>, file: RawName) -> Answer {
+pub async fn read(app: App, file: RawName) -> Answer {
     let name = file_name(file)?;
-    let place = app.downloads.clone().try_acquire_owned();
-    let place = place.map_err(|_| Problem::over_limit("recordings that are sent at a time", LIMITS.downloads))?;
+    let place = app.downloads.try_take(1);
+    let over = || Problem::over_limit("recordings that are sent at a time", app.downloads.most());
+    let place = place.ok_or_else(over)?;
     let folder = app.folder.clone();
     let (mut file, bytes) = beside(move || folder.open(&name).map_err(FolderFault::problem)).await?;
     let (pieces, sent) = mpsc::channel::<std::io::Result<Bytes>>(PIECES);
@@ -105,7 +105,7 @@ pub async fn read(State(app): State<App>, file: RawName) -> Answer {
 /// Deletes a finished recording.
 #[utoipa::path(delete, path = "/v1/recordings/{file}", tag = "sessions", operation_id = "delete_recorded_file", params(FileParam),
     responses((status = 204, description = "It is gone.")))]
-pub async fn remove(State(app): State<App>, file: RawName) -> Answer {
+pub async fn remove(app: App, file: RawName) -> Answer {
     let (name, folder) = (file_name(file)?, app.folder.clone());
     beside(move || folder.remove(&name).map_err(FolderFault::problem)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use isophote_wire::{Items, SessionDocument, SessionView, SourceReference, SwapAnswer, SwapDocument};
@@ -25,7 +24,7 @@ use crate::workshop::Lane;
     request_body = SessionDocument,
     responses((status = 201, description = "It is new.", body = SessionView),
               (status = 200, description = "It took the place of another, which has ended.", body = SessionView)))]
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (mut document, text) = read_json::<SessionDocument>(&headers, body).await?;
     let opened = match &mut document.source {
@@ -55,14 +54,14 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 /// A session and what it does.
 #[utoipa::path(get, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "get_session", params(NameParam),
     responses((status = 200, description = "Its document with its state.", body = SessionView)))]
-pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+pub async fn get(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.session_view(&raw(name)?)?)
 }
 
 /// Stops and removes a session.
 #[utoipa::path(delete, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "delete_session", params(NameParam),
     responses((status = 204, description = "It has ended.")))]
-pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
+pub async fn delete(app: App, name: RawName) -> Answer {
     let name = old_name("session", name)?;
     let service = app.service.clone();
     let ended = app.service.compiler.run(move |owner| service.remove_session(owner, &name)).await?;
@@ -73,7 +72,7 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
 /// All sessions, by name.
 #[utoipa::path(get, path = "/v1/sessions", tag = "sessions", operation_id = "list_sessions", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<SessionView>)))]
-pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+pub async fn list(app: App, query: RawPage) -> Answer {
     json(StatusCode::OK, &page(query, app.service.session_views(), |view| view.name.as_str(), Clone::clone)?)
 }
 
@@ -81,7 +80,7 @@ pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
 #[utoipa::path(put, path = "/v1/sessions/{name}/model", tag = "sessions", operation_id = "swap_model", params(NameParam),
     request_body = SwapDocument,
     responses((status = 200, description = "From which frame on, and what was carried over.", body = SwapAnswer)))]
-pub async fn swap(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn swap(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = raw(name)?;
     app.service.session(&name)?;
     let (SwapDocument { model, allow_slow }, _) = read_json(&headers, body).await?;

@@ -1,7 +1,6 @@
 //! `/v1/sessions/{name}/shadow`: another model on the same frames, until it is dropped or takes over.
 
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use isophote_wire::{ShadowDocument, ShadowView, SwapAnswer};
@@ -19,7 +18,7 @@ use crate::workshop::Lane;
     request_body = ShadowDocument,
     responses((status = 201, description = "It begins with the next frame.", body = ShadowView),
               (status = 200, description = "It took the place of another.", body = ShadowView)))]
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = raw(name)?;
     app.service.session(&name)?;
     let (document, text) = read_json::<ShadowDocument>(&headers, body).await?;
@@ -38,14 +37,14 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 /// What the shadow of a session does, and what it found last.
 #[utoipa::path(get, path = "/v1/sessions/{name}/shadow", tag = "sessions", operation_id = "get_shadow", params(NameParam),
     responses((status = 200, description = "Its model with its state.", body = ShadowView)))]
-pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+pub async fn get(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.session(&raw(name)?)?.shadow()?.view())
 }
 
 /// Drops the shadow of a session.
 #[utoipa::path(delete, path = "/v1/sessions/{name}/shadow", tag = "sessions", operation_id = "delete_shadow", params(NameParam),
     responses((status = 204, description = "It is gone; the session goes on as it was.")))]
-pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
+pub async fn delete(app: App, name: RawName) -> Answer {
     let session = app.service.session(&raw(name)?)?;
     let in_order = app.service.workshop.in_order("session", session.name()).await;
     let service = app.service.clone();
@@ -59,7 +58,7 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
 #[utoipa::path(post, path = "/v1/sessions/{name}/shadow:promote", tag = "sessions", operation_id = "promote_shadow",
     params(NameParam),
     responses((status = 200, description = "From which frame on, and what was carried over.", body = SwapAnswer)))]
-pub async fn promote(State(app): State<App>, name: RawName) -> Answer {
+pub async fn promote(app: App, name: RawName) -> Answer {
     let name = raw(name)?;
     let service = app.service.clone();
     let in_order = service.workshop.in_order("session", &name).await;

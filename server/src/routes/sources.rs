@@ -1,7 +1,6 @@
 //! `/v1/sources`
 
 use axum::body::Body;
-use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use isophote_wire::{Items, SourceDocument, SourceView};
@@ -18,7 +17,7 @@ use crate::documents::{place, read_json};
     request_body = SourceDocument,
     responses((status = 201, description = "It is new.", body = SourceView),
               (status = 200, description = "It took the place of another.", body = SourceView)))]
-pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (mut document, text) = read_json::<SourceDocument>(&headers, body).await?;
     let opened = opened_ahead(&app, &mut document, "", None).await.map_err(|problem| place(problem, &text))?;
@@ -34,14 +33,14 @@ pub async fn put(State(app): State<App>, name: RawName, headers: HeaderMap, body
 /// A source and what it does.
 #[utoipa::path(get, path = "/v1/sources/{name}", tag = "sources", operation_id = "get_source", params(NameParam),
     responses((status = 200, description = "Its document with its state.", body = SourceView)))]
-pub async fn get(State(app): State<App>, name: RawName) -> Answer {
+pub async fn get(app: App, name: RawName) -> Answer {
     json(StatusCode::OK, &app.service.source_view(&raw(name)?)?)
 }
 
 /// Stops and removes a source that no session uses.
 #[utoipa::path(delete, path = "/v1/sources/{name}", tag = "sources", operation_id = "delete_source", params(NameParam),
     responses((status = 204, description = "It is gone.")))]
-pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
+pub async fn delete(app: App, name: RawName) -> Answer {
     let name = old_name("source", name)?;
     let service = app.service.clone();
     app.service.compiler.run(move |owner| service.remove_source(owner, &name)).await?;
@@ -51,6 +50,6 @@ pub async fn delete(State(app): State<App>, name: RawName) -> Answer {
 /// All sources with a name, by name.
 #[utoipa::path(get, path = "/v1/sources", tag = "sources", operation_id = "list_sources", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<SourceView>)))]
-pub async fn list(State(app): State<App>, query: RawPage) -> Answer {
+pub async fn list(app: App, query: RawPage) -> Answer {
     json(StatusCode::OK, &page(query, app.service.source_views(), |view| view.name.as_str(), Clone::clone)?)
 }

@@ -5,6 +5,7 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fmt::Debug;
+use std::sync::Arc;
 
 use isophote_jit::VectorWidth;
 use serde_json::{Value, json};
@@ -15,6 +16,7 @@ use tracing::{Metadata, Subscriber};
 use super::Service;
 use super::simulation::{Draws, SimulatedEvent, Simulation};
 use crate::command::Command;
+use crate::commons::Commons;
 use crate::compiler::Owner;
 
 /// What is declared, without times and epochs.
@@ -84,7 +86,8 @@ fn the_log_of_changes_leads_to_the_same_declarations() {
     }
     let done = DONE.take().unwrap();
     assert!(done.len() > 200, "{}", done.len());
-    let (replayed, mut owner) = (Service::open(None, VectorWidth::default()).unwrap(), Owner::new());
+    let (replayed, mut owner) =
+        (Service::open(None, &Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap(), Owner::new());
     for line in &done {
         let command: Command = serde_json::from_str(line).unwrap();
         assert_eq!(replayed.apply(&mut owner, command), Ok(()), "{line}");

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use isophote_jit::VectorWidth;
 use isophote_symbolic::Model;
 use isophote_wire::{SourceDocument, SourceReference};
 
 use super::standing::{Standing, Why};
 use super::{OpenError, Service, Table, get, insert};
+use crate::commons::Commons;
 use crate::compiler::{Compiler, Owner};
 use crate::counters::ServiceCounters;
 use crate::declared::{Declarations, SessionRecord};
@@ -20,7 +20,6 @@ use crate::name::Name;
 use crate::node::{LastStarts, ServiceNode};
 use crate::problem::Problem;
 use crate::registry::{Expected, ModelFile, Registry, models_in};
-use crate::session::SearchRoom;
 use crate::source::{self, Opened, Source};
 use crate::store::{RecordTable, Store, said};
 use crate::watchdog::OwnerWatch;
@@ -31,8 +30,8 @@ pub type Awaited = (SourceDocument, Option<Arc<Model>>);
 
 impl Service {
     /// Everything that a store knows, and nothing that runs.
-    pub(super) fn of_store(store: Arc<dyn Store>, width: VectorWidth) -> Result<Service, OpenError> {
-        let mut registry = Registry::open(store.clone(), width)?;
+    pub(super) fn of_store(store: Arc<dyn Store>, commons: Arc<Commons>) -> Result<Service, OpenError> {
+        let mut registry = Registry::open(store.clone(), commons.cache.clone())?;
         let declared_sources = Declarations::open(store.clone(), RecordTable::Sources)?;
         let declared_sessions: Declarations<SessionRecord> = Declarations::open(store.clone(), RecordTable::Sessions)?;
         if declared_sources.has_unread() || declared_sessions.has_unread() {
@@ -59,8 +58,9 @@ impl Service {
             compiler: Compiler::start(owner)?,
             counters: ServiceCounters::default(),
             watch: OwnerWatch::default(),
-            workshop: Workshop::of_machine(),
-            searches: Arc::new(SearchRoom::of_machine()),
+            workshop: Workshop::new(commons.places.clone()),
+            searches: Arc::new(commons.searches()),
+            commons,
             sources: Table::default(),
             sessions: Table::default(),
             is_draining: AtomicBool::new(false),

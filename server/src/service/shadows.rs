@@ -5,8 +5,8 @@ use std::sync::Arc;
 use isophote_wire::ShadowView;
 
 use super::{Put, Service};
-use crate::capacity::Load;
 use crate::command::Command;
+use crate::commons::Member;
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
@@ -30,14 +30,16 @@ impl Service {
             let sessions = self.sessions();
             let others = sessions.iter().filter(|(other, _)| other.as_str() != name);
             let shadows: Vec<_> = others.filter_map(|(_, session)| session.shadow().ok()).collect();
-            if shadows.len() >= LIMITS.shadows {
-                return Err(Problem::over_limit("shadows", LIMITS.shadows));
+            // One that takes the place of the session's own is not one more.
+            if session.shadow().is_err() {
+                self.commons.refuse_more("shadows", LIMITS.shadows, self.holding(), |of| of.shadows)?;
             }
             if let Some(rate_hz) = session.source().source.realtime_hz() {
                 let running: f64 = sessions.iter().filter_map(|(_, session)| session.load()).sum();
                 let running = running + shadows.iter().filter_map(|shadow| shadow.load()).sum::<f64>();
                 let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
-                Load::of_machine(running).admit(&format!("a shadow of the session `{name}`"), added)?;
+                let what = format!("a shadow of the session `{name}`");
+                self.commons.admit(&what, (self.holding().load, running), added)?;
             }
             self.counters.compile_s.observe(prepared.compile_ms / 1e3);
             let put = if session.put_shadow(owner, prepared)? { Put::Replaced } else { Put::Created };

@@ -16,6 +16,7 @@ use tokio::sync::oneshot;
 use super::Service;
 use super::tests::Disk;
 use crate::command::Command;
+use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::limits::LIMITS;
@@ -209,7 +210,7 @@ fn source(width: usize) -> SourceDocument {
 impl Simulation {
     pub(super) fn new() -> Simulation {
         let disk = Arc::new(Disk::default());
-        let service = Service::of_store(disk.clone(), VectorWidth::default()).unwrap();
+        let service = Service::of_store(disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
         let (books, pending) = (Books::default(), BTreeMap::new());
         let (digests, epochs) = (BTreeMap::new(), BTreeSet::new());
         Simulation { disk, service, owner: Owner::new(), books, pending, digests, epochs }
@@ -373,7 +374,8 @@ impl Simulation {
         self.service.stop();
         self.disk.fill(false);
         self.pending.clear();
-        self.service = Service::of_store(self.disk.clone(), VectorWidth::default()).unwrap();
+        self.service =
+            Service::of_store(self.disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
         for (source, _) in self.service.awaited_sources() {
             self.service.restore_source(&mut self.owner, &source, Ok(None));
         }

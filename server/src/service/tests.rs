@@ -10,6 +10,7 @@ use isophote_jit::VectorWidth;
 use serde_json::{Value, json};
 
 use super::{Put, Service};
+use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
@@ -118,7 +119,7 @@ type Change<'a> = &'a dyn Fn() -> Result<(), Problem>;
 #[test]
 fn a_disk_that_refuses_changes_nothing() {
     let disk = Arc::new(Disk::default());
-    let service = Service::of_store(disk.clone(), VectorWidth::default()).unwrap();
+    let service = Service::of_store(disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
     put_model(&service, 1).unwrap();
     put_model(&service, 2).unwrap();
     assert_eq!(put_source(&service, "one", 100), Ok(Put::Created));

@@ -11,21 +11,28 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::limits::LIMITS;
 
-/// Of one process, or of one service in a test.
+/// Of one process, as one of its tenants sees it.
 pub struct SearchRoom {
     places: usize,
-    state: Mutex<State>,
+    /// Whose sessions these are.
+    tenant: u64,
+    state: Arc<Mutex<State>>,
 }
 
 #[derive(Default)]
 struct State {
     taken: usize,
+    /// Tenants so far.
+    tenants: u64,
     /// Who waits, and when it asked last.
-    queue: VecDeque<(String, u64)>,
+    queue: VecDeque<(Searcher, u64)>,
 }
 
+/// A tenant's session.
+type Searcher = (u64, String);
+
 /// A place, for as long as it is held.
-pub struct SearchPlace(Arc<SearchRoom>);
+pub struct SearchPlace(Arc<Mutex<State>>);
 
 impl SearchRoom {
     /// So many searches at a time: half of the processors, and one at least.
@@ -35,7 +42,14 @@ impl SearchRoom {
     }
 
     fn of(places: usize) -> SearchRoom {
-        SearchRoom { places, state: Mutex::default() }
+        SearchRoom { places, tenant: 0, state: Arc::default() }
+    }
+
+    /// The same places, for sessions that may have the names of others.
+    pub fn of_another_tenant(&self) -> SearchRoom {
+        let mut state = self.lock();
+        state.tenants += 1;
+        SearchRoom { places: self.places, tenant: state.tenants, state: self.state.clone() }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -44,17 +58,17 @@ impl SearchRoom {
 
     /// A place for a session, when there is one and nobody waits for longer. Who does not ask again for a while has found its
     /// target, or has ended: its turn is over.
-    pub fn enter(self: &Arc<SearchRoom>, session: &str, now_ns: u64) -> Option<SearchPlace> {
+    pub fn enter(&self, session: &str, now_ns: u64) -> Option<SearchPlace> {
         let mut state = self.lock();
         let patience_ns = LIMITS.search_patience.as_nanos() as u64;
         state.queue.retain(|(_, asked_ns)| now_ns.saturating_sub(*asked_ns) <= patience_ns);
-        let turn = match state.queue.iter().position(|(name, _)| name == session) {
+        let turn = match state.queue.iter().position(|((tenant, name), _)| *tenant == self.tenant && name == session) {
             Some(turn) => {
                 state.queue[turn].1 = now_ns;
                 turn
             }
             None => {
-                state.queue.push_back((session.to_string(), now_ns));
+                state.queue.push_back(((self.tenant, session.to_string()), now_ns));
                 state.queue.len() - 1
             }
         };
@@ -63,21 +77,21 @@ impl SearchRoom {
         }
         state.queue.remove(turn);
         state.taken += 1;
-        Some(SearchPlace(self.clone()))
+        Some(SearchPlace(self.state.clone()))
     }
 
     /// Whether all places are taken, or somebody waits for one.
     pub fn is_crowded(&self, now_ns: u64) -> bool {
         let state = self.lock();
         let patience_ns = LIMITS.search_patience.as_nanos() as u64;
-        let waits = |(_, asked_ns): &(String, u64)| now_ns.saturating_sub(*asked_ns) <= patience_ns;
+        let waits = |(_, asked_ns): &(Searcher, u64)| now_ns.saturating_sub(*asked_ns) <= patience_ns;
         state.taken >= self.places || state.queue.iter().any(waits)
     }
 }
 
 impl Drop for SearchPlace {
     fn drop(&mut self) {
-        self.0.lock().taken -= 1;
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).taken -= 1;
     }
 }
 

@@ -7,8 +7,8 @@ use axum::body::{Body, Bytes};
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
-use tokio::sync::mpsc;
 
+use crate::app::StreamHold;
 use crate::hub::{Next, Subscription};
 use crate::limits::LIMITS;
 use crate::written::SentEstimate;
@@ -49,7 +49,7 @@ impl Framing {
 }
 
 /// The response; it ends with the session or the service.
-pub fn response(subscription: Subscription, format: Framing, held: mpsc::Sender<()>) -> Response {
+pub fn response(subscription: Subscription, format: Framing, held: StreamHold) -> Response {
     let stream = stream::unfold((subscription, held), move |(mut subscription, held)| async move {
         let quiet = if format == Framing::Events { LIMITS.ping_time } else { Duration::MAX };
         let message = match tokio::time::timeout(quiet, subscription.next()).await {

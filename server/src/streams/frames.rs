@@ -74,7 +74,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                         let (pushed, FrameTime { time_s }) = (pushed.clone(), std::mem::take(&mut next));
                         decoding = Some(Box::pin(async move {
                             let media = pushed.media(&bytes);
-                            let room = pushed.room_for(media).await?;
+                            let room = pushed.room_for(media).await;
                             pushed.decode(media, bytes.into(), time_s, room).await
                         }));
                     }

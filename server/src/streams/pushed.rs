@@ -7,13 +7,14 @@ use isophote_capture::Captured;
 use isophote_capture::decode::{is_jpeg, is_png};
 use isophote_tracker::{Frame, Plane};
 use isophote_wire::{EstimateView, PushedDocument, SourceDocument};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use crate::documents::media_type;
 use crate::gate::MessageGate;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::room::{Room, RoomTaken};
 use crate::session::Session;
 use crate::session::inbox::{Inbox, Reply};
 use crate::source::{Source, pixel_format};
@@ -52,29 +53,32 @@ pub struct Pushed {
 /// Bytes of frames on their way, of all clients together: a permit is 1 KiB.
 pub struct FrameRoom {
     /// Frames that are read, decoded, or wait for their fits.
-    frames: Arc<Semaphore>,
+    frames: Room,
     /// Messages of WebSockets that are half received.
-    sockets: Arc<Semaphore>,
+    sockets: Room,
 }
 
 impl Default for FrameRoom {
     fn default() -> FrameRoom {
-        let half = || Arc::new(Semaphore::new(permits(LIMITS.flight_bytes / 2) as usize));
+        let half = || Room::new(permits(LIMITS.flight_bytes / 2) as usize);
         FrameRoom { frames: half(), sockets: half() }
     }
 }
 
 impl FrameRoom {
     /// Room for so many bytes of a frame, or 503.
-    pub fn room_now(&self, bytes: usize) -> Result<OwnedSemaphorePermit, Problem> {
-        self.frames.clone().try_acquire_many_owned(permits(bytes)).map_err(|_| full())
+    pub fn room_now(&self, bytes: usize) -> Result<RoomTaken, Problem> {
+        self.frames.try_take(permits(bytes)).ok_or_else(full)
     }
 
     /// Bytes that are taken.
     pub fn bytes_taken(&self) -> usize {
-        let all = permits(LIMITS.flight_bytes / 2) as usize;
-        let taken = |room: &Semaphore| all.saturating_sub(room.available_permits()) * 1024;
-        taken(&self.frames) + taken(&self.sockets)
+        (self.frames.taken() + self.sockets.taken()) * 1024
+    }
+
+    /// What another tenant may have of it.
+    pub fn part(&self) -> FrameRoom {
+        FrameRoom { frames: self.frames.part(), sockets: self.sockets.part() }
     }
 }
 
@@ -85,7 +89,7 @@ fn permits(bytes: usize) -> u32 {
 /// A frame that the source may have, and the room that it takes until it is answered.
 pub struct DecodedFrame {
     frame: Frame,
-    room: OwnedSemaphorePermit,
+    room: RoomTaken,
 }
 
 /// A frame that waits for its fit.
@@ -93,7 +97,7 @@ pub struct WaitingFrame {
     answer: oneshot::Receiver<Arc<EstimateView>>,
     /// From when it is the next to be answered: until then it waits for the frames before it.
     deadline: Option<Instant>,
-    _room: OwnedSemaphorePermit,
+    _room: RoomTaken,
 }
 
 impl Pushed {
@@ -121,14 +125,13 @@ impl Pushed {
     }
 
     /// Room for a frame of that kind, or 503.
-    pub fn room_now(&self, media: FrameMedia) -> Result<OwnedSemaphorePermit, Problem> {
+    pub fn room_now(&self, media: FrameMedia) -> Result<RoomTaken, Problem> {
         self.room.room_now(self.bytes_of(media))
     }
 
     /// The same, as soon as there is some: what is behind it waits in the client's socket.
-    pub async fn room_for(&self, media: FrameMedia) -> Result<OwnedSemaphorePermit, Problem> {
-        let room = self.room.frames.clone().acquire_many_owned(permits(self.bytes_of(media)));
-        room.await.map_err(|_| Problem::stopping())
+    pub async fn room_for(&self, media: FrameMedia) -> RoomTaken {
+        self.room.frames.clone().take(permits(self.bytes_of(media))).await
     }
 
     /// From now on each message of that connection takes room while it is received.
@@ -147,7 +150,7 @@ impl Pushed {
         media: FrameMedia,
         bytes: Vec<u8>,
         time_s: Option<f64>,
-        room: OwnedSemaphorePermit,
+        room: RoomTaken,
     ) -> Result<DecodedFrame, Problem> {
         let most = LIMITS.frame_time_s;
         if time_s.is_some_and(|time_s| !(-most..=most).contains(&time_s)) {
@@ -282,7 +285,7 @@ mod tests {
     #[tokio::test]
     async fn time_begins_when_a_frame_is_the_next() {
         let (sender, answer) = oneshot::channel();
-        let room = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
+        let room = Room::new(1).take(1).await;
         let mut waiting = WaitingFrame { answer, deadline: None, _room: room };
         let (begun, long) = (Instant::now(), LIMITS.push_time);
         assert!(tokio::time::timeout(std::time::Duration::from_millis(1), waiting.estimate()).await.is_err());

@@ -42,5 +42,6 @@ mod shadows;
 mod streams;
 mod swaps;
 mod targets;
+mod tenants;
 mod versions;
 mod volumes;

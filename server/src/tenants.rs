@@ -1,0 +1,185 @@
+//! `Tenants`: a service for each tenant, so that nobody sees, changes or takes the names of another.
+//!
+//! What comes in: requests, each of whoever sent it. What goes out: the [`App`] of that tenant. A tenant is opened at the start where
+//! its token or its folder is there, else with its first request. What is declared, and the owner of all changes, is each one's
+//! own; what the machine has is shared ([`Commons`]).
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::thread;
+
+use axum::extract::FromRequestParts;
+use axum::http::request::Parts;
+use isophote_capture::ReadableFolder;
+use tokio::sync::{mpsc, watch};
+
+use crate::access::{Access, DEFAULT_TENANT, Recordings, Visitor};
+use crate::app::App;
+use crate::commons::Commons;
+use crate::limits::LIMITS;
+use crate::name::Name;
+use crate::problem::Problem;
+use crate::recording::RecordingFolder;
+use crate::restore::restore;
+use crate::service::Service;
+use crate::watchdog;
+
+/// The folder of all tenants but the first, in the data folder.
+const FOLDER: &str = "tenants";
+
+/// All of one process.
+pub struct Tenants {
+    commons: Arc<Commons>,
+    /// Where all is kept, if it is.
+    data: Option<PathBuf>,
+    access: Arc<Access>,
+    apps: RwLock<BTreeMap<Name, App>>,
+    /// One is opened at a time.
+    opening: tokio::sync::Mutex<()>,
+    /// What every stream holds.
+    stream: mpsc::WeakSender<()>,
+    stopped: watch::Receiver<bool>,
+}
+
+impl Tenants {
+    /// With the tenant that is there without tokens; `app` is what the machine has for it. Nothing that was declared runs yet.
+    pub fn new(
+        commons: Arc<Commons>,
+        data: Option<PathBuf>,
+        access: Arc<Access>,
+        app: App,
+        (stream, stopped): (mpsc::WeakSender<()>, watch::Receiver<bool>),
+    ) -> Tenants {
+        // Where tokens tell tenants apart, this one is one of them.
+        let own = match &access.keyring {
+            Some(_) => app.beside(app.service.clone(), (app.recordings.clone(), app.folder.clone())),
+            None => app,
+        };
+        let apps = Name::parse(DEFAULT_TENANT).map(|name| (name, own)).into_iter().collect();
+        Tenants {
+            commons,
+            data,
+            access,
+            apps: RwLock::new(apps),
+            opening: tokio::sync::Mutex::default(),
+            stream,
+            stopped,
+        }
+    }
+
+    /// Runs what was declared, of all that are known. One whose folder cannot be read says so, and keeps nobody else from
+    /// starting.
+    pub async fn begin(self: Arc<Self>) {
+        self.list().into_iter().for_each(|app| self.run(app));
+        for name in self.known() {
+            self.app(&name).await.map(drop).unwrap_or_else(|problem| {
+                tracing::error!(tenant = name, "nothing of it runs: {}", problem.detail);
+            });
+        }
+    }
+
+    /// Of tokens and folders.
+    fn known(&self) -> Vec<String> {
+        let Some(keyring) = &self.access.keyring else { return Vec::new() };
+        let folders = self.data.as_ref().and_then(|data| std::fs::read_dir(data.join(FOLDER)).ok());
+        let names = folders.into_iter().flatten().flatten().filter_map(|folder| folder.file_name().into_string().ok());
+        let mut names: Vec<String> = names.filter(|name| Name::parse(name).is_some()).collect();
+        names.extend(keyring.tenants());
+        names.sort();
+        names.dedup();
+        names
+    }
+
+    fn run(&self, app: App) {
+        let Some(stream) = self.stream.upgrade() else { return }; // the service stops
+        tokio::spawn(watchdog::watch(app.service.clone()));
+        tokio::spawn(restore(app.held(stream), self.stopped.clone()));
+    }
+
+    fn list(&self) -> Vec<App> {
+        self.apps.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
+    }
+
+    fn get(&self, tenant: &str) -> Option<App> {
+        let name = Name::parse(tenant)?;
+        self.apps.read().unwrap_or_else(PoisonError::into_inner).get(&name).cloned()
+    }
+
+    /// That of a tenant, which is opened where it is not yet.
+    async fn app(self: &Arc<Self>, tenant: &str) -> Result<App, Problem> {
+        if let Some(app) = self.get(tenant) {
+            return Ok(app);
+        }
+        let _turn = self.opening.lock().await;
+        if let Some(app) = self.get(tenant) {
+            return Ok(app);
+        }
+        if *self.stopped.borrow() {
+            return Err(Problem::stopping());
+        }
+        if self.list().len() >= LIMITS.tenants {
+            return Err(Problem::over_limit("tenants", LIMITS.tenants));
+        }
+        let name = Name::parse(tenant).ok_or_else(|| Problem::bug("a tenant without a name"))?;
+        let (tenants, opened) = (self.clone(), name.clone());
+        let opening = tokio::task::spawn_blocking(move || tenants.open(&opened)).await;
+        let app = opening.map_err(|_| Problem::bug("opening a tenant panicked"))??;
+        tracing::info!(tenant, "a tenant's service is there");
+        self.apps.write().unwrap_or_else(PoisonError::into_inner).insert(name, app.clone());
+        self.run(app.clone());
+        Ok(app)
+    }
+
+    fn open(&self, name: &Name) -> Result<App, Problem> {
+        let failed = |error: &dyn std::fmt::Display| {
+            tracing::error!(tenant = name.as_str(), "not opened: {error}");
+            Problem::not_ready("the data folder of this tenant cannot be opened; the service's log says why")
+        };
+        let folder = self.data.as_ref().map(|data| data.join(FOLDER).join(name.as_str()));
+        let recorded = folder.as_ref().map(|folder| folder.join("recordings"));
+        if let Some(recorded) = &recorded {
+            std::fs::create_dir_all(recorded).map_err(|error| failed(&error))?;
+        }
+        let service = Service::open(folder.as_deref(), &self.commons).map_err(|error| failed(&error))?;
+        // Of this machine's files a tenant sees none but its own recordings.
+        let recordings = match &recorded {
+            Some(folder) => Recordings::Within(ReadableFolder::below(folder).map_err(|error| failed(&error))?),
+            None => Recordings::Nowhere,
+        };
+        let folder = RecordingFolder::at(recorded);
+        folder.mend_all();
+        let first = self.get(DEFAULT_TENANT).ok_or_else(|| Problem::bug("nobody is there without tokens"))?;
+        Ok(first.beside(service, (recordings, folder)))
+    }
+
+    /// From now on nothing new is taken, and every stream ends.
+    pub fn drain(&self) {
+        self.list().iter().for_each(|app| app.service.drain());
+    }
+
+    /// Ends all threads of all of them, and waits for them together.
+    pub fn stop(&self) {
+        self.drain();
+        let apps = self.list();
+        thread::scope(|scope| {
+            for app in &apps {
+                scope.spawn(|| app.service.stop());
+            }
+        });
+    }
+}
+
+impl FromRequestParts<Arc<Tenants>> for App {
+    type Rejection = Problem;
+
+    /// That of whoever sent it; those without a token are the first tenant.
+    async fn from_request_parts(parts: &mut Parts, tenants: &Arc<Tenants>) -> Result<App, Problem> {
+        let tenant = match parts.extensions.get::<Visitor>() {
+            Some(Visitor::Known(owner, _)) => owner.tenant(),
+            _ => DEFAULT_TENANT,
+        };
+        let stream = tenants.stream.upgrade().ok_or_else(Problem::stopping)?;
+        tenants.app(tenant).await?.of_request(stream)
+    }
+}
