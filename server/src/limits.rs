@@ -85,6 +85,8 @@ pub struct ServiceLimits {
     pub download_bytes: usize,
     /// Bytes of pushed frames on their way, of all clients together; half of it for messages of WebSockets that are half received.
     pub flight_bytes: usize,
+    /// Bytes of a request's head, and of an answer that waits to be sent.
+    pub http_bytes: usize,
     /// Until a request's head is complete.
     pub header_time: Duration,
     /// Until a request's body is complete.
@@ -204,6 +206,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     downloads: 8,
     download_bytes: 256 * 1024,
     flight_bytes: 256 * 1024 * 1024,
+    http_bytes: 64 * 1024,
     header_time: Duration::from_secs(10),
     body_time: Duration::from_secs(10),
     message_bytes: 4096,

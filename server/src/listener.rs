@@ -358,6 +358,7 @@ async fn serve_socket(
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(LIMITS.header_time)
+        .max_buf_size(LIMITS.http_bytes)
         .serve_connection(TokioIo::new(socket), TowerToHyperService::new(arriving))
         .with_upgrades();
     let mut connection = pin!(connection);

@@ -4,6 +4,8 @@
 
 mod apply;
 mod declare;
+#[cfg(test)]
+mod drawn;
 mod models;
 #[cfg(test)]
 mod replay;

@@ -141,7 +141,10 @@ impl Tenants {
         if let Some(recorded) = &recorded {
             std::fs::create_dir_all(recorded).map_err(|error| failed(&error))?;
         }
-        let service = Service::open(folder.as_deref(), &self.commons).map_err(|error| failed(&error))?;
+        // What its threads log says whose it is.
+        let span = tracing::info_span!("tenant", name = name.as_str());
+        let service = span.in_scope(|| Service::open(folder.as_deref(), &self.commons));
+        let service = service.map_err(|error| failed(&error))?;
         // Of this machine's files a tenant sees none but its own recordings.
         let recordings = match &recorded {
             Some(folder) => Recordings::Within(ReadableFolder::below(folder).map_err(|error| failed(&error))?),

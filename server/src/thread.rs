@@ -18,9 +18,10 @@ impl NamedThread {
     /// Starts it.
     pub fn start(name: String, work: impl FnOnce() + Send + 'static) -> std::io::Result<NamedThread> {
         let (runs, running) = sync_channel::<()>(0);
+        let said = tracing::Span::current(); // whose it is, in the log
         let work = move || {
             let _runs = runs;
-            work();
+            said.in_scope(work);
         };
         let thread = Builder::new().name(name.clone()).spawn(work)?;
         Ok(NamedThread { name, thread: Mutex::new(Some((thread, running))) })
@@ -42,9 +43,9 @@ pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Rece
     let (done, heard) = oneshot::channel();
     let work = Arc::new(Mutex::new(Some(work)));
     let take = |work: &Mutex<Option<_>>| work.lock().unwrap_or_else(PoisonError::into_inner).take();
-    let theirs = work.clone();
+    let (theirs, said) = (work.clone(), tracing::Span::current());
     let finish = move || {
-        take(&theirs).into_iter().for_each(|work| work());
+        said.in_scope(|| take(&theirs).into_iter().for_each(|work| work()));
         done.send(()).ok(); // whoever asked may have gone
     };
     if let Err(error) = Builder::new().name(format!("end {what}")).spawn(finish) {

@@ -14,10 +14,12 @@ use tracing::span::{Attributes, Id, Record};
 use tracing::{Metadata, Subscriber};
 
 use super::Service;
-use super::simulation::{Draws, SimulatedEvent, Simulation};
+use super::drawn::{Draws, SimulatedEvent};
+use super::simulation::Simulation;
 use crate::command::Command;
 use crate::commons::Commons;
 use crate::compiler::Owner;
+use crate::limits::LIMITS;
 
 /// What is declared, without times and epochs.
 fn declarations(service: &Service) -> Value {
@@ -77,11 +79,12 @@ fn the_log_of_changes_leads_to_the_same_declarations() {
     let (mut draws, mut simulation) = (Draws(2), Simulation::new());
     DONE.set(Some(Vec::new()));
     for _ in 0..1_000 {
-        let event = match draws.event(&simulation.books) {
+        let event = draws.event(&simulation.books);
+        if matches!(event, SimulatedEvent::Killed) {
             // Too many that died keep sessions from running, and what does not run keeps nothing in use.
-            SimulatedEvent::Killed { .. } => SimulatedEvent::Killed { has_lived: true },
-            event => event,
-        };
+            simulation.run(SimulatedEvent::EmptyDisk);
+            simulation.run(SimulatedEvent::Waited(LIMITS.start_time));
+        }
         simulation.run(event);
     }
     let done = DONE.take().unwrap();

@@ -1,4 +1,5 @@
-//! The owner under clients that come in any order, frames, a disk that fills up, and starts that die: commands drawn from a seed,
+//! The owner under clients that come in any order, frames, leases that run out, a disk that fills up, and starts that die, by a clock of
+//! its own: commands drawn from a seed,
 //! each answered as a few lines of plain bookkeeping say, and everything that is declared seen where it should be after each of
 //! them. `ISOPHOTE_COMMANDS` says how many (a million takes minutes), `ISOPHOTE_SEED` which.
 
@@ -6,118 +7,34 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use isophote_capture::Captured;
 use isophote_jit::VectorWidth;
 use isophote_wire::{ModelAnswer, SessionDocument, SessionState, SourceDocument, SourceReference};
-use serde_json::{Value, json};
+use serde_json::json;
 use tokio::sync::oneshot;
 
 use super::Service;
+use super::drawn::{Draws, SimulatedEvent};
 use super::tests::Disk;
 use crate::command::Command;
 use crate::commons::Commons;
 use crate::compiler::Owner;
-use crate::declared::Keeping;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry};
 use crate::session::inbox::Reply;
+use crate::source::LeaseId;
 use crate::streams::pushed::{FrameMedia, decode};
 
 const COMMANDS: u64 = 4_000;
-/// Names of each kind, and clients that prepare a model now and put it later.
-const NAMES: u64 = 3;
-const CLIENTS: u64 = 4;
 /// Of sources that sessions have for themselves, px.
-const WIDTH: usize = 8;
+pub(super) const WIDTH: usize = 8;
 const HEIGHT: usize = 6;
 /// Of every pixel.
 const LIGHT: u8 = 100;
-
-/// What happens to the service.
-#[derive(Clone, Debug)]
-pub(super) enum SimulatedEvent {
-    Asked(Command),
-    /// A client has a document checked, whose only constant is `offset`.
-    Prepared {
-        client: u64,
-        model: String,
-        offset: u64,
-    },
-    /// It puts what it prepared, where it wants to find nothing or does not care.
-    Put {
-        client: u64,
-        is_new: bool,
-    },
-    /// A frame is pushed to a session's source.
-    Frame {
-        session: String,
-    },
-    FullDisk,
-    EmptyDisk,
-    /// The process ends at once; it may have lived for long enough before.
-    Killed {
-        has_lived: bool,
-    },
-}
-
-/// Numbers that follow from a seed.
-pub(super) struct Draws(pub u64);
-
-impl Draws {
-    fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut bits = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (bits ^ (bits >> 31)) % limit
-    }
-
-    fn called(&mut self, kind: &str) -> String {
-        format!("{kind}{}", self.below(NAMES))
-    }
-
-    fn name(&mut self, kind: &str) -> Name {
-        Name::parse(&self.called(kind)).unwrap()
-    }
-
-    pub(super) fn event(&mut self, books: &Books) -> SimulatedEvent {
-        let command = match self.below(100) {
-            0..13 => {
-                let (client, model) = (self.below(CLIENTS), self.called("m"));
-                return SimulatedEvent::Prepared { client, model, offset: self.below(50) };
-            }
-            13..26 => return SimulatedEvent::Put { client: self.below(CLIENTS), is_new: self.below(4) == 0 },
-            26..31 => {
-                let name = self.name("m");
-                // One of the newest, which are kept.
-                let last = books.models.get(name.as_str()).map_or(1, |(offsets, _)| offsets.len() as u64);
-                Command::RollBackModel { name, version: last.saturating_sub(self.below(6)).max(1) }
-            }
-            31..37 => Command::RemoveModel { name: self.name("m") },
-            37..46 => {
-                let (name, document) = (self.name("c"), source(WIDTH + self.below(9) as usize).into());
-                Command::PutSource { name, document, keeping: Keeping::Declared }
-            }
-            46..53 => Command::RemoveSource { name: self.name("c") },
-            53..65 => {
-                let (name, model) = (self.name("s"), self.called("m"));
-                let named = (self.below(3) > 0).then(|| self.called("c"));
-                let from = named.map_or_else(|| json!(source(WIDTH)), Value::from);
-                let document = serde_json::from_value(json!({"source": from, "model": model})).unwrap();
-                Command::PutSession { name, document, keeping: Keeping::Declared }
-            }
-            65..75 => Command::RemoveSession { name: self.name("s") },
-            75..80 => Command::SwapModel { session: self.called("s"), model: self.called("m") },
-            80..90 => return SimulatedEvent::Frame { session: self.called("s") },
-            90..93 => return SimulatedEvent::FullDisk,
-            _ if self.below(28) == 0 => return SimulatedEvent::Killed { has_lived: self.below(2) == 0 },
-            _ => return SimulatedEvent::EmptyDisk,
-        };
-        SimulatedEvent::Asked(command)
-    }
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Runs {
@@ -142,8 +59,13 @@ struct Declared {
 /// What there should be.
 #[derive(Default)]
 pub(super) struct Books {
+    /// Time since the simulation began, and when the process did.
+    clock: Duration,
+    started: Duration,
+    /// Who has the knobs of a source, and until when.
+    leases: BTreeMap<String, (u64, Duration)>,
     /// Constants of the documents by version, from 1, and the version in force.
-    models: BTreeMap<String, (Vec<u64>, usize)>,
+    pub(super) models: BTreeMap<String, (Vec<u64>, usize)>,
     /// With their widths.
     sources: BTreeMap<String, usize>,
     sessions: BTreeMap<String, Declared>,
@@ -164,6 +86,11 @@ impl Books {
             _ => session.models.iter().any(|one| one == model),
         };
         self.sessions.values().any(needed)
+    }
+
+    /// Whose the knobs of a source are.
+    fn holder(&self, source: &str) -> Option<u64> {
+        self.leases.get(source).filter(|(_, until)| *until > self.clock).map(|(client, _)| *client)
     }
 
     fn feeds(&self, source: &str) -> bool {
@@ -192,6 +119,8 @@ pub(super) struct Simulation {
     disk: Arc<Disk>,
     pub(super) service: Service,
     owner: Owner,
+    /// When the clock of the books began.
+    begin: Instant,
     pub(super) books: Books,
     pending: BTreeMap<u64, (String, u64, Checked)>,
     digests: BTreeMap<(String, u64), String>,
@@ -203,7 +132,7 @@ fn code<T>(answer: &Result<T, Problem>) -> &'static str {
     answer.as_ref().map_or_else(|problem| problem.code, |_| "done")
 }
 
-fn source(width: usize) -> SourceDocument {
+pub(super) fn source(width: usize) -> SourceDocument {
     serde_json::from_value(json!({"kind": "pushed", "width": width, "height": HEIGHT, "format": "u8"})).unwrap()
 }
 
@@ -213,7 +142,7 @@ impl Simulation {
         let service = Service::of_store(disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
         let (books, pending) = (Books::default(), BTreeMap::new());
         let (digests, epochs) = (BTreeMap::new(), BTreeSet::new());
-        Simulation { disk, service, owner: Owner::new(), books, pending, digests, epochs }
+        Simulation { disk, service, owner: Owner::new(), begin: Instant::now(), books, pending, digests, epochs }
     }
 
     fn checked(&self, model: &str, offset: u64) -> Checked {
@@ -246,8 +175,14 @@ impl Simulation {
                 self.disk.fill(self.books.is_full);
                 ("done", "done")
             }
-            SimulatedEvent::Killed { has_lived } => {
-                self.kill(has_lived);
+            SimulatedEvent::Lease { client, source, timeout } => self.lease(client, source, timeout),
+            SimulatedEvent::Released { client, source } => self.release(client, &source),
+            SimulatedEvent::Waited(time) => {
+                self.wait(time);
+                ("done", "done")
+            }
+            SimulatedEvent::Killed => {
+                self.kill();
                 ("done", "done")
             }
         }
@@ -324,8 +259,12 @@ impl Simulation {
             Command::PutSource { name, document, .. } => {
                 let SourceDocument::Pushed(document) = *document else { panic!() };
                 books.sources.insert(name.to_string(), document.width);
+                books.leases.remove(name.as_str());
             }
-            Command::RemoveSource { name } => drop(books.sources.remove(name.as_str())),
+            Command::RemoveSource { name } => {
+                books.sources.remove(name.as_str());
+                books.leases.remove(name.as_str());
+            }
             Command::PutSession { name, document, .. } => {
                 let (offset, source) = (books.offset_of(&document.model).unwrap(), source_of(&document));
                 let models = [document.model.clone(), document.model];
@@ -362,14 +301,51 @@ impl Simulation {
         assert!((level - f64::from(LIGHT)).abs() < 1e-3, "{estimate}");
     }
 
-    /// Nothing more reaches the disk; then everything that was declared runs again, or says why it does not.
-    fn kill(&mut self, has_lived: bool) {
-        self.books.is_full = false;
-        if has_lived {
-            self.disk.fill(false);
+    fn now(&self) -> Instant {
+        self.begin + self.books.clock
+    }
+
+    /// The knobs of a source are one client's until it gives them up, its time is over, or the source is another.
+    fn lease(&mut self, client: u64, source: String, timeout: Duration) -> (&'static str, &'static str) {
+        let (now, id) = (self.now(), LeaseId::Client(client.to_string()));
+        let Ok(running) = self.service.source(&source) else {
+            return ("unknown-name", if self.books.sources.contains_key(&source) { "done" } else { "unknown-name" });
+        };
+        let taken = running.lease().take("a client", &id, Some(timeout), now);
+        let holder = self.books.holder(&source);
+        if holder.is_none_or(|holder| holder == client) {
+            assert_eq!(taken, Ok(holder.is_none()));
+            self.books.leases.insert(source, (client, self.books.clock + timeout));
+            return ("done", "done");
+        }
+        (if taken.is_err() { "in-use" } else { "done" }, "in-use")
+    }
+
+    fn release(&mut self, client: u64, source: &str) -> (&'static str, &'static str) {
+        let (now, id) = (self.now(), LeaseId::Client(client.to_string()));
+        let Ok(running) = self.service.source(source) else { return ("done", "done") };
+        let is_theirs = self.books.holder(source) == Some(client);
+        assert_eq!(running.lease().release(&id, now, || ()), is_theirs);
+        if is_theirs {
+            self.books.leases.remove(source);
+        }
+        ("done", "done")
+    }
+
+    /// A process that has run for long enough has not died early, as far as its disk knows.
+    fn wait(&mut self, time: Duration) {
+        self.books.clock += time;
+        if self.books.clock - self.books.started >= LIMITS.start_time && !self.books.is_full {
             self.service.lived();
             self.books.died = 0;
         }
+    }
+
+    /// Nothing more reaches the disk; then everything that was declared runs again, or says why it does not.
+    fn kill(&mut self) {
+        self.books.is_full = false;
+        self.books.leases.clear();
+        self.books.started = self.books.clock;
         self.disk.fill(true);
         self.service.stop();
         self.disk.fill(false);
