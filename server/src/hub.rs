@@ -68,14 +68,16 @@ pub struct HubLoad {
 
 #[derive(Default)]
 struct State {
-    /// In order, the last of them with the number before `next`; empty while nobody wants all.
+    /// What somebody in mode `all` may still get, in order, the last of them with the number before `next`.
     ring: VecDeque<Arc<WrittenEstimate>>,
     ring_bytes: usize,
     /// The number of the next estimate.
     next: u64,
     subscribers: usize,
-    /// Those in mode `all`.
-    subscribers_of_all: usize,
+    /// Where those in mode `all` are: they had all before that number.
+    places: BTreeMap<u64, u64>,
+    /// Places so far.
+    places_given: u64,
     /// By target.
     last: BTreeMap<String, Last>,
     end: Option<End>,
@@ -106,7 +108,7 @@ impl Hub {
 
     /// The same with the steps of its fit, for those who want them.
     pub fn publish_traced(&self, estimate: Arc<EstimateView>, trace: &[TraceView]) {
-        let is_wanted = lock(&self.state).subscribers_of_all > 0;
+        let is_wanted = !lock(&self.state).places.is_empty();
         let written = Arc::new(OnceLock::new());
         if is_wanted {
             written.get_or_init(|| WrittenEstimate::of(&estimate, trace));
@@ -114,13 +116,12 @@ impl Hub {
         let mut state = lock(&self.state);
         let number = state.next;
         state.next += 1;
-        if state.subscribers_of_all > 0 {
+        if !state.places.is_empty() {
             let one = written.get_or_init(|| WrittenEstimate::of(&estimate, trace)).clone();
             state.ring_bytes += one.bytes();
             state.ring.push_back(one);
             while state.ring_bytes > LIMITS.ring_bytes && state.ring.len() > 1 {
-                let oldest = state.ring.pop_front();
-                state.ring_bytes -= oldest.map_or(0, |oldest| oldest.bytes());
+                state.forget_oldest();
             }
         }
         state.last.insert(estimate.target.clone(), Last { number, estimate, trace: trace.into(), written });
@@ -157,15 +158,38 @@ impl Hub {
             return Err(Problem::over_limit("subscribers of one session", LIMITS.subscribers));
         }
         state.subscribers += 1;
-        state.subscribers_of_all += usize::from(mode == Mode::All);
-        let next = if mode == Mode::All { state.next } else { 0 };
+        let (next, place) = match mode {
+            Mode::All => {
+                let (next, place) = (state.next, state.places_given);
+                state.places_given += 1;
+                state.places.insert(place, next);
+                (next, Some(place))
+            }
+            Mode::Latest | Mode::End => (0, None),
+        };
         drop(state);
         let (hub, last_frames, visitor, wish) = (self.clone(), BTreeMap::new(), Visitor::Anyone, TraceWish::Without);
-        Ok(Subscription { hub, mode, next, last_frames, visitor, wish })
+        Ok(Subscription { hub, mode, next, place, last_frames, visitor, wish })
     }
 }
 
 impl State {
+    fn forget_oldest(&mut self) {
+        let oldest = self.ring.pop_front();
+        self.ring_bytes -= oldest.map_or(0, |oldest| oldest.bytes());
+    }
+
+    /// Forgets what all have had.
+    fn forget_had(&mut self) {
+        let first = self.places.values().min().copied().unwrap_or(self.next);
+        while self.next - (self.ring.len() as u64) < first && !self.ring.is_empty() {
+            self.forget_oldest();
+        }
+        if self.places.is_empty() {
+            self.ring = VecDeque::new();
+        }
+    }
+
     /// The estimate that a subscriber gets who is at the number `from`, and its number.
     fn at(&self, mode: Mode, from: u64) -> Option<(u64, Found)> {
         match mode {
@@ -205,6 +229,8 @@ pub struct Subscription {
     mode: Mode,
     /// It had all that it gets of those before this number.
     next: u64,
+    /// In mode `all`, that of the hub's table.
+    place: Option<u64>,
     /// By target.
     last_frames: BTreeMap<String, u64>,
     visitor: Visitor,
@@ -274,12 +300,16 @@ impl Subscription {
     }
 
     fn take(&mut self) -> Option<Next> {
-        let state = lock(&self.hub.state);
+        let mut state = lock(&self.hub.state);
         let Some((number, found)) = state.at(self.mode, self.next) else {
             return state.end.clone().map(Next::End);
         };
-        drop(state);
         self.next = number + 1;
+        if let Some(place) = self.place {
+            state.places.insert(place, self.next);
+            state.forget_had();
+        }
+        drop(state);
         let written = match found {
             Found::Written(written) => written,
             Found::Last(estimate, trace, written) => {
@@ -300,10 +330,9 @@ impl Drop for Subscription {
         }
         let mut state = lock(&self.hub.state);
         state.subscribers -= 1;
-        state.subscribers_of_all -= usize::from(self.mode == Mode::All);
-        if state.subscribers_of_all == 0 {
-            state.ring = VecDeque::new();
-            state.ring_bytes = 0;
+        if let Some(place) = self.place {
+            state.places.remove(&place);
+            state.forget_had();
         }
     }
 }
@@ -395,6 +424,7 @@ mod tests {
         assert_eq!((taken.len() as u64, taken.last()), (last + 1 - taken[0].0, Some(&(last, 0))));
         // Who never had one has lost none that it was told of.
         assert_eq!(drain(&mut second)[0], (taken[0].0, 0));
+        assert_eq!((bytes(&hub), lock(&hub.state).ring_bytes), (0, 0), "what all have had is not kept");
         // Where nobody wants all, nothing is kept.
         drop((first, second));
         hub.publish(estimate(last + 1));

@@ -87,6 +87,8 @@ pub struct ServiceLimits {
     pub flight_bytes: usize,
     /// Bytes of a request's head, and of an answer that waits to be sent.
     pub http_bytes: usize,
+    /// Bytes that a WebSocket reads, and writes, at a time.
+    pub websocket_bytes: usize,
     /// Until a request's head is complete.
     pub header_time: Duration,
     /// Until a request's body is complete.
@@ -207,6 +209,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     download_bytes: 256 * 1024,
     flight_bytes: 256 * 1024 * 1024,
     http_bytes: 64 * 1024,
+    websocket_bytes: 16 * 1024,
     header_time: Duration::from_secs(10),
     body_time: Duration::from_secs(10),
     message_bytes: 4096,

@@ -3,7 +3,7 @@
 //! `cargo run --release -p isophote-tests --example endurance -- soak 30`: thirty minutes with a swap a second and a fault a
 //! minute, beside a witness, a healthy session of 30 frames a second. `… -- swaps 100000`: so many swaps, one after the other.
 //! `… -- slow 1000`: so many heads that do not end, and then bodies. `… -- readers 10`: ten minutes with 32 readers of each kind that
-//! read nothing, and come again every five seconds.
+//! read nothing, and come again every five seconds; `… -- floods 10`: the same where there is far more to read.
 //! Says every minute, or every thousand swaps, what the process has; ends with status 1 if it has more at the end.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
@@ -190,16 +190,28 @@ fn slow(running: &Running, _process: u32, count: u64) -> bool {
     is_well && witness["dropped"] == 0
 }
 
-/// 32 of each kind, the places of a session each.
+/// Of ordinary sessions.
 fn readers(running: &Running, process: u32, minutes: u64) -> bool {
-    running.put("/v1/sessions/witness", &session("realtime", RATE_HZ)).expect(201);
+    not_reading(running, process, minutes, &session("realtime", RATE_HZ))
+}
+
+/// Of sessions that say forty kilobytes of a frame, and as many frames as there is time for: rings are full within a second.
+fn floods(running: &Running, process: u32, minutes: u64) -> bool {
     let mut document = session("fit", 500.0);
     document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
+    not_reading(running, process, minutes, &document)
+}
+
+/// 32 of each kind, the places of a session each.
+fn not_reading(running: &Running, process: u32, minutes: u64, document: &Value) -> bool {
+    running.put("/v1/sessions/witness", &session("realtime", RATE_HZ)).expect(201);
     let kinds = ["application/x-ndjson", "text/event-stream", "websocket"];
     let path = |number: usize| format!("/v1/sessions/read-{number}");
-    (0..kinds.len()).for_each(|number| drop(running.put(&path(number), &document).expect(201)));
+    (0..kinds.len()).for_each(|number| drop(running.put(&path(number), document).expect(201)));
     let mut witness = running.socket("witness", "mode=all");
     let (mut sockets, mut streams, mut memory_kib, mut refused) = (Vec::new(), Vec::new(), Vec::new(), 0);
+    (0..10 * SECOND).for_each(|_| drop(witness.next().unwrap()));
+    println!("before they come: {:?}", Usage::of(process));
     for frame in 0..minutes * MINUTE {
         if frame % (5 * SECOND) == 0 {
             (sockets, streams) = (Vec::new(), Vec::new());
@@ -227,6 +239,8 @@ fn readers(running: &Running, process: u32, minutes: u64) -> bool {
         }
     }
     drop((sockets, streams));
+    (0..10 * SECOND).for_each(|_| drop(witness.next().unwrap()));
+    println!("ten seconds after they have gone: {:?}", Usage::of(process));
     let (first, second) = memory_kib.split_at(memory_kib.len() / 2);
     let most = |half: &[u64]| half.iter().copied().max().unwrap_or(0);
     let growth_kib = most(second).saturating_sub(most(first));
@@ -258,7 +272,7 @@ fn swaps(running: &Running, process: u32, count: u64) -> bool {
 }
 
 fn usage() -> ExitCode {
-    println!("usage: endurance soak MINUTES | swaps COUNT | slow COUNT | readers MINUTES");
+    println!("usage: endurance soak MINUTES | swaps COUNT | slow COUNT | readers MINUTES | floods MINUTES");
     ExitCode::from(2)
 }
 
@@ -275,6 +289,7 @@ fn main() -> ExitCode {
         "swaps" => swaps,
         "slow" => slow,
         "readers" => readers,
+        "floods" => floods,
         _ => return usage(),
     };
     let Some(count) = count else { return usage() };

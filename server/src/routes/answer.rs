@@ -8,6 +8,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
+use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 use crate::service::Put;
@@ -56,6 +57,8 @@ pub(super) fn upgraded(
     let upgrade = upgrade.map_err(|error| Problem::bad_request(error.body_text()))?;
     let is_offered = headers.contains_key(header::SEC_WEBSOCKET_PROTOCOL);
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(message_bytes).max_frame_size(message_bytes);
+    // Each holds these for as long as it is open.
+    let upgrade = upgrade.read_buffer_size(LIMITS.websocket_bytes).write_buffer_size(LIMITS.websocket_bytes);
     if is_offered && upgrade.selected_protocol().is_none() {
         return Err(Problem::bad_request(format!("the subprotocol is {PROTOCOL}")));
     }
