@@ -173,3 +173,43 @@ fn few_functions_are_vector_code_and_many_are_called() {
         assert_eq!(calls("sin(r)", precision, false), VectorWidth::Bits128.lanes(precision).count(), "{precision:?}");
     }
 }
+
+/// A function of the row and a parameter, with its derivatives.
+fn of_rows(formula: &str) -> Model {
+    document(&format!(
+        r#"
+        name = "function-of-rows"
+        coordinates = ["x", "y"]
+        channels = ["r"]
+        [parameters]
+        v0 = {{ start = 0.5 }}
+        v1 = {{ start = 0.0 }}
+        [model]
+        intensity = "v1 + x * {formula}"
+        "#
+    ))
+}
+
+#[test]
+fn functions_of_rows_are_the_interpreter_s_and_vector_code_where_vectors_are_wide() {
+    let one = Function1::ALL.iter().map(|f| format!("{}(v0 * (y - 9))", f.name()));
+    let two = ["atan2(y - 9, v0)", "(1 + y)^v0"].map(str::to_owned);
+    for formula in one.chain(two) {
+        let program = program(&of_rows(&formula), has_fma());
+        let image = Image::new(PixelFormat::F32, [9, 19], 1, [0, 0], |_, x, y| (x * y) as f64 / 7.0);
+        for (width, precision) in
+            widths().into_iter().flat_map(|width| [Precision::F32, Precision::F64].map(|precision| (width, precision)))
+        {
+            let options = KernelOptions { width, precision, formats: vec![PixelFormat::F32], packed: true };
+            let kernel = Kernel::compile(&program, &options).unwrap();
+            for v0 in [0.05, -0.3, 1.7, 1e6, f64::NAN] {
+                let bindings = Bindings { parameters: &[v0, 0.25], entry: &[v0, 0.25], ..Bindings::default() };
+                agree_with(&kernel, &bindings, &image, Window::whole(9, 19), &format!("{formula}, v0 = {v0}"));
+            }
+            if width != VectorWidth::Bits128 && formula.starts_with("er") {
+                let machine = explain(&program, &options).unwrap().machine;
+                assert!(!machine.iter().any(|line| line.text.contains("call")), "{formula}, {width:?}");
+            }
+        }
+    }
+}

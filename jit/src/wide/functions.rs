@@ -6,16 +6,16 @@
 use std::cell::RefCell;
 
 use isophote_elementary::{Accuracy, Counter, Function1, Machine, Plain, call1, call2};
-use isophote_symbolic::{Opcode, Precision, Program, Value};
+use isophote_symbolic::{Level, Opcode, Precision, Program, Value};
 
 use super::block::{Act, Block, Id};
 use super::operation::{Element, Operation, comparison};
 use crate::abi::Functions;
 
-/// Operations of all elementary functions of a group, up to which they become vector code.
+/// Operations of all elementary functions of a level, up to which they become vector code.
 const INLINED_MAX: usize = 3000;
 
-/// How the functions of the pixel loop are evaluated.
+/// How the functions of a level are evaluated.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Evaluation {
     pub precision: Precision,
@@ -28,19 +28,31 @@ pub(super) struct Evaluation {
 impl Evaluation {
     /// Of the pixel instructions of a program.
     pub fn new(program: &Program, pixels: &[Value], precision: Precision) -> Evaluation {
-        let fused = program.is_fused();
-        let counter = Counter::of(&Plain { fused });
-        let mut evaluation = Evaluation { precision, is_fused: fused, is_inlined: false };
-        let (accuracy, vectors) = (evaluation.accuracy(), evaluation.vectors());
-        evaluation.is_inlined = pixels.iter().all(|v| {
-            match program.instruction(*v).op.code {
+        let codes = pixels.iter().map(|v| program.instruction(*v).op.code);
+        // f64, as all is computed in, takes two vectors for a group of f32.
+        let vectors = if precision == Precision::F32 { 2 } else { 1 };
+        Evaluation { precision, is_fused: program.is_fused(), is_inlined: false }.inlined(codes, vectors)
+    }
+
+    /// Of a level outside of the pixel loop, where nothing is fused, which is written so many times.
+    pub fn outer(program: &Program, level: Level, parts: usize) -> Evaluation {
+        let of_level = program.instructions().iter().filter(|instruction| instruction.level == level);
+        let codes = of_level.map(|instruction| instruction.op.code);
+        Evaluation { precision: Precision::F64, is_fused: false, is_inlined: false }.inlined(codes, parts)
+    }
+
+    /// As vector code where that is not too much.
+    fn inlined(self, mut codes: impl Iterator<Item = Opcode>, vectors: usize) -> Evaluation {
+        let (accuracy, counter) = (self.accuracy(), Counter::of(&Plain { fused: self.is_fused }));
+        let is_inlined = codes.all(|code| {
+            match code {
                 Opcode::Call1(f) => call1(&counter, f, accuracy, ()),
                 Opcode::Call2(f) => call2(&counter, f, accuracy, (), ()),
                 _ => {}
             }
             counter.count() * vectors <= INLINED_MAX
         });
-        evaluation
+        Evaluation { is_inlined, ..self }
     }
 
     fn accuracy(self) -> Accuracy {
@@ -49,18 +61,10 @@ impl Evaluation {
             Precision::F64 => Accuracy::Double,
         }
     }
-
-    /// Of f64, for a group.
-    fn vectors(self) -> usize {
-        match self.precision {
-            Precision::F32 => 2,
-            Precision::F64 => 1,
-        }
-    }
 }
 
 impl Block<'_> {
-    /// A function of each lane of a group.
+    /// A function of each lane.
     pub fn function(&mut self, evaluation: Evaluation, code: Opcode, operands: &[Id]) -> Option<Id> {
         let Evaluation { precision, is_fused: fused, is_inlined } = evaluation;
         if !is_inlined {
@@ -83,17 +87,6 @@ impl Block<'_> {
             }
             _ => None,
         }
-    }
-
-    /// The same outside of the pixel loop, where nothing is fused.
-    pub fn outer_function(&mut self, code: Opcode, operands: &[Id]) -> Option<Id> {
-        let plain = Plain { fused: false };
-        let offset = match code {
-            Opcode::Call1(f) => Functions::lanes1(Precision::F64, plain, f),
-            Opcode::Call2(f) => Functions::lanes2(Precision::F64, plain, f),
-            _ => return None,
-        };
-        Some(self.call(Element::Double, offset, operands))
     }
 
     fn call(&mut self, element: Element, offset: i32, operands: &[Id]) -> Id {

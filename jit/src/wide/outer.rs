@@ -10,6 +10,7 @@ use super::acts::allocate;
 use super::assembler::{Anchor, Assembler, Instructions, MemoryPlace};
 use super::block::{Act, Block, Id};
 use super::calls::arg;
+use super::functions::Evaluation;
 use super::operation::{Element, Operation, Portion, comparison};
 use super::pixels::FURTHEST;
 use super::places::{Homes, element, parts};
@@ -30,7 +31,8 @@ pub(super) fn write(
     let parts = if matches!(level, Level::Row | Level::RowEnd) { parts(options.width) } else { 1 };
     let block = Block::new(assembler, options.width);
     let known = vec![None; program.instructions().len()];
-    let mut writer = Writer { program, options, places, block, part: 0, number: None, known };
+    let evaluation = Evaluation::outer(program, level, parts);
+    let mut writer = Writer { program, options, places, evaluation, block, part: 0, number: None, known };
     let acts: Vec<_> = (0..parts).map(|part| writer.part(level, part)).collect();
     let Writer { mut block, .. } = writer;
     block.acts = match level {
@@ -55,6 +57,7 @@ struct Writer<'w, 'a> {
     program: &'w Program,
     options: &'w KernelOptions,
     places: &'w Homes,
+    evaluation: Evaluation,
     block: Block<'a>,
     /// Which of the vectors that the rows at hand take.
     part: usize,
@@ -156,7 +159,7 @@ impl Writer<'_, '_> {
             _ => {
                 let operands: SmallVec<[Id; 3]> = op.operands().map(|v| self.operand(v)).collect();
                 let result = self.block.arithmetic(DOUBLE, op, &operands, self.program.tables());
-                match result.or_else(|| self.block.outer_function(code, &operands)) {
+                match result.or_else(|| self.block.function(self.evaluation, code, &operands)) {
                     Some(result) => result,
                     None => unreachable!("the check refuses pixel instructions at this level"),
                 }
