@@ -2,7 +2,7 @@
 //! which each subscriber has a place of its own; who falls out of it goes on with the oldest and is told how many were lost.
 //! Each target is a stream of its own: what is newest, and what was dropped, is told for each.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -13,6 +13,7 @@ use crate::access::Visitor;
 use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::ring::{EstimateRing, RingReader};
 use crate::written::{SentEstimate, TraceWish, WrittenEstimate};
 
 /// What a subscriber gets.
@@ -68,16 +69,8 @@ pub struct HubLoad {
 
 #[derive(Default)]
 struct State {
-    /// What somebody in mode `all` may still get, in order, the last of them with the number before `next`.
-    ring: VecDeque<Arc<WrittenEstimate>>,
-    ring_bytes: usize,
-    /// The number of the next estimate.
-    next: u64,
+    ring: EstimateRing,
     subscribers: usize,
-    /// Where those in mode `all` are: they had all before that number.
-    places: BTreeMap<u64, u64>,
-    /// Places so far.
-    places_given: u64,
     /// By target.
     last: BTreeMap<String, Last>,
     end: Option<End>,
@@ -108,22 +101,13 @@ impl Hub {
 
     /// The same with the steps of its fit, for those who want them.
     pub fn publish_traced(&self, estimate: Arc<EstimateView>, trace: &[TraceView]) {
-        let is_wanted = !lock(&self.state).places.is_empty();
+        let is_wanted = lock(&self.state).ring.is_read();
         let written = Arc::new(OnceLock::new());
         if is_wanted {
             written.get_or_init(|| WrittenEstimate::of(&estimate, trace));
         }
         let mut state = lock(&self.state);
-        let number = state.next;
-        state.next += 1;
-        if !state.places.is_empty() {
-            let one = written.get_or_init(|| WrittenEstimate::of(&estimate, trace)).clone();
-            state.ring_bytes += one.bytes();
-            state.ring.push_back(one);
-            while state.ring_bytes > LIMITS.ring_bytes && state.ring.len() > 1 {
-                state.forget_oldest();
-            }
-        }
+        let number = state.ring.push(|| written.get_or_init(|| WrittenEstimate::of(&estimate, trace)).clone());
         state.last.insert(estimate.target.clone(), Last { number, estimate, trace: trace.into(), written });
         drop(state);
         self.changed.notify_waiters();
@@ -138,7 +122,7 @@ impl Hub {
     /// What subscribers cost now.
     pub fn load(&self) -> HubLoad {
         let state = lock(&self.state);
-        HubLoad { subscribers: state.subscribers, ring_bytes: state.ring_bytes, dropped: self.dropped.count() }
+        HubLoad { subscribers: state.subscribers, ring_bytes: state.ring.bytes(), dropped: self.dropped.count() }
     }
 
     /// The last estimate, of the first target where there are several.
@@ -158,54 +142,30 @@ impl Hub {
             return Err(Problem::over_limit("subscribers of one session", LIMITS.subscribers));
         }
         state.subscribers += 1;
-        let (next, place) = match mode {
-            Mode::All => {
-                let (next, place) = (state.next, state.places_given);
-                state.places_given += 1;
-                state.places.insert(place, next);
-                (next, Some(place))
-            }
-            Mode::Latest | Mode::End => (0, None),
+        let place = match mode {
+            Mode::All => Place::All(state.ring.join()),
+            Mode::Latest => Place::Latest(0),
+            Mode::End => Place::End,
         };
         drop(state);
         let (hub, last_frames, visitor, wish) = (self.clone(), BTreeMap::new(), Visitor::Anyone, TraceWish::Without);
-        Ok(Subscription { hub, mode, next, place, last_frames, visitor, wish })
+        Ok(Subscription { hub, place, last_frames, visitor, wish })
     }
 }
 
 impl State {
-    fn forget_oldest(&mut self) {
-        let oldest = self.ring.pop_front();
-        self.ring_bytes -= oldest.map_or(0, |oldest| oldest.bytes());
+    /// The oldest of the newest of each target, of those from that number on.
+    fn newest(&self, from: u64) -> Option<&Last> {
+        self.last.values().filter(|last| last.number >= from).min_by_key(|last| last.number)
     }
+}
 
-    /// Forgets what all have had.
-    fn forget_had(&mut self) {
-        let first = self.places.values().min().copied().unwrap_or(self.next);
-        while self.next - (self.ring.len() as u64) < first && !self.ring.is_empty() {
-            self.forget_oldest();
-        }
-        if self.places.is_empty() {
-            self.ring = VecDeque::new();
-        }
-    }
-
-    /// The estimate that a subscriber gets who is at the number `from`, and its number.
-    fn at(&self, mode: Mode, from: u64) -> Option<(u64, Found)> {
-        match mode {
-            Mode::End => None,
-            Mode::All => {
-                let oldest = self.next - self.ring.len() as u64;
-                let number = from.max(oldest);
-                Some((number, Found::Written(self.ring.get((number - oldest) as usize)?.clone())))
-            }
-            Mode::Latest => {
-                let newer = self.last.values().filter(|last| last.number >= from);
-                let last = newer.min_by_key(|last| last.number)?;
-                Some((last.number, Found::Last(last.estimate.clone(), last.trace.clone(), last.written.clone())))
-            }
-        }
-    }
+/// Where a subscriber is.
+enum Place {
+    All(RingReader),
+    /// It had all that it gets of those before this number.
+    Latest(u64),
+    End,
 }
 
 /// What is written, or will be outside of the lock.
@@ -226,11 +186,7 @@ pub enum Next {
 /// One subscriber; dropping it unsubscribes.
 pub struct Subscription {
     hub: Arc<Hub>,
-    mode: Mode,
-    /// It had all that it gets of those before this number.
-    next: u64,
-    /// In mode `all`, that of the hub's table.
-    place: Option<u64>,
+    place: Place,
     /// By target.
     last_frames: BTreeMap<String, u64>,
     visitor: Visitor,
@@ -289,7 +245,11 @@ impl Subscription {
             let changed = self.hub.changed.notified();
             {
                 let state = lock(&self.hub.state);
-                let is_done = || state.at(self.mode, self.next).is_none();
+                let is_done = || match &self.place {
+                    Place::All(reader) => !state.ring.has(*reader),
+                    Place::Latest(next) => state.newest(*next).is_none(),
+                    Place::End => true,
+                };
                 match &state.end {
                     Some(end) if *end == End::ServiceStops || is_done() => return Next::End(end.clone()),
                     _ => {}
@@ -301,14 +261,15 @@ impl Subscription {
 
     fn take(&mut self) -> Option<Next> {
         let mut state = lock(&self.hub.state);
-        let Some((number, found)) = state.at(self.mode, self.next) else {
-            return state.end.clone().map(Next::End);
+        let found = match &mut self.place {
+            Place::All(reader) => state.ring.take(*reader).map(Found::Written),
+            Place::Latest(next) => state.newest(*next).map(|last| {
+                *next = last.number + 1;
+                Found::Last(last.estimate.clone(), last.trace.clone(), last.written.clone())
+            }),
+            Place::End => None,
         };
-        self.next = number + 1;
-        if let Some(place) = self.place {
-            state.places.insert(place, self.next);
-            state.forget_had();
-        }
+        let Some(found) = found else { return state.end.clone().map(Next::End) };
         drop(state);
         let written = match found {
             Found::Written(written) => written,
@@ -330,9 +291,8 @@ impl Drop for Subscription {
         }
         let mut state = lock(&self.hub.state);
         state.subscribers -= 1;
-        if let Some(place) = self.place {
-            state.places.remove(&place);
-            state.forget_had();
+        if let Place::All(reader) = self.place {
+            state.ring.leave(reader);
         }
     }
 }
@@ -411,24 +371,23 @@ mod tests {
         let (mut first, mut second) = (hub.subscribe(Mode::All).unwrap(), hub.subscribe(Mode::All).unwrap());
         hub.publish(estimate(0));
         assert_eq!(drain(&mut first), [(0, 0)]);
-        let bytes = |hub: &Hub| lock(&hub.state).ring.iter().map(|one| one.bytes()).sum::<usize>();
+        let bytes = |hub: &Hub| lock(&hub.state).ring.bytes();
         let each = bytes(&hub);
         // Its numbers have more digits later: then fewer fit.
         let last = (LIMITS.ring_bytes / each) as u64 + 1000;
         (1..=last).for_each(|frame| hub.publish(estimate(frame)));
         assert!((LIMITS.ring_bytes - 2 * each..=LIMITS.ring_bytes).contains(&bytes(&hub)));
-        assert_eq!(bytes(&hub), lock(&hub.state).ring_bytes);
         let taken = drain(&mut first);
         assert!(taken[0].0 > 1000 && taken[0].1 == taken[0].0 - 1, "{:?}", taken[0]);
         assert!(taken[1..].iter().all(|(_, dropped)| *dropped == 0));
         assert_eq!((taken.len() as u64, taken.last()), (last + 1 - taken[0].0, Some(&(last, 0))));
         // Who never had one has lost none that it was told of.
         assert_eq!(drain(&mut second)[0], (taken[0].0, 0));
-        assert_eq!((bytes(&hub), lock(&hub.state).ring_bytes), (0, 0), "what all have had is not kept");
+        assert_eq!(bytes(&hub), 0, "what all have had is not kept");
         // Where nobody wants all, nothing is kept.
         drop((first, second));
         hub.publish(estimate(last + 1));
-        assert_eq!((bytes(&hub), lock(&hub.state).ring_bytes), (0, 0));
+        assert_eq!(bytes(&hub), 0);
         assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()), [(last + 1, 0)]);
     }
 

@@ -40,6 +40,7 @@ mod problem;
 mod recording;
 mod registry;
 mod restore;
+mod ring;
 mod room;
 mod routes;
 mod service;
