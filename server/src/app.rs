@@ -8,7 +8,7 @@ use crate::access::Recordings;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::recording::RecordingFolder;
-use crate::room::{Room, RoomTaken};
+use crate::room::{RoomTaken, SharedRoom};
 use crate::service::Service;
 use crate::streams::pushed::FrameRoom;
 
@@ -20,7 +20,7 @@ pub struct App {
     /// Held by every stream.
     pub stream: StreamHold,
     /// Places for those whose recordings are being opened.
-    pub openings: Room,
+    pub openings: SharedRoom,
     /// For pushed frames.
     pub frames: Arc<FrameRoom>,
     /// For single images.
@@ -28,15 +28,15 @@ pub struct App {
     /// Places for connections.
     pub sockets: Arc<Semaphore>,
     /// For requests, streams among them.
-    pub requests: Room,
+    pub requests: SharedRoom,
     /// Which may be named.
     pub recordings: Recordings,
     /// Where sessions are recorded.
     pub folder: RecordingFolder,
     /// Places for those who read recordings.
-    pub downloads: Room,
+    pub downloads: SharedRoom,
     /// Room for pictures that viewers have not taken yet, bytes.
-    pub pictures: Room,
+    pub pictures: SharedRoom,
 }
 
 /// Kept for as long as there is somebody to answer.
@@ -51,9 +51,9 @@ pub struct StreamHold {
 /// Places for single images.
 pub struct ImagePlaces {
     /// Fitted, or waiting for it.
-    pub admitted: Room,
+    pub admitted: SharedRoom,
     /// Fitted.
-    pub fitting: Room,
+    pub fitting: SharedRoom,
 }
 
 impl App {
@@ -63,19 +63,20 @@ impl App {
         sockets: Arc<Semaphore>,
         (recordings, folder): (Recordings, RecordingFolder),
     ) -> App {
-        let images = ImagePlaces { admitted: Room::new(LIMITS.images), fitting: Room::new(LIMITS.image_fits) };
+        let images =
+            ImagePlaces { admitted: SharedRoom::new(LIMITS.images), fitting: SharedRoom::new(LIMITS.image_fits) };
         App {
             service,
             stream: StreamHold::default(),
-            openings: Room::new(LIMITS.openings),
+            openings: SharedRoom::new(LIMITS.openings),
             frames: Arc::default(),
             images: Arc::new(images),
             sockets,
-            requests: Room::new(LIMITS.sockets),
+            requests: SharedRoom::new(LIMITS.sockets),
             recordings,
             folder,
-            downloads: Room::new(LIMITS.downloads),
-            pictures: Room::new(LIMITS.picture_bytes),
+            downloads: SharedRoom::new(LIMITS.downloads),
+            pictures: SharedRoom::new(LIMITS.picture_bytes),
         }
     }
 

@@ -11,14 +11,14 @@ use crate::capacity::Load;
 use crate::problem::Problem;
 use crate::session::SearchRoom;
 use crate::source::control::CameraNames;
-use crate::workshop::Places;
+use crate::workshop::CompileTurns;
 
 /// Of one process.
 pub struct Commons {
     /// The kernels of all models and sessions.
     pub cache: Arc<KernelCache>,
     /// Where documents are derived and compiled.
-    pub places: Places,
+    pub turns: CompileTurns,
     searches: SearchRoom,
     members: RwLock<Vec<Weak<dyn Member>>>,
 }
@@ -50,7 +50,7 @@ impl Commons {
     pub fn of_machine(width: VectorWidth) -> Commons {
         Commons {
             cache: Arc::new(KernelCache::of_width(width)),
-            places: Places::of_machine(),
+            turns: CompileTurns::of_machine(),
             searches: SearchRoom::of_machine(),
             members: RwLock::default(),
         }

@@ -13,7 +13,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Sleep, sleep};
 
 use crate::limits::LIMITS;
-use crate::room::{Room, RoomTaken};
+use crate::room::{RoomTaken, SharedRoom};
 
 /// Bytes of a message that come without room for it: its head is no longer.
 const HEAD_BYTES: usize = 16;
@@ -41,7 +41,7 @@ type Acquiring = Pin<Box<dyn Future<Output = RoomTaken> + Send>>;
 /// What a message may need.
 #[derive(Clone)]
 struct Bound {
-    room: Room,
+    room: SharedRoom,
     permits: u32,
 }
 
@@ -51,7 +51,7 @@ impl MessageGate {
     }
 
     /// From now on each message takes so many permits of that room.
-    pub fn close(&self, room: Room, permits: u32) {
+    pub fn close(&self, room: SharedRoom, permits: u32) {
         *self.lock() = State::Between(Bound { room, permits });
     }
 
@@ -149,7 +149,7 @@ mod tests {
     /// Nothing is held between messages; of a message without room only the head is read.
     #[tokio::test]
     async fn a_message_takes_room_from_its_beginning_to_its_end() {
-        let room = Room::new(10);
+        let room = SharedRoom::new(10);
         let (mut client, socket) = duplex(1024);
         let (mut socket, gate) = GatedSocket::new(socket);
         let mut bytes = [0; 1024];

@@ -1,4 +1,4 @@
-//! `Room`: places or bytes that all tenants have together, and of which none can take everything.
+//! `SharedRoom`: places or bytes that all tenants have together, and of which none can take everything.
 //!
 //! What comes in: how many there are. What goes out: permits, each given back when it is dropped. Where there are tokens a tenant has
 //! a part of its own of every room, half of it, so that there is always something left for the others.
@@ -9,7 +9,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// What there is for one tenant, within what there is for all.
 #[derive(Clone)]
-pub struct Room {
+pub struct SharedRoom {
     all: Limited,
     own: Limited,
 }
@@ -38,15 +38,15 @@ impl Limited {
     }
 }
 
-impl Room {
+impl SharedRoom {
     /// So many, all of them for whoever comes.
-    pub fn new(most: usize) -> Room {
-        Room { all: Limited::new(most), own: Limited::new(most) }
+    pub fn new(most: usize) -> SharedRoom {
+        SharedRoom { all: Limited::new(most), own: Limited::new(most) }
     }
 
     /// What another tenant may have of the same.
-    pub fn part(&self) -> Room {
-        Room { all: self.all.clone(), own: Limited::new(self.all.most.div_ceil(2)) }
+    pub fn part(&self) -> SharedRoom {
+        SharedRoom { all: self.all.clone(), own: Limited::new(self.all.most.div_ceil(2)) }
     }
 
     /// So many, if they are free now.
@@ -85,7 +85,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_part_is_never_all_of_it_and_the_whole_bounds_all_parts() {
-        let machine = Room::new(10);
+        let machine = SharedRoom::new(10);
         let (one, other, third) = (machine.part(), machine.part(), machine.part());
         let held = one.try_take(5).unwrap();
         assert!(one.try_take(1).is_none(), "its part is taken");

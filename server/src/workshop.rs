@@ -28,32 +28,32 @@ pub enum Lane {
 
 /// Turns of all tenants.
 #[derive(Clone)]
-pub struct Places {
+pub struct CompileTurns {
     uploads: Arc<Turns>,
     sessions: Arc<Turns>,
 }
 
-/// Places for work of one tenant.
+/// CompileTurns for work of one tenant.
 pub struct Workshop {
-    places: Places,
+    turns: CompileTurns,
     jobs: Arc<Semaphore>,
     targets: Mutex<BTreeMap<String, Weak<Order>>>,
 }
 
 type Order = tokio::sync::Mutex<()>;
 
-impl Places {
+impl CompileTurns {
     /// As many pieces at a time as there are processors, for either lane.
-    pub fn of_machine() -> Places {
+    pub fn of_machine() -> CompileTurns {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        Places { uploads: Arc::new(Turns::new(processors)), sessions: Arc::new(Turns::new(processors.max(2))) }
+        CompileTurns { uploads: Arc::new(Turns::new(processors)), sessions: Arc::new(Turns::new(processors.max(2))) }
     }
 }
 
 impl Workshop {
     /// For work that is done in those turns.
-    pub fn new(places: Places) -> Workshop {
-        Workshop { places, jobs: Arc::new(Semaphore::new(LIMITS.compile_jobs)), targets: Mutex::default() }
+    pub fn new(turns: CompileTurns) -> Workshop {
+        Workshop { turns, jobs: Arc::new(Semaphore::new(LIMITS.compile_jobs)), targets: Mutex::default() }
     }
 
     /// Waits until all changes of the target that came before are done. Held until this one is.
@@ -74,7 +74,7 @@ impl Workshop {
 
     /// For whoever waits anyway: while the service starts.
     pub fn at_once(&self) -> FairWorkers {
-        self.places.uploads.begin()
+        self.turns.uploads.begin()
     }
 
     /// Does it on a thread of its own, where fits go first. A panic of `work` is a 500.
@@ -86,8 +86,8 @@ impl Workshop {
         let place = self.jobs.clone().try_acquire_owned();
         let place = place.map_err(|_| Problem::over_limit("compile jobs in the queue", LIMITS.compile_jobs))?;
         let (turns, nicer) = match lane {
-            Lane::Sessions => (&self.places.sessions, 3),
-            Lane::Uploads => (&self.places.uploads, 10),
+            Lane::Sessions => (&self.turns.sessions, 3),
+            Lane::Uploads => (&self.turns.uploads, 10),
         };
         let workers = turns.begin();
         let (reply, answer) = oneshot::channel();
@@ -115,7 +115,7 @@ mod tests {
 
     #[tokio::test]
     async fn changes_of_one_target_are_made_in_order() {
-        let workshop = Workshop::new(Places::of_machine());
+        let workshop = Workshop::new(CompileTurns::of_machine());
         let first = workshop.in_order("model", "a").await;
         let mut second = Box::pin(workshop.in_order("model", "a"));
         assert!(timeout(SOON, &mut second).await.is_err());
@@ -133,7 +133,7 @@ mod tests {
 
     #[tokio::test]
     async fn work_that_panics_is_a_bug_and_leaves_its_place() {
-        let workshop = Workshop::new(Places::of_machine());
+        let workshop = Workshop::new(CompileTurns::of_machine());
         for _ in 0..=LIMITS.compile_jobs {
             let work = |_: &FairWorkers| -> Result<(), Problem> { panic!("planted") };
             assert_eq!(workshop.prepare(Lane::Uploads, work).await.unwrap_err().code, "bug");

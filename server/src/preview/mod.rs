@@ -24,7 +24,7 @@ use tokio::sync::oneshot;
 use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::room::{Room, RoomTaken};
+use crate::room::{RoomTaken, SharedRoom};
 use crate::thread::step_aside;
 pub use draw::PreviewMessage;
 
@@ -94,7 +94,7 @@ struct Ask {
     /// The number after that of the frame that the viewer has.
     after_seen: u64,
     /// What messages of all viewers take their bytes of.
-    room: Room,
+    room: SharedRoom,
     reply: oneshot::Sender<ShownFrame>,
 }
 
@@ -112,7 +112,7 @@ pub struct ShownFrame {
 /// One viewer; it leaves when this is dropped.
 pub struct PreviewSeat {
     preview: Arc<Preview>,
-    room: Room,
+    room: SharedRoom,
 }
 
 impl Preview {
@@ -161,7 +161,7 @@ impl Preview {
     }
 
     /// A new viewer of a session of that name, whose messages take their bytes of that room.
-    pub fn look(self: &Arc<Preview>, session: &str, room: Room) -> Result<PreviewSeat, Problem> {
+    pub fn look(self: &Arc<Preview>, session: &str, room: SharedRoom) -> Result<PreviewSeat, Problem> {
         let starts = {
             let mut state = self.lock();
             state.viewers += 1;

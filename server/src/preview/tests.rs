@@ -19,7 +19,7 @@ fn a_viewer_waits_until_there_is_room_for_its_picture() {
         let frame = frame.with_sequence(number);
         FittedScene { frame, estimates, views, viewer: viewer.clone(), session, epoch: 1 }
     };
-    let (preview, room) = (Arc::new(Preview::new(|| ())), Room::new(10_000));
+    let (preview, room) = (Arc::new(Preview::new(|| ())), SharedRoom::new(10_000));
     let others = room.try_take(9_900).unwrap();
     let wait_for = |is_there: &dyn Fn() -> bool| {
         while !is_there() {

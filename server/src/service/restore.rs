@@ -58,7 +58,7 @@ impl Service {
             compiler: Compiler::start(owner)?,
             counters: ServiceCounters::default(),
             watch: OwnerWatch::default(),
-            workshop: Workshop::new(commons.places.clone()),
+            workshop: Workshop::new(commons.turns.clone()),
             searches: Arc::new(commons.searches()),
             commons,
             sources: Table::default(),

@@ -14,7 +14,7 @@ use crate::documents::media_type;
 use crate::gate::MessageGate;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::room::{Room, RoomTaken};
+use crate::room::{RoomTaken, SharedRoom};
 use crate::session::Session;
 use crate::session::inbox::{Inbox, Reply};
 use crate::source::{Source, pixel_format};
@@ -53,14 +53,14 @@ pub struct Pushed {
 /// Bytes of frames on their way, of all clients together: a permit is 1 KiB.
 pub struct FrameRoom {
     /// Frames that are read, decoded, or wait for their fits.
-    frames: Room,
+    frames: SharedRoom,
     /// Messages of WebSockets that are half received.
-    sockets: Room,
+    sockets: SharedRoom,
 }
 
 impl Default for FrameRoom {
     fn default() -> FrameRoom {
-        let half = || Room::new(permits(LIMITS.flight_bytes / 2) as usize);
+        let half = || SharedRoom::new(permits(LIMITS.flight_bytes / 2) as usize);
         FrameRoom { frames: half(), sockets: half() }
     }
 }
@@ -285,7 +285,7 @@ mod tests {
     #[tokio::test]
     async fn time_begins_when_a_frame_is_the_next() {
         let (sender, answer) = oneshot::channel();
-        let room = Room::new(1).take(1).await;
+        let room = SharedRoom::new(1).take(1).await;
         let mut waiting = WaitingFrame { answer, deadline: None, _room: room };
         let (begun, long) = (Instant::now(), LIMITS.push_time);
         assert!(tokio::time::timeout(std::time::Duration::from_millis(1), waiting.estimate()).await.is_err());
