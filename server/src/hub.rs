@@ -383,7 +383,7 @@ mod tests {
         assert_eq!((taken.len() as u64, taken.last()), (last + 1 - taken[0].0, Some(&(last, 0))));
         // Who never had one has lost none that it was told of.
         assert_eq!(drain(&mut second)[0], (taken[0].0, 0));
-        assert_eq!(bytes(&hub), 0, "what all have had is not kept");
+        assert!(bytes(&hub) < 2 * each, "but for the last, what all have had is not kept");
         // Where nobody wants all, nothing is kept.
         drop((first, second));
         hub.publish(estimate(last + 1));

@@ -1,7 +1,7 @@
 //! `EstimateRing`: estimates that somebody who wants all of them may still get, within bounded bytes.
 //!
 //! What comes in: estimates, one after the other, and those who want them. What goes out: to each the next one that it has not had;
-//! who is too slow goes on with the oldest that is left. What all have had is forgotten.
+//! who is too slow goes on with the oldest that is left. What all have had is forgotten, but for the last one.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -64,7 +64,7 @@ impl EstimateRing {
         self.readers.remove(&reader);
         self.forget_had();
         if !self.is_read() {
-            self.kept = VecDeque::new();
+            (self.kept, self.bytes) = (VecDeque::new(), 0);
         }
     }
 
@@ -96,9 +96,10 @@ impl EstimateRing {
         self.bytes -= oldest.map_or(0, |oldest| oldest.bytes());
     }
 
+    /// What all have had, but for the last.
     fn forget_had(&mut self) {
         let first = self.readers.values().min().map_or(self.next, |first| *first);
-        while self.oldest() < first && !self.kept.is_empty() {
+        while self.oldest() < first && self.kept.len() > 1 {
             self.forget_oldest();
         }
     }
