@@ -1,6 +1,6 @@
-//! Everything of one tenant that runs: models, sources, sessions. Changed on its compile thread only, one change after the other, from what was
-//! prepared beside it; read from anywhere. What is put is made ready, written, and only then takes its place: acknowledged means
-//! durable, refused means that nothing was changed.
+//! Everything of one tenant that runs: models, sources, sessions. Changed on its compile thread only, one change after the other,
+//! from what was prepared beside it; read from anywhere. What is put is made ready, written, and only then takes its place:
+//! acknowledged means durable, refused means that nothing was changed.
 
 mod apply;
 mod declare;

@@ -83,7 +83,7 @@ impl FrameRoom {
 }
 
 fn permits(bytes: usize) -> u32 {
-    bytes.min(LIMITS.flight_bytes / 2).div_ceil(1024) as u32
+    bytes.div_ceil(1024) as u32
 }
 
 /// A frame that the source may have, and the room that it takes until it is answered.
