@@ -183,6 +183,7 @@ macro_rules! every {
             $f::<19 $(, $fused)?>,
             $f::<20 $(, $fused)?>,
             $f::<21 $(, $fused)?>,
+            $f::<22 $(, $fused)?>,
         ]
     };
 }

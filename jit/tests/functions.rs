@@ -6,7 +6,9 @@ mod common;
 
 use common::{Image, Random, agree_with, document, widths};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, VectorWidth, Window, explain, has_fma};
-use isophote_symbolic::{Bindings, Function1, Function2, Lowering, Method, Model, ParameterId, Precision, Program};
+use isophote_symbolic::{
+    Bindings, Function1, Function2, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind,
+};
 
 /// So many tangents that no function of the loop becomes vector code.
 const MANY: &str = "v1 * sum(tan((x + i) / 50), i, 1, 40)";
@@ -107,10 +109,13 @@ fn compare(formula: &str, fma: bool, precision: Precision, many: bool, seed: u64
 }
 
 fn compare_at(width: VectorWidth, formula: &str, fma: bool, precision: Precision, many: bool, seed: u64) {
-    let model = model(formula, many);
-    let program = program(&model, fma);
+    let program = program(&model(formula, many), fma);
+    compare_program(&program, width, precision, seed, &format!("{formula}, fused {fma}, many {many}, seed {seed}"));
+}
+
+fn compare_program(program: &Program, width: VectorWidth, precision: Precision, seed: u64, context: &str) {
     let formats = vec![PixelFormat::F64; 2];
-    let kernel = Kernel::compile(&program, &KernelOptions { width, precision, formats, packed: true }).unwrap();
+    let kernel = Kernel::compile(program, &KernelOptions { width, precision, formats, packed: true }).unwrap();
     let mut random = Random(seed);
     let lanes = width.lanes(precision).count();
     let mut numbers = vec![[[0.0; 2]; 2]; ROWS];
@@ -126,8 +131,7 @@ fn compare_at(width: VectorWidth, formula: &str, fma: bool, precision: Precision
     for (y, row) in numbers.iter().enumerate() {
         for (x, width) in [(0, lanes), (lanes, 1)] {
             let window = Window { x, y, width, height: 1, slices: Slices::ONE };
-            let context = format!("{formula} of {:?}, fused {fma}, many {many}, seed {seed}", row[x / lanes]);
-            agree_with(&kernel, &bindings, &image, window, &context);
+            agree_with(&kernel, &bindings, &image, window, &format!("{context}: {:?}", row[x / lanes]));
         }
     }
 }
@@ -150,6 +154,34 @@ fn the_table_is_the_interpreter_s() {
             for fma in [false, true].into_iter().filter(|fma| !fma || has_fma()) {
                 compare(formula, fma, precision, true, seed as u64);
             }
+        }
+    }
+}
+
+/// F with ln σ², and χ², of a variance that each pixel says for itself.
+#[test]
+fn a_variance_s_logarithm_is_the_interpreter_s() {
+    let model = document(
+        r#"
+        name = "variance"
+        coordinates = ["x", "y"]
+        channels = ["r", "g"]
+        [parameters]
+        v0 = { start = 0.0 }
+        v1 = { start = 0.0 }
+        [model]
+        observed = "g"
+        intensity = "v0 + v1 * x"
+        noise = "r"
+        "#,
+    );
+    let report = model.value_objective(ValueKind::Full).unwrap();
+    for fma in [false, true].into_iter().filter(|fma| !fma || has_fma()) {
+        let program = report.program(Lowering { fma, drop_saturated: false }).unwrap();
+        for precision in [Precision::F32, Precision::F64] {
+            widths()
+                .into_iter()
+                .for_each(|width| compare_program(&program, width, precision, 3, &format!("fused {fma}")));
         }
     }
 }

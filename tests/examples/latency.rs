@@ -37,20 +37,23 @@ fn median_and_p99(mut values: Vec<f64>) -> (f64, f64) {
     (values[values.len() / 2], values[values.len() * 99 / 100])
 }
 
-/// Of each frame: µs from its source to the subscriber without the fit, and the bytes of its estimate.
-fn frames(running: &Running, count: usize) -> (Vec<f64>, usize) {
+/// The time of a frame before its fit and after it, µs.
+type Stages = [f64; 2];
+
+/// Of each frame, without the fit; and the bytes of its estimate.
+fn frames(running: &Running, count: usize) -> (Vec<Stages>, usize) {
     running.put("/v1/sessions/one", &session("realtime", RATE_HZ)).expect(201);
     let mut socket = running.socket("one", "mode=all");
-    let (mut added_us, mut bytes) = (Vec::new(), 0);
-    while added_us.len() < FIRST + count {
+    let (mut stages_us, mut bytes) = (Vec::new(), 0);
+    while stages_us.len() < FIRST + count {
         let Message::Text(text) = socket.read() else { continue };
         let now_ns = monotonic_ns();
         let estimate: Value = serde_json::from_str(&text).unwrap();
-        let passed_us = (now_ns - estimate["capture_ns"].as_u64().unwrap()) as f64 * 1e-3;
-        added_us.push(passed_us - estimate["timing_us"]["fit"].as_f64().unwrap());
+        let ended_ns = estimate["publish_ns"].as_u64().unwrap();
+        stages_us.push([estimate["timing_us"]["wait"].as_f64().unwrap(), (now_ns - ended_ns) as f64 * 1e-3]);
         bytes = text.len();
     }
-    (added_us.split_off(FIRST), bytes)
+    (stages_us.split_off(FIRST), bytes)
 }
 
 /// The same of a thread that has nothing to do but to send.
@@ -103,11 +106,16 @@ fn main() -> ExitCode {
     let (count, puts) = (arguments.next().unwrap_or(3600), arguments.next().unwrap_or(20));
     let (folder, program) = (Folder::new("latency"), program().unwrap());
     let service = Service::start(&program, &[], &folder.0).unwrap();
-    let (added_us, bytes) = frames(&Running::at(service.address()), count);
+    let (stages_us, bytes) = frames(&Running::at(service.address()), count);
     // The session goes on meanwhile: both have the same machine.
-    let (added, bare) = (median_and_p99(added_us), median_and_p99(bare(count, bytes)));
+    let bare = median_and_p99(bare(count, bytes));
+    let added = median_and_p99(stages_us.iter().map(|stages| stages.iter().sum()).collect());
     println!("{count} frames at {RATE_HZ} Hz, estimates of {bytes} bytes, µs, median and p99:");
     println!("  frame handed over to estimate read, less the fit: {:.0}, {:.0}", added.0, added.1);
+    for (stage, what) in ["before the fit", "after it"].iter().enumerate() {
+        let (median, p99) = median_and_p99(stages_us.iter().map(|stages| stages[stage]).collect());
+        println!("    {what}: {median:.0}, {p99:.0}");
+    }
     println!("  a bare thread and socket: {:.0}, {:.0}", bare.0, bare.1);
     drop(service);
     let (put_ms, sync_ms) = (0..puts).map(|number| put(&program, &folder.0, number)).unzip();

@@ -188,18 +188,22 @@ pub fn wait(time: Duration) {
     drop(waited.unwrap_or_else(PoisonError::into_inner));
 }
 
-/// Threads that wait inside the kernel and cannot be interrupted, each with where it waits: a driver that hangs is seen here.
-pub fn blocked() -> String {
+/// Threads of programs, and those of the kernel that are busy or cannot be interrupted, each with its state and where in the
+/// kernel it is: a driver that hangs is seen here.
+pub fn threads() -> String {
     let entries = |folder: PathBuf| fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-    let threads = entries("/proc".into()).flat_map(|process| entries(process.path().join("task")));
-    let is_held = |status: &String| status.lines().any(|line| line.starts_with("State:\tD"));
-    let one = |thread: fs::DirEntry| {
-        let read = |file| fs::read_to_string(thread.path().join(file)).ok();
-        read("status")
-            .filter(is_held)
-            .map(|_| format!("{}{}", read("comm").unwrap_or_default(), read("stack").unwrap_or_default()))
+    let of_process = |process: fs::DirEntry| {
+        let is_program = fs::read(process.path().join("cmdline")).is_ok_and(|line| !line.is_empty());
+        entries(process.path().join("task")).map(move |thread| (is_program, thread.path()))
     };
-    threads.filter_map(one).collect()
+    let one = |(is_program, thread): (bool, PathBuf)| {
+        let read = |file| fs::read_to_string(thread.join(file)).unwrap_or_default();
+        let status = read("status");
+        let state = status.lines().find_map(|line| line.strip_prefix("State:")).unwrap_or_default().trim();
+        let is_listed = is_program || !state.starts_with(['S', 'I']);
+        is_listed.then(|| format!("{}: {state}\n{}", read("comm").trim(), read("stack")))
+    };
+    entries("/proc".into()).flat_map(of_process).filter_map(one).collect()
 }
 
 #[cfg(test)]

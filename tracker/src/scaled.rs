@@ -26,14 +26,17 @@ impl Definite {
     /// Becomes that of the rows and columns that `place` numbers, in the memory that it has; false when that is not positive
     /// definite.
     pub fn become_of(&mut self, matrix: &DMatrix<f64>, count: usize, place: impl Fn(usize) -> usize) -> bool {
-        let diagonal = |i: usize| matrix[(place(i), place(i))];
+        let (rows, entries) = (matrix.nrows(), matrix.as_slice());
         self.scale.clear();
-        self.scale.extend((0..count).map(|i| diagonal(i).sqrt()));
+        self.scale.extend((0..count).map(|i| entries[place(i) * (rows + 1)].sqrt()));
         self.factor.clear();
-        self.factor.reserve(count * count);
+        self.factor.resize(count * count, 0.0);
         for i in 0..count {
-            let entry = |j: usize| matrix[(place(i), place(j))] / (self.scale[i] * self.scale[j]);
-            self.factor.extend((0..count).map(|j| if j <= i { entry(j) } else { 0.0 }));
+            let (row, own) = (place(i), self.scale[i]);
+            let factor = &mut self.factor[i * count..][..=i];
+            for (j, entry) in factor.iter_mut().enumerate() {
+                *entry = entries[place(j) * rows + row] / (own * self.scale[j]);
+            }
         }
         self.scale.iter().all(|entry| *entry > 0.0) && factorised(&mut self.factor, count)
     }
@@ -63,20 +66,21 @@ impl Definite {
         determinant > std::f64::consts::E * n * n * resolution
     }
 
-    /// `x` becomes `L⁻¹ x`.
-    fn lower(&self, x: &mut [f64]) {
-        for i in 0..x.len() {
-            let (row, (known, rest)) = (self.row(i), x.split_at_mut(i));
-            rest[0] = (rest[0] - dot(row, known)) * row[i];
+    /// `x` becomes `L⁻¹ x`; its entries before `first` are 0.
+    fn lower(&self, x: &mut [f64], first: usize) {
+        for i in first..x.len() {
+            let row = self.row(i);
+            x[i] = (x[i] - dot(&row[first..i], &x[first..i])) * row[i];
         }
     }
 
-    /// `x` becomes `L⁻ᵀ x`.
-    fn upper(&self, x: &mut [f64]) {
-        for i in (0..x.len()).rev() {
-            let (row, (before, rest)) = (self.row(i), x.split_at_mut(i));
-            rest[0] *= row[i];
-            before.iter_mut().zip(row).for_each(|(x, entry)| *x -= entry * rest[0]);
+    /// `x` becomes `L⁻ᵀ x`, from `first` on.
+    fn upper(&self, x: &mut [f64], first: usize) {
+        for i in (first..x.len()).rev() {
+            let row = self.row(i);
+            let own = x[i] * row[i];
+            x[i] = own;
+            x[first..i].iter_mut().zip(&row[first..i]).for_each(|(x, entry)| *x -= entry * own);
         }
     }
 
@@ -85,8 +89,8 @@ impl Definite {
         let mut scaled = std::mem::take(&mut self.scaled);
         scaled.clear();
         scaled.extend(gradient.clone().zip(&self.scale).map(|(slope, scale)| slope / scale));
-        self.lower(&mut scaled);
-        self.upper(&mut scaled);
+        self.lower(&mut scaled, 0);
+        self.upper(&mut scaled, 0);
         delta.clear();
         delta.extend(scaled.iter().zip(&self.scale).map(|(step, scale)| -step / scale));
         self.scaled = scaled;
@@ -98,8 +102,9 @@ impl Definite {
         let n = self.scale.len();
         let mut inverse = DMatrix::identity(n, n);
         for (j, column) in inverse.as_mut_slice().chunks_exact_mut(n.max(1)).enumerate() {
-            self.lower(column);
-            self.upper(column);
+            // What is above the diagonal follows from what is below.
+            self.lower(column, j);
+            self.upper(column, j);
             column.iter_mut().zip(&self.scale).for_each(|(entry, scale)| *entry /= scale * self.scale[j]);
         }
         inverse.fill_upper_triangle_with_lower_triangle();
@@ -109,7 +114,7 @@ impl Definite {
     /// `√(gᵀH⁻¹g)`.
     pub fn length(&self, gradient: &DVector<f64>) -> f64 {
         let mut scaled: Vec<f64> = gradient.iter().zip(&self.scale).map(|(slope, scale)| slope / scale).collect();
-        self.lower(&mut scaled);
+        self.lower(&mut scaled, 0);
         dot(&scaled, &scaled).sqrt()
     }
 
@@ -119,7 +124,7 @@ impl Definite {
         let mut whole = DMatrix::from_fn(n, n, |i, j| other[(i, j)] / (self.scale[i] * self.scale[j]));
         // L⁻¹ from the left, and, transposed, once more.
         for _ in 0..2 {
-            whole.as_mut_slice().chunks_exact_mut(n.max(1)).for_each(|column| self.lower(column));
+            whole.as_mut_slice().chunks_exact_mut(n.max(1)).for_each(|column| self.lower(column, 0));
             whole.transpose_mut();
         }
         if !whole.iter().all(|entry| entry.is_finite()) {
@@ -130,7 +135,7 @@ impl Definite {
     }
 }
 
-/// Of as many numbers as the shorter one has.
+/// Of as many numbers as both have.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
@@ -141,7 +146,7 @@ fn factorised(rows: &mut [f64], n: usize) -> bool {
         let (above, below) = rows.split_at_mut(i * n);
         let row = &mut below[..=i];
         for (j, other) in above.chunks_exact(n).enumerate() {
-            row[j] = (row[j] - dot(&row[..j], other)) * other[j];
+            row[j] = (row[j] - dot(&row[..j], &other[..j])) * other[j];
         }
         let square = row[i] - dot(&row[..i], &row[..i]);
         if square.is_nan() || square <= 0.0 {

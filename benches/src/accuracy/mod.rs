@@ -25,6 +25,7 @@ pub mod peers;
 #[allow(missing_docs)] // fields of tables
 pub mod pose;
 pub mod real;
+pub mod reliability;
 pub mod report;
 pub mod run;
 pub mod sampling;

@@ -1,7 +1,8 @@
 //! Elementary functions of the pixel level: vector code, or calls where that would be too much code.
 //!
 //! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine emits an
-//! instruction for each operation, 2 × f64 at a time. Lanes of f32 are widened in two halves and rounded once.
+//! instruction for each operation, 2 × f64 at a time. Lanes of f32 are widened in two halves and rounded once, but for functions
+//! that are written for them as they are.
 
 use std::cell::RefCell;
 
@@ -48,6 +49,9 @@ impl Emitter<'_, '_> {
             return self.call_lanes(self.number, offset, CallForm::Lanes1, &[x]);
         }
         let accuracy = accuracy(self.options.precision);
+        if accuracy == Accuracy::Single && function.is_single() {
+            return call1(&Lanes::of(self, LaneTypes::SINGLE), function, accuracy, x);
+        }
         self.wide([x], |lanes, [x]| call1(lanes, function, accuracy, x))
     }
 
@@ -77,8 +81,7 @@ impl Emitter<'_, '_> {
         operands: [ir::Value; N],
         f: impl Fn(&Lanes<'_, '_, '_>, [ir::Value; N]) -> ir::Value,
     ) -> ir::Value {
-        let fused = self.plan.program.is_fused();
-        let emit = |emit: &mut Self, operands| f(&Lanes { emit: RefCell::new(emit), fused }, operands);
+        let emit = |emit: &mut Self, operands| f(&Lanes::of(emit, LaneTypes::DOUBLE), operands);
         if self.options.precision == Precision::F64 {
             return emit(self, operands);
         }
@@ -94,18 +97,35 @@ impl Emitter<'_, '_> {
     }
 }
 
-/// The machine that emits vector code: numbers are F64X2, truth values and bits I64X2.
+/// Of what numbers are, and truth values and bits.
+#[derive(Clone, Copy)]
+struct LaneTypes {
+    number: ir::Type,
+    bits: ir::Type,
+}
+
+impl LaneTypes {
+    const SINGLE: LaneTypes = LaneTypes { number: types::F32X4, bits: types::I32X4 };
+    const DOUBLE: LaneTypes = LaneTypes { number: types::F64X2, bits: types::I64X2 };
+}
+
+/// The machine that emits vector code.
 struct Lanes<'m, 'a, 'p> {
     emit: RefCell<&'m mut Emitter<'a, 'p>>,
+    types: LaneTypes,
     fused: bool,
 }
 
-impl Lanes<'_, '_, '_> {
+impl<'m, 'a, 'p> Lanes<'m, 'a, 'p> {
+    fn of(emit: &'m mut Emitter<'a, 'p>, types: LaneTypes) -> Lanes<'m, 'a, 'p> {
+        let fused = emit.plan.program.is_fused();
+        Lanes { emit: RefCell::new(emit), types, fused }
+    }
+
     /// A constant is fetched anew for each reader: it becomes that instruction's memory operand.
     fn vector(&self, kind: ir::Type, bits: u64) -> ir::Value {
-        let emit = &mut *self.emit.borrow_mut();
-        let bytes: Vec<u8> = [bits; 2].into_iter().flat_map(u64::to_le_bytes).collect();
-        emit.constant_vector(kind, bytes)
+        let bytes = bits.to_le_bytes()[..kind.lane_type().bytes() as usize].repeat(kind.lane_count() as usize);
+        self.emit.borrow_mut().constant_vector(kind, bytes)
     }
 
     fn cast(&self, kind: ir::Type, value: ir::Value) -> ir::Value {
@@ -148,10 +168,11 @@ impl Machine for Lanes<'_, '_, '_> {
         self.fused
     }
     fn constant(&self, x: f64) -> ir::Value {
-        self.vector(types::F64X2, x.to_bits())
+        let is_single = self.types.number == types::F32X4;
+        self.vector(self.types.number, if is_single { (x as f32).to_bits().into() } else { x.to_bits() })
     }
     fn pattern(&self, bits: u64) -> ir::Value {
-        self.vector(types::I64X2, bits)
+        self.vector(self.types.bits, bits)
     }
     fn mul_add(&self, a: ir::Value, b: ir::Value, c: ir::Value) -> ir::Value {
         if self.fused {
@@ -175,10 +196,10 @@ impl Machine for Lanes<'_, '_, '_> {
         self.number(picked)
     }
     fn bits(&self, a: ir::Value) -> ir::Value {
-        self.cast(types::I64X2, a)
+        self.cast(self.types.bits, a)
     }
     fn number(&self, a: ir::Value) -> ir::Value {
-        self.cast(types::F64X2, a)
+        self.cast(self.types.number, a)
     }
     fn shift_left(&self, a: ir::Value, by: u8) -> ir::Value {
         let emit = &mut *self.emit.borrow_mut();

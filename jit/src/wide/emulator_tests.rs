@@ -354,13 +354,13 @@ impl Emulator {
             Vandnps | Vandnpd => (words(|_, a, b| !a & b, three(0, 1, 2)), 8),
             Vorps | Vorpd => (words(|_, a, b| a | b, three(0, 1, 2)), 8),
             Vxorps | Vxorpd => (words(|_, a, b| a ^ b, three(0, 1, 2)), 8),
-            Vpminud => {
-                (words(|_, a, b| (a >> 32).min(b >> 32) << 32 | (a << 32).min(b << 32) >> 32, three(0, 1, 2)), 4)
-            }
+            Vpminud => (singles(|_, a, b| f32::from_bits(a.to_bits().min(b.to_bits())), three(0, 1, 2)), 4),
             Vpminuq => (words(|_, a, b| a.min(b), three(0, 1, 2)), 8),
+            Vpaddd => (singles(|_, a, b| f32::from_bits(a.to_bits().wrapping_add(b.to_bits())), three(0, 1, 2)), 4),
             Vpaddq => (words(|_, a, b| a.wrapping_add(b), three(0, 1, 2)), 8),
             Vpsubq => (words(|_, a, b| a.wrapping_sub(b), three(0, 1, 2)), 8),
             Vpsllq => (words(|_, a, _| a << i.immediate8(), three(0, 1, 1)), 8),
+            Vpsrld => (singles(|_, a, _| f32::from_bits(a.to_bits() >> i.immediate8()), three(0, 1, 1)), 4),
             Vpsrlq => (words(|_, a, _| a >> i.immediate8(), three(0, 1, 1)), 8),
             Vpternlogd | Vpternlogq => {
                 assert_eq!(byte, Some(0xca));

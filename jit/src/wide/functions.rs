@@ -1,7 +1,8 @@
 //! Elementary functions as vector code, or as calls where that would be too much code.
 //!
 //! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine makes an operation of each
-//! step, on whole vectors of f64. Lanes of f32 are widened in two halves and rounded once.
+//! step, on whole vectors of f64. Lanes of f32 are widened in two halves and rounded once, but for functions that are written for
+//! them as they are.
 
 use std::cell::RefCell;
 
@@ -81,6 +82,9 @@ impl Block<'_> {
         }
         let accuracy = evaluation.accuracy();
         match (code, operands) {
+            (Opcode::Call1(f), &[x]) if precision == Precision::F32 && f.is_single() => {
+                Some(call1(&Lanes::of(self, Element::Single, fused), f, accuracy, x))
+            }
             (Opcode::Call1(f), &[x]) => Some(self.wide(evaluation, [x], |lanes, [x]| call1(lanes, f, accuracy, x))),
             (Opcode::Call2(f), &[a, b]) => {
                 Some(self.wide(evaluation, [a, b], |lanes, [a, b]| call2(lanes, f, accuracy, a, b)))
@@ -100,10 +104,10 @@ impl Block<'_> {
         &mut self,
         evaluation: Evaluation,
         operands: [Id; N],
-        f: impl Fn(&Doubles<'_, '_>, [Id; N]) -> Id,
+        f: impl Fn(&Lanes<'_, '_>, [Id; N]) -> Id,
     ) -> Id {
         let fused = evaluation.is_fused;
-        let run = |block: &mut Self, operands| f(&Doubles { block: RefCell::new(block), fused }, operands);
+        let run = |block: &mut Self, operands| f(&Lanes::of(block, Element::Double, fused), operands);
         if evaluation.precision == Precision::F64 {
             return run(self, operands);
         }
@@ -120,15 +124,20 @@ impl Block<'_> {
     }
 }
 
-/// The machine that makes vector operations: numbers, truth values and bits are vectors of 64-bit lanes.
-struct Doubles<'m, 'a> {
+/// The machine that makes vector operations: numbers, truth values and bits are vectors of lanes of one size.
+struct Lanes<'m, 'a> {
     block: RefCell<&'m mut Block<'a>>,
+    element: Element,
     fused: bool,
 }
 
-impl Doubles<'_, '_> {
+impl<'m, 'a> Lanes<'m, 'a> {
+    fn of(block: &'m mut Block<'a>, element: Element, fused: bool) -> Lanes<'m, 'a> {
+        Lanes { block: RefCell::new(block), element, fused }
+    }
+
     fn compute<const N: usize>(&self, operation: Operation, operands: [Id; N]) -> Id {
-        self.block.borrow_mut().compute(operation, Element::Double, operands)
+        self.block.borrow_mut().compute(operation, self.element, operands)
     }
 }
 
@@ -141,7 +150,7 @@ macro_rules! operations {
     };
 }
 
-impl Machine for Doubles<'_, '_> {
+impl Machine for Lanes<'_, '_> {
     type Number = Id;
     type Truth = Id;
     type Bits = Id;
@@ -168,21 +177,21 @@ impl Machine for Doubles<'_, '_> {
         self.fused
     }
     fn constant(&self, x: f64) -> Id {
-        self.block.borrow_mut().number(Element::Double, x)
+        self.block.borrow_mut().number(self.element, x)
     }
     fn pattern(&self, bits: u64) -> Id {
-        self.block.borrow_mut().pattern(bits)
+        self.block.borrow_mut().constant_bytes(&bits.to_le_bytes()[..self.element.bytes()])
     }
     fn abs(&self, a: Id) -> Id {
-        let magnitude = self.block.borrow_mut().magnitude(Element::Double);
+        let magnitude = self.block.borrow_mut().magnitude(self.element);
         self.compute(Operation::And, [a, magnitude])
     }
     fn neg(&self, a: Id) -> Id {
-        let sign = self.block.borrow_mut().sign(Element::Double);
+        let sign = self.block.borrow_mut().sign(self.element);
         self.compute(Operation::Xor, [a, sign])
     }
     fn not(&self, a: Id) -> Id {
-        self.block.borrow_mut().not(Element::Double, a)
+        self.block.borrow_mut().not(self.element, a)
     }
     fn mul_add(&self, a: Id, b: Id, c: Id) -> Id {
         match self.fused {

@@ -59,7 +59,7 @@ pub(super) enum Operation {
     AndNot,
     Or,
     Xor,
-    /// Of 64-bit integers.
+    /// Of integers as wide as the elements.
     AddBits,
     /// Of 64-bit integers.
     SubBits,
@@ -76,7 +76,7 @@ pub(super) enum Operation {
     Select,
     /// Of 64-bit lanes.
     ShiftLeft(u8),
-    /// Of 64-bit lanes.
+    /// Of lanes as wide as the elements.
     ShiftRight(u8),
     /// The lower half of f32, as f64.
     Widen,
@@ -232,7 +232,12 @@ impl Operation {
                 EVEX_Vxorps_zmm_k1z_zmm_zmmm512b32,
                 EVEX_Vxorpd_zmm_k1z_zmm_zmmm512b64,
             ],
-            AddBits => alike(VEX_Vpaddq_ymm_ymm_ymmm256, EVEX_Vpaddq_zmm_k1z_zmm_zmmm512b64),
+            AddBits => [
+                VEX_Vpaddd_ymm_ymm_ymmm256,
+                VEX_Vpaddq_ymm_ymm_ymmm256,
+                EVEX_Vpaddd_zmm_k1z_zmm_zmmm512b32,
+                EVEX_Vpaddq_zmm_k1z_zmm_zmmm512b64,
+            ],
             SubBits => alike(VEX_Vpsubq_ymm_ymm_ymmm256, EVEX_Vpsubq_zmm_k1z_zmm_zmmm512b64),
             EqualBits => alike(VEX_Vpcmpeqq_ymm_ymm_ymmm256, EVEX_Vpcmpeqq_kr_k1_zmm_zmmm512b64),
             Least => alike(VEX_Vpminud_ymm_ymm_ymmm256, EVEX_Vpminuq_zmm_k1z_zmm_zmmm512b64),
@@ -256,7 +261,12 @@ impl Operation {
                 EVEX_Vpternlogq_zmm_k1z_zmm_zmmm512b64_imm8,
             ],
             ShiftLeft(_) => alike(VEX_Vpsllq_ymm_ymm_imm8, EVEX_Vpsllq_zmm_k1z_zmmm512b64_imm8),
-            ShiftRight(_) => alike(VEX_Vpsrlq_ymm_ymm_imm8, EVEX_Vpsrlq_zmm_k1z_zmmm512b64_imm8),
+            ShiftRight(_) => [
+                VEX_Vpsrld_ymm_ymm_imm8,
+                VEX_Vpsrlq_ymm_ymm_imm8,
+                EVEX_Vpsrld_zmm_k1z_zmmm512b32_imm8,
+                EVEX_Vpsrlq_zmm_k1z_zmmm512b64_imm8,
+            ],
             Widen => alike(VEX_Vcvtps2pd_ymm_xmmm128, EVEX_Vcvtps2pd_zmm_k1z_ymmm256b32_sae),
             Narrow => alike(VEX_Vcvtpd2ps_xmm_ymmm256, EVEX_Vcvtpd2ps_ymm_k1z_zmmm512b64_er),
             UpperHalf => alike(VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8),

@@ -23,8 +23,8 @@ pub struct ExposureKnob {
 }
 
 /// Why a model's sessions cannot set an exposure.
-pub const UNADVISED: &str = "the model's exposure cannot be controlled: that needs the role `brightness`, and formulas that \
-    are fitted to one channel as it is";
+pub const UNADVISED: &str = "the model's exposure cannot be controlled: that needs the role `brightness`, for the goal `centre` \
+    a centre or a position, and channels that are fitted as they are, not mixed in `observed`";
 
 impl ExposureKnob {
     /// What a session asks for, in its start of that epoch; a problem when its source has no exposure to set, or its model none to

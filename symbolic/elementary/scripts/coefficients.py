@@ -113,6 +113,8 @@ g, e = odd(lambda s: 2 * atanh(s), 2)
 table("LOG", "ln((1 + s)/(1 − s)) = 2s + s z P(z), z = s²", g, ("1e-30", z), e, (3, 7))
 table("POWER", "ln((1 + s)/(1 − s)) = 2s + ⅔ s z + s z² P(z), z = s²", lambda z: (g(z) - mpf(2) / 3) / z,
       ("1e-20", z), lambda z, p: e(z, mpf(2) / 3 + z * p), (None, 9))
+table("LOG_VARIANCE", "ln(1 + f) = f − f²/2 + f³ P(f)", lambda f: (log(1 + f) - f + f**2 / 2) / f**3,
+      (sqrt(mpf(1) / 2) - 1, sqrt(2) - 1), lambda f, p: (f - f**2 / 2 + f**3 * p) / log(1 + f) - 1, (9, None))
 z = (pi / 4) ** 2 * mpf("1.001")
 g, e = odd(sin)
 table("SIN", "sin r = r + r z P(z), z = r²", g, ("1e-30", z), e, (4, 7))
@@ -138,6 +140,7 @@ g = lambda t: (1 + 2 * a(t)) * scaled(a(t))
 table("TAIL", "e^(a²) (1 − erf a) (1 + 2a) = P(t), t = (a − 2)/(a + 2), a ≥ 0", g, (-1, "0.99999999"),
       lambda t, p: p / g(t) - 1, (14, 27))
 parts("LN_2", "ln 2", log(2), (32, 53))
+parts("LN_2_SINGLE", "ln 2", log(2), (16, 53))
 parts("LN_2_DOUBLE", "ln 2", log(2), (42, 42, 53))
 parts("HALF_PI", "π/2", pi / 2, (33, 33, 33, 53))
 parts("HALF_PI_SHORT", "π/2", pi / 2, (33, 53))

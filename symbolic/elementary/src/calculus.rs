@@ -9,7 +9,7 @@ pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
     let f = x.call1(function);
     match function {
         Function1::Exp => (f, f, f),
-        Function1::Log => (f, one / x, -(one / (x * x))),
+        Function1::Log | Function1::LogVariance => (f, one / x, -(one / (x * x))),
         Function1::Sin => (f, x.call1(Function1::Cos), -f),
         Function1::Cos => (f, -x.call1(Function1::Sin), -f),
         Function1::Tan => (f, one + f * f, two * f * (one + f * f)),

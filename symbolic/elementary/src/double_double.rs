@@ -375,7 +375,7 @@ impl DoubleDouble {
     pub fn call1(self, function: Function1) -> Self {
         match function {
             Function1::Exp => self.exp(),
-            Function1::Log => self.log(),
+            Function1::Log | Function1::LogVariance => self.log(),
             Function1::Sin => self.sin_cos().0,
             Function1::Cos => self.sin_cos().1,
             Function1::Tan => {

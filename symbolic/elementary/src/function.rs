@@ -37,6 +37,8 @@ pub enum Function1 {
     SincRatio,
     /// x − ⌊x⌋, 0 at ±∞: where in its cell a table is read; no word of the language.
     Fraction,
+    /// ln x of a pixel's variance, which is summed: in lanes of f32 to a unit of the last place; no word of the language.
+    LogVariance,
 }
 
 /// Functions of two arguments.
@@ -58,11 +60,12 @@ impl Function1 {
     };
 
     /// Those, and the ones that a likelihood or a derivative needs, in the order of the numeric value.
-    pub const EVERY: [Function1; 22] = {
+    pub const EVERY: [Function1; 23] = {
         use Function1::*;
-        let mut every = [Exp; 22];
+        let mut every = [Exp; 23];
         every.split_at_mut(16).0.copy_from_slice(&Function1::ALL);
-        every.split_at_mut(16).1.copy_from_slice(&[LogTail, Hazard, BesselRatio1, BesselRatio2, SincRatio, Fraction]);
+        let others = [LogTail, Hazard, BesselRatio1, BesselRatio2, SincRatio, Fraction, LogVariance];
+        every.split_at_mut(16).1.copy_from_slice(&others);
         every
     };
 
@@ -70,7 +73,7 @@ impl Function1 {
     pub fn name(self) -> &'static str {
         match self {
             Function1::Exp => "exp",
-            Function1::Log => "log",
+            Function1::Log | Function1::LogVariance => "log",
             Function1::Sin => "sin",
             Function1::Cos => "cos",
             Function1::Tan => "tan",
@@ -92,6 +95,11 @@ impl Function1 {
             Function1::SincRatio => "sinc_ratio",
             Function1::Fraction => "fraction",
         }
+    }
+
+    /// Whether lanes of f32 are computed as they are, and not widened to f64.
+    pub fn is_single(self) -> bool {
+        self == Function1::LogVariance
     }
 
     /// The function of that name.

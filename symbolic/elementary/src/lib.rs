@@ -73,6 +73,7 @@ pub fn call1<M: Machine>(m: &M, function: Function1, accuracy: Accuracy, x: M::N
         Function1::BesselRatio2 => bessel::ratio2(m, accuracy, x),
         Function1::SincRatio => sinc::ratio(m, accuracy, x),
         Function1::Fraction => arithmetic::fraction(m, x),
+        Function1::LogVariance => logarithm::log_variance(m, accuracy, x),
     }
 }
 
@@ -94,7 +95,12 @@ impl Function1 {
     /// The value on a machine. Of [`Accuracy::Single`] it means something for arguments that are f32, once it is rounded
     /// to f32.
     pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64) -> f64 {
-        call1(&machine, self, accuracy, x)
+        match accuracy {
+            Accuracy::Single if self.is_single() => {
+                call1(&plain::PlainSingle { fused: machine.fused }, self, accuracy, x as f32).into()
+            }
+            _ => call1(&machine, self, accuracy, x),
+        }
     }
 }
 

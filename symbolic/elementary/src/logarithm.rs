@@ -1,7 +1,9 @@
 //! ln x = k ln 2 + ln m, ½√2 ≤ m < √2, ln m by a polynomial in s = (m − 1)/(m + 1).
 
 use super::arithmetic::{Pair, polynomial, product, quick_sum, two_product, two_sum};
-use super::coefficients::{LN_2, LN_2_DOUBLE, LOG_DOUBLE, LOG_SINGLE, POWER_DOUBLE, TWO_THIRDS};
+use super::coefficients::{
+    LN_2, LN_2_DOUBLE, LN_2_SINGLE, LOG_DOUBLE, LOG_SINGLE, LOG_VARIANCE_SINGLE, POWER_DOUBLE, TWO_THIRDS,
+};
 use super::machine::{Accuracy, Machine};
 
 /// The bits of ½√2, rounded to a multiple of 2⁻²⁰.
@@ -47,6 +49,39 @@ pub(super) fn log<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Num
         }
     };
     special(m, x, value)
+}
+
+/// The bits of ½√2 as f32.
+const ROOT_HALF_SINGLE: u32 = 0x3f35_04f3;
+const FRACTION_SINGLE: u32 = (1 << 23) - 1;
+/// The largest of the numbers that f32 has fewer bits for.
+const SUBNORMAL_MAX: f64 = f32::from_bits(FRACTION_SINGLE) as f64;
+
+/// ln x; in the arithmetic of f32 of ordinary numbers above 0 alone, and NaN of all others: a variance is one.
+///
+/// ln(1 + f) = f − f²/2 + f³ P(f), P by its even and its odd part, which do not wait for each other.
+#[inline(always)]
+pub(super) fn log_variance<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Number {
+    if accuracy == Accuracy::Double {
+        return log(m, accuracy, x);
+    }
+    let magic = (1_u32 << 23) as f32;
+    let bits = m.bits_add(m.bits(x), m.pattern((1.0_f32.to_bits() - ROOT_HALF_SINGLE).into()));
+    let exponent = m.bits_or(m.shift_right(bits, 23), m.pattern(magic.to_bits().into()));
+    let k = m.sub(m.number(exponent), m.constant(f64::from(magic) + 127.0));
+    let fraction = m.bits_and(bits, m.pattern(FRACTION_SINGLE.into()));
+    let fraction = m.bits_add(fraction, m.pattern(ROOT_HALF_SINGLE.into()));
+    let f = m.sub(m.number(fraction), m.constant(1.0));
+    let z = m.mul(f, f);
+    let even: [f64; 5] = std::array::from_fn(|i| LOG_VARIANCE_SINGLE[2 * i]);
+    let odd: [f64; 4] = std::array::from_fn(|i| LOG_VARIANCE_SINGLE[2 * i + 1]);
+    let [even, odd] = [polynomial(m, &even, z), polynomial(m, &odd, z)];
+    let small = m.mul(m.mul(f, z), m.mul_add(odd, f, even));
+    let small = m.mul_add(k, m.constant(LN_2_SINGLE[1]), small);
+    let small = m.mul_add(z, m.constant(-0.5), small);
+    let value = m.mul_add(k, m.constant(LN_2_SINGLE[0]), m.add(f, small));
+    let is_ordinary = m.and(m.less(m.constant(SUBNORMAL_MAX), x), m.less(x, m.constant(f64::INFINITY)));
+    m.select(is_ordinary, value, m.constant(f64::NAN))
 }
 
 /// `value`, or what the logarithm of 0, of negative numbers, of infinity and of NaN is.

@@ -14,13 +14,14 @@ pub enum Accuracy {
     Double,
 }
 
-/// Operations on f64 numbers, truth values and bit patterns, one lane or several at once.
+/// Operations on numbers, truth values and bit patterns, one lane or several at once: f64, but f32 for functions that
+/// [say so](Function1::is_single), whose patterns have 32 bits.
 pub trait Machine {
-    /// An f64, or one in each lane.
+    /// A number, or one in each lane.
     type Number: Copy;
     /// A truth value, or one in each lane.
     type Truth: Copy;
-    /// 64 bits, or as many in each lane.
+    /// As many bits as a number has, or as many in each lane.
     type Bits: Copy;
 
     /// Whether [`Machine::mul_add`] rounds once.
@@ -63,7 +64,7 @@ pub trait Machine {
     fn number(&self, a: Self::Bits) -> Self::Number;
     /// Bits that are known.
     fn pattern(&self, bits: u64) -> Self::Bits;
-    /// a + b, modulo 2⁶⁴.
+    /// a + b, without what does not fit.
     fn bits_add(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
     /// Bitwise and.
     fn bits_and(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
@@ -71,7 +72,7 @@ pub trait Machine {
     fn bits_or(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
     /// Bitwise exclusive or.
     fn bits_xor(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
-    /// a · 2^by, modulo 2⁶⁴.
+    /// a · 2^by, without what does not fit.
     fn shift_left(&self, a: Self::Bits, by: u8) -> Self::Bits;
     /// a / 2^by, rounded down.
     fn shift_right(&self, a: Self::Bits, by: u8) -> Self::Bits;

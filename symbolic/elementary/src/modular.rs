@@ -157,7 +157,8 @@ impl Number for Modular {
     }
     #[inline]
     fn call1(self, function: Function1) -> Modular {
-        self.opaque(16 + function as u64)
+        let meant = if function == Function1::LogVariance { Function1::Log } else { function };
+        self.opaque(16 + meant as u64)
     }
     #[inline]
     fn call2(self, function: Function2, other: Modular) -> Modular {

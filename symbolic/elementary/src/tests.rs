@@ -222,3 +222,31 @@ fn special_pairs_are_those_of_the_standard() {
         }
     }
 }
+
+/// The worst error of the variance's logarithm in f32, in units of the last place, over ordinary numbers so many bit patterns apart.
+fn worst_of_variance(machine: Plain, stride: usize) -> Worst {
+    let near_one = (0.7_f32.to_bits()..1.42_f32.to_bits()).step_by(stride / 64 + 1);
+    let all = (f32::MIN_POSITIVE.to_bits()..=f32::MAX.to_bits()).step_by(stride).chain(near_one);
+    worst(all.map(|bits| {
+        let x = f64::from(f32::from_bits(bits));
+        let value = Function1::LogVariance.value_with(machine, Accuracy::Single, x) as f32;
+        (error_single(value, exact1(Function1::Log, x)), x)
+    }))
+}
+
+#[test]
+fn a_variance_s_logarithm_is_right() {
+    for machine in MACHINES {
+        let (error, at) = worst_of_variance(machine, 65_521);
+        assert!(error <= 1.0, "{machine:?}: {error} at {at:e}");
+        let single = |x: f32| Function1::LogVariance.value_with(machine, Accuracy::Single, x.into());
+        assert!(
+            [0.0, -0.0, -1.0, 1e-40, f32::INFINITY, f32::NEG_INFINITY, f32::NAN].map(single).iter().all(|y| y.is_nan())
+        );
+        for x in [0.0, -1.0, 1e-310, 0.3, 1.0, 7.0, f64::MAX, f64::INFINITY, f64::NAN] {
+            let [log, of_variance] = [Function1::Log, Function1::LogVariance]
+                .map(|function| function.value_with(machine, Accuracy::Double, x).to_bits());
+            assert_eq!(log, of_variance, "{x}");
+        }
+    }
+}

@@ -143,7 +143,7 @@ impl Dialect {
             (_, Function1::SincRatio) => special("sinc_ratio", 1),
             (Language::C, _) => format!("{}({x})", f.name()),
             (Language::Rust, Function1::Erf | Function1::Erfc | Function1::Fraction) => format!("{}({x})", f.name()),
-            (Language::Rust, Function1::Log) => format!("({x}).ln()"),
+            (Language::Rust, Function1::Log | Function1::LogVariance) => format!("({x}).ln()"),
             (Language::Rust, _) => format!("({x}).{}()", f.name()),
         })
     }

@@ -223,7 +223,7 @@ fn derivatives(graph: &mut Graph, function: Function1, a: NodeId, value: NodeId)
     };
     match function {
         Function1::Exp => (value, value),
-        Function1::Log => (graph.product(1.0, [(a, -1)]), graph.product(-1.0, [(a, -2)])),
+        Function1::Log | Function1::LogVariance => (graph.product(1.0, [(a, -1)]), graph.product(-1.0, [(a, -2)])),
         Function1::Sin => (graph.call1(Function1::Cos, a), graph.scale(-1.0, value)),
         Function1::Cos => {
             let sin = graph.call1(Function1::Sin, a);

@@ -72,7 +72,7 @@ impl Shape {
         let value = self.value(graph, residual, variance);
         let total = match variance {
             Some(v) if order == Order::Second && self.has_logarithm() => {
-                let log = graph.call1(Function1::Log, v);
+                let log = graph.call1(Function1::LogVariance, v);
                 graph.add2(value, log)
             }
             _ => value,

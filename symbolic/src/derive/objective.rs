@@ -235,7 +235,7 @@ impl Objective {
         let outputs = match (kind, variance) {
             (ValueKind::Entry, _) => vec![chi_square],
             (ValueKind::Full, Some(v)) if shape.has_logarithm() => {
-                let log = graph.call1(isophote_elementary::Function1::Log, v);
+                let log = graph.call1(isophote_elementary::Function1::LogVariance, v);
                 let total = graph.add2(chi, log);
                 vec![whole_output(&mut graph, "F", total), chi_square]
             }

@@ -114,8 +114,9 @@ impl Camera {
     /// Pulls the plug.
     pub fn unplug(&mut self) {
         if let Some((socket, shared)) = self.plugged.take() {
-            shared.change(|state| state.is_gone = true);
+            // First of all: who sends a piece of a picture holds the state until the driver has it.
             socket.shutdown(Shutdown::Both).ok(); // closed from the other side: unplugged as well
+            shared.change(|state| state.is_gone = true);
         }
     }
 

@@ -85,9 +85,10 @@ fn send(answers: &Answers, shared: &Shared, picture: &[u8], flags: u8, stops: u3
             return Ok(());
         }
         let Some((request, _)) = state.requests.pop_front() else { return Ok(()) };
-        drop(state);
         let flags = flags | if number == last { LAST_PIECE } else { 0 };
+        // Nobody may take the request back in between: the driver hangs up on an answer to what it was told is taken back.
         answers.give(request, &[&[HEADER as u8, flags], piece].concat())?;
+        drop(state);
     }
     Ok(())
 }

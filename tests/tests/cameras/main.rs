@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use isophote_capture::SyntheticSpec;
 use isophote_symbolic::Model;
-use isophote_tests::rig::{blocked, wait};
+use isophote_tests::rig::{threads, wait};
 use isophote_tests::{Finished, Service, finish, program, repository};
 use serde_json::{Value, json};
 
@@ -61,7 +61,7 @@ impl Whole {
             wait(Duration::from_millis(20));
         }
         let view = self.client.get(&format!("/v1/sessions/{session}")).text;
-        panic!("not {what}: {view}\nthreads that the kernel holds:\n{}", blocked());
+        panic!("not {what}: {view}\nthreads, and where in the kernel they are:\n{}", threads());
     }
 
     /// Until it has fitted and found so many frames more.

@@ -80,6 +80,37 @@ fn a_model_whose_exposure_nobody_can_advise_is_told() {
     let problem = service.put("/v1/sessions/one", &document(true)).expect(422);
     let fault = &problem["diagnostics"][0];
     assert_eq!(fault["key"], "options.exposure.control");
-    assert!(fault["message"].as_str().unwrap().contains("one channel"), "{problem}");
+    assert!(fault["message"].as_str().unwrap().contains("not mixed"), "{problem}");
     service.put("/v1/sessions/one", &document(false)).expect(201);
+}
+
+/// Documents that do not say how far they reach, have several targets, channels or a pose: a session controls them, or is refused.
+#[test]
+fn a_session_that_may_control_exposure_is_advised() {
+    let service = Running::start();
+    let spots = json!({"xr": 100, "yr": 60, "xg": 40, "yg": 110, "xb": 160, "yb": 110});
+    for (model, set) in [
+        ("gaussian-pixel", json!({"bx": 80, "by": 60, "wx": 9, "wy": 7, "v0": 10, "v1": 60})),
+        ("spot-lobe", json!({"bx": 80, "by": 60, "a1": 0.004, "a3": 0.004, "v0": 10, "v1": 60, "lh": 20})),
+        ("profile-1d", json!({"b": 80, "w": 9, "v0": 10, "v1": 60})),
+        ("three-spots-raw", spots),
+        ("spot-pose", json!({"tz": 1000})),
+    ] {
+        let mut source = json!({"kind": "synthetic", "model": model, "set": set, "pace": "fit", "full_well_e": 5000, "read_noise_e": 15});
+        match model {
+            "profile-1d" => source["width"] = json!(200),
+            "spot-pose" => (source["width"], source["height"]) = (json!(640), json!(480)),
+            _ => (source["width"], source["height"]) = (json!(200), json!(150)),
+        }
+        let options = json!({"exposure": {"goal": "brightness", "control": true}, "allow_slow": true});
+        service.put("/v1/sessions/one", &json!({"source": source, "model": model, "options": options})).expect(201);
+        let view = service.wait_for("one", |view| view["last"]["exposure_advice"].is_object());
+        assert_eq!(view["last"]["state"], "tracking", "{model}: {view}");
+        assert_eq!(service.delete("/v1/sessions/one").status, 204);
+    }
+    let source = json!({"kind": "synthetic", "model": "blob-4d", "width": 24, "height": 24, "pace": "fit"});
+    let document =
+        json!({"source": source, "model": "blob-4d", "options": {"exposure": {"goal": "centre", "control": true}}});
+    let problem = service.put("/v1/sessions/one", &document).expect(422);
+    assert_eq!(problem["diagnostics"][0]["key"], "options.exposure.control", "{problem}");
 }

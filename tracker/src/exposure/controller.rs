@@ -1,8 +1,13 @@
 //! The controller: estimates in, the exposure to set out.
 //!
 //! A camera applies a change some frames late. A frame's advice is about the exposure with which it was taken, so after a
-//! change the controller waits until its effect has been seen; then the advice is followed at once. Nothing oscillates,
-//! because no advice is followed twice. Where no target is seen it looks for light, then for darkness.
+//! change the controller waits until its effect has been seen. Nothing oscillates, because no advice is followed twice: who asks
+//! again for what was just done has not got it yet, and a camera that is later than said is waited for, for some frames. A large
+//! change is made at once, and put right once or twice; small ones are asked for by flickering light as well, so then the mean
+//! of many frames has to ask for one: whoever follows flicker some frames late makes it worse. Where no target is seen it looks
+//! for light, then for darkness, unless the frame says which.
+
+use std::collections::VecDeque;
 
 use crate::estimate::{Estimate, TrackState};
 
@@ -25,6 +30,16 @@ impl Default for ControllerOptions {
 const DEAD_BAND: f64 = 0.07;
 /// One change is by no more than this factor.
 const CHANGE_MAX: f64 = 8.0;
+/// A change by more than this factor is made at once: flicker of ±20 % asks for no more than half as much, at its worst.
+const SUDDEN: f64 = 2.0;
+/// So many smaller ones after it, too.
+const TOUCHES: u32 = 2;
+/// A camera may be so many frames later than it says.
+const LATER: u64 = 8;
+/// What differs by less than this share of a change, in e-folds, is asked for again.
+const SAME: f64 = 0.1;
+/// A smaller one is what so many frames ask for in the mean: a second of a common camera.
+const STEADY: usize = 64;
 /// The factor of a change where no target is seen.
 const BLIND: f64 = 4.0;
 /// A target that was saturated to this share when it was last seen is lost to light, not to darkness.
@@ -37,14 +52,21 @@ pub struct ExposureController {
     factor: f64,
     /// The first frame whose advice may be followed.
     next: u64,
+    /// ln of what was asked for when the exposure was last changed, and of that change.
+    followed: Option<[f64; 2]>,
     /// Where to look for a target that is not seen.
     direction: f64,
+    /// Small changes that are made at once.
+    touches: u32,
+    /// ln of what frames have asked for since the last change.
+    asked: VecDeque<f64>,
 }
 
 impl ExposureController {
     /// From the exposure as it is, which is 1.
     pub fn new(options: ControllerOptions) -> ExposureController {
-        ExposureController { options, factor: 1.0, next: 0, direction: BLIND }
+        let (touches, asked) = (TOUCHES, VecDeque::with_capacity(STEADY));
+        ExposureController { options, factor: 1.0, next: 0, followed: None, direction: BLIND, touches, asked }
     }
 
     /// The exposure that was asked for last.
@@ -62,17 +84,21 @@ impl ExposureController {
 
     /// After each frame: the exposure to set from now on, when it changes.
     pub fn step(&mut self, estimate: &Estimate) -> Option<f64> {
-        let change = match (estimate.state, &estimate.exposure_advice) {
-            (TrackState::Tracking, Some(advice)) => {
-                self.direction = if estimate.saturated > TOO_BRIGHT { 1.0 / BLIND } else { BLIND };
-                advice.factor
-            }
-            (TrackState::Tracking | TrackState::Coasting, _) => return None,
-            (TrackState::Searching | TrackState::Lost, _) => self.direction,
-        };
-        if estimate.sequence < self.next || (change - 1.0).abs() < DEAD_BAND {
+        if estimate.sequence < self.next {
             return None;
         }
+        let change = match (estimate.state, &estimate.exposure_advice) {
+            (TrackState::Tracking, Some(advice)) => {
+                if self.is_awaited(estimate.sequence, advice.factor) {
+                    return None;
+                }
+                self.direction = if estimate.saturated > TOO_BRIGHT { 1.0 / BLIND } else { BLIND };
+                self.steadied(advice.factor)?
+            }
+            (TrackState::Tracking, None) | (TrackState::Coasting, None) => return None,
+            (_, Some(advice)) => self.at_once(advice.factor),
+            (TrackState::Searching | TrackState::Lost, None) => self.at_once(self.direction),
+        };
         let [least, most] = self.options.range;
         let wanted = self.factor * change.clamp(1.0 / CHANGE_MAX, CHANGE_MAX);
         let factor = wanted.clamp(least, most);
@@ -82,9 +108,47 @@ impl ExposureController {
         if factor == self.factor {
             return None;
         }
+        let asked = estimate.exposure_advice.as_ref().filter(|_| estimate.state == TrackState::Tracking);
+        self.followed = asked.map(|advice| [advice.factor.ln(), (factor / self.factor).ln()]);
         self.factor = factor;
+        self.asked.clear();
         // This frame's successor is on its way already; the change shows `latency` frames after that.
         self.next = estimate.sequence + self.options.latency + 2;
         Some(factor)
+    }
+
+    /// A frame asks for the same as before the last change: it was taken without it.
+    fn is_awaited(&self, sequence: u64, asked: f64) -> bool {
+        let is_early = sequence < self.next + LATER;
+        is_early && self.followed.is_some_and(|[was, change]| (asked.ln() - was).abs() < SAME * change.abs())
+    }
+
+    /// What of a change that a frame asks for is made now.
+    fn steadied(&mut self, change: f64) -> Option<f64> {
+        let asked = change.ln();
+        if asked.abs() > SUDDEN.ln() {
+            return Some(self.at_once(change));
+        }
+        let is_right = (change - 1.0).abs() < DEAD_BAND;
+        if self.touches > 0 && !is_right {
+            self.touches -= 1;
+            return Some(change);
+        }
+        self.touches = 0;
+        self.asked.push_back(asked);
+        if self.asked.len() < STEADY {
+            return None;
+        }
+        // What is in the middle counts most: so flicker leaves next to nothing in the mean, though its periods end anywhere.
+        let weighted = self.asked.iter().enumerate().map(|(i, asked)| asked * (i + 1).min(STEADY - i) as f64);
+        let weights = (STEADY / 2 * (STEADY / 2 + 1)) as f64;
+        let mean = (weighted.sum::<f64>() / weights).exp();
+        self.asked.pop_front();
+        ((mean - 1.0).abs() >= DEAD_BAND).then_some(mean)
+    }
+
+    fn at_once(&mut self, change: f64) -> f64 {
+        self.touches = TOUCHES;
+        change
     }
 }

@@ -5,7 +5,10 @@
 
 mod advice;
 mod controller;
+#[cfg(test)]
+mod documents_tests;
 mod goal;
+mod light;
 #[cfg(test)]
 mod tests;
 mod trial;
@@ -13,4 +16,4 @@ mod trial;
 pub(crate) use advice::{Advisor, Best, is_advisable, outlook};
 pub use controller::{ControllerOptions, ExposureController};
 pub use goal::{ExposureAdvice, ExposureGoal};
-pub(crate) use trial::{Kernels, RenderedLight};
+pub(crate) use light::{Kernels, RenderedLight};

@@ -95,6 +95,15 @@ fn from_sixty_percent_saturated_and_from_darkness_within_fifteen_frames() {
 }
 
 #[test]
+fn a_camera_that_is_later_than_it_says_is_waited_for() {
+    let told = run(560.0, 36, 7, ExposureGoal::Centre);
+    let exposures: Vec<f64> = told.iter().map(|(exposure, _)| *exposure).collect();
+    for exposure in &exposures[15..] {
+        assert!((0.1..=0.32).contains(&share(560.0 * exposure)), "{exposures:?}");
+    }
+}
+
+#[test]
 fn a_controller_without_a_target_looks_both_ways_and_stays_in_its_range() {
     let mut tracker = tracker(SPOT, ExposureGoal::Centre);
     let options = ControllerOptions { latency: 2, range: [0.25, 16.0] };

@@ -117,7 +117,7 @@ impl Viewer {
             let given = solver.options.window.and_then(|_| in_slice(look.window, scene.slice));
             let all = scene.targets.iter().map(|target| target.window).reduce(hull);
             scene.window = all.or(given);
-            scene.limits = solver.view(&look, scene.window.unwrap_or(look.window)).saturation;
+            scene.limits = solver.view(&look, scene.window.unwrap_or(look.window)).saturation.to_vec();
         }
         scene
     }

@@ -53,7 +53,7 @@ impl Information {
     pub fn of(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<[Option<Information>; 2]> {
         let light = RenderedLight::of(solver, kernels, &point.parameters, point.window)?;
         let clear = Information::at(solver, kernels, point, &light, f64::INFINITY)?;
-        let limit = quantile(light.pixels());
+        let limit = quantile(&light.pixels().collect::<Vec<f32>>());
         let saturated = limit.and_then(|limit| Information::at(solver, kernels, point, &light, limit));
         Some([Some(clear), saturated])
     }

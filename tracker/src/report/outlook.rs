@@ -72,7 +72,7 @@ impl Outlook {
         }
         found.bound = clear.deviations().map(|deviations| bound(compiled, &point.parameters, deviations));
         let goals = [ExposureGoal::Centre, ExposureGoal::Brightness];
-        let advice = |goal| outlook(&survey.solver, &survey.kernels, goal, &point.parameters, LIMIT);
+        let advice = |goal| outlook(&survey.solver, &survey.kernels, goal, (&point.parameters, point.window), LIMIT);
         found.exposure = goals.into_iter().filter_map(advice).collect();
         Ok(found)
     }

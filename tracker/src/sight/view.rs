@@ -7,16 +7,20 @@ use std::borrow::Cow;
 
 use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::Precision;
+use smallvec::{SmallVec, smallvec};
 
 use crate::budget::{FrameBudget, Stop};
 use crate::sight::clipping::clipping;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::{Grey, Mixture};
 
+/// One a plane: made anew for each window of a frame, so on the stack for as many as documents usually have.
+pub(crate) type PerPlane<T> = SmallVec<[T; 4]>;
+
 /// How the pixels of a frame lie in memory, as far as a kernel is made for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct PlaneLayout {
-    pub formats: Vec<PixelFormat>,
+    pub formats: PerPlane<PixelFormat>,
     pub packed: bool,
     /// Rows have offsets.
     pub has_rows: bool,
@@ -34,7 +38,7 @@ impl PlaneLayout {
 
     /// That of so many planes of one format: packed when there is one, else interleaved.
     pub fn of_format(format: PixelFormat, planes: usize) -> PlaneLayout {
-        PlaneLayout { formats: vec![format; planes], packed: planes == 1, has_rows: false }
+        PlaneLayout { formats: smallvec![format; planes], packed: planes == 1, has_rows: false }
     }
 
     /// That of the same planes with rows that have no offsets.
@@ -48,7 +52,7 @@ impl PlaneLayout {
     /// That of the same planes and so many corrections.
     pub fn corrected(&self, corrections: usize) -> PlaneLayout {
         let mut formats = self.formats.clone();
-        formats.extend(vec![PixelFormat::F32; corrections]);
+        formats.extend(std::iter::repeat_n(PixelFormat::F32, corrections));
         PlaneLayout { formats, ..*self }
     }
 }
@@ -67,10 +71,10 @@ pub(crate) struct View<'a> {
     pub planes: Vec<PlaneView<'a>>,
     pub window: Window,
     /// One limit a plane.
-    pub saturation: Vec<f64>,
+    pub saturation: PerPlane<f64>,
     /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
     /// a step below it on.
-    pub limits: Vec<f64>,
+    pub limits: PerPlane<f64>,
     pub layout: PlaneLayout,
     /// What the lane's rounding does to a residual, in pixel values.
     pub rounding: f64,
@@ -84,7 +88,12 @@ pub(crate) struct View<'a> {
 
 impl<'a> View<'a> {
     /// Planes of one size; the window lies inside. `saturation`: one limit a plane.
-    pub fn new(planes: Vec<PlaneView<'a>>, window: Window, saturation: Vec<f64>, precision: Precision) -> View<'a> {
+    pub fn new(
+        planes: Vec<PlaneView<'a>>,
+        window: Window,
+        saturation: PerPlane<f64>,
+        precision: Precision,
+    ) -> View<'a> {
         let largest =
             planes.iter().zip(&saturation).map(|(plane, limit)| largest(plane, window, *limit)).fold(0.0, f64::max);
         let lane = match precision {
@@ -111,7 +120,7 @@ impl<'a> View<'a> {
     where
         'a: 'b,
     {
-        let mut view = View::new(planes, self.window, vec![f64::INFINITY; self.saturation.len()], precision);
+        let mut view = View::new(planes, self.window, smallvec![f64::INFINITY; self.saturation.len()], precision);
         view.saturation.clone_from(&self.limits);
         view.limits.clone_from(&self.limits);
         view.rounding = self.rounding;
@@ -153,9 +162,13 @@ impl<'a> View<'a> {
             let free = corrections.iter().map(|_| f64::INFINITY);
             limits.iter().copied().chain(free).collect()
         };
-        let corrections: Vec<PlaneView> = corrections.iter().map(plane).collect::<Option<_>>()?;
+        let mut planes: Vec<PlaneView> = Vec::with_capacity(self.planes.len() + corrections.len());
+        planes.extend_from_slice(&self.planes);
+        for pixels in corrections {
+            planes.push(plane(pixels)?);
+        }
         Some(View {
-            planes: self.planes.iter().copied().chain(corrections.iter().copied()).collect(),
+            planes,
             window: self.window,
             saturation: with(&self.saturation),
             limits: with(&self.limits),

@@ -3,22 +3,23 @@
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
 use isophote_jit::Window;
-use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage, ValueKind};
+use isophote_symbolic::{Bindings, Model, Precision, Stage, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::budget::FrameBudget;
 use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
-use crate::scaled::Definite;
+use crate::scaled::{self, Definite};
 use crate::sight::gaps::overlap;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
+use crate::solve::covariance::{beforehand, inform, inverse_fisher};
 use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
-use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, method, value_kind};
-use crate::solve::trust::{Curvature, Quadratic, Spectrum};
+use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method, value_kind};
+use crate::solve::trust::{Curvature, Quadratic};
 
 /// Pixels of a pass that cost as much as one gap does.
 const GAP_WORK: usize = 64;
@@ -69,6 +70,8 @@ pub(crate) struct Worth {
     pub row_variance: Option<f64>,
     /// Of the last stage's parameters; absent when singular.
     pub covariance: Option<DMatrix<f64>>,
+    /// Its inverse, as it was summed.
+    pub information: Option<DMatrix<f64>>,
     /// Variances that they would have if all others were known: a lower bound, and never absent.
     pub variance_alone: DVector<f64>,
 }
@@ -206,14 +209,12 @@ pub(super) fn followed(
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
     let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), 0, control)?;
-    let report = match compiled.model().has_noise() {
-        true => Some(compiled.loops(Job::Report, control, &view.layout)?),
-        false => None,
-    };
+    let report =
+        compiled.model().has_noise().then(|| compiled.loops(Job::Report, control, &view.layout)).transpose()?;
     let mut parameters = start.to_vec();
     let rules = rules(compiled, view, 0, control);
     let Some(way) = follow(&mut problem, &rules, &mut parameters, before, tether) else { return Ok(Arrival::Lost) };
-    let ShortWay { report: stage, pass, strained, .. } = way;
+    let ShortWay { report: stage, pass, strained, factors } = way;
     if stage.ending == Ending::Budget && !view.is_over() {
         return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
     }
@@ -221,7 +222,7 @@ pub(super) fn followed(
         return Ok(Arrival::Far { parameters, stride, report: stage });
     }
     problem.passes.is_last = stage.ending == Ending::Budget;
-    let worth = problem.passes.worth_of(pass, report.as_ref(), &parameters, start);
+    let worth = problem.passes.worth_of((pass, factors), report.as_ref(), &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
     let fit = Fit { ending, stages: vec![stage], worth: Some(worth), ..Fit::at(parameters) };
@@ -232,11 +233,10 @@ pub(super) fn followed(
 fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -> Rules {
     let model = compiled.model();
     let stage = &model.stages()[index];
-    let order = compiled.order(index);
-    let places = model.roles().iter().flat_map(|roles| roles.centre.iter().chain(&roles.position));
+    let Free { parameters, places } = compiled.free(index);
     Rules {
-        free: indices(order),
-        places: places.filter_map(|place| order.iter().position(|free| free == place)).collect(),
+        free: parameters.clone(),
+        places: places.clone(),
         iterations: stage.iterations,
         tolerance: stage.tolerance * tolerance_share(compiled.precision()),
         noise: model.has_noise(),
@@ -303,10 +303,6 @@ fn tolerance_share(precision: Precision) -> f64 {
     }
 }
 
-fn indices(parameters: &[ParameterId]) -> Vec<usize> {
-    parameters.iter().map(|parameter| parameter.index()).collect()
-}
-
 /// Passes over a view.
 struct Passes<'a> {
     compiled: &'a StageKernels,
@@ -348,11 +344,18 @@ impl<'a> Passes<'a> {
     fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
         let mut pass = Pass::of(self.compiled.last_parameters().len());
         pass.read(self.run(covariance, end, end)?, Curvature::GaussNewton)?;
-        self.worth_of(pass, report, end, end)
+        self.worth_of((pass, None), report, end, end)
     }
 
-    /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`.
-    fn worth_of(&mut self, pass: Pass, report: Option<&Loops>, end: &[f64], entry: &[f64]) -> Result<Worth, Ending> {
+    /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`; with the factors
+    /// of its Hessian, where they are known.
+    fn worth_of(
+        &mut self,
+        (pass, factors): (Pass, Option<Definite>),
+        report: Option<&Loops>,
+        end: &[f64],
+        entry: &[f64],
+    ) -> Result<Worth, Ending> {
         let count = self.compiled.last_parameters().len();
         let sums = &self.totals;
         let carried = pass.quadratic.objective - sums.outputs.first().ok_or(Ending::NonFinite)?;
@@ -360,7 +363,7 @@ impl<'a> Passes<'a> {
         let mut chi_square = sums.seen.first().ok_or(Ending::NonFinite)? + carried;
         let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
         let row_variance = sums.rows.variance();
-        let quadratic = pass.quadratic;
+        let mut quadratic = pass.quadratic;
         let mut objective = quadratic.objective;
         if let Some(report) = report {
             let sums = self.run(report, end, entry)?;
@@ -375,55 +378,38 @@ impl<'a> Passes<'a> {
         let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
         let variance = if report.is_some() { Some(1.0) } else { reduced };
         let known = beforehand(self.compiled.model(), self.compiled.last_parameters(), end);
-        let covariance = variance.and_then(|variance| {
-            let informed = known.map_or_else(|| quadratic.clone(), |known| informed(&quadratic, &known, variance));
-            Some(inverse_fisher(&informed, self.compiled.precision())? * variance)
-        });
-        let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
+        let mut variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
+        let factors = factors.filter(|_| known.is_none());
+        if let Some((known, variance)) = known.zip(variance) {
+            inform(&mut quadratic, &known, variance);
+        }
+        let mut covariance =
+            variance.and_then(|variance| inverse_fisher(&quadratic, factors, self.compiled.precision(), variance));
+        let positive = variance.filter(|variance| *variance > 0.0);
+        let information = match covariance.as_mut().zip(positive) {
+            // What was cut short is not known better than the step that it was about to take, or took last.
+            Some((covariance, variance)) if self.is_last => {
+                let step = &*covariance * &quadratic.gradient * (0.5 / variance);
+                *covariance += &step * step.transpose();
+                variance_alone += step.component_mul(&step);
+                scaled::inverse(covariance)
+            }
+            Some((_, variance)) => Some(quadratic.hessian * (0.5 / variance)),
+            None => None,
+        };
         let (pixels, left_out) = (pass.pixels, self.totals.left_out);
-        Ok(Worth { objective, reduced, pixels, left_out, saturated, row_variance, covariance, variance_alone })
+        Ok(Worth {
+            objective,
+            reduced,
+            pixels,
+            left_out,
+            saturated,
+            row_variance,
+            covariance,
+            information,
+            variance_alone,
+        })
     }
-}
-
-/// What is known of a pose's other parameters before anything is seen, as standard deviations: a brightness is not so many
-/// times that of the brightest spot, and what is between bounds is. A spot of which nothing is seen would leave the pose without
-/// covariance otherwise. `None` for models of no pose.
-fn beforehand(model: &Model, order: &[ParameterId], parameters: &[f64]) -> Option<DVector<f64>> {
-    const BRIGHTER: f64 = 100.0;
-    let pose: Vec<ParameterId> =
-        model.roles().iter().flat_map(|roles| roles.position.iter().chain(&roles.orientation)).copied().collect();
-    if pose.is_empty() {
-        return None;
-    }
-    let lights: Vec<ParameterId> = model.roles().iter().filter_map(|roles| roles.brightness).collect();
-    let brightest = lights.iter().map(|id| parameters[id.index()].abs()).fold(1.0, f64::max);
-    let known = |id: &ParameterId| match (model.parameters()[id.index()].min, model.parameters()[id.index()].max) {
-        _ if pose.contains(id) => f64::INFINITY,
-        _ if lights.contains(id) => BRIGHTER * brightest,
-        (Some(min), Some(max)) => max - min,
-        _ => f64::INFINITY,
-    };
-    Some(DVector::from_iterator(order.len(), order.iter().map(known)))
-}
-
-/// With that knowledge taken in. F is in units of ½ of a residual of `variance`.
-fn informed(quadratic: &Quadratic, known: &DVector<f64>, variance: f64) -> Quadratic {
-    let mut informed = quadratic.clone();
-    for (row, deviation) in known.iter().enumerate() {
-        informed.hessian[(row, row)] += 2.0 * variance / (deviation * deviation);
-    }
-    informed
-}
-
-/// The inverse Fisher information at unit variance, `2 H⁻¹` with H = 2 JᵀWJ: F has no factor ½. `None` when singular.
-fn inverse_fisher(quadratic: &Quadratic, precision: Precision) -> Option<DMatrix<f64>> {
-    let resolution = stage::eigen_resolution(precision);
-    let definite = Definite::of(&quadratic.hessian)?;
-    let inverse = match definite.is_clear(resolution) {
-        true => definite.inverse(),
-        false => Spectrum::new(quadratic, &definite.scale(), resolution)?.inverse()?,
-    };
-    Some(inverse * 2.0)
 }
 
 impl Pass {
@@ -438,12 +424,14 @@ impl Pass {
         let (slopes, upper) = rest.split_at(n);
         *objective = first;
         gradient.copy_from_slice(slopes);
-        let mut entries = upper.iter();
+        let (whole, mut row) = (hessian.as_mut_slice(), upper);
         for i in 0..n {
-            for (j, &entry) in (i..n).zip(&mut entries) {
-                hessian[(i, j)] = entry;
-                hessian[(j, i)] = entry;
+            let (own, rest) = row.split_at(n - i);
+            for (j, &entry) in (i..).zip(own) {
+                whole[i * n + j] = entry;
+                whole[j * n + i] = entry;
             }
+            row = rest;
         }
         self.quadratic.curvature = curvature;
         self.pixels = sums.pixels;
@@ -455,7 +443,10 @@ impl Pass {
 struct Summed<'a> {
     passes: Passes<'a>,
     gradient: Loops,
-    value: Loops,
+    /// Looked up by the first who asks: the short way does not.
+    value: Option<Loops>,
+    value_job: Job,
+    control: Control,
     curvature: Curvature,
 }
 
@@ -464,13 +455,12 @@ impl<'a> Summed<'a> {
     fn of(passes: Passes<'a>, index: usize, control: Control) -> Result<Summed<'a>, CompileFailure> {
         let (compiled, layout) = (passes.compiled, &passes.view.layout);
         let method = method(compiled.model(), index, layout);
-        let value = match value_kind(compiled.model(), method) {
+        let value_job = match value_kind(compiled.model(), method) {
             ValueKind::Full => Job::Report,
             ValueKind::Entry => Job::Value,
         };
         let gradient = compiled.loops(Job::Stage(index), control, layout)?;
-        let value = compiled.loops(value, control, layout)?;
-        Ok(Summed { passes, gradient, value, curvature: curvature(method) })
+        Ok(Summed { passes, gradient, value: None, value_job, control, curvature: curvature(method) })
     }
 }
 
@@ -480,7 +470,14 @@ impl CostFunction for Summed<'_> {
     }
 
     fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
-        self.passes.run(&self.value, point, entry)?.outputs.first().copied().ok_or(Ending::NonFinite)
+        let Passes { compiled, view, .. } = self.passes;
+        let value = match self.value.take() {
+            Some(value) => value,
+            None => compiled.loops(self.value_job, self.control, &view.layout).map_err(|_| Ending::NoKernel)?,
+        };
+        let found = self.passes.run(&value, point, entry).map(|totals| totals.outputs.first().copied());
+        self.value = Some(value);
+        found?.ok_or(Ending::NonFinite)
     }
 
     fn allowed(&self, point: &[f64]) -> bool {

@@ -41,6 +41,8 @@ pub(crate) struct ShortWay {
     pub pass: Pass,
     /// It ended beyond its tether, by that step.
     pub strained: Option<Stride>,
+    /// The factors of that pass' Hessian, where its last step was made of them.
+    pub factors: Option<Definite>,
 }
 
 /// A step that ends where F is another, over other pixels, but nearly the same.
@@ -131,12 +133,13 @@ pub(crate) fn follow<P: CostFunction>(
         if tether.is_some_and(|tether| !tether.holds(&at, rules, &pass, variance)) {
             point.copy_from_slice(&at);
             let stride = Stride { length: is_whole.then_some(length), mean: objective / pass.pixels as f64 };
-            return Some(ShortWay { report, pass, strained: Some(stride) });
+            return Some(ShortWay { report, pass, strained: Some(stride), factors: None });
         }
         if is_whole && earlier.and_then(|(_, last)| last).is_some_and(|last| is_near(last, length)) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
-            return Some(ShortWay { report, pass, strained: None });
+            let factors = (!step.is_part).then_some(step.definite);
+            return Some(ShortWay { report, pass, strained: None, factors });
         }
         earlier = Some((objective, is_whole.then_some(length)));
         promised = Some(reduction);
@@ -155,13 +158,15 @@ fn left(
     let reduction = promised?;
     rules.free.iter().for_each(|&i| point[i] = at[i]);
     pass.quadratic.objective -= reduction;
-    Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, strained: None })
+    Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, strained: None, factors: None })
 }
 
 /// A step from one point, in the memory of those before it.
 #[derive(Default)]
 struct Step {
     definite: Definite,
+    /// It has the factors of the places alone.
+    is_part: bool,
     delta: Vec<f64>,
     /// Of the places alone.
     moved: Vec<f64>,
@@ -171,6 +176,7 @@ impl Step {
     /// Becomes `−H⁻¹g`; by how much F falls there, where H bends upwards.
     fn newton(&mut self, quadratic: &Quadratic, resolution: f64) -> Option<f64> {
         let Quadratic { gradient, hessian, .. } = quadratic;
+        self.is_part = false;
         if !self.definite.become_of(hessian, gradient.len(), |row| row) {
             return None;
         }
@@ -194,7 +200,11 @@ impl Step {
             false => (objective - whole) / pass.pixels.max(1) as f64 + QUANTISATION + rules.rounding.powi(2),
         };
         let much = REST * REST * variance;
-        if whole <= much || !self.definite.become_of(hessian, rules.places.len(), |row| rules.places[row]) {
+        if whole <= much {
+            return None;
+        }
+        self.is_part = true;
+        if !self.definite.become_of(hessian, rules.places.len(), |row| rules.places[row]) {
             return None;
         }
         let slopes = rules.places.iter().map(|&row| gradient[row]);
@@ -323,7 +333,7 @@ mod tests {
     fn rules_of(free: usize, places: Vec<usize>) -> Rules {
         Rules {
             free: (0..free).collect(),
-            places,
+            places: places.into(),
             iterations: 50,
             tolerance: 1e-3,
             noise: true,

@@ -7,14 +7,15 @@ use std::sync::Arc;
 
 use isophote_jit::{Kernel, PlaneView, Sums, Window};
 use isophote_symbolic::Bindings;
+use smallvec::SmallVec;
 
 use crate::solve::rows::{RowOffsets, Rows};
 
 /// One kernel a summand; those of pixels at their limit come after those of the others.
 #[derive(Clone, Default)]
 pub(crate) struct Loops {
-    pub seen: Vec<Arc<Kernel>>,
-    pub clipped: Vec<Arc<Kernel>>,
+    pub seen: SmallVec<[Arc<Kernel>; 4]>,
+    pub clipped: SmallVec<[Arc<Kernel>; 4]>,
     /// Where rows have offsets: what is summed in the place of these kernels, or, where those sum nothing but F with ln σ²
     /// and χ², what is taken away from that.
     pub rows: Option<Arc<Rows>>,
@@ -145,6 +146,8 @@ mod tests {
     use isophote_jit::{KernelOptions, PixelFormat, VectorWidth, has_fma};
     use isophote_symbolic::{Lowering, Method, Model, ParameterId, Precision};
 
+    use smallvec::smallvec;
+
     use super::*;
 
     /// Derivatives of `v0 · x / w` by v0 and w, over the pixels of a domain.
@@ -176,15 +179,15 @@ mod tests {
         let alone = empty.sums(&bindings, &[plane], window).unwrap();
         assert!(alone.pixels == 0 && alone.outputs.iter().any(|sum| sum.is_nan()), "{alone:?}");
         let mut totals = Totals::default();
-        for clipped in [vec![], vec![empty.clone()]] {
-            let loops = Loops { seen: vec![empty.clone()], clipped, rows: None };
+        for clipped in [smallvec![], smallvec![empty.clone()]] {
+            let loops = Loops { seen: smallvec![empty.clone()], clipped, rows: None };
             loops.sums(&bindings, &[plane], &[window; 2], &[], &[], &mut totals).unwrap();
             assert_eq!((totals.outputs.as_slice(), totals.pixels), (&vec![0.0; alone.outputs.len()][..], 0));
         }
         // And with w = 1, beside one that has pixels.
         let bindings = Bindings { parameters: &[1.0, 1.0], entry: &[1.0, 1.0], ..Bindings::default() };
         let full = kernel("x >= 0");
-        let loops = Loops { seen: vec![empty, full.clone()], clipped: vec![], rows: None };
+        let loops = Loops { seen: smallvec![empty, full.clone()], clipped: smallvec![], rows: None };
         loops.sums(&bindings, &[plane], &[window], &[], &[], &mut totals).unwrap();
         let full = full.sums(&bindings, &[plane], window).unwrap();
         assert_eq!((totals.outputs, totals.pixels), (full.outputs, 64));
@@ -199,7 +202,7 @@ mod tests {
         let is_gap =
             |x: usize, y: usize| gaps.iter().any(|g| x >= g.x && x < g.x + g.width && y >= g.y && y < g.y + g.height);
         let kernel = kernel("x >= 1");
-        let loops = Loops { seen: vec![kernel.clone()], clipped: vec![], rows: None };
+        let loops = Loops { seen: smallvec![kernel.clone()], clipped: smallvec![], rows: None };
         let mut found = Vec::new();
         for hot in [0, 255] {
             let pixel = |i: usize| if is_gap(i % 8, i / 8) { hot } else { i as u8 };

@@ -7,6 +7,7 @@
 pub(crate) mod alternatives;
 pub(crate) mod compiled;
 pub(crate) mod corrections;
+pub(crate) mod covariance;
 pub(crate) mod exact;
 pub(crate) mod fit;
 pub(crate) mod follow;

@@ -15,6 +15,8 @@
 //! Where steps were refused last, the stage does not end before F was seen to fall along its own gradient (see
 //! [`Walk::agrees`]): a start from which every step is refused is no minimum.
 
+use std::sync::Arc;
+
 use isophote_symbolic::Precision;
 use nalgebra::{DMatrix, DVector};
 
@@ -54,9 +56,9 @@ pub(crate) trait CostFunction {
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
     /// Free parameters, as indices into the full vector.
-    pub free: Vec<usize>,
+    pub free: Arc<[usize]>,
     /// Which of these say where the target is, as rows of H.
-    pub places: Vec<usize>,
+    pub places: Arc<[usize]>,
     /// Steps tried, at most.
     pub iterations: u32,
     /// A stage ends when every |δ| is below this times its standard deviation.
@@ -238,7 +240,7 @@ pub(crate) fn run<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [
 /// Beside `point`, to one side of it.
 fn aside(point: &[f64], rules: &Rules, sign: f64) -> Vec<f64> {
     let mut aside = point.to_vec();
-    for i in &rules.free {
+    for i in rules.free.iter() {
         aside[*i] += sign * if aside[*i] == 0.0 { ASIDE_OF_ZERO } else { ASIDE * aside[*i].abs() };
     }
     aside

@@ -10,6 +10,8 @@ use isophote_symbolic::{
     Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Summand, ValueKind,
 };
 
+use smallvec::smallvec;
+
 use crate::sight::view::PlaneLayout;
 use crate::solve::loops::Loops;
 use crate::solve::rows::Rows;
@@ -84,9 +86,28 @@ struct Ready {
     kernel: Arc<Kernel>,
 }
 
+/// What a stage leaves free, as indices into all parameters; which of these say where the target is, as rows of its sums.
+#[derive(Clone)]
+pub(crate) struct Free {
+    pub parameters: Arc<[usize]>,
+    pub places: Arc<[usize]>,
+}
+
+impl Free {
+    fn of(model: &Model, order: &[ParameterId]) -> Free {
+        let places = model.roles().iter().flat_map(|roles| roles.centre.iter().chain(&roles.position));
+        Free {
+            parameters: order.iter().map(|parameter| parameter.index()).collect(),
+            places: places.filter_map(|place| order.iter().position(|free| free == place)).collect(),
+        }
+    }
+}
+
 /// A model's kernels for all stages.
 pub struct StageKernels {
     model: Arc<Model>,
+    /// Of each stage.
+    free: Arc<[Free]>,
     precision: Precision,
     derived: Arc<Derived>,
     /// The same of rows that have offsets, once such frames were met.
@@ -110,13 +131,16 @@ impl StageKernels {
         workers: &dyn Workers,
     ) -> Result<StageKernels, CompileFailure> {
         let derived = Arc::new(Derived::of(&model, workers)?);
-        Ok(StageKernels { model, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
+        let free = |stage: usize| Free::of(&model, derived.order(Job::Stage(stage)));
+        let free = (0..model.stages().len()).map(free).collect();
+        Ok(StageKernels { model, free, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
     }
 
     /// The same programs and cache, holding no kernel yet.
     pub fn share(&self) -> StageKernels {
         StageKernels {
             model: self.model.clone(),
+            free: self.free.clone(),
             precision: self.precision,
             derived: self.derived.clone(),
             of_rows: self.of_rows.clone(),
@@ -141,8 +165,14 @@ impl StageKernels {
     }
 
     /// The free parameters of a stage, in the order of its sums.
+    #[cfg(test)]
     pub(crate) fn order(&self, stage: usize) -> &[ParameterId] {
         self.derived.order(Job::Stage(stage))
+    }
+
+    /// The same as indices.
+    pub(crate) fn free(&self, stage: usize) -> &Free {
+        &self.free[stage]
     }
 
     /// What kernels for such pixels are made of, derived now if need be.
@@ -237,7 +267,7 @@ impl StageKernels {
         let mut entries: Vec<Loops> = Vec::new();
         self.each(derived, of_rows, control, made_for, |kernel, is_clipped| match entries.last_mut() {
             Some(entry) if is_clipped => entry.clipped.push(kernel),
-            _ => entries.push(Loops { seen: vec![kernel], ..Loops::default() }),
+            _ => entries.push(Loops { seen: smallvec![kernel], ..Loops::default() }),
         })?;
         let order = derived.order(of_rows);
         let place = |wanted: &ParameterId| order.iter().position(|id| id == wanted);
@@ -297,7 +327,7 @@ impl StageKernels {
         let options = KernelOptions {
             width: self.cache.width(),
             precision,
-            formats: layout.formats.clone(),
+            formats: layout.formats.to_vec(),
             packed: layout.packed,
         };
         let kernel = self.cache.get_or_compile_wide(program, &options);

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 use nalgebra::DMatrix;
+use std::sync::Arc;
 
 /// `f(point, pixel)`: the residual, its gradient, its Hessian by rows.
 type Residual<'a> = &'a dyn Fn(&[f64], usize) -> (f64, Vec<f64>, Vec<f64>);
@@ -56,7 +57,7 @@ impl CostFunction for Closed<'_> {
 fn rules(parameters: usize, window_pixels: u64) -> Rules {
     Rules {
         free: (0..parameters).collect(),
-        places: Vec::new(),
+        places: Arc::default(),
         iterations: 200,
         tolerance: 1e-3,
         noise: false,

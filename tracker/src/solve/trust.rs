@@ -38,8 +38,8 @@ impl Quadratic {
     /// True when no NaN and no infinity is in it.
     pub fn is_finite(&self) -> bool {
         self.objective.is_finite()
-            && self.gradient.iter().all(|x| x.is_finite())
-            && self.hessian.iter().all(|x| x.is_finite())
+            && self.gradient.as_slice().iter().all(|x| x.is_finite())
+            && self.hessian.as_slice().iter().all(|x| x.is_finite())
     }
 }
 

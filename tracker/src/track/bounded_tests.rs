@@ -104,7 +104,10 @@ fn a_fit_that_is_cut_short_hands_back_the_best_so_far() {
             assert!(is_honest(&left, Ending::Budget), "{left:?}");
             if left.ending == Ending::Budget && left.state == TrackState::Tracking {
                 assert!(left.iterations.iter().sum::<u32>() > 0 && left.reduced_chi_square.is_some(), "{left:?}");
-                errors.push((left.parameters[0] - 61.3).hypot(left.parameters[1] - 50.8));
+                let (x, y) = (left.parameters[0] - 61.3, left.parameters[1] - 50.8);
+                let covariance = left.covariance.as_ref().unwrap();
+                assert!(x * x < 16.0 * covariance[0][0] && y * y < 16.0 * covariance[1][1], "{x} {y}: {left:?}");
+                errors.push(x.hypot(y));
                 let next = tracker.track(&still(1.0));
                 assert!(next.converged && (next.parameters[0] - 61.3).abs() < 0.05, "{next:?}");
             }

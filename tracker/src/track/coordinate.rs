@@ -100,18 +100,18 @@ impl Coordinate {
         let variance = variance.max(VARIANCE_MIN);
         let step_s = (time_s - self.time_s).max(0.0);
         let off = |from: f64| (position - from).powi(2);
+        let coming = self.coming(time_s);
         if self.measurements > 1 {
-            self.predicted_off += (off(self.coming(time_s).position) - self.predicted_off) / STARTS;
+            self.predicted_off += (off(coming.position) - self.predicted_off) / STARTS;
             self.last_off += (off(self.last) - self.last_off) / STARTS;
         }
-        let strikes = |this: &Coordinate| {
-            let coming = this.coming(time_s);
+        let strikes = |this: &Coordinate, coming: &Course| {
             let spread = coming.variance + variance + this.jitter.level();
             let square = off(coming.position);
             (square > STEP * spread && step_s > 0.0).then(|| (square - spread) / (step_s * step_s))
         };
         let is_apart = time_s - self.struck_s > STEPS_APART_S;
-        if strikes(self).is_some() && self.measurements >= SETTLED && is_apart {
+        if strikes(self, &coming).is_some() && self.measurements >= SETTLED && is_apart {
             self.acceleration.forget();
             self.jitter.forget();
         }
@@ -125,7 +125,7 @@ impl Coordinate {
         self.believed = self.jitter.level().max(REASSURED * self.believed);
         self.acceleration.see(position, variance, self.jitter.level(), time_s, &self.course);
         let mut coming = self.coming(time_s);
-        if let Some(struck) = strikes(self) {
+        if let Some(struck) = strikes(self, &coming) {
             coming = coming.struck(struck, step_s);
             self.struck_s = time_s;
         }

@@ -29,7 +29,6 @@ use super::asymmetry;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
 use super::structure::Structure;
-use crate::scaled;
 use crate::solve::exact;
 use crate::solve::fit::{Fit, Worth};
 
@@ -230,14 +229,14 @@ fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
 
 /// `F₀/F − 1`, the least of all targets of the model.
 fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
-    let information = scaled::inverse(worth.covariance.as_ref()?)?;
+    let information = worth.information.as_ref()?;
     let order = solver.compiled.last_parameters();
     let place = |parameter| order.iter().position(|&p| p == parameter);
     let mut least = f64::INFINITY;
     for roles in solver.model().roles() {
         let brightness = place(roles.brightness?)?;
         let background = roles.background.and_then(place);
-        let variance = alone(&information, brightness, background)?;
+        let variance = alone(information, brightness, background)?;
         least = least.min(fit.parameters[order[brightness].index()].powi(2) / variance);
     }
     // Covariances of a model without noise are in units of χ²/ν, so F is ν there. With noise χ²/ν is 1 on average: less is

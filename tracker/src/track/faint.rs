@@ -12,7 +12,6 @@
 use isophote_symbolic::{ParameterId, Roles};
 
 use super::window::half_widths;
-use crate::scaled;
 use crate::sight::cold::FALSE_ALARMS;
 use crate::solve::fit::Fit;
 
@@ -31,7 +30,7 @@ pub(super) fn is_bright(order: &[ParameterId], fit: &Fit, roles: &Roles, blank: 
     let place = |parameter| order.iter().position(|&p| p == parameter);
     let (brightness, worth) = (place(roles.brightness?)?, fit.worth.as_ref()?);
     let height = fit.parameters[order[brightness].index()].abs();
-    let Some(covariance) = &worth.covariance else {
+    let (Some(covariance), Some(information)) = (&worth.covariance, &worth.information) else {
         return Some(height / (worth.variance_alone[brightness] * blank).sqrt() >= SIGNIFICANT);
     };
     if height / (covariance[(brightness, brightness)] * blank).sqrt() >= SIGNIFICANT {
@@ -39,21 +38,16 @@ pub(super) fn is_bright(order: &[ParameterId], fit: &Fit, roles: &Roles, blank: 
     }
     let background = roles.background.and_then(place);
     // Its variance when nothing but the background is unknown beside it.
-    let information = scaled::inverse(covariance);
-    let variance = information.map(|information| {
-        let shared = |other: usize| information[(brightness, other)].powi(2) / information[(other, other)];
-        1.0 / (information[(brightness, brightness)] - background.map_or(0.0, shared))
-    });
-    Some(variance.is_some_and(|variance| {
-        variance > 0.0 && height / (variance * blank).sqrt() >= least(order, fit, roles, pixels)
-    }))
+    let shared = |other: usize| information[(brightness, other)].powi(2) / information[(other, other)];
+    let variance = 1.0 / (information[(brightness, brightness)] - background.map_or(0.0, shared));
+    Some(variance > 0.0 && height / (variance * blank).sqrt() >= least(order, fit, roles, pixels))
 }
 
 /// The least significance that is believed of a fit in a window of so many pixels.
 fn least(order: &[ParameterId], fit: &Fit, roles: &Roles, pixels: usize) -> f64 {
     let dimensions = roles.centre.len();
-    let box_of = |widths: Vec<f64>| widths.iter().map(|width| 2.0 * width).product::<f64>();
-    let volume = half_widths(roles, dimensions, &fit.parameters).map(box_of);
+    let widths = half_widths(roles, dimensions, &fit.parameters);
+    let volume = widths.map(|widths| widths.map(|width| 2.0 * width).product::<f64>());
     let places = (pixels as f64 / volume.unwrap_or(1.0).max(1.0)).max(1.0);
     least_of(FALSE_ALARMS / (FRAMES * places), order.len().saturating_sub(1))
 }

@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::evidence::Ground;
+use super::looks::Likeness;
 use super::noise::NoiseLevel;
 use super::past::Past;
 use super::rival::Rival;
@@ -61,6 +62,9 @@ pub(crate) struct Memory {
     /// What rows are off by, where nobody says it.
     #[serde(default)]
     pub rows: RowLevel,
+    /// How large it is.
+    #[serde(default)]
+    pub looks: Likeness,
     motion: Option<Mover>,
     /// What was seen last was seen by another model: looks and misfit cannot be compared.
     is_swapped: bool,
@@ -80,12 +84,14 @@ impl Memory {
             ground: self.ground,
             motion: motion.and_then(|(motion, places)| motion.of_places(places)),
             rows: self.rows,
+            looks: self.looks.swapped(),
             is_swapped: true,
             ..Memory::default()
         };
         match shared.is_same {
             true => Memory {
                 reduced: self.reduced,
+                looks: self.looks,
                 rival: self.rival.clone(),
                 noise: self.noise,
                 is_swapped: self.is_swapped,
@@ -109,18 +115,24 @@ impl Memory {
             && self.motion.as_ref().is_none_or(|motion| motion.foresees().count() == places(solver).count())
     }
 
-    /// Where a fit of this frame starts: the last parameters with the centre where it should be; `None` without a complete
+    /// Where a fit of this frame starts: the last parameters with the centre where it is predicted; `None` without a complete
     /// set. A coordinate whose predictions have been farther off than its last measurement starts from that.
-    pub fn start(&self, solver: &Solver, time_s: f64) -> Option<Vec<f64>> {
+    pub fn start(&self, solver: &Solver, predicted: Option<&Predicted>) -> Option<Vec<f64>> {
         let mut start = self.last_start()?;
-        if let Some(motion) = self.motion.as_ref().filter(|motion| motion.measurements >= MOVING) {
-            let (predicted, _) = motion.predict(time_s).places();
-            let foreseen = places(solver).zip(predicted.iter()).zip(motion.foresees());
+        let motion = self.motion.as_ref().filter(|motion| motion.measurements >= MOVING);
+        if let Some((motion, predicted)) = motion.zip(predicted) {
+            let foreseen = places(solver).zip(predicted.positions()).zip(motion.foresees());
             for ((parameter, value), _) in foreseen.filter(|(_, foresees)| *foresees) {
-                start[parameter.index()] = *value;
+                start[parameter.index()] = value;
             }
         }
         Some(start)
+    }
+
+    /// Whether that is where the last parameters are, all of which are known.
+    pub fn starts_at(&self, start: &[f64]) -> bool {
+        let is_same = |(value, start): (&Option<f64>, &f64)| *value == Some(*start);
+        self.warm.as_ref().is_some_and(|warm| warm.iter().zip(start).all(is_same))
     }
 
     /// Parameters with the target where it should be.
@@ -182,16 +194,15 @@ impl Memory {
         if predicted.admits(&measured) {
             return true;
         }
-        let (state, _) = predicted.places();
+        let state = DVector::from_iterator(measured.values.len(), predicted.positions());
         let dimensions = solver.model().coordinates().len();
         let mut at = 0;
         let centres = solver.model().roles().iter().all(|roles| {
             let n = roles.centre.len();
             let off = (measured.values.rows(at, n) - state.rows(at, n)).norm();
             at += n;
-            let widths =
-                half_widths(roles, dimensions, &self.last).unwrap_or_else(|| sizes(solver.model(), &self.last));
-            off <= widths.into_iter().fold(0.0, f64::max)
+            let widest = half_widths(roles, dimensions, &self.last).map(|widths| widths.fold(0.0, f64::max));
+            off <= widest.unwrap_or_else(|| sizes(solver.model(), &self.last).into_iter().fold(0.0, f64::max))
         });
         let positions = measured.values.len() - at;
         let moved_mm = (measured.values.rows(at, positions) - state.rows(at, positions)).norm();
@@ -237,7 +248,7 @@ impl Memory {
     pub fn saw(&mut self, solver: &Solver, candidate: &Candidate, time_s: f64) {
         let Some(fit) = &candidate.attempt.fit else { return };
         let measured = measured(solver, &candidate.attempt);
-        let is_near = self.is_near(solver, &candidate.attempt, time_s);
+        let is_near = candidate.near.unwrap_or_else(|| self.is_near(solver, &candidate.attempt, time_s));
         self.motion = match (self.motion.take(), measured) {
             (Some(mut motion), Some(measured)) => {
                 match is_near {
@@ -249,16 +260,21 @@ impl Memory {
             (None, Some(measured)) => Some(Mover::begin(&measured, time_s, solver.options.motion.density())),
             (_, None) => None,
         };
-        let last = self.last_start();
-        self.past.saw(solver, last.as_deref(), &candidate.attempt);
+        if solver.geometry.is_some() {
+            let last = self.last_start();
+            self.past.saw(solver, last.as_deref(), &candidate.attempt);
+        }
+        self.looks.saw(solver, &candidate.attempt, time_s);
         let mut next = fit.parameters.clone();
         if let Some(geometry) = &solver.geometry {
             geometry.fold(&mut next);
         }
-        self.warm = Some(next.into_iter().map(Some).collect());
+        let warm = self.warm.get_or_insert_default();
+        warm.clear();
+        warm.extend(next.into_iter().map(Some));
         self.rival = candidate.attempt.rival.clone();
-        self.last = fit.parameters.clone();
-        self.covariance = fit.worth.as_ref().and_then(|worth| worth.covariance.clone());
+        self.last.clone_from(&fit.parameters);
+        self.covariance.clone_from(fit.worth.as_ref().map_or(&None, |worth| &worth.covariance));
         self.reduced = candidate.attempt.reduced();
         self.is_substitute = fit.choice.is_some();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);

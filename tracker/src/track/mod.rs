@@ -18,6 +18,7 @@ pub(crate) mod disagreement;
 pub(crate) mod evidence;
 mod faint;
 mod levels;
+mod looks;
 mod memory;
 pub(crate) mod motion;
 mod nearby;
@@ -53,8 +54,6 @@ const MISFIT: f64 = 9.0;
 /// A brightness that changed by more than this factor from one frame to the next asks for one, too: a fit that lost its
 /// target settles on whatever faint thing is near. So does an area.
 const FADED: f64 = 4.0;
-/// So many measurements make a track that coasts, and that takes only what suits it.
-const CONFIRMED: u32 = 3;
 /// The window around a prediction is larger than the domain by this share, …
 pub(crate) const MARGIN_SHARE: f64 = 0.1;
 /// … by so many px, …
@@ -91,24 +90,51 @@ pub(crate) struct Track {
     pub memory: Memory,
 }
 
+/// A fit that leaves out more of the domain than this does not say what it is of.
+const HIDDEN_MOST: f64 = 0.6;
+/// A prediction this sure, in half widths of the target, says where it is.
+const SURE: f64 = 0.5;
+
 impl Track {
+    /// True for what may be taken for the target: it is of its size, or in its place, explained as well and of about its size.
+    fn inherits(&self, solver: &Solver, candidate: &Candidate, time_s: f64) -> bool {
+        let (looks, attempt) = (&self.memory.looks, &candidate.attempt);
+        let choice = attempt.fit.as_ref().and_then(|fit| fit.choice);
+        if solver.fits_pose() || !looks.is_known() {
+            return true;
+        }
+        let is_told = choice.is_none_or(|choice| choice.hidden <= HIDDEN_MOST);
+        let is_as_before = || choice.is_none() && looks.may_have_become(solver, attempt);
+        is_told
+            && (looks.may_be(solver, attempt, time_s)
+                || (is_as_before() && self.is_in_place(solver, candidate, time_s)))
+    }
+
+    /// Where it is expected, so surely that no other thing could be.
+    fn is_in_place(&self, solver: &Solver, candidate: &Candidate, time_s: f64) -> bool {
+        let (Some(predicted), Some(size_px)) = (self.memory.predicted(time_s), self.memory.size_px(solver)) else {
+            return false;
+        };
+        let is_sure = (0..predicted.positions().count()).all(|place| predicted.deviation(place) <= SURE * size_px);
+        is_sure && self.is_near(solver, candidate, time_s)
+    }
+
     /// Fits around the prediction.
     pub fn follow(&self, solver: &Solver, look: &Look, time_s: f64) -> Result<Followed, CompileFailure> {
-        let Some(start) = self.memory.start(solver, time_s) else { return Ok(Followed::Doubtful(None)) };
+        let predicted = self.memory.predicted(time_s);
+        let Some(start) = self.memory.start(solver, predicted.as_ref()) else { return Ok(Followed::Doubtful(None)) };
         let mut margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-        if let Some(predicted) = self.memory.predicted(time_s) {
-            let (_, spread) = predicted.moving();
+        if let Some(predicted) = predicted {
             for (axis, px) in margin.px.iter_mut().enumerate().take(solver.model().coordinates().len()) {
-                let deviation = spread.get((axis, axis)).map_or(0.0, |variance| variance.sqrt());
-                *px = (*px + MARGIN_DEVIATIONS * deviation).min(MARGIN_PX_MAX);
+                *px = (*px + MARGIN_DEVIATIONS * predicted.deviation(axis)).min(MARGIN_PX_MAX);
             }
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
-        let attempt =
-            solver.against_rival(look, attempt, (self.memory.rival.as_ref(), self.memory.last_start()), control)?;
+        let last = || self.memory.last_start();
+        let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;
         let ground = self.memory.ground.or_else(|| solver.stated_ground(look, &attempt));
         let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
         let candidate = Candidate::of(solver, attempt, ground);
@@ -122,7 +148,8 @@ impl Track {
             && !is_sudden
             && candidate.is_sure(solver)
             && self.is_expected(solver, look, &candidate.attempt)
-            && self.is_near(solver, &candidate, time_s);
+            && self.is_near(solver, &candidate, time_s)
+            && self.inherits(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
         Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
     }
@@ -138,10 +165,12 @@ impl Track {
         control: Control,
     ) -> Result<(Vec<f64>, Attempt), CompileFailure> {
         let attempt = solver.attempt(look, &start, Begin::Nearby(self.memory.chosen.as_ref()), control, margin)?;
-        let Some(last) = self.memory.last_start().filter(|last| *last != start) else { return Ok((start, attempt)) };
-        if solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, look, &attempt) {
+        if self.memory.starts_at(&start)
+            || (solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, look, &attempt))
+        {
             return Ok((start, attempt));
         }
+        let Some(last) = self.memory.last_start() else { return Ok((start, attempt)) };
         let again = solver.attempt(look, &last, Begin::Anywhere, control, margin)?;
         let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
         Ok(if rank(&again) < rank(&attempt) { (last, again) } else { (start, attempt) })
@@ -165,9 +194,10 @@ impl Track {
             let looks_alike = self.change(solver, &candidate.attempt) <= FADED;
             // However unsure the prediction is: what looks otherwise and is hardly a target is none.
             let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE) && !looks_alike;
-            !self.is_confirmed()
+            let is_possible = !self.is_confirmed()
                 || (self.is_near(solver, candidate, time_s) && !unlike)
-                || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt))
+                || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt));
+            is_possible && self.inherits(solver, candidate, time_s)
         };
         let is_guess = |candidate: &Candidate| {
             !self.is_confirmed() && self.memory.looked().is_none() && search.is_guess(solver, candidate)
@@ -199,11 +229,9 @@ impl Track {
                 Finding::Seen(Box::new(found.candidate))
             }
             (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
-            _ => match search
-                .doubted()
-                .map(|candidate| self.expecting(solver, candidate, time_s))
-                .filter(|candidate| !candidate.is_sure(solver) || is_guess(candidate))
-            {
+            _ => match search.doubted().map(|candidate| self.expecting(solver, candidate, time_s)).filter(|candidate| {
+                !candidate.is_sure(solver) || is_guess(candidate) || !self.inherits(solver, candidate, time_s)
+            }) {
                 Some(Candidate { attempt, evidence, .. }) => {
                     let strongest = search.failure.strongest;
                     let attempt = Attempt { rejection: Some(Rejection::Unlikely), strongest, ..attempt };
@@ -230,7 +258,8 @@ impl Track {
 
     /// The same candidate with what speaks against it, given what was expected.
     fn expecting(&self, solver: &Solver, mut candidate: Candidate, time_s: f64) -> Candidate {
-        let is_near = self.is_near(solver, &candidate, time_s);
+        let is_near = self.memory.is_near(solver, &candidate.attempt, time_s);
+        candidate.near = Some(is_near);
         if let Some(evidence) = &mut candidate.evidence {
             let distance = || self.memory.distance(solver, &candidate.attempt, time_s);
             evidence.distance = if is_near { None } else { distance() }.map_or(0.0, Predicted::excess);
@@ -240,7 +269,7 @@ impl Track {
     }
 
     fn is_confirmed(&self) -> bool {
-        self.memory.measurements() >= CONFIRMED
+        self.memory.measurements() >= looks::CONFIRMED
     }
 
     /// A followed target has taken the place: two tracks are one thing.
@@ -269,7 +298,7 @@ impl Track {
 
     /// Inside the gate, or no farther off than the target is large; true where nothing was expected.
     fn is_near(&self, solver: &Solver, candidate: &Candidate, time_s: f64) -> bool {
-        self.memory.is_near(solver, &candidate.attempt, time_s)
+        candidate.near.unwrap_or_else(|| self.memory.is_near(solver, &candidate.attempt, time_s))
     }
 }
 
@@ -289,6 +318,8 @@ mod tests;
 
 #[cfg(test)]
 mod faint_tests;
+#[cfg(test)]
+mod identity_tests;
 #[cfg(test)]
 mod jitter_tests;
 #[cfg(test)]

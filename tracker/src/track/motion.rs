@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::coordinate::Coordinate;
 use super::course::Course;
+use crate::scaled::Definite;
 use crate::solve::exact;
 
 /// A model is never so right that a place is known better than this when one is compared with what was expected, px or mm.
@@ -50,6 +51,16 @@ impl Predicted {
         (DVector::from_iterator(n, values), DMatrix::from_diagonal(&DVector::from_iterator(n, variances)))
     }
 
+    /// The places alone.
+    pub fn positions(&self) -> impl Iterator<Item = f64> {
+        self.0.iter().map(|course| course.position)
+    }
+
+    /// Of a place, px or mm; 0 where there is no such place.
+    pub fn deviation(&self, place: usize) -> f64 {
+        self.0.get(place).map_or(0.0, |course| course.variance.sqrt())
+    }
+
     /// Places and velocities, px and px/s or mm and mm/s, with their covariance.
     pub fn moving(&self) -> (DVector<f64>, DMatrix<f64>) {
         let n = self.0.len();
@@ -65,13 +76,12 @@ impl Predicted {
 
     /// How far measured places lie from the predicted ones, `yᵀS⁻¹y` with S = P + R; `None` when S is singular.
     pub fn distance(&self, measured: &Measured) -> Option<f64> {
-        let (places, mut spread) = self.places();
-        let innovation = &measured.values - places;
-        spread += &measured.covariance;
-        for i in 0..innovation.len() {
-            spread[(i, i)] += FLOOR * FLOOR;
+        let (mut innovation, mut spread) = (measured.values.clone(), measured.covariance.clone());
+        for (i, course) in self.0.iter().enumerate() {
+            innovation[i] -= course.position;
+            spread[(i, i)] += course.variance + FLOOR * FLOOR;
         }
-        Some(innovation.dot(&spread.cholesky()?.solve(&innovation)))
+        Some(Definite::of(&spread)?.length(&innovation).powi(2))
     }
 
     /// By how many standard deviations a distance lies outside of the gate, a coordinate; 0 inside.

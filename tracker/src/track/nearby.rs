@@ -25,14 +25,13 @@ impl Track {
         avoided: &[Vec<f64>],
         time_s: f64,
     ) -> Result<Option<Box<Candidate>>, CompileFailure> {
-        let Some(start) = self.memory.start(solver, time_s) else { return Ok(None) };
+        let predicted = self.memory.predicted(time_s);
+        let Some(start) = self.memory.start(solver, predicted.as_ref()) else { return Ok(None) };
         let [least, most] = MARGIN_PX;
         let mut margin = Margin::even(0.0, least);
-        if let Some(predicted) = self.memory.predicted(time_s) {
-            let (_, spread) = predicted.moving();
+        if let Some(predicted) = predicted {
             for (axis, px) in margin.px.iter_mut().enumerate().take(solver.model().coordinates().len()) {
-                let deviation = spread.get((axis, axis)).map_or(0.0, |variance| variance.sqrt());
-                *px = (MARGIN_DEVIATIONS * deviation).clamp(least, most);
+                *px = (MARGIN_DEVIATIONS * predicted.deviation(axis)).clamp(least, most);
             }
         }
         let window = solver.reach_window(&start, margin, look.window);

@@ -32,12 +32,12 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
             let confidence = candidate.confidence();
             // What is published follows the noise that there is; where the target is looked for does not.
             let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
-            let covariance = worth.and_then(|worth| worth.covariance.as_mut());
-            let covariance = covariance.map(|covariance| {
+            if let Some(covariance) = worth.and_then(|worth| worth.covariance.as_mut()) {
                 *covariance *= memory.noise.ratio().unwrap_or(1.0).powi(2);
-                covariance.clone()
-            });
+            }
             let pose = solver.pose(&candidate.attempt, saturation, spend);
+            let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
+            let covariance = worth.and_then(|worth| worth.covariance.take());
             (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
         }
         Finding::Coasting(attempt, predicted) => {

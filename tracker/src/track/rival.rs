@@ -77,7 +77,7 @@ impl Solver {
         &self,
         look: &Look,
         mut warm: Attempt,
-        (rival, last): (Option<&Rival>, Option<Vec<f64>>),
+        (rival, last): (Option<&Rival>, impl FnOnce() -> Option<Vec<f64>>),
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
         // What is hidden from one is hidden from the other: such a picture decides nothing.
@@ -96,7 +96,7 @@ impl Solver {
         let Some(delta) = delta else { return Ok(warm) };
         // A target that turns by as much as lies between the two may have become the other: what was decided before counts for
         // another pair.
-        let sides = warm.fit.as_ref().zip(other.fit.as_ref()).zip(last);
+        let sides = warm.fit.as_ref().zip(other.fit.as_ref()).zip(last());
         let has_crossed = sides.is_some_and(|((warm, other), last)| {
             let moved = [warm, other].map(|fit| geometry.apart(&last, &fit.parameters));
             moved[0].min(moved[1]) > CROSSING * geometry.apart(&warm.parameters, &other.parameters)

@@ -66,6 +66,8 @@ pub(crate) struct Candidate {
     pub evidence: Option<Evidence>,
     /// What is beside it, where that was looked at.
     pub ground: Option<Ground>,
+    /// Whether it is where a track expects its target, once that track has asked.
+    pub near: Option<bool>,
 }
 
 /// Something that may be the target.
@@ -116,7 +118,7 @@ impl Candidate {
     pub fn of(solver: &Solver, attempt: Attempt, ground: Option<Ground>) -> Candidate {
         let fit = attempt.fit.as_ref().filter(|_| attempt.is_good());
         let evidence = fit.and_then(|fit| Evidence::of(solver, fit, ground));
-        Candidate { evidence, attempt, ground }
+        Candidate { evidence, attempt, ground, near: None }
     }
 
     /// The probability that it is the target.

@@ -8,11 +8,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{PlaneView, Window};
 use isophote_symbolic::{Model, Quadrature};
+use smallvec::smallvec;
 
 use super::faint;
 use super::rival::Rival;
 use super::structure::Structure;
-use super::window::{Margin, Reach, half_widths, holds, shape};
+use super::window::{Margin, Reach, half_widths, holds, least_bend, shape};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
@@ -21,7 +22,7 @@ use crate::sight::detect::{Bank, Strength};
 use crate::sight::gaps::{Gaps, overlap};
 use crate::sight::grey::row_shares;
 use crate::sight::mask::Mask;
-use crate::sight::view::{View, limit};
+use crate::sight::view::{PerPlane, View, limit};
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
@@ -53,6 +54,8 @@ pub(crate) struct Solver {
     /// The variance of rows' offsets in each entry of `observed`, over that of a plane; none where rows cannot be told apart.
     pub(super) row_shares: Vec<f64>,
     reach: Reach,
+    /// The share of its outline that a target's light would fill at full height.
+    pub(super) fullness: OnceLock<f64>,
 }
 
 /// A frame's pixels that may be looked at.
@@ -62,7 +65,7 @@ pub(crate) struct Look<'a> {
     /// What its pixels can hold at most.
     largest: f64,
     /// Where its pixels are clipped, for each window that was looked at.
-    limits: Mutex<Vec<(Window, Vec<f64>)>>,
+    limits: Mutex<Vec<(Window, PerPlane<f64>)>>,
     /// What it may cost; none where nothing bounds it.
     budget: Option<&'a FrameBudget<'a>>,
     /// What a fit went on without.
@@ -197,7 +200,8 @@ impl Solver {
         // A response that cannot be was refused with the options.
         let response = options.camera.linear_response().ok().flatten();
         let row_shares = row_shares(compiled.model(), &constants);
-        Solver { compiled, options, constants, geometry, bank, response, gaps, row_shares, reach }
+        let fullness = OnceLock::new();
+        Solver { compiled, options, constants, geometry, bank, response, gaps, row_shares, reach, fullness }
     }
 
     pub fn model(&self) -> &Model {
@@ -250,16 +254,16 @@ impl Solver {
 
     /// One limit a plane: the camera's (that of light where it has a response), else what the window's pixels show, but not above what the source's pixels can hold.
     /// Looked for once a frame and window.
-    fn limits(&self, look: &Look, window: Window) -> Vec<f64> {
+    fn limits(&self, look: &Look, window: Window) -> PerPlane<f64> {
         let of_light = self.response.as_ref().map(|_| look.largest);
         if let Some(limit) = of_light.or(self.options.camera.saturation) {
-            return vec![limit; look.planes.len()];
+            return smallvec![limit; look.planes.len()];
         }
         let mut known = look.limits.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, limits)) = known.iter().find(|(seen, _)| *seen == window) {
             return limits.clone();
         }
-        let limits: Vec<f64> = look.planes.iter().map(|plane| limit(plane, window).min(look.largest)).collect();
+        let limits: PerPlane<f64> = look.planes.iter().map(|plane| limit(plane, window).min(look.largest)).collect();
         known.push((window, limits.clone()));
         limits
     }
@@ -430,10 +434,9 @@ impl Solver {
                     return Some(Rejection::OutsideWindow);
                 }
             }
-            // The least eigenvalue of A belongs to the longest semi-axis, 1/√λ.
-            if let Some(a) = shape(roles, dimensions, &fit.parameters).filter(|_| dimensions > 1) {
+            if let Some(least) = least_bend(roles, dimensions, &fit.parameters).filter(|_| dimensions > 1) {
                 let longest = size.into_iter().max().unwrap_or(1) as f64;
-                if a.symmetric_eigenvalues().min() * longest.powi(2) < 1.0 {
+                if least * longest.powi(2) < 1.0 {
                     return Some(Rejection::Oversized);
                 }
             }
@@ -470,7 +473,7 @@ impl Solver {
         let Some(roles) = self.model().roles().first() else { return (None, None) };
         let dimensions = self.model().coordinates().len();
         let widths = half_widths(roles, dimensions, parameters);
-        let size = widths.map(|widths| widths.iter().product::<f64>().ln()).filter(|size| size.is_finite());
+        let size = widths.map(|widths| widths.product::<f64>().ln()).filter(|size| size.is_finite());
         let brightness = roles.brightness.map(|parameter| parameters[parameter.index()].abs().ln());
         (size.filter(|_| !roles.shape.is_empty()), brightness.filter(|brightness| brightness.is_finite()))
     }

@@ -112,7 +112,7 @@ impl Tracker {
 
     /// True where estimates of this model may carry advice about exposure.
     pub fn advises_exposure(&self) -> bool {
-        is_advisable(&self.solver)
+        is_advisable(&self.solver, self.solver.options.exposure.unwrap_or_default())
     }
 
     /// The targets' ids, in the order of their numbers.
@@ -239,9 +239,10 @@ impl Tracker {
     fn advise(&mut self, look: Option<&Look>, estimates: &mut [Estimate]) {
         let Some((advisor, look)) = self.advisor.as_mut().zip(look) else { return };
         for (number, estimate) in estimates.iter_mut().enumerate() {
-            if estimate.state == TrackState::Tracking {
-                estimate.exposure_advice = advisor.advise(&self.solver, look, number, estimate);
-            }
+            estimate.exposure_advice = match estimate.state {
+                TrackState::Tracking => advisor.advise(&self.solver, look, number, estimate),
+                _ => advisor.dazzled(&self.solver, look, estimate),
+            };
         }
     }
 

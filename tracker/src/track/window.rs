@@ -1,14 +1,18 @@
 //! The window around a target: a fit needs the pixels of its domain and a little more, not the whole frame.
 //!
 //! What comes in: a model, and parameters. What goes out: a rectangle. How far a domain reaches is found once for a model,
-//! by walking from the middle of a made-up target outwards until the domain ends, in units of the outline `dᵀAd = 1`.
+//! by walking from the middle of a made-up target outwards until the domain ends, in units of the outline `dᵀAd = 1`. Of a
+//! target without an outline, what begins as its size along each coordinate takes the outline's place.
 
 use isophote_jit::{Slices, Window};
-use isophote_symbolic::{Estimator, Model, Roles, Start};
+use isophote_symbolic::{Estimator, Model, Parameter, ParameterId, Roles, Start};
 use nalgebra::{DMatrix, Matrix4};
+use smallvec::SmallVec;
 
 /// Semi-axes of the made-up targets, px.
 const SEMI_AXES_PX: [f64; 2] = [8.0, 80.0];
+/// The same where a domain may reach so many sizes and some px: one of each extreme, and one between them.
+const SIZES_PX: [f64; 3] = [1.0, 8.0, 80.0];
 /// Made-up targets are this far from each other, px.
 const APART_PX: f64 = 10_000.0;
 /// A step of the walk: outwards by this factor …
@@ -16,7 +20,7 @@ const STEP: f64 = 1.05;
 /// … from here, in semi-axes …
 const NEAREST: f64 = 0.25;
 /// … to here. A domain that ends further out does not bound the window.
-const FARTHEST: f64 = 6.0;
+pub(super) const FARTHEST: f64 = 6.0;
 
 /// By how much a window is larger than the domain.
 #[derive(Clone, Copy, Debug)]
@@ -37,29 +41,28 @@ impl Margin {
     }
 }
 
-/// How far a model's domain reaches, in units of the outline; `None` where that is unknown.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Reach(Option<f64>);
+/// How far a model's domain reaches; `None` where that is unknown.
+#[derive(Clone, Debug)]
+pub(crate) struct Reach(Option<End>);
+
+/// Where a domain ends.
+#[derive(Clone, Debug)]
+enum End {
+    /// In units of the outline.
+    Outlines(f64),
+    /// So many times what is its size along each coordinate, and so many px.
+    Sizes { of: Vec<ParameterId>, share: f64, px: f64 },
+}
 
 impl Reach {
     /// Walks through the model's domain.
     pub fn of(model: &Model, constants: &[f64]) -> Reach {
         let n = model.coordinates().len();
-        let known = |roles: &Roles| roles.centre.len() == n && roles.shape.len() == n * (n + 1) / 2;
-        if n < 2 || !model.roles().iter().all(known) {
+        if n < 2 || !model.roles().iter().all(|roles| roles.centre.len() == n) {
             return Reach(None);
         }
-        let mut reach: f64 = 0.0;
-        for semi_axis in SEMI_AXES_PX {
-            let parameters = made_up(model, semi_axis);
-            for roles in model.roles() {
-                match walk(model, &parameters, constants, roles, semi_axis) {
-                    Some(end) => reach = reach.max(end),
-                    None => return Reach(None),
-                }
-            }
-        }
-        Reach(Some(reach))
+        let is_outlined = model.roles().iter().all(|roles| roles.shape.len() == n * (n + 1) / 2);
+        Reach(if is_outlined { outlined(model, constants) } else { sized(model, constants) })
     }
 
     /// True when it is.
@@ -67,20 +70,28 @@ impl Reach {
         self.0.is_some()
     }
 
-    /// In units of the outline.
+    /// In units of the outline, where there is one.
     pub fn outlines(&self) -> Option<f64> {
-        self.0
+        match self.0 {
+            Some(End::Outlines(reach)) => Some(reach),
+            _ => None,
+        }
     }
 
     /// The window that holds the domain of all targets; all of `whole` where the reach is unknown, or `None` when nothing
     /// of the domain is inside.
     pub fn window(&self, model: &Model, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
-        let Some(reach) = self.0 else { return Some(whole) };
+        let Some(end) = &self.0 else { return Some(whole) };
         let (mut low, mut high) = ([f64::INFINITY; 4], [f64::NEG_INFINITY; 4]);
         for roles in model.roles() {
-            let half = half_widths(roles, model.coordinates().len(), parameters)?;
+            let half: Extents = match end {
+                End::Outlines(reach) => {
+                    half_widths(roles, model.coordinates().len(), parameters)?.map(|half| reach * half).collect()
+                }
+                End::Sizes { of, share, px } => of.iter().map(|id| share * parameters[id.index()].abs() + px).collect(),
+            };
             for (axis, (parameter, half)) in roles.centre.iter().zip(half).enumerate() {
-                let wide = reach * half * (1.0 + margin.share) + margin.px[axis];
+                let wide = half * (1.0 + margin.share) + margin.px[axis];
                 let centre = parameters[parameter.index()];
                 low[axis] = low[axis].min(centre - wide);
                 high[axis] = high[axis].max(centre + wide);
@@ -90,8 +101,35 @@ impl Reach {
     }
 }
 
+/// The farthest end of the domains of targets of several outlines; `None` where one does not end.
+fn outlined(model: &Model, constants: &[f64]) -> Option<End> {
+    let mut reach: f64 = 0.0;
+    for semi_axis in SEMI_AXES_PX {
+        let parameters = made_up(model, semi_axis);
+        for roles in model.roles() {
+            reach = reach.max(walk(model, &parameters, constants, roles, semi_axis)?);
+        }
+    }
+    Some(End::Outlines(reach))
+}
+
+/// Of the only target of a model that has a size along each coordinate instead.
+fn sized(model: &Model, constants: &[f64]) -> Option<End> {
+    let [roles] = model.roles() else { return None };
+    let along = |axis: usize| {
+        let is_size = |parameter: &&Parameter| parameter.start == Start::Estimator(Estimator::Size(axis));
+        model.parameter(&model.parameters().iter().find(is_size)?.name)
+    };
+    let of = (0..roles.centre.len()).map(along).collect::<Option<_>>()?;
+    let end = |size: f64| Some(size * walk(model, &made_up(model, size), constants, roles, size)?);
+    let [small, middle, large] = SIZES_PX.map(end);
+    let share = large? / SIZES_PX[2];
+    let px = (small? - share * SIZES_PX[0]).max(middle? - share * SIZES_PX[1]).max(0.0);
+    Some(End::Sizes { of, share, px })
+}
+
 /// A target of that size, the others far away.
-fn made_up(model: &Model, semi_axis: f64) -> Vec<f64> {
+pub(super) fn made_up(model: &Model, semi_axis: f64) -> Vec<f64> {
     let start = |start: &Start| match start {
         Start::Number(number) => *number,
         Start::Estimator(Estimator::Size(_)) => semi_axis,
@@ -150,6 +188,9 @@ pub(crate) fn shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Opt
     Some(a)
 }
 
+/// One number a coordinate.
+type Extents = SmallVec<[f64; 4]>;
+
 /// Calls with each entry of A and its row and column; `None` without the role `shape`.
 fn set_shape(
     roles: &Roles,
@@ -168,19 +209,53 @@ fn set_shape(
     Some(())
 }
 
-/// Half the outline's width along each coordinate, `√(A⁻¹)_ii`; `None` when A is not positive definite.
-pub(crate) fn half_widths(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<Vec<f64>> {
-    let mut whole = Matrix4::identity(); // asked for many times a frame: on the stack
+/// A⁻¹, with those of an identity where the model has no coordinate, and the determinant of A; `None` when A is not positive
+/// definite. Asked for many times a frame: on the stack, and in a plane at once.
+pub(crate) fn inverse_shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<(Matrix4<f64>, f64)> {
+    let mut whole = Matrix4::identity();
     set_shape(roles, dimensions, parameters, |place, entry| whole[place] = entry)?;
-    let inverse = whole.cholesky()?.inverse();
-    Some((0..dimensions).map(|axis| inverse[(axis, axis)].sqrt()).collect())
+    if dimensions > 2 {
+        let factors = whole.cholesky()?;
+        return Some((factors.inverse(), factors.determinant()));
+    }
+    let (xx, xy, yy) = (whole[(0, 0)], whole[(0, 1)], whole[(1, 1)]);
+    let determinant = xx * yy - xy * xy;
+    (whole[(0, 0)], whole[(1, 1)]) = (yy / determinant, xx / determinant);
+    (whole[(0, 1)], whole[(1, 0)]) = (-xy / determinant, -xy / determinant);
+    (xx > 0.0 && determinant > 0.0).then_some((whole, determinant))
 }
 
-/// What begins as the size of what is seen, where that is a model's only target.
+/// Half the outline's width along each coordinate, `√(A⁻¹)_ii`; `None` when A is not positive definite.
+pub(crate) fn half_widths(
+    roles: &Roles,
+    dimensions: usize,
+    parameters: &[f64],
+) -> Option<impl Iterator<Item = f64> + use<>> {
+    let (inverse, _) = inverse_shape(roles, dimensions, parameters)?;
+    Some((0..dimensions).map(move |axis| inverse[(axis, axis)].sqrt()))
+}
+
+/// The least eigenvalue of A, which belongs to the longest semi-axis, 1/√λ; `None` without the role `shape`.
+pub(super) fn least_bend(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<f64> {
+    if dimensions != 2 {
+        return Some(shape(roles, dimensions, parameters)?.symmetric_eigenvalues().min());
+    }
+    let [xx, xy, yy] = roles.shape[..] else { return None };
+    let [xx, xy, yy] = [xx, xy, yy].map(|entry| parameters[entry.index()]);
+    Some(0.5 * (xx + yy) - (0.5 * (xx - yy)).hypot(xy))
+}
+
+/// Parameters that begin as the size of what is seen.
+pub(super) fn size_parameters(model: &Model) -> impl Iterator<Item = ParameterId> + Clone {
+    let is_size =
+        |id: &ParameterId| matches!(model.parameters()[id.index()].start, Start::Estimator(Estimator::Size(_)));
+    (0..model.parameters().len() as u32).map(ParameterId).filter(is_size)
+}
+
+/// What they are, where that is a model's only target.
 pub(crate) fn sizes(model: &Model, parameters: &[f64]) -> Vec<f64> {
-    let is_size = |start: &Start| matches!(start, Start::Estimator(Estimator::Size(_)));
-    let known = model.parameters().iter().zip(parameters).filter(|_| model.roles().len() == 1);
-    known.filter(|(parameter, _)| is_size(&parameter.start)).map(|(_, value)| value.abs()).collect()
+    let known = size_parameters(model).filter(|_| model.roles().len() == 1);
+    known.map(|id| parameters[id.index()].abs()).collect()
 }
 
 /// The pixels between two corners that are inside `whole`. A coordinate that has no corners keeps its extent.
@@ -226,7 +301,7 @@ mod tests {
     fn the_window_holds_the_domain_and_not_much_more() {
         let spot = model(include_str!("../../../models/spot.toml"));
         let reach = Reach::of(&spot, &[]);
-        let known = reach.0.unwrap();
+        let known = reach.outlines().unwrap();
         assert!((2.2_f64.sqrt()..2.2_f64.sqrt() * STEP).contains(&known), "{known}");
         let whole = Window::whole(640, 480);
         // 20 × 10 px at 45°: (A⁻¹)_xx = (20² + 10²)/2.
@@ -242,6 +317,21 @@ mod tests {
     }
 
     #[test]
+    fn a_size_along_each_coordinate_takes_the_place_of_an_outline() {
+        let model = model(include_str!("../../../models/gaussian-pixel.toml"));
+        let reach = Reach::of(&model, &[0.05, 0.75]);
+        for [wx, wy] in [[0.3, 0.5], [1.0, 2.0], [6.0, 3.0], [20.0, 90.0]] {
+            let window =
+                reach.window(&model, &[500.0, 400.0, wx, wy, 0.0, 1.0], Margin::NONE, Window::whole(1000, 800));
+            let window = window.unwrap();
+            // The domain ends 2 (w + 1) from the centre.
+            for (is, least) in [(window.width, 4.0 * (wx + 1.0)), (window.height, 4.0 * (wy + 1.0))] {
+                assert!((least..1.1 * least + 5.0).contains(&(is as f64)), "{wx} × {wy}: {window:?}");
+            }
+        }
+    }
+
+    #[test]
     fn a_model_without_domain_or_shape_looks_at_everything() {
         for text in [
             include_str!("../../../models/profile-1d.toml").to_string(),
@@ -250,7 +340,7 @@ mod tests {
             assert!(Reach::of(&model(&text), &[]).0.is_none());
         }
         let volume = Reach::of(&model(include_str!("../../../models/blob-3d.toml")), &[]);
-        assert!((2.0..2.0 * STEP).contains(&volume.0.unwrap()), "{volume:?}");
+        assert!((2.0..2.0 * STEP).contains(&volume.outlines().unwrap()), "{volume:?}");
         let three = Reach::of(&model(include_str!("../../../models/three-spots.toml")), &[0.0; 9]);
         assert!(three.0.is_some());
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Compiled, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Compiled, Frame, TrackState, Tracker, TrackerOptions};
 
 use crate::accuracy::search::scene::Random;
 use scene::{Edges, Kind, SIZE};
@@ -61,7 +61,7 @@ pub fn lines(document: &str, frames: usize) -> impl Iterator<Item = String> {
 }
 
 /// `work` for each frame, on all processors.
-fn shared_out<T: Send>(frames: usize, work: impl Fn(u64) -> T + Sync) -> Vec<Vec<T>> {
+pub(super) fn shared_out<T: Send>(frames: usize, work: impl Fn(u64) -> T + Sync) -> Vec<Vec<T>> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let part = |first: usize| -> Vec<T> { (first..frames).step_by(threads).map(|seed| work(seed as u64)).collect() };
     std::thread::scope(|scope| {
@@ -70,8 +70,13 @@ fn shared_out<T: Send>(frames: usize, work: impl Fn(u64) -> T + Sync) -> Vec<Vec
     })
 }
 
-/// A cold start of a fresh tracker.
-fn one(document: &str, compiled: &Arc<Compiled>, clutter: (Kind, Edges), with_target: bool, seed: u64) -> Told {
+/// A frame of that kind with or without a target, and where that is.
+pub(super) fn picture(
+    document: &str,
+    clutter: (Kind, Edges),
+    with_target: bool,
+    seed: u64,
+) -> (Frame, Option<[f64; 2]>) {
     let seed = seed + 10_000_019 * (clutter.0 as u64 + 1) + 500_000_003 * clutter.1 as u64;
     let mut light = scene::light(clutter.0, clutter.1, seed);
     let target = with_target.then(|| {
@@ -83,7 +88,12 @@ fn one(document: &str, compiled: &Arc<Compiled>, clutter: (Kind, Edges), with_ta
         scene::add_target(&mut light, document, centre, half, angle, height);
         centre
     });
-    let frame = scene::frame(&light, seed);
+    (scene::frame(&light, seed), target)
+}
+
+/// A cold start of a fresh tracker.
+fn one(document: &str, compiled: &Arc<Compiled>, clutter: (Kind, Edges), with_target: bool, seed: u64) -> Told {
+    let (frame, target) = picture(document, clutter, with_target, seed);
     let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
     let begin = Instant::now();
     let estimate = tracker.track(&frame);

@@ -23,6 +23,11 @@ pub const READ_E: f64 = 5.0;
 /// So that no pixel is below 0.
 const PEDESTAL: f64 = 100.0;
 
+/// Of frames of 8 bit, DN.
+const GROUND: f64 = 100.0;
+/// Standard deviation of theirs, DN.
+const NOISE: f64 = 2.0;
+
 /// What became of frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Found {
@@ -96,25 +101,46 @@ pub fn measure(compiled: &Arc<Compiled>, name: &str, frames: usize, sigma: f64, 
     found
 }
 
+/// Milliseconds of a cold start, 1024 × 1024 px of 8 bit: noise alone, and with a disc of 24 × 16 px and that height, which falls
+/// to its rim. The median and the most of each.
+pub fn megapixel_ms(compiled: &Arc<Compiled>, frames: usize, height: f64) -> [[f64; 2]; 2] {
+    [0.0, height].map(|height| {
+        cold_ms(compiled, frames, |seed| {
+            let mut random = Random::of("megapixel", seed);
+            let centre = [0, 1].map(|_| random.uniform(100.0, SIDE as f64 - 100.0));
+            let mut pixel = |i: usize| {
+                let [x, y] = [(i % SIDE) as f64 - centre[0], (i / SIDE) as f64 - centre[1]];
+                let light = height * (1.0 - (x / 12.0).powi(2) - (y / 8.0).powi(2)).max(0.0);
+                (GROUND + light + NOISE * random.normal()).round().clamp(0.0, 255.0) as u8
+            };
+            let bytes: Vec<u8> = (0..SIDE * SIDE).map(&mut pixel).collect();
+            Frame::new(&[SIDE, SIDE], vec![Plane::owned(PixelFormat::U8, bytes, SIDE)]).unwrap()
+        })
+    })
+}
+
+/// Milliseconds of a fresh tracker's first frame: the median and the most.
+fn cold_ms(compiled: &Arc<Compiled>, frames: usize, frame: impl Fn(usize) -> Frame) -> [f64; 2] {
+    let cold = |seed: usize| {
+        let frame = frame(seed);
+        let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
+        let start = cpu_ms();
+        tracker.track(&frame);
+        cpu_ms() - start
+    };
+    cold(0); // compiles kernels
+    let mut times: Vec<f64> = (0..frames).map(cold).collect();
+    times.sort_by(f64::total_cmp);
+    [times[times.len() / 2], times[times.len() - 1]]
+}
+
 /// Milliseconds of a cold start, 640 × 480 px: a spot alone, a spot among ten other things, ten things of other shapes. The
 /// median and the most of each.
 pub fn times_ms(compiled: &Arc<Compiled>, frames: usize) -> [[f64; 2]; 3] {
     let scene = |seed: usize, clutter: usize| Scene::new(3_000_000 + seed as u64, height(0.0), clutter);
     let kinds: [&dyn Fn(usize) -> Scene; 3] =
         [&|seed| scene(seed, 0), &|seed| scene(seed, 10), &|seed| scene(seed, 10).without_target()];
-    kinds.map(|scene| {
-        let cold = |seed: usize| {
-            let frame = scene(seed).frame();
-            let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
-            let start = cpu_ms();
-            tracker.track(&frame);
-            cpu_ms() - start
-        };
-        cold(0); // compiles kernels
-        let mut times: Vec<f64> = (0..frames).map(cold).collect();
-        times.sort_by(f64::total_cmp);
-        [times[times.len() / 2], times[times.len() - 1]]
-    })
+    kinds.map(|scene| cold_ms(compiled, frames, |seed| scene(seed).frame()))
 }
 
 /// Milliseconds of a frame of nothing but noise, 640 × 480 px, for a session that follows a spot and has lost it: the median

@@ -14,17 +14,18 @@ use rustfft::{Fft, FftPlanner};
 use super::level::Octave;
 use super::template::{HALF_PX, Template};
 
-/// Sides of a tile to choose from; all are products of small primes.
-const SIDES: [usize; 12] = [64, 96, 128, 144, 160, 192, 216, 240, 256, 288, 300, 320];
+/// Sides of a tile to choose from, and what transforms of that length cost a pixel, ns: those that the crate has code for.
+const SIDES: [(usize, f64); 6] = [(64, 0.47), (72, 0.44), (128, 0.57), (192, 0.70), (256, 0.61), (288, 0.76)];
 /// What neighbouring tiles share.
 const OVERLAP: usize = 2 * HALF_PX as usize;
 /// Pixels a side that are transposed together.
 const BLOCK: usize = 16;
 
-/// Fourier transforms that were planned.
+/// Fourier transforms that were planned, and the maps of the last level.
 #[derive(Default)]
 pub(super) struct Filter {
     planner: Option<FftPlanner<f32>>,
+    maps: Vec<Vec<f32>>,
 }
 
 /// Along one axis.
@@ -46,33 +47,35 @@ struct Transform {
 
 impl Filter {
     /// One map for each template, as large as the level's picture.
-    pub fn maps(&mut self, level: &Octave, templates: &[&Template]) -> Vec<Vec<f32>> {
+    pub fn maps(&mut self, level: &Octave, templates: &[&Template]) -> &[Vec<f32>] {
         let mut transform = self.transform(level.width, level.height);
         let spectra: Vec<Vec<Complex<f32>>> =
             templates.iter().map(|template| transform.spectrum(&template.kernel)).collect();
-        let mut maps = vec![vec![0.0; level.values.len()]; templates.len()];
+        // Every pixel is written.
+        self.maps.resize_with(templates.len(), Vec::new);
+        self.maps.iter_mut().for_each(|map| map.resize(level.values.len(), 0.0));
         let mut tile = vec![Complex::default(); transform.x.side * transform.y.side];
         let mut product = tile.clone();
         let corners = transform.corners();
         for two in corners.chunks(2) {
             transform.read(level, two, &mut tile);
             transform.forward(&mut tile);
-            for (spectrum, map) in spectra.iter().zip(&mut maps) {
+            for (spectrum, map) in spectra.iter().zip(&mut self.maps) {
                 let factors = transform.turned.iter().zip(spectrum);
                 product.iter_mut().zip(factors).for_each(|(product, (a, b))| *product = a * b);
                 transform.inverse(&mut product);
                 transform.write(two, level, map);
             }
         }
-        maps
+        &self.maps
     }
 
     fn transform(&mut self, width: usize, height: usize) -> Transform {
         let planner = self.planner.get_or_insert_with(FftPlanner::new);
         let mut axis = |length: usize| {
             let tiles = |side: usize| length.div_ceil(side - OVERLAP);
-            let cost = |side: &usize| (tiles(*side) * side) as f64 * (*side as f64).ln();
-            let side = SIDES.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(SIDES[0]);
+            let cost = |(side, cost): &(usize, f64)| (tiles(*side) * side) as f64 * cost;
+            let (side, _) = SIDES.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(SIDES[0]);
             let (forward, inverse) = (planner.plan_fft_forward(side), planner.plan_fft_inverse(side));
             Axis { side, tiles: tiles(side), forward, inverse }
         };

@@ -139,21 +139,20 @@ impl Mended {
 
 impl Octave {
     /// What stands above the ground in a picture that was halved so often.
-    pub fn of(picture: &Mended, number: usize) -> Octave {
-        let (width, height) = (picture.width, picture.height);
-        let ground = Ground::of(picture);
-        let mut values = picture.values.clone();
+    pub fn of(picture: Mended, number: usize) -> Octave {
+        let ground = Ground::of(&picture);
+        let Mended { mut values, width, height, rounding } = picture;
         let columns: Vec<_> = (0..width).map(|x| Ground::among(x as f32, width, ground.across)).collect();
         for (y, row) in values.chunks_exact_mut(width.max(1)).enumerate() {
             ground.take_from(row, y, height, &columns);
         }
         let stride = values.len() / SAMPLES + 1;
         let sample = || values.iter().step_by(stride).copied();
-        let noise = deviation(sample()).max(picture.rounding);
+        let noise = deviation(sample()).max(rounding);
         let near = || sample().map(|value| f64::from(value) / noise).filter(|value| value.abs() < NOISE);
         let (count, cubes) = near().fold((0.0, 0.0), |(count, cubes), value| (count + 1.0, cubes + value.powi(3)));
         let skewness = if noise > 0.0 && count > 0.0 { cubes / count } else { 0.0 };
-        Octave { number, values, width, height, noise, rounding: picture.rounding, skewness, ground }
+        Octave { number, values, width, height, noise, rounding, skewness, ground }
     }
 
     /// Pixels of the frame along one of its own.

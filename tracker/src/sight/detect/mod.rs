@@ -95,21 +95,20 @@ impl Bank {
         let signs = if sought.sign.is_none() { 2.0 } else { 1.0 };
         let places = templates.iter().map(|template| signs * template.places(grey.size[0] * grey.size[1])).sum();
         let alarm = Alarm::new(sought.false_alarms, places);
-        let mut picture = Mended::of(grey, sought.masks);
+        let mut picture = Some(Mended::of(grey, sought.masks));
         let mut peaks = Peaks::default();
         let mut noise = 0.0;
         let mut filter = Filter::default();
         for number in 0..=coarsest {
+            let Some(here) = picture.take() else { break };
+            picture = (number < coarsest).then(|| here.halved());
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
             if !own.is_empty() {
-                let level = Octave::of(&picture, number);
+                let level = Octave::of(here, number);
                 noise = if number == finest { level.noise * level.pitch() } else { noise };
                 for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
-                    peaks.collect(&map, template, &level, alarm.limits(template, level.skewness, sought.sign));
+                    peaks.collect(map, template, &level, alarm.limits(template, level.skewness, sought.sign));
                 }
-            }
-            if number < coarsest {
-                picture = picture.halved();
             }
         }
         let (kept, strongest) = peaks.strongest(DETECTIONS_MAX, APART);

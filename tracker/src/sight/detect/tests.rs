@@ -62,13 +62,14 @@ fn a_map_is_the_sum_of_products_about_each_pixel_beyond_the_border_too() {
     let mut noise = Noise(7);
     let values = (0..width * height).map(|_| 50.0 + noise.normal()).collect();
     let grey = Grey { values, size: [width, height, 1, 1], saturation: 1e9, step: 0.0 };
-    let level = Octave::of(&Mended::of(&grey, &[]), 0);
+    let level = Octave::of(Mended::of(&grey, &[]), 0);
     let templates: Vec<&Template> =
         bank.templates(&model, &[], [0.0, 3.0], height).into_iter().filter(|template| template.level == 0).collect();
     assert_eq!(templates.len(), 2);
-    let maps = Filter::default().maps(&level, &templates);
+    let mut filter = Filter::default();
+    let maps = filter.maps(&level, &templates);
     let half = template::HALF_PX as isize;
-    for (template, map) in templates.iter().zip(&maps) {
+    for (template, map) in templates.iter().zip(maps) {
         for (x, y) in [(0, 0), (330, 74), (1, 40), (175, 37), (176, 37), (200, 3), (216, 70), (331 / 2, 0)] {
             let mut sum = 0.0;
             for (row, line) in template.kernel.chunks_exact(2 * half as usize + 1).enumerate() {

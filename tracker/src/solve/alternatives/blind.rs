@@ -177,7 +177,7 @@ impl Painted {
         let [width, height] = self.size;
         let plane =
             |bytes: &'a Vec<u8>| PlaneView::new(PixelFormat::F32, bytes, width, height, width * BYTES, BYTES).ok();
-        let planes = self.planes.iter().map(plane).collect::<Option<Vec<_>>>()?;
+        let planes = self.planes.iter().map(plane).collect::<Option<_>>()?;
         Some(view.with_planes(planes, precision))
     }
 }

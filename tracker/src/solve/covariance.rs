@@ -1,0 +1,57 @@
+//! What a fit's end point is sure of: the covariance, and what is known beforehand.
+//!
+//! What comes in: F's derivatives at the end, and where they are known, the factors of its Hessian. What goes out: the inverse of
+//! Fisher's information. It never knows a pass.
+
+use isophote_symbolic::{Model, ParameterId, Precision};
+use nalgebra::{DMatrix, DVector};
+
+use crate::scaled::Definite;
+use crate::solve::stage;
+use crate::solve::trust::{Quadratic, Spectrum};
+
+/// What is known of a pose's other parameters before anything is seen, as standard deviations: a brightness is not so many
+/// times that of the brightest spot, and what is between bounds is. A spot of which nothing is seen would leave the pose without
+/// covariance otherwise. `None` for models of no pose.
+pub(super) fn beforehand(model: &Model, order: &[ParameterId], parameters: &[f64]) -> Option<DVector<f64>> {
+    const BRIGHTER: f64 = 100.0;
+    let pose: Vec<ParameterId> =
+        model.roles().iter().flat_map(|roles| roles.position.iter().chain(&roles.orientation)).copied().collect();
+    if pose.is_empty() {
+        return None;
+    }
+    let lights: Vec<ParameterId> = model.roles().iter().filter_map(|roles| roles.brightness).collect();
+    let brightest = lights.iter().map(|id| parameters[id.index()].abs()).fold(1.0, f64::max);
+    let known = |id: &ParameterId| match (model.parameters()[id.index()].min, model.parameters()[id.index()].max) {
+        _ if pose.contains(id) => f64::INFINITY,
+        _ if lights.contains(id) => BRIGHTER * brightest,
+        (Some(min), Some(max)) => max - min,
+        _ => f64::INFINITY,
+    };
+    Some(DVector::from_iterator(order.len(), order.iter().map(known)))
+}
+
+/// Takes that knowledge in. F is in units of ½ of a residual of `variance`.
+pub(super) fn inform(quadratic: &mut Quadratic, known: &DVector<f64>, variance: f64) {
+    for (row, deviation) in known.iter().enumerate() {
+        quadratic.hessian[(row, row)] += 2.0 * variance / (deviation * deviation);
+    }
+}
+
+/// The inverse Fisher information at that variance of a residual, `2 H⁻¹` of it with H = 2 JᵀWJ: F has no factor ½. `None` when
+/// singular.
+pub(super) fn inverse_fisher(
+    quadratic: &Quadratic,
+    factors: Option<Definite>,
+    precision: Precision,
+    variance: f64,
+) -> Option<DMatrix<f64>> {
+    let resolution = stage::eigen_resolution(precision);
+    let definite = factors.or_else(|| Definite::of(&quadratic.hessian))?;
+    let mut inverse = match definite.is_clear(resolution) {
+        true => definite.inverse(),
+        false => Spectrum::new(quadratic, &definite.scale(), resolution)?.inverse()?,
+    };
+    inverse *= 2.0 * variance;
+    Some(inverse)
+}

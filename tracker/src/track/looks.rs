@@ -1,0 +1,258 @@
+//! `Likeness`: how large a target is, and whether something may be it.
+//!
+//! What comes in: fits that are believed. What goes out: whether a fit elsewhere, or later, may be of the same thing. It never knows
+//! a frame.
+//!
+//! Size is what a target keeps when light changes, it fades or something hides it, and what models agree about: compared is
+//! `ln (κ V)`, V the volume of the outline (the area, in a plane) and κ the share of it that the light would fill at full height, which
+//! follows from the document's profile. Differences are held against the covariances of both, and against how much a target grows
+//! between two looks; and what is much fainter is noise, whatever its size. In its place a target may differ by more, as long as the
+//! model explains it as well as before: what is left of one that something hides is another thing. A fit that does not know how large
+//! its thing is does not make that the target. After half a minute out of sight it may be anything.
+
+use isophote_symbolic::{Model, ParameterId};
+use serde::{Deserialize, Serialize};
+
+use super::solver::{Attempt, Solver};
+use super::window::{FARTHEST, inverse_shape, made_up, size_parameters};
+use crate::solve::exact;
+
+/// A target that was seen so often is known.
+pub(super) const CONFIRMED: u32 = 3;
+/// The size is an average over so many fits.
+const FITS: u32 = 8;
+/// e-folds by which a target may have grown since, one standard deviation, …
+const GROWN: f64 = 0.15;
+/// … of which so many are admitted: things of half the area are not.
+const GATE: f64 = 4.0;
+/// Whatever its fits know of its size: a target does not differ by more e-folds from what it was. Things of half the width do.
+const GATE_MAX: f64 = 1.2;
+/// What a model leaves unexplained is an average over more fits where it grows, so that it does not follow what hides a target.
+const WORSE_FITS: f64 = 32.0;
+/// So many times as much unexplained as usual may be half of the target.
+const WHOLE: f64 = 1.5;
+/// So many times as much is another thing.
+const EXPLAINED: f64 = 4.0;
+/// ln of how much fainter than it was the target may be elsewhere.
+const FAINTER: f64 = 3.0;
+/// Out of sight for so long anything may be it, s.
+const FORGOTTEN_S: f64 = 30.0;
+/// Of the target whose light is added up, px, and how finely.
+const SEMI_AXIS_PX: f64 = 8.0;
+const STEPS: usize = 120;
+
+/// The size of what was seen.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Likeness {
+    /// ln (κ V), in the mean.
+    #[serde(with = "exact")]
+    size: f64,
+    /// Of the last fit's.
+    #[serde(with = "exact")]
+    variance: f64,
+    /// ln of the brightness, in the mean.
+    #[serde(with = "exact")]
+    height: f64,
+    /// What fits left unexplained, in the mean; none since the model has changed.
+    #[serde(with = "exact")]
+    unexplained: Option<f64>,
+    fits: u32,
+    /// When it was seen last.
+    #[serde(with = "exact")]
+    seen_s: f64,
+}
+
+impl Likeness {
+    /// It was seen often enough to be known again.
+    pub fn is_known(&self) -> bool {
+        self.fits >= CONFIRMED
+    }
+
+    /// Takes over a fit; what is half hidden says nothing.
+    pub fn saw(&mut self, solver: &Solver, attempt: &Attempt, time_s: f64) {
+        if self.is_forgotten(time_s) {
+            *self = Likeness::default();
+        }
+        self.seen_s = time_s;
+        let is_plain = attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_none());
+        let Some((size, variance)) = size(solver, attempt).filter(|_| is_plain) else { return };
+        if self.explains(solver, attempt, WHOLE) {
+            self.fits += 1;
+            let share = 1.0 / f64::from(self.fits.min(FITS));
+            self.size += share * (size - self.size);
+            self.height += share * (height(solver, attempt) - self.height);
+            self.variance = variance;
+        }
+        if let Some(now) = unexplained(solver, attempt) {
+            let share = |usual: f64| 1.0 / if now > usual { WORSE_FITS } else { f64::from(FITS) };
+            self.unexplained = Some(self.unexplained.map_or(now, |usual| usual + share(usual) * (now - usual)));
+        }
+    }
+
+    fn is_forgotten(&self, time_s: f64) -> bool {
+        time_s - self.seen_s > FORGOTTEN_S
+    }
+
+    /// The same for another model.
+    pub fn swapped(self) -> Likeness {
+        Likeness { unexplained: None, ..self }
+    }
+
+    /// True when a fit in the target's place may be of it: it is about as well explained as others were; as well, where its size
+    /// is another one; and that is not quite another one, whatever is known of it.
+    pub fn may_have_become(&self, solver: &Solver, attempt: &Attempt) -> bool {
+        let fit = attempt.fit.as_ref();
+        let Some((volume, _)) = fit.and_then(|fit| volume(solver.model(), &fit.parameters)) else { return false };
+        let off = (volume + ln_fullness(solver) - self.size).abs();
+        let most = if off <= GATE * GROWN { EXPLAINED } else { WHOLE };
+        off <= GATE_MAX && self.explains(solver, attempt, most) && !self.is_faint(solver, attempt)
+    }
+
+    /// True for what is much fainter than the target.
+    fn is_faint(&self, solver: &Solver, attempt: &Attempt) -> bool {
+        height(solver, attempt) < self.height - FAINTER
+    }
+
+    /// True for a size that differs by no more than a target grows unseen.
+    fn is_of_size(&self, size: f64, variance: f64) -> bool {
+        let gate = GATE * (GROWN * GROWN + variance + self.variance).sqrt();
+        (size - self.size).abs() <= gate.min(GATE_MAX)
+    }
+
+    /// True when a fit leaves at most so many times as much unexplained as others did, as far as that is known.
+    fn explains(&self, solver: &Solver, attempt: &Attempt, most: f64) -> bool {
+        let is_as_usual = |usual: f64| unexplained(solver, attempt).is_some_and(|now| now <= most * usual);
+        self.unexplained.is_none_or(is_as_usual)
+    }
+
+    /// True when a fit is of something of that size, and not much fainter, as far as that is known by then.
+    pub fn may_be(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> bool {
+        if !self.is_known() || self.is_forgotten(time_s) || !is_sized(solver.model()) {
+            return true;
+        }
+        let Some((size, variance)) = size(solver, attempt) else { return false };
+        self.is_of_size(size, variance) && !self.is_faint(solver, attempt)
+    }
+}
+
+/// ln of the brightness; 0 where the model does not say what is bright.
+fn height(solver: &Solver, attempt: &Attempt) -> f64 {
+    let brightness = solver.model().roles().first().and_then(|roles| roles.brightness);
+    let fit = attempt.fit.as_ref().zip(brightness);
+    fit.map_or(0.0, |(fit, brightness)| fit.parameters[brightness.index()].abs().max(f64::MIN_POSITIVE).ln())
+}
+
+/// χ²/ν, and no less than what rounding makes of it; where no noise is stated over the brightness, which its variance grows as.
+fn unexplained(solver: &Solver, attempt: &Attempt) -> Option<f64> {
+    let reduced = attempt.reduced()?.max(solver.least_reduced(0.0));
+    let height = if solver.model().has_noise() { 1.0 } else { height(solver, attempt).exp() };
+    Some(reduced / height).filter(|value| value.is_finite())
+}
+
+/// ln (κ V) of a fit, and its variance; `None` where the model does not say how large its target is, or has several.
+fn size(solver: &Solver, attempt: &Attempt) -> Option<(f64, f64)> {
+    let fit = attempt.fit.as_ref()?;
+    let (volume, slopes) = volume(solver.model(), &fit.parameters)?;
+    let order = solver.compiled.last_parameters();
+    let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
+    let place = |parameter: ParameterId| order.iter().position(|one| *one == parameter);
+    let free: Vec<(usize, f64)> = slopes.into_iter().filter_map(|(id, slope)| Some((place(id)?, slope))).collect();
+    let pairs = free.iter().flat_map(|(i, a)| free.iter().map(move |(j, b)| (*i, *j, a * b)));
+    let variance: f64 = pairs.map(|(i, j, ab)| ab * covariance[(i, j)]).sum();
+    let size = volume + ln_fullness(solver);
+    (size.is_finite() && variance >= 0.0).then_some((size, variance))
+}
+
+/// ln κ.
+fn ln_fullness(solver: &Solver) -> f64 {
+    solver.fullness.get_or_init(|| fullness(solver.model(), &solver.constants)).ln()
+}
+
+/// The model says how large its only target is.
+fn is_sized(model: &Model) -> bool {
+    matches!(model.roles(), [roles] if !roles.shape.is_empty() || size_parameters(model).count() == model.coordinates().len())
+}
+
+/// ln V but for a constant, and its derivatives.
+fn volume(model: &Model, parameters: &[f64]) -> Option<(f64, Vec<(ParameterId, f64)>)> {
+    let [roles] = model.roles() else { return None };
+    let n = model.coordinates().len();
+    if !roles.shape.is_empty() {
+        let (inverse, determinant) = inverse_shape(roles, n, parameters)?;
+        let entries = (0..n).flat_map(|row| (row..n).map(move |column| (row, column)));
+        let slope = |at: (usize, usize)| if at.0 == at.1 { -0.5 * inverse[at] } else { -inverse[at] };
+        return Some((-0.5 * determinant.ln(), roles.shape.iter().copied().zip(entries.map(slope)).collect()));
+    }
+    let widths = size_parameters(model).map(|id| (id, parameters[id.index()]));
+    let volume = widths.clone().map(|(_, width)| width.abs().ln()).sum();
+    (widths.clone().count() == n).then(|| (volume, widths.map(|(id, width)| (id, width.recip())).collect()))
+}
+
+/// κ: the share of its outline that a target's light would fill at full height; 1 where that cannot be said.
+fn fullness(model: &Model, constants: &[f64]) -> f64 {
+    let [roles] = model.roles() else { return 1.0 };
+    let (n, Some(brightness)) = (model.coordinates().len(), roles.brightness) else { return 1.0 };
+    if roles.centre.len() != n || model.needs_a_frame() {
+        return 1.0;
+    }
+    let bright = made_up(model, SEMI_AXIS_PX);
+    let mut dark = bright.clone();
+    dark[brightness.index()] = 0.0;
+    let width = FARTHEST / STEPS as f64;
+    let light = |step: usize| {
+        let at = (step as f64 + 0.5) * width;
+        let mut place: Vec<f64> = roles.centre.iter().map(|centre| bright[centre.index()]).collect();
+        place[0] += at * SEMI_AXIS_PX;
+        let seen = |parameters: &[f64]| match model.domain_holds(&place, parameters, constants) {
+            true => model.predicted(&place, parameters, constants),
+            false => 0.0,
+        };
+        (seen(&bright) - seen(&dark)) / bright[brightness.index()] * n as f64 * at.powi(n as i32 - 1) * width
+    };
+    Some((0..STEPS).map(light).sum::<f64>()).filter(|light| *light > 0.0 && light.is_finite()).unwrap_or(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::sync::Arc;
+
+    use isophote_symbolic::Precision;
+
+    use super::*;
+    use crate::picture::{Falloff, Spot, TestPicture};
+    use crate::{Compiled, TrackState, Tracker, TrackerOptions};
+
+    #[test]
+    fn fullness_is_that_of_the_profile() {
+        let of = |text: &str| {
+            let model = Model::from_toml(text).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
+            let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
+            fullness(&model, &constants)
+        };
+        // ∫ 1 − s/2 − 3s²/10 − s³/5 ds from 0 to 1; exp(−2s) from 0 to 4.
+        let cubic = of(include_str!("../../../models/spot.toml"));
+        let gaussian = of(include_str!("../../../models/gaussian.toml"));
+        assert!((cubic - 0.6).abs() < 0.01 && (gaussian - 0.5).abs() < 0.01, "{cubic} {gaussian}");
+        assert_eq!(of(include_str!("../../../models/three-spots.toml")), 1.0);
+    }
+
+    /// A thing of another size is not the target at once; in the end it is the target, which came nearer unseen.
+    #[test]
+    fn what_comes_back_larger_is_found_again_in_the_end() {
+        let model = Model::from_toml(include_str!("../../../models/spot.toml")).unwrap();
+        let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
+        let mut tracker = Tracker::new(compiled, TrackerOptions::default()).unwrap();
+        let mut state = |number: u64, time_s: f64, half: f64, light: f64| {
+            let x = if half > 10.0 { 60.0 } else { 160.0 };
+            let spots = vec![Spot { profile: Falloff::Cubic(-0.5, -0.3), ..Spot::at(x, 90.8, half, light) }];
+            let picture = TestPicture { noise: 1.5, seed: number, ..TestPicture::new(240, 180, spots) };
+            tracker.track(&picture.frame().with_sequence(number).with_time_s(Some(time_s))).state
+        };
+        (0..10).for_each(|n| assert_eq!(state(n, n as f64 / 30.0, 10.0, 100.0), TrackState::Tracking));
+        (10..20).for_each(|n| assert_ne!(state(n, n as f64 / 30.0, 10.0, 0.0), TrackState::Tracking));
+        assert_ne!(state(20, 0.7, 20.0, 100.0), TrackState::Tracking, "four times the area after half a second");
+        let again = (21..25).map(|n| state(n, 60.0 + n as f64 / 30.0, 20.0, 100.0));
+        assert_eq!(again.last(), Some(TrackState::Tracking));
+    }
+}
