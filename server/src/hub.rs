@@ -1,4 +1,4 @@
-//! From one fit thread to many subscribers. Publishing never waits: estimates are written once into a ring of bounded bytes, in
+//! From one fit thread to many subscribers. Publishing never waits for one: estimates are written once into a ring of bounded bytes, in
 //! which each subscriber has a place of its own; who falls out of it goes on with the oldest and is told how many were lost.
 //! Each target is a stream of its own: what is newest, and what was dropped, is told for each.
 
@@ -13,6 +13,7 @@ use crate::access::Visitor;
 use crate::counters::Tally;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::prompt;
 use crate::ring::{EstimateRing, RingReader};
 use crate::written::{SentEstimate, TraceWish, WrittenEstimate};
 
@@ -110,7 +111,7 @@ impl Hub {
         let number = state.ring.push(|| written.get_or_init(|| WrittenEstimate::of(&estimate, trace)).clone());
         state.last.insert(estimate.target.clone(), Last { number, estimate, trace: trace.into(), written });
         drop(state);
-        self.changed.notify_waiters();
+        prompt::tell(|| self.changed.notify_waiters());
     }
 
     /// Tells every subscriber, also those to come, that nothing more will come.

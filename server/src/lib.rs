@@ -37,6 +37,7 @@ mod openings;
 mod places;
 mod preview;
 mod problem;
+mod prompt;
 mod recording;
 mod registry;
 mod restore;

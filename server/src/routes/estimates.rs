@@ -15,6 +15,7 @@ use crate::access::Visitor;
 use crate::hub::Mode;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::prompt::prompt;
 use crate::streams::{body, websocket};
 use crate::written::TraceWish;
 
@@ -73,7 +74,7 @@ pub async fn get(
         let subscription = hub.subscribe(query.mode)?.of(visitor).with_trace(query.trace);
         let held = app.stream.clone();
         return Ok(upgrade.on_upgrade(async move |socket| {
-            websocket::serve(socket, subscription, query.credit).await;
+            prompt(websocket::serve(socket, subscription, query.credit)).await;
             drop(held);
         }));
     }

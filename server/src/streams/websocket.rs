@@ -8,6 +8,7 @@ use tokio::time::Interval;
 
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
+use crate::prompt;
 
 /// How many more messages the client takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,9 +105,10 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
     let mut credit = credit.map_or(Credit::Open, Credit::Counted);
     let mut signs = LifeSigns::begin();
     loop {
+        prompt::turn().await;
         let next = async { if credit.is_left() { subscription.next().await } else { subscription.end().await } };
         let turn = tokio::select! {
-            received = socket.recv() => Turn::Received(received),
+            received = receive(&mut socket) => Turn::Received(received),
             () = signs.due() => Turn::Ping,
             next = next => Turn::Send(next),
         };
@@ -131,6 +133,11 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
             }
         }
     }
+}
+
+/// The next message; none of them is read by the thread that fits.
+async fn receive(socket: &mut WebSocket) -> Option<Result<Message, axum::Error>> {
+    prompt::elsewhere(socket.recv()).await
 }
 
 /// False when the client does not take it.
@@ -176,7 +183,7 @@ pub(super) async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
         })
         .collect();
     if send(socket, Message::Close(Some(CloseFrame { code, reason: reason.into() })), LIMITS.send_time).await {
-        let answered = async { while let Some(Ok(_)) = socket.recv().await {} };
+        let answered = async { while let Some(Ok(_)) = receive(socket).await {} };
         drop(tokio::time::timeout(LIMITS.drain_time / 2, answered).await); // late or not, the socket is closed now
     }
 }
