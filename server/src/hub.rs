@@ -1,6 +1,6 @@
-//! From one fit thread to many subscribers. Publishing never waits for one: estimates are written once into a ring of bounded bytes, in
-//! which each subscriber has a place of its own; who falls out of it goes on with the oldest and is told how many were lost.
-//! Each target is a stream of its own: what is newest, and what was dropped, is told for each.
+//! From one fit thread to many subscribers. Publishing waits for none of them: estimates are written once into a ring of bounded
+//! bytes, in which each subscriber has a place of its own; who falls out of it goes on with the oldest and is told how many were
+//! lost. Each target is a stream of its own: what is newest, and what was dropped, is told for each.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,8 +1,8 @@
 //! `prompt`: streams that the thread which has the news writes to itself, so that no other thread has to be woken in between.
 //!
 //! What comes in: a stream, as a future that a runtime runs. What goes out: the same, some turns of which are taken by a thread
-//! that wakes it from within [`tell`]. Such a thread writes what the socket takes at once and does nothing else: it never waits, never
-//! reads, and after a few turns the runtime goes on.
+//! that wakes it from within [`tell`]. Such a thread writes what the socket takes at once and does nothing else: it never waits,
+//! never reads, and after a few turns the runtime goes on.
 
 use std::cell::Cell;
 use std::future::poll_fn;
