@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use isophote_symbolic::interpreter::{Outcome, Pixels, Slices, Window, run};
-use isophote_symbolic::{Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Start, ValueKind};
+use isophote_symbolic::{
+    Bindings, Lanes, Lowering, Method, Model, Objective, ParameterId, Precision, Slopes, Start, ValueKind,
+};
 
 struct Pattern;
 impl Pixels for Pattern {
@@ -69,11 +71,7 @@ fn check(model: &Model, subset: &[ParameterId], method: Method) {
     let lowering = Lowering { fma: true, drop_saturated: false };
     let value_program = model.value_objective(ValueKind::Full).unwrap().program(lowering).unwrap();
     let program = model.objective(subset, method).unwrap().program(lowering).unwrap();
-    let mut p: Vec<f64> = model.parameters().iter().enumerate().map(|(i, q)| value(i, q.start, &q.name)).collect();
-    // The red spot of a pose is what the window shows.
-    if let (Some(y), Some(red)) = (model.parameter("ty"), model.constant("red_y")) {
-        p[y.index()] -= model.constants()[red.index()].value;
-    }
+    let p = plausible(model);
     let found = outcome(model, &program, &p, &p);
     let n = subset.len();
     let f = |p: &[f64], entry: &[f64]| outcome(model, &value_program, p, entry).outputs[0];
@@ -233,5 +231,54 @@ fn gradients_and_hessians_agree_with_differences() {
                 check(&model, subset, method);
             }
         }
+    }
+}
+
+/// Where sums are the same to within rounding, as shares of the largest of their kind.
+fn alike(found: &[f64], wanted: &[f64]) -> bool {
+    let scale = wanted.iter().fold(1e-9_f64, |most, x| most.max(x.abs()));
+    found.len() == wanted.len() && found.iter().zip(wanted).all(|(a, b)| (a - b).abs() <= 1e-9 * scale)
+}
+
+/// Of a model's parameters in a picture of [`Pattern`].
+fn plausible(model: &Model) -> Vec<f64> {
+    let mut p: Vec<f64> = model.parameters().iter().enumerate().map(|(i, q)| value(i, q.start, &q.name)).collect();
+    // The red spot of a pose is what the window shows.
+    if let (Some(y), Some(red)) = (model.parameter("ty"), model.constant("red_y")) {
+        p[y.index()] -= model.constants()[red.index()].value;
+    }
+    p
+}
+
+#[test]
+fn loops_of_first_and_last_passes_sum_what_those_of_a_step_do() {
+    let lowering = Lowering { fma: true, drop_saturated: false };
+    let weighed = models().into_iter().filter(Model::has_noise);
+    let models: Vec<Model> = weighed.flat_map(|model| [model.corrected(Slopes::Centre), model]).collect();
+    assert!(models.len() > 20, "{} documents say how noisy a pixel is", models.len() / 2);
+    for model in models {
+        let parameters = &model.stages()[model.stages().len() - 1].parameters;
+        let joint = model.objective(parameters, Method::GaussNewton).unwrap();
+        let [opening, closing] = [joint.opening().unwrap(), joint.closing().unwrap()];
+        let entry = plausible(&model);
+        let moved: Vec<f64> = entry.iter().enumerate().map(|(i, u)| u * (1.0 + 1e-4 * (i % 3) as f64)).collect();
+        let sums = |objective: &Objective, p: &[f64]| outcome(&model, &objective.program(lowering).unwrap(), p, &entry);
+        let count = 1 + parameters.len();
+        let (wanted, found) = (sums(&joint, &entry), sums(&opening, &entry));
+        assert_eq!(found.pixels, wanted.pixels, "{}", model.name());
+        for part in [0..1, 1..count, count..wanted.outputs.len()] {
+            assert!(alike(&found.outputs[part.clone()], &wanted.outputs[part]), "{}: opening", model.name());
+        }
+        let (wanted, found) = (sums(&joint, &moved), sums(&closing, &moved));
+        assert_eq!((found.pixels, found.outputs.len()), (wanted.pixels, count + 2), "{}", model.name());
+        for part in [0..1, 1..count] {
+            assert!(alike(&found.outputs[part.clone()], &wanted.outputs[part]), "{}: closing", model.name());
+        }
+        let full = sums(&model.value_objective(ValueKind::Full).unwrap(), &moved);
+        assert!(alike(&found.outputs[count..], &full.outputs), "{}: report", model.name());
+        let flops = |objective: &Objective| objective.cost(lowering).unwrap().flops_per_pixel;
+        let [joint, opening, closing] = [joint, opening, closing].map(|objective| flops(&objective));
+        assert!(opening <= joint, "{}: {opening} flops of {joint}", model.name());
+        println!("{}: {joint}, {opening}, {closing}", model.name());
     }
 }

@@ -33,6 +33,10 @@ pub(crate) struct Differentiand<'a> {
     pub names: &'a [String],
     pub residual: NodeId,
     pub variance: Option<NodeId>,
+    /// The variance at the parameters themselves, where F is summed by that as well.
+    pub own_variance: Option<NodeId>,
+    /// The variance is that at the parameters themselves.
+    pub is_opening: bool,
     /// Pixels are chosen by a condition at the parameters of entry, as the variance is.
     pub is_masked: bool,
     /// What F is of them.
@@ -69,6 +73,9 @@ struct Entry {
     uses: Vec<(usize, NodeId)>,
 }
 
+/// What F with ln σ², and r²/σ², are called beside F.
+const FULL: [&str; 2] = ["full", "chi2"];
+
 /// What a derivative is called.
 fn name_of(names: &[String], by: &[usize]) -> String {
     match by {
@@ -85,6 +92,8 @@ pub(crate) struct Derivation {
     /// A factor could change sides, see [`absorb`].
     pub is_unifiable: bool,
     value: NodeId,
+    /// F with ln σ², and r²/σ², by the variance at the parameters themselves.
+    own: Option<[NodeId; 2]>,
     /// Of the parameters.
     names: Vec<String>,
     entries: Vec<Entry>,
@@ -126,16 +135,18 @@ impl Derivation {
                 Jet { first: kept.collect(), ..Jet::default() }
             }));
         }
-        let Absorbed { tops, mut jets, variance, is_unifiable } =
-            absorb(&mut graph, &tops, &jets, differentiand.variance.filter(|_| !differentiand.is_masked), cuts.scaling);
+        let variances = [differentiand.variance.filter(|_| !differentiand.is_masked), differentiand.own_variance];
+        let Absorbed { tops, mut jets, variances: [variance, own], is_unifiable } =
+            absorb(&mut graph, &tops, &jets, variances, cuts.scaling);
         // A variance stays as it is where a mask is made of the same values.
         let variance = variance.or(differentiand.variance);
         if let Some(finite) = finite {
             slopes.values_mut().zip(jets.split_off(1)).for_each(|(all, kept)| all.first.extend(kept.first));
             let chain = Chain { residual: tops[0], gradient: &jets[0], slopes, variables, finite };
-            return Derivation::over_features(graph, differentiand, chain, variance, is_unifiable);
+            return Derivation::over_features(graph, differentiand, chain, [variance, own], is_unifiable);
         }
         let (value, mut form) = top_form(&mut graph, differentiand, &tops, &jets, variance)?;
+        let own = own.map(|own| differentiand.shape.full(&mut graph, tops[0], Some(own)));
         if !differentiand.part.has_hessian() {
             form.second.clear();
         }
@@ -198,6 +209,7 @@ impl Derivation {
             forms,
             is_unifiable,
             value,
+            own,
             names: differentiand.names.to_vec(),
             entries,
             factors: FxHashMap::default(),
@@ -209,10 +221,11 @@ impl Derivation {
         mut graph: Graph,
         differentiand: &Differentiand<'_>,
         chain: Chain<'_>,
-        variance: Option<NodeId>,
+        [variance, own]: [Option<NodeId>; 2],
         is_unifiable: bool,
     ) -> Option<Derivation> {
         let residual = chain.residual;
+        let own = own.map(|own| differentiand.shape.full(&mut graph, residual, Some(own)));
         let (value, top) = differentiand.shape.jet(&mut graph, Order::First, &[residual], variance);
         let (l, q) = (*top.first.get(&residual)?, *top.second.get(&(residual, residual))?);
         let Features { values, slopes } = features(&mut graph, &chain, differentiand.parameters)?;
@@ -246,10 +259,17 @@ impl Derivation {
             forms,
             is_unifiable,
             value,
+            own,
             names: differentiand.names.to_vec(),
             entries,
             factors: FxHashMap::default(),
         })
+    }
+
+    /// What is summed behind the derivatives, as it stands.
+    pub fn closing(&mut self) -> Vec<Output> {
+        let named = self.own.into_iter().flat_map(|own| FULL.into_iter().zip(own));
+        named.map(|(name, node)| whole_output(&mut self.graph, name, node)).collect()
     }
 
     /// Takes back what was tried since, and leaves what `layout` needs.

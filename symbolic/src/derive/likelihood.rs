@@ -66,17 +66,19 @@ impl Shape {
         }
     }
 
+    /// F with ln σ², and F without it.
+    pub fn full(self, graph: &mut Graph, residual: NodeId, variance: Option<NodeId>) -> [NodeId; 2] {
+        let value = self.value(graph, residual, variance);
+        let Some(v) = variance.filter(|_| self.has_logarithm()) else { return [value, value] };
+        let logarithm = graph.call1(Function1::LogVariance, v);
+        [graph.add2(value, logarithm), value]
+    }
+
     /// F, and its first and second derivatives by r (and by σ² at second order).
     pub fn jet(self, graph: &mut Graph, order: Order, tops: &[NodeId], variance: Option<NodeId>) -> (NodeId, Jet) {
         let residual = tops[0];
         let value = self.value(graph, residual, variance);
-        let total = match variance {
-            Some(v) if order == Order::Second && self.has_logarithm() => {
-                let log = graph.call1(Function1::LogVariance, v);
-                graph.add2(value, log)
-            }
-            _ => value,
-        };
+        let total = if order == Order::Second { self.full(graph, residual, variance)[0] } else { value };
         let weighed = match self {
             Shape::Seen(loss) if order == Order::First => {
                 robust_weight(graph, loss, residual, variance).map(|weight| (weight, Shape::Seen(Loss::Squares)))

@@ -16,6 +16,7 @@ pub(crate) mod jet;
 pub(crate) mod likelihood;
 pub(crate) mod monomial;
 pub(crate) mod objective;
+pub(crate) mod passes;
 pub(crate) mod planes;
 pub(crate) mod polynomials;
 pub(crate) mod rank;

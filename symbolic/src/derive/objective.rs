@@ -141,7 +141,6 @@ impl Objective {
         self.referee.direct(&self.dropped(lowering), bindings, pixels, window, nudge)
     }
 
-    #[cfg(test)]
     pub(crate) fn referee(&self) -> &Referee {
         &self.referee
     }
@@ -158,10 +157,11 @@ impl Objective {
             objective.proved(draft, lowering).map(|(program, _)| program)
         };
         let forms = || {
-            let Claim::Derivatives { part, .. } = self.referee.claim() else { return Vec::new() };
+            if self.referee.claim().part().is_none() {
+                return Vec::new();
+            }
             let form = |form| {
-                let derived = Setting::of(&self.referee, &self.subset, budget.clone()).objective(form, part).ok()?;
-                let mut objective = Objective { referee: self.referee.clone(), ..derived };
+                let mut objective = Setting::of(&self.referee, &self.subset, budget.clone()).objective(form).ok()?;
                 if self.is_seeing {
                     objective.domain = seeing(&mut objective.graph, objective.domain, &self.channels());
                 }
@@ -230,19 +230,13 @@ impl Objective {
         let residual = residual(&mut graph, model);
         let variance = variance(&mut graph, model, Claim::Value(kind));
         let shape = model.formulas.shape();
-        let chi = shape.value(&mut graph, residual, variance);
-        let chi_square = whole_output(&mut graph, "chi2", chi);
-        let outputs = match (kind, variance) {
-            (ValueKind::Entry, _) => vec![chi_square],
-            (ValueKind::Full, Some(v)) if shape.has_logarithm() => {
-                let log = graph.call1(isophote_elementary::Function1::LogVariance, v);
-                let total = graph.add2(chi, log);
-                vec![whole_output(&mut graph, "F", total), chi_square]
-            }
-            (ValueKind::Full, _) => vec![Output { name: "F".into(), ..chi_square.clone() }, chi_square],
+        let [full, chi] = shape.full(&mut graph, residual, variance);
+        let outputs = match kind {
+            ValueKind::Entry => vec![whole_output(&mut graph, "chi2", chi)],
+            ValueKind::Full => vec![whole_output(&mut graph, "F", full), whole_output(&mut graph, "chi2", chi)],
         };
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect()).into();
-        let domain = entry_domain(&mut graph, model);
+        let domain = entry_domain(&mut graph, model, Claim::Value(kind));
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = FactoredSums { outputs, shift: None };
         let room = budget::room(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
@@ -270,8 +264,7 @@ impl Objective {
         let setting = Setting::of(&referee, subset, model.budget());
         let (budget, mut lowering) = (setting.graph.budget().clone(), 0);
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
-            let derived = setting.objective(form, Part::Both).map_err(Refusal::Limit)?;
-            let mut objective = Objective { referee: referee.clone(), ..derived };
+            let mut objective = setting.objective(form).map_err(Refusal::Limit)?;
             // Others may draw on the budget at the same time: what counts is the graph's own work.
             let mut graph = objective.graph.drawing_on(budget.clone());
             let draft = objective.drafted(CHECKED, &mut graph).map_err(Refusal::Limit)?;
@@ -288,25 +281,6 @@ impl Objective {
             Refusal::Wrong => WholeModel::of(model).unproved(&referee),
         });
         found.and_then(|objective| objective.paid(lowering))
-    }
-
-    /// Gradient or Hessian in a loop of its own, in the form of the joint loop.
-    pub(crate) fn part(
-        model: &Model,
-        subset: &[ParameterId],
-        method: Method,
-        part: Part,
-    ) -> Result<Objective, Diagnostics> {
-        let joint = Objective::derive(model, subset, method)?;
-        match (part, joint.proof) {
-            (Part::Gradient | Part::Hessian, Some(proof)) => {
-                let claim = Claim::Derivatives { newton: method == Method::Newton, part };
-                let referee = referee(model, subset, method, claim)?;
-                let derived = Setting::of(&referee, subset, model.budget()).objective(proof.form, part)?;
-                Ok(Objective { referee, ..derived })
-            }
-            _ => Ok(joint),
-        }
     }
 
     /// What the check of the program found; `None` for a value objective.
@@ -331,22 +305,29 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     let residual = residual(&mut graph, model);
     let variance = variance(&mut graph, model, claim);
     let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-    let (domain, shape) = (entry_domain(&mut graph, model), model.formulas.shape());
-    Subject { model: model.clone(), graph, residual, variance, shape, domain, parameters, claim }
+    let own_variance = own_variance(&mut graph, model, claim);
+    let (domain, shape) = (entry_domain(&mut graph, model, claim), model.formulas.shape());
+    Subject { model: model.clone(), graph, residual, variance, own_variance, shape, domain, parameters, claim }
 }
 
 /// Who judges derivatives, when the document's budget has room for it.
-fn referee(model: &Model, subset: &[ParameterId], method: Method, claim: Claim) -> Result<Arc<Referee>, Diagnostics> {
+pub(super) fn referee(
+    model: &Model,
+    subset: &[ParameterId],
+    method: Method,
+    claim: Claim,
+) -> Result<Arc<Referee>, Diagnostics> {
     let room = budget::room(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
     Ok(Arc::new(Referee::new(subject(model, subset, claim), room)))
 }
 
 /// What is derived from, the same for every form.
-struct Setting<'a> {
+pub(super) struct Setting<'a> {
     referee: &'a Arc<Referee>,
     graph: Graph,
     residual: NodeId,
     variance: Option<NodeId>,
+    own_variance: Option<NodeId>,
     domain: Option<NodeId>,
     is_masked: bool,
     subset: Vec<ParameterId>,
@@ -355,37 +336,51 @@ struct Setting<'a> {
 }
 
 impl<'a> Setting<'a> {
-    fn of(referee: &'a Arc<Referee>, subset: &[ParameterId], budget: Budget) -> Setting<'a> {
+    pub(super) fn of(referee: &'a Arc<Referee>, subset: &[ParameterId], budget: Budget) -> Setting<'a> {
         let model = referee.model();
         let mut graph = model.formulas.graph.drawing_on(budget);
         let residual = residual(&mut graph, model);
         let residual = reciprocals(&mut graph, residual);
         let residual = gather(&mut graph, residual);
         graph.set_opaque(residual);
-        let newton = matches!(referee.claim(), Claim::Derivatives { newton: true, .. });
-        let variance = variance(&mut graph, model, referee.claim()).map(|variance| reciprocals(&mut graph, variance));
-        variance.into_iter().for_each(|variance| graph.set_opaque(variance));
+        let (newton, claim) = (referee.claim().is_newton(), referee.claim());
+        let variance = variance(&mut graph, model, claim).map(|variance| reciprocals(&mut graph, variance));
+        // What is predicted at the parameters themselves is written as the residual is, so that both are made of the same values.
+        let variance = variance.map(|v| if claim.is_at_entry() { gather(&mut graph, v) } else { v });
+        let own_variance = own_variance(&mut graph, model, claim).map(|variance| reciprocals(&mut graph, variance));
+        let own_variance = own_variance.map(|variance| gather(&mut graph, variance));
+        variance.into_iter().chain(own_variance).for_each(|variance| graph.set_opaque(variance));
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-        let domain = entry_domain(&mut graph, model);
-        let reads_alike = !newton && variance.is_some();
+        let domain = entry_domain(&mut graph, model, claim);
+        let reads_alike = !newton && !claim.is_at_entry() && variance.is_some();
         let region = domain.filter(|_| reads_alike).map(|domain| region(&mut graph.copied(), domain));
         let is_masked = region.is_some_and(|region| region.mask.is_some());
-        Setting { is_masked, referee, graph, residual, variance, domain, subset: subset.to_vec(), parameters, newton }
+        let subset = subset.to_vec();
+        Setting { is_masked, referee, graph, residual, variance, own_variance, domain, subset, parameters, newton }
     }
 
     /// The sums in one form, not yet checked.
-    fn objective(&self, form: Form, part: Part) -> Result<Objective, Diagnostics> {
-        let Setting { referee, graph, residual, variance, domain, is_masked, subset, parameters, newton } = self;
+    pub(super) fn objective(&self, form: Form) -> Result<Objective, Diagnostics> {
+        let Setting { referee, graph, residual, variance, own_variance, domain, is_masked, subset, parameters, newton } =
+            self;
         let is_masked = *is_masked;
-        let model = referee.model();
+        let (model, part) = (referee.model(), referee.claim().part().unwrap_or(Part::Both));
         let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
         let is_second = *newton && (part.has_hessian() || variance.is_some());
         let order = if is_second { Order::Second } else { Order::First };
-        let (residual, variance) = (*residual, *variance);
-        let shape = model.formulas.shape();
-        let differentiand =
-            Differentiand { parameters, names: &names, residual, variance, is_masked, shape, order, part };
+        let differentiand = Differentiand {
+            parameters,
+            names: &names,
+            residual: *residual,
+            variance: *variance,
+            own_variance: *own_variance,
+            is_opening: referee.claim().is_at_entry(),
+            is_masked,
+            shape: model.formulas.shape(),
+            order,
+            part,
+        };
         let derived = match form {
             Form::Factored => search::fewest_flops(graph, &differentiand, Scaling::Unified),
             Form::Plain => search::fewest_flops(graph, &differentiand, Scaling::AsWritten),
@@ -393,7 +388,8 @@ impl<'a> Setting<'a> {
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
         };
         let origin = WholeModel::of(model);
-        let (derivation, sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
+        let (mut derivation, mut sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
+        sums.outputs.extend(derivation.closing());
         Ok(Objective {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()).into(),
             sums,
@@ -438,10 +434,15 @@ fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Resu
 /// The pixel's variance, at the entry parameters where a claim holds it there.
 pub(crate) fn variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
     let node = model.formulas.noise?;
-    let node = match claim {
-        Claim::Derivatives { newton: true, .. } | Claim::Value(ValueKind::Full) => node,
-        Claim::Derivatives { .. } | Claim::Value(ValueKind::Entry) => at_entry(graph, node),
-    };
+    let is_own = claim.is_newton() || claim.is_at_entry() || claim == Claim::Value(ValueKind::Full);
+    let node = if is_own { node } else { at_entry(graph, node) };
+    graph.set_opaque(node);
+    Some(node)
+}
+
+/// The pixel's variance at the parameters themselves, where a claim has it beside the one at entry.
+fn own_variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
+    let node = model.formulas.noise.filter(|_| claim == Claim::Closing)?;
     graph.set_opaque(node);
     Some(node)
 }
@@ -464,7 +465,8 @@ pub(crate) fn residual(graph: &mut Graph, model: &Model) -> NodeId {
 }
 
 /// Where the model holds, at the entry parameters; of pixels at their limit those.
-fn entry_domain(graph: &mut Graph, model: &Model) -> Option<NodeId> {
+fn entry_domain(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
+    let at_entry = |graph: &mut Graph, node| if claim.is_at_entry() { node } else { at_entry(graph, node) };
     let mut domain = model.formulas.domain.map(|d| at_entry(graph, d));
     if let (Saturated::Predicted, Node::Channel(channel)) =
         (model.formulas.saturated, graph.node(model.formulas.observed).clone())

@@ -124,16 +124,24 @@ impl Search<'_> {
         if self.derivations >= DERIVATIONS || is_spent || !self.tried.insert(cuts.clone()) {
             return;
         }
-        let (mut graph, mut residual) = (self.graph.copied(), self.differentiand.residual);
+        let mut graph = self.graph.copied();
+        let mut differentiand = *self.differentiand;
         if let Some(variable) = cuts.collect {
-            residual = collected(&mut graph, residual, variable);
-            residual = gather(&mut graph, residual);
-            if residual == levelled(&mut graph, self.differentiand.residual) {
+            let mut rewritten = |node: NodeId| {
+                let node = collected(&mut graph, node, variable);
+                let node = gather(&mut graph, node);
+                graph.set_opaque(node);
+                node
+            };
+            differentiand.residual = rewritten(differentiand.residual);
+            differentiand.own_variance = differentiand.own_variance.map(&mut rewritten);
+            if differentiand.is_opening {
+                differentiand.variance = differentiand.variance.map(rewritten);
+            }
+            if differentiand.residual == levelled(&mut graph, self.differentiand.residual) {
                 return;
             }
-            graph.set_opaque(residual);
         }
-        let differentiand = Differentiand { residual, ..*self.differentiand };
         self.derivations += 1;
         let layout = Layout { expand: true, split: BTreeSet::new() };
         let Some(mut derivation) = Derivation::new(graph, &differentiand, &cuts, By::Features) else {

@@ -36,6 +36,32 @@ pub enum ValueKind {
 pub(crate) enum Claim {
     /// F, and the gradient, the upper Hessian, or both.
     Derivatives { newton: bool, part: Part },
+    /// F, gradient and Gauss–Newton's Hessian of a pass that is entered at the parameters themselves.
+    Opening,
+    /// F and gradient as Gauss–Newton has them, then the two outputs of [`ValueKind::Full`].
+    Closing,
     /// F alone.
     Value(ValueKind),
+}
+
+impl Claim {
+    /// Derivatives are the second ones of F itself, of its variance as well.
+    pub fn is_newton(self) -> bool {
+        matches!(self, Claim::Derivatives { newton: true, .. })
+    }
+
+    /// Which derivatives are among the sums.
+    pub fn part(self) -> Option<Part> {
+        match self {
+            Claim::Derivatives { part, .. } => Some(part),
+            Claim::Opening => Some(Part::Both),
+            Claim::Closing => Some(Part::Gradient),
+            Claim::Value(_) => None,
+        }
+    }
+
+    /// Weights and pixel set are those of the parameters themselves.
+    pub fn is_at_entry(self) -> bool {
+        self == Claim::Opening
+    }
 }

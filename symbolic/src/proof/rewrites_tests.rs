@@ -263,7 +263,8 @@ fn rewritten_formulas_are_the_same_formulas() {
             let mut all = vec![roots[0], roots[1]];
             all.extend(own.first.values().chain(own.second.values()));
             changed[2] += keeps(seed, "absorb", &mut trial, &all, |graph| {
-                let Absorbed { tops, jets, variance, .. } = absorb(graph, &roots[..1], &[own], Some(roots[1]), scaling);
+                let Absorbed { tops, jets, variances: [variance, _], .. } =
+                    absorb(graph, &roots[..1], &[own], [Some(roots[1]), None], scaling);
                 let jets = jets[0].first.values().chain(jets[0].second.values()).copied();
                 tops.into_iter().chain(variance).chain(jets).collect()
             });

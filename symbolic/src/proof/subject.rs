@@ -8,7 +8,7 @@ use isophote_elementary::Function1;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Loss, Model};
 use crate::proof::LARGEST;
-use crate::proof::claim::{Claim, ValueKind};
+use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::evaluate::{LoopNest, Number, Raster, evaluate_at};
 use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
 use crate::proof::likelihood::Shape;
@@ -25,6 +25,8 @@ pub(crate) struct Subject {
     pub graph: Graph,
     pub residual: NodeId,
     pub variance: Option<NodeId>,
+    /// The variance at the parameters themselves, where that is summed beside the one at entry.
+    pub own_variance: Option<NodeId>,
     pub shape: Shape,
     pub domain: Option<NodeId>,
     pub parameters: Vec<NodeId>,
@@ -33,19 +35,21 @@ pub(crate) struct Subject {
 
 impl Subject {
     pub(super) fn roots(&self) -> Vec<NodeId> {
-        [Some(self.residual), self.variance].into_iter().flatten().collect()
+        [Some(self.residual), self.variance, self.own_variance].into_iter().flatten().collect()
     }
 
     /// How many numbers the sums are.
     pub(super) fn outputs(&self) -> usize {
         let n = self.parameters.len();
-        match self.claim {
-            Claim::Value(ValueKind::Entry) => 1,
+        let derivatives = self.claim.part().map_or(0, |part| {
+            usize::from(part.has_gradient()) * n + usize::from(part.has_hessian()) * (n * (n + 1) / 2)
+        });
+        let values = match self.claim {
+            Claim::Derivatives { .. } | Claim::Opening | Claim::Value(ValueKind::Entry) => 1,
             Claim::Value(ValueKind::Full) => 2,
-            Claim::Derivatives { part, .. } => {
-                1 + usize::from(part.has_gradient()) * n + usize::from(part.has_hessian()) * (n * (n + 1) / 2)
-            }
-        }
+            Claim::Closing => 3,
+        };
+        values + derivatives
     }
 
     /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it; false
@@ -84,10 +88,7 @@ impl Subject {
 
     /// How far the formulas are differentiated.
     pub(super) fn order(&self) -> Order {
-        match self.claim {
-            Claim::Derivatives { newton: true, .. } => Order::Second,
-            _ => Order::First,
-        }
+        if self.claim.is_newton() { Order::Second } else { Order::First }
     }
 
     /// Evaluates the formulas with their derivatives, at one point after another.
@@ -136,20 +137,18 @@ impl Subject {
     /// What one pixel adds, by its residual and variance, and the share of defects.
     fn entries<N: Number>(&self, values: &[&Hyper<N>], share: Option<N>) -> Vec<N> {
         let n = self.parameters.len() as u16;
-        let (residual, variance) = (values[0], values.get(1).copied());
+        let (residual, variance) = (values[0], values.get(1).map(|variance| variance.value));
         let mut entries = Vec::with_capacity(self.outputs());
+        let full = |variance: Option<N>| {
+            let [value, ..] = self.shape.direct(residual.value, variance, share);
+            let logarithm = variance.filter(|_| self.shape.has_logarithm()).map(|v| v.call1(Function1::Log));
+            [logarithm.map_or(value, |logarithm| value + logarithm), value]
+        };
         match self.claim {
-            Claim::Value(kind) => {
-                let variance = variance.map(|v| v.value);
-                let [value, ..] = self.shape.direct(residual.value, variance, share);
-                if kind == ValueKind::Full {
-                    let logarithm = variance.filter(|_| self.shape.has_logarithm()).map(|v| v.call1(Function1::Log));
-                    entries.push(logarithm.map_or(value, |logarithm| value + logarithm));
-                }
-                entries.push(value);
-            }
+            Claim::Value(ValueKind::Entry) => entries.push(full(variance)[1]),
+            Claim::Value(ValueKind::Full) => entries.extend(full(variance)),
             Claim::Derivatives { newton: true, part } => {
-                let f = self.shape.newton(residual, variance, share);
+                let f = self.shape.newton(residual, values.get(1).copied(), share);
                 entries.push(f.value);
                 if part.has_gradient() {
                     entries.extend(f.gradients(n));
@@ -158,16 +157,20 @@ impl Subject {
                     entries.extend(f.hessians(n));
                 }
             }
-            Claim::Derivatives { newton: false, part } => {
-                let [value, l, q] = self.shape.direct(residual.value, variance.map(|v| v.value), share);
+            Claim::Derivatives { newton: false, .. } | Claim::Opening | Claim::Closing => {
+                let [value, l, q] = self.shape.direct(residual.value, variance, share);
                 let slopes: Vec<N> = residual.gradients(n).collect();
                 entries.push(value);
-                if part.has_gradient() {
+                let part = self.claim.part();
+                if part.is_some_and(Part::has_gradient) {
                     entries.extend(slopes.iter().map(|slope| l * *slope));
                 }
-                if part.has_hessian() {
+                if part.is_some_and(Part::has_hessian) {
                     let rows = slopes.iter().enumerate();
                     entries.extend(rows.flat_map(|(i, u)| slopes[i..].iter().map(move |v| q * *u * *v)));
+                }
+                if self.claim == Claim::Closing {
+                    entries.extend(full(values.get(2).map(|variance| variance.value)));
                 }
             }
         }

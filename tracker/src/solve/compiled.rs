@@ -7,14 +7,14 @@ use std::ops::Deref;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::KernelCache;
-use isophote_symbolic::{Model, Precision};
+use isophote_symbolic::{Model, Precision, Quadrature};
 
 use crate::sight::detect::Bank;
 use crate::solve::alternatives::Alternatives;
 use crate::solve::residuals::Predictions;
 use crate::solve::sampling::Sampling;
 use crate::solve::shelf::Shelf;
-use crate::solve::stage_kernels::{CompileFailure, StageKernels};
+use crate::solve::stage_kernels::{Begins, CompileFailure, StageKernels};
 use crate::solve::workers::{InTurn, Workers};
 
 /// A model's kernels for all stages. Cheap to share; threads may use it at the same time. The kernels that it handed out
@@ -56,7 +56,10 @@ impl Compiled {
         cache: Arc<KernelCache>,
         workers: &dyn Workers,
     ) -> Result<Compiled, CompileFailure> {
-        Ok(Compiled::of_kernels(StageKernels::new(model, precision, cache, workers)?))
+        // Where quadrature is left open, fits from nearby take the kernels of `sampling`.
+        let is_sampled = model.quadrature() == Quadrature::Auto;
+        let begins = if is_sampled { Begins::Anywhere } else { Begins::Nearby };
+        Ok(Compiled::of_kernels(StageKernels::new(model, precision, cache, workers, begins)?))
     }
 
     /// The same programs, cache and alternatives, holding no kernel yet: for one who gives his kernels back when he is done.

@@ -208,13 +208,15 @@ pub(super) fn followed(
     }
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
-    let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), 0, control)?;
-    let report =
-        compiled.model().has_noise().then(|| compiled.loops(Job::Report, control, &view.layout)).transpose()?;
+    let [opening, closing] = [Job::Opening, Job::Closing].map(|job| compiled.short_loops(job, &view.layout));
+    let problem = Summed::of(Passes::of(compiled, view, &parts, constants), 0, control)?;
+    let mut problem = Summed { opening: opening?, closing: closing?, ..problem };
+    let has_noise = compiled.model().has_noise();
+    let report = has_noise.then(|| compiled.loops(Job::Report, control, &view.layout)).transpose()?;
     let mut parameters = start.to_vec();
     let rules = rules(compiled, view, 0, control);
     let Some(way) = follow(&mut problem, &rules, &mut parameters, before, tether) else { return Ok(Arrival::Lost) };
-    let ShortWay { report: stage, pass, strained, factors } = way;
+    let ShortWay { report: stage, pass, is_told, strained, factors } = way;
     if stage.ending == Ending::Budget && !view.is_over() {
         return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
     }
@@ -222,7 +224,12 @@ pub(super) fn followed(
         return Ok(Arrival::Far { parameters, stride, report: stage });
     }
     problem.passes.is_last = stage.ending == Ending::Budget;
-    let worth = problem.passes.worth_of((pass, factors), report.as_ref(), &parameters, start);
+    let report = match (&report, is_told) {
+        (None, _) => Report::None,
+        (Some(_), true) => Report::Told,
+        (Some(report), false) => Report::Untold(report),
+    };
+    let worth = problem.passes.worth_of((pass, factors), report, &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
     let fit = Fit { ending, stages: vec![stage], worth: Some(worth), ..Fit::at(parameters) };
@@ -303,6 +310,16 @@ fn tolerance_share(precision: Precision) -> f64 {
     }
 }
 
+/// What says F and χ² at the end of a fit by a model with noise.
+enum Report<'a> {
+    /// There is none.
+    None,
+    /// The last pass, where its last step began.
+    Told,
+    /// A pass of its own.
+    Untold(&'a Loops),
+}
+
 /// Passes over a view.
 struct Passes<'a> {
     compiled: &'a StageKernels,
@@ -344,7 +361,7 @@ impl<'a> Passes<'a> {
     fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
         let mut pass = Pass::of(self.compiled.last_parameters().len());
         pass.read(self.run(covariance, end, end)?, Curvature::GaussNewton)?;
-        self.worth_of((pass, None), report, end, end)
+        self.worth_of((pass, None), report.map_or(Report::None, Report::Untold), end, end)
     }
 
     /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`; with the factors
@@ -352,7 +369,7 @@ impl<'a> Passes<'a> {
     fn worth_of(
         &mut self,
         (pass, factors): (Pass, Option<Definite>),
-        report: Option<&Loops>,
+        report: Report,
         end: &[f64],
         entry: &[f64],
     ) -> Result<Worth, Ending> {
@@ -365,10 +382,15 @@ impl<'a> Passes<'a> {
         let row_variance = sums.rows.variance();
         let mut quadratic = pass.quadratic;
         let mut objective = quadratic.objective;
-        if let Some(report) = report {
-            let sums = self.run(report, end, entry)?;
+        let is_weighed = !matches!(report, Report::None);
+        if is_weighed {
+            // What a last step takes from χ² it takes from F, to which weights that it changes are a detail.
+            let (sums, carried) = match report {
+                Report::Untold(report) => (self.run(report, end, entry)?, 0.0),
+                _ => (&self.totals, carried),
+            };
             match (sums.outputs.as_slice(), sums.seen.as_slice()) {
-                (&[full, _], &[_, chi]) => (objective, chi_square) = (full, chi),
+                (&[.., full, _], &[.., chi]) => (objective, chi_square) = (full + carried, chi + carried),
                 _ => return Err(Ending::NonFinite),
             }
         }
@@ -376,7 +398,7 @@ impl<'a> Passes<'a> {
             return Err(Ending::NonFinite);
         }
         let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
-        let variance = if report.is_some() { Some(1.0) } else { reduced };
+        let variance = if is_weighed { Some(1.0) } else { reduced };
         let known = beforehand(self.compiled.model(), self.compiled.last_parameters(), end);
         let mut variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
         let factors = factors.filter(|_| known.is_none());
@@ -413,6 +435,17 @@ impl<'a> Passes<'a> {
 }
 
 impl Pass {
+    /// From the outputs of a loop without Hessian: F, the gradient, and what may stand behind them.
+    fn read_slopes(&mut self, sums: &Totals) -> Result<(), Ending> {
+        let Quadratic { objective, gradient, .. } = &mut self.quadratic;
+        let (&first, rest) = sums.outputs.split_first().ok_or(Ending::NonFinite)?;
+        let slopes = rest.get(..gradient.len()).ok_or(Ending::NonFinite)?;
+        *objective = first;
+        gradient.copy_from_slice(slopes);
+        self.pixels = sums.pixels;
+        Ok(())
+    }
+
     /// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
     fn read(&mut self, sums: &Totals, curvature: Curvature) -> Result<(), Ending> {
         let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
@@ -443,6 +476,9 @@ impl Pass {
 struct Summed<'a> {
     passes: Passes<'a>,
     gradient: Loops,
+    /// In its place where a pass is entered, and where a way is likely to end; of fits from nearby.
+    opening: Option<Loops>,
+    closing: Option<Loops>,
     /// Looked up by the first who asks: the short way does not.
     value: Option<Loops>,
     value_job: Job,
@@ -460,13 +496,20 @@ impl<'a> Summed<'a> {
             ValueKind::Entry => Job::Value,
         };
         let gradient = compiled.loops(Job::Stage(index), control, layout)?;
-        Ok(Summed { passes, gradient, value: None, value_job, control, curvature: curvature(method) })
+        let (opening, closing, value) = (None, None, None);
+        Ok(Summed { passes, gradient, opening, closing, value, value_job, control, curvature: curvature(method) })
     }
 }
 
 impl CostFunction for Summed<'_> {
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
-        pass.read(self.passes.run(&self.gradient, point, entry)?, self.curvature)
+        let loops = self.opening.as_ref().filter(|_| point == entry).unwrap_or(&self.gradient);
+        pass.read(self.passes.run(loops, point, entry)?, self.curvature)
+    }
+
+    fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<(), Ending>> {
+        let sums = self.passes.run(self.closing.as_ref()?, point, entry);
+        Some(sums.and_then(|sums| pass.read_slopes(sums)))
     }
 
     fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {

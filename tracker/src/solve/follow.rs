@@ -12,6 +12,11 @@
 //! pixel, three from a whole one. Where the frame's budget ends it before, the last step is taken, though nothing has judged it:
 //! from a start that is nearly right it leads nearer.
 //!
+//! The pass after a whole step is likely to be the last, and what it lacks is a gradient: H is much what it was. So it sums F and g
+//! alone, and the report of the end with them, and its step is made of the H that the last one was made of. How much H changes on
+//! the way the steps tell: of three in a row where F bends by its third derivatives T, `a`, then `b ≈ ½ T a²`, then `c ≈ T a b`
+//! where H is kept, so that c/b is 2 b/a, and H itself changes by that share. Where that is too much the next pass sums all.
+//!
 //! What a start is wrong about is where the target is: the rest is as it was a frame ago. To second order a target that is
 //! elsewhere looks like one that is wider and fainter as well, and Newton's step believes it. So a step that changes the rest by
 //! more than noise does, though the places account for much of what it promises, moves the places alone; the next one moves all.
@@ -25,6 +30,8 @@ use crate::solve::trust::{Quadratic, Spectrum};
 const LEFT: f64 = 0.05;
 /// A step this long, in standard deviations, shrinks the next one no more than a shorter one does.
 const BENT: f64 = 30.0;
+/// The Hessian of one pass serves the next one where it changes by no more than this share.
+const STALE: f64 = 0.05;
 /// F a pixel may be this many times what it was where the step to the start began.
 const WORSE: f64 = 1.5;
 /// Passes after which a start was not nearly right.
@@ -39,9 +46,11 @@ pub(crate) struct ShortWay {
     pub report: StageReport,
     /// At the point where the last step began; F is what it will be at its end.
     pub pass: Pass,
+    /// That pass summed the report of the end as well.
+    pub is_told: bool,
     /// It ended beyond its tether, by that step.
     pub strained: Option<Stride>,
-    /// The factors of that pass' Hessian, where its last step was made of them.
+    /// The factors of its Hessian, where its last step was made of them.
     pub factors: Option<Definite>,
 }
 
@@ -91,8 +100,11 @@ pub(crate) fn follow<P: CostFunction>(
     let mut earlier: Option<(f64, Option<f64>)> = None;
     // By how much F should fall by the step at hand.
     let mut promised = None;
+    let mut is_clear = false;
     while report.passes < PASSES.min(rules.iterations) {
-        match problem.gradient(&at, point, &mut pass) {
+        let closing = if is_clear { problem.closing(&at, point, &mut pass) } else { None };
+        let is_closing = closing.is_some();
+        match closing.unwrap_or_else(|| problem.gradient(&at, point, &mut pass)) {
             Ok(()) => {}
             Err(Ending::Budget) => return left(promised, rules, report, pass, (at, point)),
             Err(_) => return None,
@@ -117,8 +129,12 @@ pub(crate) fn follow<P: CostFunction>(
         if earlier.is_some_and(|(last, _)| objective > last + slack) {
             return None;
         }
-        let whole = step.newton(&pass.quadratic, eigen_resolution(rules.precision))?;
-        let of_places = step.of_places(rules, &pass, whole);
+        let whole = match is_closing {
+            true => step.again(&pass.quadratic),
+            false => step.newton(&pass.quadratic, eigen_resolution(rules.precision))?,
+        };
+        let of_places = if is_closing { None } else { step.of_places(rules, &pass, whole) };
+        is_clear = step.is_clear && of_places.is_none() && !is_closing;
         let (is_whole, reduction) = (of_places.is_none(), of_places.unwrap_or(whole));
         let variance = if rules.noise { 1.0 } else { rules.reduced(&pass).filter(|reduced| *reduced > 0.0)? };
         if !reduction.is_finite() {
@@ -133,15 +149,18 @@ pub(crate) fn follow<P: CostFunction>(
         if tether.is_some_and(|tether| !tether.holds(&at, rules, &pass, variance)) {
             point.copy_from_slice(&at);
             let stride = Stride { length: is_whole.then_some(length), mean: objective / pass.pixels as f64 };
-            return Some(ShortWay { report, pass, strained: Some(stride), factors: None });
+            return Some(ShortWay { report, pass, is_told: false, strained: Some(stride), factors: None });
         }
-        if is_whole && earlier.and_then(|(_, last)| last).is_some_and(|last| is_near(last, length)) {
+        let is_over = if is_closing { is_closed } else { is_near };
+        if is_whole && earlier.and_then(|(_, last)| last).is_some_and(|last| is_over(last, length)) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
-            let factors = (!step.is_part).then_some(step.definite);
-            return Some(ShortWay { report, pass, strained: None, factors });
+            let factors = Some(step.definite);
+            return Some(ShortWay { report, pass, is_told: is_closing, strained: None, factors });
         }
-        earlier = Some((objective, is_whole.then_some(length)));
+        // Of a step by an older Hessian the next one's length tells little.
+        let last = if is_closing { earlier.and_then(|(_, last)| last) } else { is_whole.then_some(length) };
+        earlier = Some((objective, last));
         promised = Some(reduction);
     }
     None
@@ -158,15 +177,18 @@ fn left(
     let reduction = promised?;
     rules.free.iter().for_each(|&i| point[i] = at[i]);
     pass.quadratic.objective -= reduction;
-    Some(ShortWay { report: StageReport { ending: Ending::Budget, ..report }, pass, strained: None, factors: None })
+    let report = StageReport { ending: Ending::Budget, ..report };
+    Some(ShortWay { report, pass, is_told: false, strained: None, factors: None })
 }
 
 /// A step from one point, in the memory of those before it.
 #[derive(Default)]
 struct Step {
     definite: Definite,
-    /// It has the factors of the places alone.
-    is_part: bool,
+    /// The factors of the places alone.
+    of_places: Definite,
+    /// The step was made of the factors, which have no eigenvalue near zero.
+    is_clear: bool,
     delta: Vec<f64>,
     /// Of the places alone.
     moved: Vec<f64>,
@@ -176,11 +198,12 @@ impl Step {
     /// Becomes `−H⁻¹g`; by how much F falls there, where H bends upwards.
     fn newton(&mut self, quadratic: &Quadratic, resolution: f64) -> Option<f64> {
         let Quadratic { gradient, hessian, .. } = quadratic;
-        self.is_part = false;
+        self.is_clear = false;
         if !self.definite.become_of(hessian, gradient.len(), |row| row) {
             return None;
         }
-        if self.definite.is_clear(resolution) {
+        self.is_clear = self.definite.is_clear(resolution);
+        if self.is_clear {
             return Some(self.definite.newton_step(gradient.iter().copied(), &mut self.delta));
         }
         let spectrum = Spectrum::new(quadratic, &self.definite.scale(), resolution)?;
@@ -188,6 +211,11 @@ impl Step {
         self.delta.clear();
         self.delta.extend(step.delta.iter());
         (step.interior && !spectrum.is_indefinite()).then_some(step.reduction)
+    }
+
+    /// Becomes `−H⁻¹g` by the factors that it has; by how much F falls there.
+    fn again(&mut self, quadratic: &Quadratic) -> f64 {
+        self.definite.newton_step(quadratic.gradient.iter().copied(), &mut self.delta)
     }
 
     /// Becomes the same with all but the places held, where that is the better step of the two: the whole one promises `whole`.
@@ -203,12 +231,11 @@ impl Step {
         if whole <= much {
             return None;
         }
-        self.is_part = true;
-        if !self.definite.become_of(hessian, rules.places.len(), |row| rules.places[row]) {
+        if !self.of_places.become_of(hessian, rules.places.len(), |row| rules.places[row]) {
             return None;
         }
         let slopes = rules.places.iter().map(|&row| gradient[row]);
-        let reduction = self.definite.newton_step(slopes, &mut self.moved);
+        let reduction = self.of_places.newton_step(slopes, &mut self.moved);
         if whole - reduction <= much || reduction <= BY_PLACE * whole {
             return None;
         }
@@ -223,6 +250,13 @@ fn is_near(last: f64, length: f64) -> bool {
     let ratio = length / last;
     let next = ratio * (length + BENT) / (last + BENT);
     length == 0.0 || ratio < 1.0 && length * next / (1.0 - next) <= LEFT
+}
+
+/// The same of a step that was made of the last one's Hessian, and that Hessian serves as that of the end.
+fn is_closed(last: f64, length: f64) -> bool {
+    let share = 2.0 * length / last;
+    let is_near = length <= 0.5 * LEFT || share < 1.0 && length * share / (1.0 - share) <= LEFT;
+    is_near && 2.0 * length <= STALE * last + LEFT
 }
 
 #[cfg(test)]
@@ -241,6 +275,8 @@ mod tests {
         is_false: bool,
         most: f64,
         entries: Vec<f64>,
+        /// Passes without a Hessian; `None` where there are none.
+        closings: Option<u32>,
     }
 
     impl CostFunction for Curve {
@@ -263,6 +299,14 @@ mod tests {
             Ok(())
         }
 
+        fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<(), Ending>> {
+            *self.closings.as_mut()? += 1;
+            let hessian = pass.quadratic.hessian.clone();
+            let ran = self.gradient(point, entry, pass);
+            pass.quadratic.hessian = hessian;
+            Some(ran)
+        }
+
         fn value(&mut self, _: &[f64], _: &[f64]) -> Result<f64, Ending> {
             unreachable!("the short way asks for no F alone")
         }
@@ -274,7 +318,7 @@ mod tests {
 
     fn run(start: f64, most: f64, is_false: bool) -> (Option<StageReport>, f64, Curve) {
         let rules = Rules { window_pixels: 15, ..rules_of(1, Vec::new()) };
-        let mut curve = Curve { contrast: 100.0, passes: 0, is_false, most, entries: Vec::new() };
+        let mut curve = Curve { contrast: 100.0, passes: 0, is_false, most, entries: Vec::new(), closings: None };
         let mut point = [start];
         let followed = follow(&mut curve, &rules, &mut point, None, None);
         (followed.map(|followed| followed.report), point[0], curve)
@@ -297,6 +341,31 @@ mod tests {
             assert!(ratios[1..].iter().flatten().all(is_right), "{ratios:?}");
             assert!(curve.entries.iter().all(|entry| *entry == 0.7 + off));
         }
+    }
+
+    #[test]
+    fn the_hessian_of_the_last_pass_but_one_serves_where_it_is_that_of_the_end() {
+        let hessian = |curve: &mut Curve| {
+            let mut pass = Pass::of(1);
+            curve.gradient(&[0.7], &[0.7], &mut pass).unwrap();
+            pass.quadratic.hessian[(0, 0)]
+        };
+        let mut served = 0;
+        for off in [0.0, 0.0005, 0.004, -0.01, 0.03, -0.1, 0.15] {
+            let rules = Rules { window_pixels: 15, ..rules_of(1, Vec::new()) };
+            let entries = Vec::new();
+            let mut curve =
+                Curve { contrast: 100.0, passes: 0, is_false: false, most: 1.0, entries, closings: Some(0) };
+            let mut point = [0.7 + off];
+            let Some(way) = follow(&mut curve, &rules, &mut point, None, None) else { panic!("{off}: not followed") };
+            let (found, wanted) = (way.pass.quadratic.hessian[(0, 0)], hessian(&mut curve));
+            let deviation = (2.0 / wanted).sqrt();
+            assert!((point[0] - 0.7).abs() <= LEFT * deviation, "{off}: {} σ left", (point[0] - 0.7).abs() / deviation);
+            assert!((found / wanted - 1.0).abs() <= 1.5 * STALE, "{off}: the Hessian is {} times that", found / wanted);
+            assert_eq!(way.is_told, curve.closings == Some(way.report.passes - 1), "{off}");
+            served += u32::from(way.is_told);
+        }
+        assert!((4..7).contains(&served), "{served} of 7 ended so");
     }
 
     /// A bell of height 100 and deviation 1.3 at 0, with residuals of unit variance, by its place, width and height.

@@ -8,6 +8,7 @@ pub(crate) mod alternatives;
 pub(crate) mod compiled;
 pub(crate) mod corrections;
 pub(crate) mod covariance;
+mod derived;
 pub(crate) mod exact;
 pub(crate) mod fit;
 pub(crate) mod follow;

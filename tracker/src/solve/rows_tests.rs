@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::*;
 use crate::sight::view::PlaneLayout;
-use crate::solve::stage_kernels::{Control, Job, StageKernels};
+use crate::solve::stage_kernels::{Begins, Control, Job, StageKernels};
 use crate::solve::workers::InTurn;
 
 const DOCUMENT: &str = r#"
@@ -73,7 +73,7 @@ fn sums_are_those_of_the_covariance_of_all_pixels() {
     let used: Vec<usize> = (0..pixels.len()).filter(is_used).collect();
 
     let model = Arc::new(Model::from_toml(DOCUMENT).unwrap());
-    let kernels = StageKernels::new(model, Precision::F64, Arc::default(), &InTurn).unwrap();
+    let kernels = StageKernels::new(model, Precision::F64, Arc::default(), &InTurn, Begins::Anywhere).unwrap();
     let layout = PlaneLayout { has_rows: true, ..PlaneLayout::of_format(PixelFormat::U8, 1) };
     let bindings = Bindings { parameters: &AT, entry: &AT, saturation: &[255.0], ..Bindings::default() };
     let mut totals = Totals::default();

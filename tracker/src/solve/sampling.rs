@@ -27,7 +27,7 @@ use crate::solve::exact;
 use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at};
 use crate::solve::follow::{Stride, Tether};
 use crate::solve::stage::Pass;
-use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels, lowering};
+use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels, lowering};
 use crate::solve::workers::InTurn;
 
 /// Points a side, at most, …
@@ -249,7 +249,7 @@ impl Kernels {
         let (model, precision, cache) = (base.model(), base.precision(), base.cache());
         let derived = |slopes| {
             let model = Arc::new(model.corrected(slopes));
-            StageKernels::new(model, precision, cache.clone(), &InTurn)
+            StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Nearby)
         };
         let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
         let entry = |Summand { model, .. }| Entry { model, cache: cache.clone(), kernels: Default::default() };

@@ -6,13 +6,12 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, has_fma};
-use isophote_symbolic::{
-    Diagnostics, Lowering, Method, Model, Objective, ParameterId, Precision, Program, Summand, ValueKind,
-};
+use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Precision, ValueKind};
 
 use smallvec::smallvec;
 
 use crate::sight::view::PlaneLayout;
+use crate::solve::derived::{Derived, Part, all};
 use crate::solve::loops::Loops;
 use crate::solve::rows::Rows;
 use crate::solve::trust::Curvature;
@@ -55,26 +54,19 @@ pub(crate) enum Job {
     Value,
     /// F with ln σ², and χ²: the report of models with noise.
     Report,
+    /// What [`Job::Covariance`] sums, of a pass that is entered where it is; of models with noise.
+    Opening,
+    /// F and gradient as in [`Job::Covariance`], behind them [`Job::Report`] where there is one.
+    Closing,
 }
 
-/// A sum for one of the model's summands.
-struct Part {
-    /// Which of the sums.
-    sum: usize,
-    is_clipped: bool,
-    plain: Program,
-    dropping: Program,
-    objective: Objective,
-}
-
-/// What is derived of a model. Jobs that ask for the same sum share it: stages that free the same parameters, the covariance
-/// and a last stage with a Gauss–Newton Hessian.
-struct Derived {
-    parts: Vec<Part>,
-    /// The sum that serves each job.
-    jobs: Vec<(Job, usize)>,
-    /// Free beside what each job asks for: the offset of the rows.
-    offset: Option<ParameterId>,
+/// Which fits kernels are for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Begins {
+    /// From anywhere.
+    Anywhere,
+    /// From where a target is predicted to be as well ([`crate::solve::follow`]): such fits have kernels of their own.
+    Nearby,
 }
 
 struct Ready {
@@ -124,13 +116,18 @@ impl StageKernels {
     ///
     /// # Errors
     /// When the document asks for what this build cannot do.
-    pub fn new(
+    pub(crate) fn new(
         model: Arc<Model>,
         precision: Precision,
         cache: Arc<KernelCache>,
         workers: &dyn Workers,
+        begins: Begins,
     ) -> Result<StageKernels, CompileFailure> {
-        let derived = Arc::new(Derived::of(&model, workers)?);
+        let mut derived = Derived::of(&model, workers)?;
+        if begins == Begins::Nearby && precision == Precision::F32 {
+            derived.add_short(&model, workers);
+        }
+        let derived = Arc::new(derived);
         let free = |stage: usize| Free::of(&model, derived.order(Job::Stage(stage)));
         let free = (0..model.stages().len()).map(free).collect();
         Ok(StageKernels { model, free, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
@@ -225,9 +222,14 @@ impl StageKernels {
         }
         let derived = self.derived(layout, workers)?;
         let each = |part: usize| {
-            // Pixels at their limit are looked at when there are some.
-            let clipped = derived.parts[part].is_clipped;
-            let controls = controls.iter().filter(move |control| !clipped || **control != Control::Plain);
+            let Part { is_clipped, is_short, .. } = derived.parts[part];
+            // Pixels at their limit are looked at when there are some; fits from nearby always look for them.
+            let is_asked_for = move |control: &&Control| match control {
+                Control::Plain => !is_clipped && !is_short,
+                Control::Dropping => true,
+                Control::Blind => !is_short,
+            };
+            let controls = controls.iter().filter(is_asked_for);
             controls.map(move |control| (part, *control))
         };
         let variants: Vec<(usize, Control)> = (0..derived.parts.len()).flat_map(each).collect();
@@ -241,6 +243,12 @@ impl StageKernels {
     /// The kernels for a job, compiled now if need be.
     pub(crate) fn loops(&self, job: Job, control: Control, layout: &PlaneLayout) -> Result<Loops, CompileFailure> {
         self.loops_in(self.precision, job, control, layout)
+    }
+
+    /// The kernels for a job of fits from nearby; `None` where there are none.
+    pub(crate) fn short_loops(&self, job: Job, layout: &PlaneLayout) -> Result<Option<Loops>, CompileFailure> {
+        let has_them = !layout.has_rows && self.derived.sum_of(job).is_some();
+        has_them.then(|| self.loops(job, Control::Dropping, layout)).transpose()
     }
 
     /// The same in another arithmetic.
@@ -343,126 +351,6 @@ impl StageKernels {
     }
 }
 
-/// What each number gives, or the first fault.
-fn all<T: Send + Sync>(
-    count: usize,
-    workers: &dyn Workers,
-    make: &(dyn Fn(usize) -> Result<T, CompileFailure> + Sync),
-) -> Result<Vec<T>, CompileFailure> {
-    let made: Vec<Mutex<Option<Result<T, CompileFailure>>>> = (0..count).map(|_| Mutex::default()).collect();
-    // From the end: see `Derived::of`.
-    workers.each(count, &|i| {
-        let i = count - 1 - i;
-        *made[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(make(i));
-    });
-    // Whom the workers left out is done here.
-    let each = made.into_iter().enumerate();
-    each.map(|(i, one)| one.into_inner().unwrap_or_else(PoisonError::into_inner).unwrap_or_else(|| make(i))).collect()
-}
-
-/// Something to sum over pixels.
-#[derive(Clone)]
-enum Sum {
-    /// F, gradient and Hessian, in this order of the parameters.
-    Derivatives(Vec<ParameterId>, Curvature),
-    Value(ValueKind),
-}
-
-impl Sum {
-    fn of(model: &Model, job: Job, offset: Option<ParameterId>) -> Sum {
-        let last = || model.stages().last().map_or(&[][..], |stage| &stage.parameters);
-        let free = |parameters: &[ParameterId]| parameters.iter().copied().chain(offset).collect();
-        match job {
-            Job::Stage(index) => {
-                let method = if offset.is_some() { held(model, index) } else { model.stages()[index].method };
-                Sum::Derivatives(free(&model.stages()[index].parameters), curvature(method))
-            }
-            Job::Covariance => Sum::Derivatives(free(last()), Curvature::GaussNewton),
-            // With an offset, F has derivatives by it.
-            Job::Value if offset.is_some() => Sum::Derivatives(free(&[]), Curvature::GaussNewton),
-            Job::Value => Sum::Value(ValueKind::Entry),
-            Job::Report => Sum::Value(ValueKind::Full),
-        }
-    }
-
-    /// True when the other one's outputs are these, in whatever order.
-    fn serves(&self, other: &Sum) -> bool {
-        match (self, other) {
-            (Sum::Derivatives(a, curvature), Sum::Derivatives(b, wanted)) => {
-                curvature == wanted && a.len() == b.len() && a.iter().all(|parameter| b.contains(parameter))
-            }
-            (Sum::Value(a), Sum::Value(b)) => a == b,
-            _ => false,
-        }
-    }
-}
-
-impl Derived {
-    /// The sums of every job of a model, each of them once, for each of its summands.
-    fn of(model: &Model, workers: &dyn Workers) -> Result<Derived, CompileFailure> {
-        Derived::with_offset(model, None, workers)
-    }
-
-    /// The same with an offset of the pixels free in each of them.
-    fn of_rows(model: &Model, workers: &dyn Workers) -> Result<Derived, CompileFailure> {
-        let (model, offset) = model.with_offset();
-        Derived::with_offset(&model, Some(offset), workers)
-    }
-
-    fn with_offset(
-        model: &Model,
-        offset: Option<ParameterId>,
-        workers: &dyn Workers,
-    ) -> Result<Derived, CompileFailure> {
-        // The last stage comes first: its order of parameters is that of the covariance.
-        let mut jobs: Vec<Job> = (0..model.stages().len()).rev().map(Job::Stage).collect();
-        jobs.extend((!jobs.is_empty()).then_some(Job::Covariance));
-        jobs.push(Job::Value);
-        if model.has_noise() && offset.is_none() {
-            jobs.push(Job::Report);
-        }
-        let mut sums: Vec<Sum> = Vec::new();
-        let served = jobs.into_iter().map(|job| {
-            let wanted = Sum::of(model, job, offset);
-            let known = sums.iter().position(|sum| sum.serves(&wanted));
-            (job, known.unwrap_or_else(|| (sums.len(), sums.push(wanted)).0))
-        });
-        let jobs = served.collect();
-        let summands = model.summands();
-        // The last stage has the most parameters, and work is begun at the end: nobody waits for it alone.
-        let order: Vec<usize> = (0..sums.len()).rev().collect();
-        let parts = all(order.len() * summands.len(), workers, &|i| {
-            let sum = order[i / summands.len()];
-            part(&summands[i % summands.len()], sum, &sums[sum])
-        })?;
-        Ok(Derived { parts, jobs, offset })
-    }
-
-    /// The free parameters of a job, in the order of its sums.
-    fn order(&self, job: Job) -> &[ParameterId] {
-        let sum = self.sum_of(job);
-        let part = self.parts.iter().find(|part| Some(part.sum) == sum);
-        part.map_or(&[], |part| part.objective.subset())
-    }
-
-    fn sum_of(&self, job: Job) -> Option<usize> {
-        self.jobs.iter().find(|(known, _)| *known == job).map(|(_, sum)| *sum)
-    }
-}
-
-/// The programs of a sum.
-fn part(Summand { model, is_clipped }: &Summand, sum: usize, what: &Sum) -> Result<Part, CompileFailure> {
-    let objective = match what {
-        Sum::Derivatives(parameters, Curvature::Full) => model.objective(parameters, Method::Newton),
-        Sum::Derivatives(parameters, Curvature::GaussNewton) => model.objective(parameters, Method::GaussNewton),
-        Sum::Value(kind) => model.value_objective(*kind),
-    };
-    let objective = objective.map_err(CompileFailure::Model)?;
-    let lowered = |control| objective.program(lowering(control)).map_err(CompileFailure::Model);
-    let (plain, dropping) = (lowered(Control::Plain)?, lowered(Control::Dropping)?);
-    Ok(Part { sum, is_clipped: *is_clipped, plain, dropping, objective })
-}
-
 /// How programs are lowered on this machine.
 pub(crate) fn lowering(control: Control) -> Lowering {
     Lowering { fma: has_fma(), drop_saturated: control != Control::Plain }
@@ -474,7 +362,7 @@ pub(crate) fn method(model: &Model, stage: usize, layout: &PlaneLayout) -> Metho
     if layout.has_rows { held(model, stage) } else { model.stages()[stage].method }
 }
 
-fn held(model: &Model, stage: usize) -> Method {
+pub(super) fn held(model: &Model, stage: usize) -> Method {
     if model.has_noise() { Method::LevenbergMarquardt } else { model.stages()[stage].method }
 }
 

@@ -43,7 +43,9 @@ impl StageKernels {
         for part in derived.parts.iter_mut().filter(|part| Some(part.sum) == own) {
             *part = Part { sum: part.sum, ..others.next().unwrap() };
         }
-        let kernels = StageKernels::new(Arc::new(derivatives), Precision::F32, Arc::default(), &InTurn).unwrap();
+        let kernels =
+            StageKernels::new(Arc::new(derivatives), Precision::F32, Arc::default(), &InTurn, Begins::Anywhere)
+                .unwrap();
         Compiled::of_kernels(StageKernels { derived: Arc::new(derived), ..kernels })
     }
 }
@@ -78,9 +80,9 @@ fn what_several_jobs_sum_is_derived_once() {
     let stage =
         |parameters: &str, method: &str| format!("[[stages]]\nparameters = [{parameters}]\nmethod = \"{method}\"\n");
     let (pair, turned) = ("\"bx\", \"by\"", "\"by\", \"bx\"");
-    // Sums besides F; what the last stage's order is.
+    // Sums besides F; of one stage whose sums are the covariance's there is the last pass' as well.
     let cases = [
-        (vec![stage(pair, "gauss-newton")], 1),
+        (vec![stage(pair, "gauss-newton")], 2),
         (vec![stage(pair, "gauss-newton"), stage("\"v0\"", "gauss-newton"), stage(pair, "gauss-newton")], 2),
         (vec![stage(pair, "gauss-newton"), stage(pair, "levenberg-marquardt")], 1),
         (vec![stage(turned, "gauss-newton"), stage(pair, "gauss-newton")], 1),

@@ -23,7 +23,7 @@ use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::residuals::{Over, Predictions};
-use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
+use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 
 /// χ²/ν beyond which a plain fit is not taken as it is.
@@ -99,7 +99,8 @@ impl Alternatives {
         let precision = compiled.precision();
         let variant = |variant| -> Option<Variation> {
             let model = Arc::new(model.variant(variant));
-            let compiled = Arc::new(StageKernels::new(model, precision, cache.clone(), &InTurn).ok()?);
+            let compiled =
+                Arc::new(StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Anywhere).ok()?);
             let predictions = Predictions::new(compiled.model(), precision, cache).ok()??;
             Some(Variation { compiled, predictions })
         };
