@@ -52,7 +52,7 @@ fn all_agree(name: &str, subset: &str, method: Method) {
         let wanted = match part {
             Part::Gradient => gradient,
             Part::Hessian => hessian,
-            Part::Both => &wanted,
+            Part::Both | Part::Diagonal => &wanted,
         };
         assert_eq!(found.len(), wanted.len(), "{name} {part:?}");
         let near = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-9 * (1.0 + b.abs());

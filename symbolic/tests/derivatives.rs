@@ -270,12 +270,22 @@ fn loops_of_first_and_last_passes_sum_what_those_of_a_step_do() {
             assert!(alike(&found.outputs[part.clone()], &wanted.outputs[part]), "{}: opening", model.name());
         }
         let (wanted, found) = (sums(&joint, &moved), sums(&closing, &moved));
-        assert_eq!((found.pixels, found.outputs.len()), (wanted.pixels, count + 2), "{}", model.name());
+        let outputs = count + parameters.len() + 2;
+        assert_eq!((found.pixels, found.outputs.len()), (wanted.pixels, outputs), "{}", model.name());
         for part in [0..1, 1..count] {
             assert!(alike(&found.outputs[part.clone()], &wanted.outputs[part]), "{}: closing", model.name());
         }
+        // Rows of the upper triangle begin with their diagonal.
+        let diagonal = (0..parameters.len()).scan(count, |next, row| {
+            let own = *next;
+            *next += parameters.len() - row;
+            Some(wanted.outputs[own])
+        });
+        for (found, wanted) in found.outputs[count..].iter().zip(diagonal) {
+            assert!(alike(&[*found], &[wanted]), "{}: {found} on the diagonal, not {wanted}", model.name());
+        }
         let full = sums(&model.value_objective(ValueKind::Full).unwrap(), &moved);
-        assert!(alike(&found.outputs[count..], &full.outputs), "{}: report", model.name());
+        assert!(alike(&found.outputs[count + parameters.len()..], &full.outputs), "{}: report", model.name());
         let flops = |objective: &Objective| objective.cost(lowering).unwrap().flops_per_pixel;
         let [joint, opening, closing] = [joint, opening, closing].map(|objective| flops(&objective));
         assert!(opening <= joint, "{}: {opening} flops of {joint}", model.name());

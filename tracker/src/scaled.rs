@@ -17,6 +17,11 @@ pub(crate) struct Definite {
 }
 
 impl Definite {
+    /// Becomes that of a matrix whose rows and columns were scaled.
+    pub fn scaled_to(&mut self, matrix: &DMatrix<f64>) {
+        self.scale.iter_mut().zip(matrix.diagonal().iter()).for_each(|(scale, entry)| *scale = entry.sqrt());
+    }
+
     /// `None` when the matrix is not positive definite.
     pub fn of(matrix: &DMatrix<f64>) -> Option<Definite> {
         let mut definite = Definite::default();
@@ -133,6 +138,23 @@ impl Definite {
         let eigenvalues = (0.5 * (&whole + whole.transpose())).symmetric_eigenvalues();
         eigenvalues.iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max)
     }
+}
+
+/// Scales rows and columns alike until that is the diagonal; the largest share by which an entry of it changes.
+pub(crate) fn to_diagonal(matrix: &mut DMatrix<f64>, diagonal: &[f64]) -> f64 {
+    let n = diagonal.len();
+    let mut changed = 0.0_f64;
+    for (i, wanted) in diagonal.iter().enumerate() {
+        let share = wanted / matrix[(i, i)];
+        // What is no number has changed beyond measure.
+        changed = if share > 0.0 { changed.max((share - 1.0).abs()) } else { f64::INFINITY };
+        let scale = share.sqrt();
+        for j in 0..n {
+            matrix[(i, j)] *= scale;
+            matrix[(j, i)] *= scale;
+        }
+    }
+    changed
 }
 
 /// Of as many numbers as both have.

@@ -178,7 +178,8 @@ impl Derivation {
         };
         let slopes: Vec<_> = differentiand.parameters.iter().map(slopes).collect();
         for (i, u) in differentiand.parameters.iter().enumerate().filter(|_| differentiand.part.has_hessian()) {
-            for (j, v) in differentiand.parameters.iter().enumerate().skip(i) {
+            let row = differentiand.parameters.iter().enumerate().skip(i);
+            for (j, v) in row.filter(|(j, _)| differentiand.part.has_entry(i, *j)) {
                 graph.charge(slopes[i].len() * slopes[j].len());
                 let mut products: BTreeMap<usize, SmallVec<[(NodeId, f64); 4]>> = BTreeMap::new();
                 for (l, l_u) in &slopes[i] {
@@ -237,7 +238,7 @@ impl Derivation {
         }
         let mut products: FxHashMap<(usize, usize), usize> = FxHashMap::default();
         for (i, own) in slopes.iter().enumerate().filter(|_| differentiand.part.has_hessian()) {
-            for (j, other) in slopes.iter().enumerate().skip(i) {
+            for (j, other) in slopes.iter().enumerate().skip(i).filter(|(j, _)| differentiand.part.has_entry(i, *j)) {
                 let mut uses = Vec::new();
                 for (s, c) in own {
                     for (t, d) in other {

@@ -81,7 +81,7 @@ fn entries(
         list.push((format!("dF/d{}", name(i)), node));
     }
     for i in (0..parameters.len()).filter(|_| part.has_hessian()) {
-        for j in i..parameters.len() {
+        for j in (i..parameters.len()).filter(|j| part.has_entry(i, *j)) {
             let node = match newton {
                 true => jet.second.get(&pair(parameters[i], parameters[j])).copied().unwrap_or(zero),
                 false => graph.product(1.0, [(q, 1), (first[i], 1), (first[j], 1)]),

@@ -22,8 +22,8 @@ impl Objective {
         self.claimed(Claim::Opening)
     }
 
-    /// F and the gradient by the weights of entry: a last pass, which needs no Hessian of its own. Of models with noise behind
-    /// them the report of its end, Σ r²/σ² + ln σ² and Σ r²/σ² at the parameters themselves.
+    /// F, the gradient and the Hessian's diagonal by the weights of entry: a last pass, whose Hessian is much that of the one
+    /// before. Of models with noise behind them the report of its end, Σ r²/σ² + ln σ² and Σ r²/σ² at the parameters themselves.
     ///
     /// # Errors
     /// When it grows past a limit.
@@ -32,7 +32,7 @@ impl Objective {
         self.claimed(if is_weighed {
             Claim::Closing
         } else {
-            Claim::Derivatives { newton: false, part: Part::Gradient }
+            Claim::Derivatives { newton: false, part: Part::Diagonal }
         })
     }
 
@@ -53,7 +53,7 @@ impl Objective {
     ) -> Result<Objective, Diagnostics> {
         let joint = Objective::derive(model, subset, method)?;
         match (part, joint.proof()) {
-            (Part::Gradient | Part::Hessian, Some(proof)) => {
+            (Part::Gradient | Part::Hessian | Part::Diagonal, Some(proof)) => {
                 let claim = Claim::Derivatives { newton: method == Method::Newton, part };
                 let referee = referee(model, subset, method, claim)?;
                 Setting::of(&referee, subset, model.budget()).objective(proof.form)

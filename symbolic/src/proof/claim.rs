@@ -9,6 +9,8 @@ pub enum Part {
     Hessian,
     /// Both, in one loop.
     Both,
+    /// The gradient, and of the Hessian the diagonal.
+    Diagonal,
 }
 
 impl Part {
@@ -16,9 +18,17 @@ impl Part {
     pub fn has_gradient(self) -> bool {
         self != Part::Hessian
     }
-    /// The Hessian is part of it.
+    /// Of the Hessian all or some is part of it.
     pub fn has_hessian(self) -> bool {
         self != Part::Gradient
+    }
+    /// That entry of the Hessian's upper triangle is part of it.
+    pub fn has_entry(self, row: usize, column: usize) -> bool {
+        match self {
+            Part::Gradient => false,
+            Part::Hessian | Part::Both => true,
+            Part::Diagonal => row == column,
+        }
     }
 }
 
@@ -38,7 +48,7 @@ pub(crate) enum Claim {
     Derivatives { newton: bool, part: Part },
     /// F, gradient and Gauss–Newton's Hessian of a pass that is entered at the parameters themselves.
     Opening,
-    /// F and gradient as Gauss–Newton has them, then the two outputs of [`ValueKind::Full`].
+    /// F, gradient and the Hessian's diagonal as Gauss–Newton has them, then the two outputs of [`ValueKind::Full`].
     Closing,
     /// F alone.
     Value(ValueKind),
@@ -55,7 +65,7 @@ impl Claim {
         match self {
             Claim::Derivatives { part, .. } => Some(part),
             Claim::Opening => Some(Part::Both),
-            Claim::Closing => Some(Part::Gradient),
+            Claim::Closing => Some(Part::Diagonal),
             Claim::Value(_) => None,
         }
     }

@@ -42,7 +42,8 @@ impl Subject {
     pub(super) fn outputs(&self) -> usize {
         let n = self.parameters.len();
         let derivatives = self.claim.part().map_or(0, |part| {
-            usize::from(part.has_gradient()) * n + usize::from(part.has_hessian()) * (n * (n + 1) / 2)
+            let entries = |row| (row..n).filter(move |column| part.has_entry(row, *column));
+            usize::from(part.has_gradient()) * n + (0..n).flat_map(entries).count()
         });
         let values = match self.claim {
             Claim::Derivatives { .. } | Claim::Opening | Claim::Value(ValueKind::Entry) => 1,
@@ -165,9 +166,10 @@ impl Subject {
                 if part.is_some_and(Part::has_gradient) {
                     entries.extend(slopes.iter().map(|slope| l * *slope));
                 }
-                if part.is_some_and(Part::has_hessian) {
-                    let rows = slopes.iter().enumerate();
-                    entries.extend(rows.flat_map(|(i, u)| slopes[i..].iter().map(move |v| q * *u * *v)));
+                let is_entry = |i: usize, j: &usize| part.is_some_and(|part| part.has_entry(i, *j));
+                for (i, u) in slopes.iter().enumerate() {
+                    let row = (i..slopes.len()).filter(|j| is_entry(i, j));
+                    entries.extend(row.map(|j| q * *u * slopes[j]));
                 }
                 if self.claim == Claim::Closing {
                     entries.extend(full(values.get(2).map(|variance| variance.value)));

@@ -435,15 +435,17 @@ impl<'a> Passes<'a> {
 }
 
 impl Pass {
-    /// From the outputs of a loop without Hessian: F, the gradient, and what may stand behind them.
-    fn read_slopes(&mut self, sums: &Totals) -> Result<(), Ending> {
-        let Quadratic { objective, gradient, .. } = &mut self.quadratic;
+    /// From the outputs of a last pass: F, the gradient, the diagonal of H, and what may stand behind them.
+    fn read_closing(&mut self, sums: &Totals) -> Result<f64, Ending> {
+        let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
+        let n = gradient.len();
         let (&first, rest) = sums.outputs.split_first().ok_or(Ending::NonFinite)?;
-        let slopes = rest.get(..gradient.len()).ok_or(Ending::NonFinite)?;
+        let (slopes, rest) = rest.split_at_checked(n).ok_or(Ending::NonFinite)?;
+        let diagonal = rest.get(..n).ok_or(Ending::NonFinite)?;
         *objective = first;
         gradient.copy_from_slice(slopes);
         self.pixels = sums.pixels;
-        Ok(())
+        Ok(scaled::to_diagonal(hessian, diagonal))
     }
 
     /// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
@@ -507,9 +509,9 @@ impl CostFunction for Summed<'_> {
         pass.read(self.passes.run(loops, point, entry)?, self.curvature)
     }
 
-    fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<(), Ending>> {
+    fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<f64, Ending>> {
         let sums = self.passes.run(self.closing.as_ref()?, point, entry);
-        Some(sums.and_then(|sums| pass.read_slopes(sums)))
+        Some(sums.and_then(|sums| pass.read_closing(sums)))
     }
 
     fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {

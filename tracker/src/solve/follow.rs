@@ -15,7 +15,8 @@
 //! The pass after a whole step is likely to be the last, and what it lacks is a gradient: H is much what it was. So it sums F and g
 //! alone, and the report of the end with them, and its step is made of the H that the last one was made of. How much H changes on
 //! the way the steps tell: of three in a row where F bends by its third derivatives T, `a`, then `b ≈ ½ T a²`, then `c ≈ T a b`
-//! where H is kept, so that c/b is 2 b/a, and H itself changes by that share. Where that is too much the next pass sums all.
+//! where H is kept, so that c/b is 2 b/a, and H itself changes by that share. A brightness that has changed is not seen in that, so
+//! the diagonal of H is summed as well, to which H is scaled. Where either is too much the next pass sums all.
 //!
 //! What a start is wrong about is where the target is: the rest is as it was a frame ago. To second order a target that is
 //! elsewhere looks like one that is wider and fainter as well, and Newton's step believes it. So a step that changes the rest by
@@ -30,8 +31,10 @@ use crate::solve::trust::{Quadratic, Spectrum};
 const LEFT: f64 = 0.05;
 /// A step this long, in standard deviations, shrinks the next one no more than a shorter one does.
 const BENT: f64 = 30.0;
-/// The Hessian of one pass serves the next one where it changes by no more than this share.
+/// The Hessian of one pass serves the next one where steps show that it changes by no more than this share, …
 const STALE: f64 = 0.05;
+/// … and the entries of its diagonal by no more than this one: to that it is scaled.
+const CHANGED: f64 = 0.2;
 /// F a pixel may be this many times what it was where the step to the start began.
 const WORSE: f64 = 1.5;
 /// Passes after which a start was not nearly right.
@@ -104,11 +107,12 @@ pub(crate) fn follow<P: CostFunction>(
     while report.passes < PASSES.min(rules.iterations) {
         let closing = if is_clear { problem.closing(&at, point, &mut pass) } else { None };
         let is_closing = closing.is_some();
-        match closing.unwrap_or_else(|| problem.gradient(&at, point, &mut pass)) {
-            Ok(()) => {}
+        // By what share the diagonal of H differs from that of the H at hand.
+        let changed = match closing.unwrap_or_else(|| problem.gradient(&at, point, &mut pass).map(|()| 0.0)) {
+            Ok(changed) => changed,
             Err(Ending::Budget) => return left(promised, rules, report, pass, (at, point)),
             Err(_) => return None,
-        }
+        };
         if report.passes == 0 {
             (report.pixels_first, report.pixels_least, report.pixels_last) = (pass.pixels, pass.pixels, pass.pixels);
         }
@@ -151,8 +155,8 @@ pub(crate) fn follow<P: CostFunction>(
             let stride = Stride { length: is_whole.then_some(length), mean: objective / pass.pixels as f64 };
             return Some(ShortWay { report, pass, is_told: false, strained: Some(stride), factors: None });
         }
-        let is_over = if is_closing { is_closed } else { is_near };
-        if is_whole && earlier.and_then(|(_, last)| last).is_some_and(|last| is_over(last, length)) {
+        let is_over = |last| if is_closing { is_closed(last, length, changed) } else { is_near(last, length) };
+        if is_whole && earlier.and_then(|(_, last)| last).is_some_and(is_over) {
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
             let factors = Some(step.definite);
@@ -213,8 +217,9 @@ impl Step {
         (step.interior && !spectrum.is_indefinite()).then_some(step.reduction)
     }
 
-    /// Becomes `−H⁻¹g` by the factors that it has; by how much F falls there.
+    /// Becomes `−H⁻¹g` by the factors that it has, of an H that was scaled since; by how much F falls there.
     fn again(&mut self, quadratic: &Quadratic) -> f64 {
+        self.definite.scaled_to(&quadratic.hessian);
         self.definite.newton_step(quadratic.gradient.iter().copied(), &mut self.delta)
     }
 
@@ -252,11 +257,12 @@ fn is_near(last: f64, length: f64) -> bool {
     length == 0.0 || ratio < 1.0 && length * next / (1.0 - next) <= LEFT
 }
 
-/// The same of a step that was made of the last one's Hessian, and that Hessian serves as that of the end.
-fn is_closed(last: f64, length: f64) -> bool {
-    let share = 2.0 * length / last;
+/// The same of a step by the last one's Hessian, whose diagonal has changed by that share, and that serves as the Hessian of the
+/// end.
+fn is_closed(last: f64, length: f64, changed: f64) -> bool {
+    let share = (2.0 * length / last).max(changed);
     let is_near = length <= 0.5 * LEFT || share < 1.0 && length * share / (1.0 - share) <= LEFT;
-    is_near && 2.0 * length <= STALE * last + LEFT
+    is_near && changed <= CHANGED && 2.0 * length <= STALE * last + LEFT
 }
 
 #[cfg(test)]
@@ -299,12 +305,12 @@ mod tests {
             Ok(())
         }
 
-        fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<(), Ending>> {
+        fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<f64, Ending>> {
             *self.closings.as_mut()? += 1;
             let hessian = pass.quadratic.hessian.clone();
             let ran = self.gradient(point, entry, pass);
-            pass.quadratic.hessian = hessian;
-            Some(ran)
+            let changed = pass.quadratic.hessian[(0, 0)] / hessian[(0, 0)] - 1.0;
+            Some(ran.map(|()| changed.abs()))
         }
 
         fn value(&mut self, _: &[f64], _: &[f64]) -> Result<f64, Ending> {

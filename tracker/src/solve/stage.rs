@@ -46,9 +46,9 @@ impl Pass {
 pub(crate) trait CostFunction {
     /// Puts F, g and H at `point`, on the pixel set and with the weights of `entry`, into `pass`.
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending>;
-    /// The same of F and g alone, where the way is likely to end at `point`, whose H is much that of `pass`; `None` where that is not
-    /// to be had.
-    fn closing(&mut self, _point: &[f64], _entry: &[f64], _pass: &mut Pass) -> Option<Result<(), Ending>> {
+    /// The same of F, g and the diagonal of H, where the way is likely to end at `point`, whose H is much that of `pass`: that is
+    /// scaled to this diagonal. By what share entries of the diagonal differ at most; `None` where that is not to be had.
+    fn closing(&mut self, _point: &[f64], _entry: &[f64], _pass: &mut Pass) -> Option<Result<f64, Ending>> {
         None
     }
     /// F at `point`, on the pixel set and with the weights of `entry`.
