@@ -23,7 +23,7 @@ pub(super) struct Asking {
 
 /// What became of a question.
 #[derive(Debug, PartialEq)]
-pub(super) enum Answer<T> {
+pub(super) enum Heard<T> {
     Said(T),
     /// Not in time, now or before.
     Silent,
@@ -44,7 +44,7 @@ impl Asking {
     }
 
     /// Asks all of them at once; the answers are in the order of the paths.
-    pub fn ask<T: Send + 'static>(&self, paths: &[PathBuf], question: fn(&Path) -> T) -> Vec<Answer<T>> {
+    pub fn ask<T: Send + 'static>(&self, paths: &[PathBuf], question: fn(&Path) -> T) -> Vec<Heard<T>> {
         let (begin, owed) = (Instant::now(), self.owed());
         let (said, heard) = sync_channel(paths.len());
         let mut open = 0;
@@ -67,11 +67,11 @@ impl Asking {
             }
         }
         drop(said);
-        let mut answers: Vec<Answer<T>> = paths.iter().map(|_| Answer::Silent).collect();
+        let mut answers: Vec<Heard<T>> = paths.iter().map(|_| Heard::Silent).collect();
         while open > 0 {
             let left = (begin + self.limit).saturating_duration_since(Instant::now());
             let Ok((number, answer)) = heard.recv_timeout(left) else { break };
-            answers[number] = Answer::Said(answer);
+            answers[number] = Heard::Said(answer);
             open -= 1;
         }
         answers
@@ -121,15 +121,15 @@ mod tests {
     fn a_device_that_never_answers_holds_up_no_other_and_is_asked_once() {
         let asking = Asking::new(Duration::from_millis(200));
         let paths = ["/dev/video0", "/dev/video1", "/dev/video2"].map(PathBuf::from);
-        let said = |path: &str| Answer::Said(path.to_string());
+        let said = |path: &str| Heard::Said(path.to_string());
         let hangs = HANGS.lock().unwrap();
         for _ in 0..20 {
             let answers = asking.ask(&paths, question);
-            assert_eq!(answers, [said("/dev/video0"), Answer::Silent, said("/dev/video2")]);
+            assert_eq!(answers, [said("/dev/video0"), Heard::Silent, said("/dev/video2")]);
         }
         assert!(CALLS.load(Ordering::SeqCst) <= 2, "threads that hang do not pile up");
         drop(hangs);
-        while asking.ask(&paths, question)[1] == Answer::Silent {
+        while asking.ask(&paths, question)[1] == Heard::Silent {
             thread::yield_now();
         }
         assert!(lock(&asking.owed()).is_empty());

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::asking::{Answer, Asking};
+use super::asking::{Asking, Heard};
 use super::controls::{self, ControlInfo};
 use super::error::CameraError;
 use super::formats::{self, FormatInfo};
@@ -223,9 +223,9 @@ impl Present {
         let (mut opened, mut silent) = (Vec::new(), Vec::new());
         for (path, answer) in paths.iter().cloned().zip(ASKING.ask(&paths, open)) {
             match answer {
-                Answer::Said(Some((node, identity))) => opened.push((node, path, identity)),
-                Answer::Said(None) => {}
-                Answer::Silent => silent.push(path),
+                Heard::Said(Some((node, identity))) => opened.push((node, path, identity)),
+                Heard::Said(None) => {}
+                Heard::Silent => silent.push(path),
             }
         }
         let identities: Vec<Identity> = opened.iter().map(|(_, _, identity)| identity.clone()).collect();

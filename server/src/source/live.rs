@@ -4,16 +4,16 @@
 //! spare of the camera, which is found by its identity: as soon as it is plugged in again, or the call returns after all, which ends
 //! the thread that made it and closes what that had open.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use isophote_capture::camera::CameraStatus;
-use isophote_capture::{CameraState, Captured, Exposure, LiveCamera, Wake};
+use isophote_capture::CameraState;
 use isophote_machine::monotonic_ns;
 use isophote_wire::SourceState;
 
 use super::drivers::Drivers;
-use super::{Paused, Producer, Source, State, Worker, label};
+use super::reader::CameraReader;
+use super::{Paused, Producer, Source, SourceNow, Worker, label};
 use crate::limits::LIMITS;
 use crate::thread::NamedThread;
 
@@ -21,79 +21,6 @@ use crate::thread::NamedThread;
 const LOOK: Duration = Duration::from_millis(200);
 /// For a camera to be closed.
 const REST: Duration = Duration::from_secs(2);
-
-/// A camera as its thread uses it: [`LiveCamera`], or one that tests are in control of. `next` and `rest` ask its driver.
-pub trait CameraReader: Send {
-    /// The newest frame, waiting for it `limit` at most.
-    fn next(&mut self, limit: Duration) -> Option<Captured>;
-    /// Closes it.
-    fn rest(&mut self);
-    /// What it does.
-    fn state(&self) -> &CameraState;
-    /// Who it is and what was lost.
-    fn status(&self) -> &CameraStatus;
-    /// Ends a wait in `next`.
-    fn wake(&self) -> Wake;
-    /// Its knob.
-    fn exposure(&self) -> Option<Exposure>;
-    /// The same, closed.
-    fn spare(&self) -> Box<dyn CameraReader>;
-    /// A spare goes on after another.
-    fn go_on(&mut self, next_number: u64, status: CameraStatus);
-}
-
-impl CameraReader for LiveCamera {
-    fn next(&mut self, limit: Duration) -> Option<Captured> {
-        LiveCamera::next(self, limit)
-    }
-    fn rest(&mut self) {
-        LiveCamera::rest(self);
-    }
-    fn state(&self) -> &CameraState {
-        LiveCamera::state(self)
-    }
-    fn status(&self) -> &CameraStatus {
-        LiveCamera::status(self)
-    }
-    fn wake(&self) -> Wake {
-        LiveCamera::wake(self)
-    }
-    fn exposure(&self) -> Option<Exposure> {
-        LiveCamera::exposure(self)
-    }
-    fn spare(&self) -> Box<dyn CameraReader> {
-        Box::new(LiveCamera::spare(self))
-    }
-    fn go_on(&mut self, next_number: u64, status: CameraStatus) {
-        LiveCamera::go_on(self, next_number, status);
-    }
-}
-
-/// What goes on where a driver does not come back.
-pub struct SpareCamera {
-    label: String,
-    camera: Mutex<Box<dyn CameraReader>>,
-    drivers: Drivers,
-}
-
-impl SpareCamera {
-    /// Of the source that is called so.
-    pub fn of(label: &str, camera: &dyn CameraReader, drivers: Drivers) -> SpareCamera {
-        SpareCamera { label: label.to_string(), camera: Mutex::new(camera.spare()), drivers }
-    }
-
-    /// Where threads are counted that do not come back.
-    pub fn drivers(&self) -> &Drivers {
-        &self.drivers
-    }
-
-    /// It, and another in its place.
-    fn take(&self) -> Box<dyn CameraReader> {
-        let mut camera = self.camera.lock().unwrap_or_else(PoisonError::into_inner);
-        let next = camera.spare();
-        std::mem::replace(&mut *camera, next)
-    }
-}
 
 impl Source {
     /// Closes the camera; `None` where it is none.
@@ -103,7 +30,7 @@ impl Source {
         state.is_paused = true;
         wake.ring();
         // A driver that does not let go keeps the device; whoever opens it is told that it is in use.
-        let is_awaited = |state: &mut State| !state.is_resting && state.silence(Instant::now()).is_none();
+        let is_awaited = |state: &mut SourceNow| !state.is_resting && state.silence(Instant::now()).is_none();
         drop(self.shared.changed.wait_timeout_while(state, REST, is_awaited).unwrap_or_else(PoisonError::into_inner));
         Some(Paused(self.clone()))
     }

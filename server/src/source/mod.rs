@@ -15,6 +15,7 @@ mod open;
 mod playback;
 mod played;
 mod playing;
+mod reader;
 mod scene;
 mod schedule;
 mod state;
@@ -40,13 +41,13 @@ use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
 };
 pub use lease::{ControlLease, LeaseId};
-pub use live::CameraReader;
-use live::SpareCamera;
 pub use open::{Opened, Taker, camera_problem, open, open_camera, open_recording, pixel_format};
 use playback::{Playback, Tape};
+pub use reader::CameraReader;
+use reader::SpareCamera;
 use scene::SceneInForce;
 use schedule::Ticks;
-use state::{Shared, State};
+use state::{SourceNow, SourceShared};
 
 /// What is known about a source's frames before the first one comes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -102,7 +103,7 @@ pub struct Source {
     wake: Option<Wake>,
     /// Of a camera.
     spare: Option<SpareCamera>,
-    shared: Arc<Shared>,
+    shared: Arc<SourceShared>,
     /// Of a camera whose driver does not come back, the one that went on.
     thread: Mutex<NamedThread>,
 }
@@ -129,7 +130,7 @@ impl Source {
             let tape = frames.reel().map(|reel| Tape { count: reel.count(), repeat, shown: None, seek: None });
             playback = Some(Playback::new(tape));
         }
-        let state = State {
+        let state = SourceNow {
             sessions: Vec::new(),
             pushed: VecDeque::new(),
             state: SourceState::Idle,
@@ -147,7 +148,7 @@ impl Source {
             is_paused: false,
             is_stopping: false,
         };
-        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let shared = Arc::new(SourceShared { state: Mutex::new(state), changed: Condvar::new() });
         let (pace, rate_hz) = (opened.pace, opened.rate_hz);
         let (exposure, wake, spare) = match &opened.producer {
             Producer::Frames(frames) => (frames.exposure(), None, None),
@@ -334,7 +335,7 @@ fn end_of(state: SourceState, reason: String) -> SourceEnd {
 }
 
 struct Worker {
-    shared: Arc<Shared>,
+    shared: Arc<SourceShared>,
     /// Which of the source's threads it is.
     turn: u64,
     pace: Pace,
@@ -349,7 +350,7 @@ struct Worker {
 
 impl Worker {
     /// A camera keeps its own pace.
-    fn of_camera(shared: &Arc<Shared>, turn: u64) -> Worker {
+    fn of_camera(shared: &Arc<SourceShared>, turn: u64) -> Worker {
         let (shared, schedule) = (shared.clone(), Ticks::new(0.0));
         Worker { shared, turn, pace: Pace::Realtime, rate_hz: 0.0, schedule, frame: 0, faults: 0 }
     }
@@ -365,7 +366,7 @@ impl Worker {
 
     fn run_pushed(&mut self) {
         loop {
-            let idle = |state: &mut State| !state.is_stopping && state.pushed.is_empty();
+            let idle = |state: &mut SourceNow| !state.is_stopping && state.pushed.is_empty();
             let waited = self.shared.changed.wait_while(self.shared.lock(), idle);
             let mut state = waited.unwrap_or_else(PoisonError::into_inner);
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
@@ -382,7 +383,7 @@ impl Worker {
             state.state = SourceState::Idle;
             self.schedule.restart();
         }
-        let idle = |state: &mut State| !state.is_stopping && !state.is_wanted();
+        let idle = |state: &mut SourceNow| !state.is_stopping && !state.is_wanted();
         let mut state = self.shared.changed.wait_while(state, idle).unwrap_or_else(PoisonError::into_inner);
         state.state = SourceState::Running;
         !state.is_stopping
@@ -419,7 +420,7 @@ fn label() -> String {
     std::thread::current().name().unwrap_or_default().trim_start_matches("source ").to_string()
 }
 
-fn finish(shared: &Shared, end: SourceState, reason: String) {
+fn finish(shared: &SourceShared, end: SourceState, reason: String) {
     match end {
         SourceState::Failed => tracing::warn!(source = label(), reason, "source failed"),
         _ => tracing::info!(source = label(), reason, "source has no more frames"),
@@ -437,7 +438,7 @@ fn finish(shared: &Shared, end: SourceState, reason: String) {
 
 /// Tells the sessions when the thread panics, and that a thread has ended that may have been given up.
 struct EndGuard {
-    shared: Arc<Shared>,
+    shared: Arc<SourceShared>,
     turn: u64,
 }
 

@@ -13,12 +13,12 @@ use super::playback::Playback;
 use crate::limits::LIMITS;
 use crate::session::inbox::{Inbox, Reply};
 
-pub(super) struct Shared {
-    pub(super) state: Mutex<State>,
+pub(super) struct SourceShared {
+    pub(super) state: Mutex<SourceNow>,
     pub(super) changed: Condvar,
 }
 
-pub(super) struct State {
+pub(super) struct SourceNow {
     pub(super) sessions: Vec<Arc<Inbox>>,
     pub(super) pushed: VecDeque<(Captured, Reply)>,
     pub(super) state: SourceState,
@@ -45,7 +45,7 @@ pub(super) struct State {
     pub(super) is_stopping: bool,
 }
 
-impl State {
+impl SourceNow {
     pub(super) fn is_wanted(&self) -> bool {
         !self.is_stopping && !self.is_paused && !self.sessions.is_empty()
     }
@@ -74,8 +74,8 @@ impl State {
     }
 }
 
-impl Shared {
-    pub(super) fn lock(&self) -> MutexGuard<'_, State> {
+impl SourceShared {
+    pub(super) fn lock(&self) -> MutexGuard<'_, SourceNow> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
