@@ -10,6 +10,7 @@ use isophote_jit::{KernelCache, VectorWidth};
 use crate::capacity::Load;
 use crate::problem::Problem;
 use crate::session::SearchRoom;
+use crate::source::Drivers;
 use crate::source::control::CameraNames;
 use crate::workshop::CompileTurns;
 
@@ -19,6 +20,8 @@ pub struct Commons {
     pub cache: Arc<KernelCache>,
     /// Where documents are derived and compiled.
     pub turns: CompileTurns,
+    /// Calls into cameras' drivers.
+    pub drivers: Drivers,
     searches: SearchRoom,
     members: RwLock<Vec<Weak<dyn Member>>>,
 }
@@ -51,6 +54,7 @@ impl Commons {
         Commons {
             cache: Arc::new(KernelCache::of_width(width)),
             turns: CompileTurns::of_machine(),
+            drivers: Drivers::default(),
             searches: SearchRoom::of_machine(),
             members: RwLock::default(),
         }

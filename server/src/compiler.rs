@@ -109,3 +109,20 @@ impl Compiler {
         self.thread.wait(until);
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    /// A change that panics is answered, and those after it are made.
+    #[tokio::test]
+    async fn a_panic_ends_its_change_and_not_the_owner() {
+        let compiler = Compiler::start(Owner::new()).unwrap();
+        for number in 0..3 {
+            let panics = |_: &mut Owner| if std::hint::black_box(true) { panic!("planted") } else { Ok(()) };
+            assert_eq!(compiler.run(panics).await.unwrap_err().code, "bug");
+            assert_eq!(compiler.run(move |_| Ok(number)).await.unwrap(), number);
+        }
+    }
+}

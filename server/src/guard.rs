@@ -117,3 +117,35 @@ fn subprotocol(headers: &HeaderMap) -> Option<&str> {
 fn unauthorized(detail: &str) -> Problem {
     Problem::new(StatusCode::UNAUTHORIZED, "no-token", detail)
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use axum::Router;
+    use axum::body::{Body, to_bytes};
+    use axum::routing::get;
+    use tower::ServiceExt;
+
+    use super::*;
+    use crate::access::AccessOptions;
+
+    /// A panic is planted in a route: the answer says that it is a bug of the service, and the next request is answered.
+    #[tokio::test]
+    async fn a_panic_in_a_route_is_an_answer_and_the_service_lives() {
+        let access = Arc::new(AccessOptions::default().open(([127, 0, 0, 1], 0).into(), None).unwrap());
+        let panics = || async { if std::hint::black_box(true) { panic!("planted") } else { "well" } };
+        let routes = Router::new().route("/panics", get(panics)).route("/works", get(|| async { "well" }));
+        let router = routes.layer(axum::middleware::from_fn_with_state(access, guard));
+        for (path, status, said) in [("/panics", 500, "\"bug\""), ("/works", 200, "well"), ("/panics", 500, "\"bug\"")]
+        {
+            let mut request = Request::new(Body::empty());
+            *request.uri_mut() = path.parse().unwrap();
+            request.headers_mut().insert(header::HOST, HeaderValue::from_static("localhost"));
+            request.extensions_mut().insert(LocalAddress { local: [127, 0, 0, 1].into() });
+            let response = router.clone().oneshot(request).await.unwrap();
+            assert_eq!(response.status().as_u16(), status, "{path}");
+            let body = to_bytes(response.into_body(), 10_000).await.unwrap();
+            assert!(String::from_utf8_lossy(&body).contains(said), "{body:?}");
+        }
+    }
+}

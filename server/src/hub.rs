@@ -102,13 +102,17 @@ impl Hub {
 
     /// The same with the steps of its fit, for those who want them.
     pub fn publish_traced(&self, estimate: Arc<EstimateView>, trace: &[TraceView]) {
-        let is_wanted = lock(&self.state).ring.is_read();
         let written = Arc::new(OnceLock::new());
+        let (is_wanted, bytes) = {
+            let state = lock(&self.state);
+            let last = state.last.get(&estimate.target).and_then(|last| last.written.get());
+            (state.ring.is_read(), last.map(|written| written.text_bytes()))
+        };
         if is_wanted {
-            written.get_or_init(|| WrittenEstimate::of(&estimate, trace));
+            written.get_or_init(|| WrittenEstimate::of(&estimate, trace, bytes));
         }
         let mut state = lock(&self.state);
-        let number = state.ring.push(|| written.get_or_init(|| WrittenEstimate::of(&estimate, trace)).clone());
+        let number = state.ring.push(|| written.get_or_init(|| WrittenEstimate::of(&estimate, trace, bytes)).clone());
         state.last.insert(estimate.target.clone(), Last { number, estimate, trace: trace.into(), written });
         drop(state);
         prompt::tell(|| self.changed.notify_waiters());
@@ -275,7 +279,7 @@ impl Subscription {
         let written = match found {
             Found::Written(written) => written,
             Found::Last(estimate, trace, written) => {
-                written.get_or_init(|| WrittenEstimate::of(&estimate, &trace)).clone()
+                written.get_or_init(|| WrittenEstimate::of(&estimate, &trace, None)).clone()
             }
         };
         let last = self.last_frames.insert(written.target.clone(), written.frame);
@@ -399,7 +403,7 @@ mod tests {
         estimate.session = Some("\"dropped\":1".into());
         estimate.file = Some("dropped".into());
         estimate.parameters = [("dropped", 5.0)].into_iter().collect();
-        let told = SentEstimate::new(WrittenEstimate::of(&estimate, &[]), 12, TraceWish::With);
+        let told = SentEstimate::new(WrittenEstimate::of(&estimate, &[], None), 12, TraceWish::With);
         estimate.dropped = 12;
         assert_eq!(serde_json::from_str::<EstimateView>(&told.json()).unwrap(), estimate);
     }

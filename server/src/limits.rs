@@ -128,6 +128,15 @@ pub struct ServiceLimits {
     pub slow_fit_time: Duration,
     /// For a camera's driver to answer; after that its source is stalled.
     pub driver_time: Duration,
+    /// After so long another thread goes on with the camera, and the one that its driver keeps is given up; after twice as long
+    /// the next time, and so on.
+    pub driver_patience: Duration,
+    /// Threads of one source that are given up, …
+    pub given_up_each: usize,
+    /// … and of all of them, with other calls to cameras that do not return; then no camera is opened.
+    pub given_up_threads: usize,
+    /// For a camera to be opened, or its controls to be set.
+    pub camera_open_time: Duration,
     /// Between questions whether the owner of all changes still answers.
     pub watch_time: Duration,
     /// For its answer; then the service says that it is not ready.
@@ -229,6 +238,10 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     end_time: Duration::from_millis(1000),
     slow_fit_time: Duration::from_millis(100),
     driver_time: Duration::from_secs(3),
+    driver_patience: Duration::from_secs(10),
+    given_up_each: 4,
+    given_up_threads: 16,
+    camera_open_time: Duration::from_secs(10),
     watch_time: Duration::from_millis(250),
     answer_time: Duration::from_secs(2),
     open_time: Duration::from_secs(30),

@@ -1,24 +1,37 @@
-//! Recordings are opened beside everything else.
+//! Recordings and cameras are opened beside everything else.
 
 use std::sync::Arc;
 
 use isophote_symbolic::Model;
-use isophote_wire::SourceDocument;
+use isophote_wire::{CameraDocument, RecordingDocument, SourceDocument};
 
 use crate::app::App;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
-use crate::source::{self, Opened};
+use crate::source::{self, Opened, Taker};
 
-/// Opens a recording where its disk may take its time, and nobody else waits for it; its document then has the path by which it
-/// is found again. Other sources open at once, by whoever puts them.
+/// Opens a recording or a camera where its disk or driver may take its time, and nobody else waits for it; the document of a
+/// recording then has the path by which it is found again. Other sources open at once, by whoever puts them.
 pub async fn opened_ahead(
     app: &App,
     document: &mut SourceDocument,
-    prefix: &'static str,
+    taker: &Taker,
     reader: Option<Arc<Model>>,
 ) -> Result<Option<Opened>, Problem> {
-    let SourceDocument::Recording(recording) = document else { return Ok(None) };
+    match document {
+        SourceDocument::Recording(recording) => opened_recording(app, recording, taker, reader).await.map(Some),
+        SourceDocument::Camera(camera) => opened_camera(app, camera, taker).await.map(Some),
+        SourceDocument::Synthetic(_) | SourceDocument::Pushed(_) => Ok(None),
+    }
+}
+
+async fn opened_recording(
+    app: &App,
+    recording: &mut RecordingDocument,
+    taker: &Taker,
+    reader: Option<Arc<Model>>,
+) -> Result<Opened, Problem> {
+    let prefix = taker.prefix();
     let reach = app.recordings.reach(prefix)?;
     let (sent, openings) = (recording.clone(), app.openings.clone());
     let seconds = LIMITS.open_time.as_secs();
@@ -33,5 +46,16 @@ pub async fn opened_ahead(
     let opened = opening.await.map_err(late)?.map_err(|_| Problem::bug("opening the recording panicked"))?;
     let (address, opened) = opened?;
     recording.path = address;
-    Ok(Some(opened))
+    Ok(opened)
+}
+
+/// A camera has one reader: what is to be replaced lets go of it before, and has it again if nothing comes of this.
+async fn opened_camera(app: &App, camera: &CameraDocument, taker: &Taker) -> Result<Opened, Problem> {
+    let (service, camera, taker) = (app.service.clone(), camera.clone(), taker.clone());
+    let open = move || {
+        let held = service.let_go(&taker)?;
+        let opened = source::open_camera(&camera, taker.prefix(), &service.commons.drivers)?;
+        Ok(Opened { held, ..opened })
+    };
+    tokio::task::spawn_blocking(open).await.map_err(|_| Problem::bug("opening the camera panicked"))?
 }

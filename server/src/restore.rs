@@ -1,5 +1,5 @@
-//! After a start: hands what was declared to the compile thread, one after the other. Recordings are opened before, each beside
-//! the others, so that a disk that does not answer holds up nothing but what is on it.
+//! After a start: hands what was declared to the compile thread, one after the other. Recordings and cameras are opened
+//! before, each beside the others, so that a disk or driver that does not answer holds up nothing but what needs it.
 
 use std::time::Instant;
 
@@ -12,6 +12,7 @@ use crate::limits::LIMITS;
 use crate::openings::opened_ahead;
 use crate::problem::Problem;
 use crate::service::Service;
+use crate::source::Taker;
 
 /// Starts what was declared, sources first. Then waits until this start counts as one that has not died. The service does not
 /// stop before this has ended: the next one on its folder finds it free.
@@ -34,7 +35,8 @@ async fn restore_all(app: &App) {
     let mut sources = JoinSet::new();
     for (name, (mut document, reader)) in service.awaited_sources() {
         let app = app.clone();
-        sources.spawn(async move { (name, opened_ahead(&app, &mut document, "", reader).await) });
+        let taker = Taker::Source(name.clone());
+        sources.spawn(async move { (name, opened_ahead(&app, &mut document, &taker, reader).await) });
     }
     while let Some(Ok((name, opened))) = sources.join_next().await {
         let source = name.clone();
@@ -45,9 +47,10 @@ async fn restore_all(app: &App) {
     let mut sessions = JoinSet::new();
     for (name, source) in service.awaited_sessions() {
         let app = app.clone();
+        let taker = Taker::Session(name.clone());
         sessions.spawn(async move {
             match source {
-                Some((mut document, reader)) => (name, opened_ahead(&app, &mut document, "source.", reader).await),
+                Some((mut document, reader)) => (name, opened_ahead(&app, &mut document, &taker, reader).await),
                 None => (name, Ok(None)),
             }
         });

@@ -6,6 +6,8 @@ mod apply;
 mod declare;
 #[cfg(test)]
 mod drawn;
+#[cfg(test)]
+mod hanging_tests;
 mod models;
 #[cfg(test)]
 mod replay;
@@ -42,7 +44,7 @@ use crate::session::{
     PreparedSession, PreparedSwap, SearchRoom, Session, SessionStart, SourceOf, Swapped, prepare_session,
 };
 use crate::source::control::CameraNames;
-use crate::source::{self, Opened, Source};
+use crate::source::{self, Opened, Paused, Source, Taker};
 use crate::store::{self, FolderError, MemoryStore, Store, StoreError};
 use crate::thread;
 use crate::turns::FairWorkers;
@@ -187,11 +189,10 @@ impl Service {
                 }
                 _ => {}
             }
-            // A camera that its last session has left may not be closed yet.
-            let held = before.as_ref().map(|before| before.pause());
             let model = self.model_of_source(&document)?;
             let find = |name: &str| Ok(self.registry.get(name)?.model.clone());
-            let opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
+            let mut opened = opened.map_or_else(|| source::open(&document, "", find), Ok)?;
+            let held = opened.held.take();
             let source = Source::start(name.as_str(), document.clone(), opened)?;
             let kept = self.keep_source(owner, name, document, model, keeping);
             kept.inspect_err(|_| source.stop())?;
@@ -204,6 +205,32 @@ impl Service {
             drop(held);
             Ok(if is_known { Put::Replaced } else { Put::Created })
         })
+    }
+
+    /// The camera of what is to be replaced is closed, so that it can be opened for what takes its place: one that its last session
+    /// has left may still be open, and that of a session has one reader.
+    pub fn let_go(&self, taker: &Taker) -> Result<Option<Paused>, Problem> {
+        self.refuse_when_draining()?;
+        Ok(match taker {
+            Taker::Source(name) => match self.source(name.as_str()) {
+                Ok(source) if source.sessions() > 0 => return Err(source_in_use(name, &source)),
+                Ok(source) => source.pause(),
+                Err(_) => None,
+            },
+            Taker::Session(name) => {
+                let before = self.session(name.as_str()).ok().map(|session| session.source().source.clone());
+                before.filter(|source| source.sessions() == 1).and_then(|source| source.pause())
+            }
+        })
+    }
+
+    /// Looks after cameras whose drivers do not come back.
+    pub fn look_after_cameras(&self) {
+        let now = Instant::now();
+        self.sources().iter().for_each(|(_, source)| source.look_after(now));
+        let sessions = self.sessions();
+        let own = sessions.iter().map(|(_, session)| session.source()).filter(|source| source.is_own);
+        own.for_each(|own| own.source.look_after(now));
     }
 
     /// `DELETE /v1/sources/{name}`.
@@ -289,11 +316,8 @@ impl Service {
                 SourceReference::Own(source) => self.model_of_source(source)?,
                 SourceReference::Named(_) => None,
             };
-            // A camera streams to one reader: the old session's lets go of it before, and has it again if nothing comes of this.
-            let is_camera =
-                matches!(&document.source, SourceReference::Own(source) if matches!(**source, SourceDocument::Camera(_)));
-            let is_alone = |before: &&Arc<Session>| is_camera && before.source().source.sessions() == 1;
-            let held = before.as_ref().filter(is_alone).map(|before| before.source().source.pause());
+            let mut opened = opened;
+            let held = opened.as_mut().and_then(|opened| opened.held.take());
             let declared = (keeping == Keeping::Declared).then(|| self.declared_now());
             let run = self.run(declared)?;
             let find = |name: &str| Ok(self.registry.get(name)?.model.clone());

@@ -27,14 +27,18 @@ impl NamedThread {
         Ok(NamedThread { name, thread: Mutex::new(Some((thread, running))) })
     }
 
-    /// Waits until it is over, or until then; one that goes on is left to itself.
-    pub fn wait(&self, until: Instant) {
+    /// Waits until it is over, or until then; one that goes on is left to itself, and this is false.
+    pub fn wait(&self, until: Instant) -> bool {
         let taken = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Some((thread, running)) = taken else { return };
+        let Some((thread, running)) = taken else { return true };
         let left = until.saturating_duration_since(Instant::now());
-        if running.recv_timeout(left) != Err(RecvTimeoutError::Timeout) && thread.join().is_err() {
+        if running.recv_timeout(left) == Err(RecvTimeoutError::Timeout) {
+            return false;
+        }
+        if thread.join().is_err() {
             tracing::error!(thread = self.name, "a thread panicked");
         }
+        true
     }
 }
 
@@ -73,12 +77,12 @@ mod tests {
         let (end, ended) = sync_channel::<()>(0);
         let stuck = NamedThread::start("stuck".into(), move || _ = ended.recv().is_ok()).unwrap();
         let begin = Instant::now();
-        stuck.wait(begin + Duration::from_millis(30));
+        assert!(!stuck.wait(begin + Duration::from_millis(30)));
         assert!(begin.elapsed() >= Duration::from_millis(30) && begin.elapsed() < Duration::from_secs(20));
         drop(end);
         let (said, heard) = sync_channel(1);
         let short = NamedThread::start("short".into(), move || said.send(1).unwrap()).unwrap();
-        short.wait(Instant::now() + Duration::from_secs(60));
+        assert!(short.wait(Instant::now() + Duration::from_secs(60)));
         assert_eq!(heard.try_recv(), Ok(1), "it was over");
     }
 }

@@ -46,15 +46,17 @@ impl OwnerWatch {
     }
 }
 
-/// Asks the owner for a sign of life until the service stops.
+/// Asks the owner for a sign of life until the service stops, and looks after cameras whose drivers give none.
 pub async fn watch(service: Arc<Service>) {
     let mut pause = tokio::time::interval(LIMITS.watch_time);
     pause.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     while !service.is_draining() {
         pause.tick().await;
+        service.look_after_cameras();
         service.watch.ask(monotonic_ns());
         // A queue without room is no answer: it is asked for again.
         while service.compiler.run(|_| Ok(())).await.is_err() {
+            service.look_after_cameras();
             if service.is_draining() {
                 return;
             }

@@ -6,6 +6,9 @@ use std::sync::Arc;
 
 use isophote_wire::{EstimateView, TraceView};
 
+/// By so much an estimate may be longer than the one before it, for nothing: numbers have more digits, or fewer.
+const SPARE_BYTES: usize = 64;
+
 /// See above.
 #[derive(Debug, PartialEq)]
 pub struct WrittenEstimate {
@@ -13,27 +16,41 @@ pub struct WrittenEstimate {
     pub frame: u64,
     /// The target's id.
     pub target: String,
-    before: String,
-    after: String,
+    /// All but the digits of what the subscriber has lost, …
+    text: String,
+    /// … which stand here.
+    at: usize,
     trace: String,
 }
 
 impl WrittenEstimate {
-    /// An estimate without a trace, and the trace that goes with it.
-    pub fn of(estimate: &EstimateView, trace: &[TraceView]) -> Arc<WrittenEstimate> {
+    /// An estimate without a trace, and the trace that goes with it. The text will have about so many `bytes`, where that is known: it
+    /// is written in one piece then, in memory that need not grow.
+    pub fn of(estimate: &EstimateView, trace: &[TraceView], bytes: Option<usize>) -> Arc<WrittenEstimate> {
         // In a string of the user's the quotes would be escaped, and objects with names of the user's come later.
         const KEY: &str = "\"dropped\":";
-        let mut before = serde_json::to_string(estimate).unwrap_or_default();
-        let at = before.find(KEY).map_or(before.len(), |at| at + KEY.len());
-        let after = before.split_off(at).trim_start_matches(|c: char| c.is_ascii_digit()).to_string();
+        let mut text = Vec::with_capacity(bytes.map_or(0, |bytes| bytes + SPARE_BYTES));
+        let written = serde_json::to_writer(&mut text, estimate).ok().and_then(|()| String::from_utf8(text).ok());
+        let mut text = written.unwrap_or_default();
+        let at = text.find(KEY).map_or(text.len(), |at| at + KEY.len());
+        let digits = text[at..].bytes().take_while(u8::is_ascii_digit).count();
+        text.replace_range(at..at + digits, "");
+        if bytes.is_none() {
+            text.shrink_to_fit();
+        }
         let trace = if trace.is_empty() { String::new() } else { serde_json::to_string(trace).unwrap_or_default() };
         let (frame, target) = (estimate.frame, estimate.target.clone());
-        Arc::new(WrittenEstimate { frame, target, before, after, trace })
+        Arc::new(WrittenEstimate { frame, target, text, at, trace })
+    }
+
+    /// Of the text, for the next one.
+    pub fn text_bytes(&self) -> usize {
+        self.text.len()
     }
 
     /// Memory that it takes.
     pub fn bytes(&self) -> usize {
-        let text = self.target.len() + self.before.capacity() + self.after.capacity() + self.trace.capacity();
+        let text = self.target.len() + self.text.capacity() + self.trace.capacity();
         size_of::<WrittenEstimate>() + text
     }
 }
@@ -71,12 +88,14 @@ impl SentEstimate {
 
     /// As JSON, `dropped` filled in.
     pub fn json(&self) -> String {
-        let WrittenEstimate { before, after, trace, .. } = &*self.written;
-        match after.strip_suffix('}') {
-            Some(after) if self.wish == TraceWish::With && !trace.is_empty() => {
-                format!("{before}{}{after},\"trace\":{trace}}}", self.dropped)
-            }
-            _ => format!("{before}{}{after}", self.dropped),
+        let WrittenEstimate { text, at, trace, .. } = &*self.written;
+        let (before, after) = text.split_at(*at);
+        let trace = Some(trace).filter(|trace| self.wish == TraceWish::With && !trace.is_empty());
+        let dropped = self.dropped.to_string();
+        // All of it at once: what is sent is not copied again as it grows.
+        match (after.strip_suffix('}'), trace) {
+            (Some(after), Some(trace)) => [before, &dropped, after, ",\"trace\":", trace, "}"].concat(),
+            _ => [before, &dropped, after].concat(),
         }
     }
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::asking::{Asking, Heard};
 use super::controls::{self, ControlInfo};
 use super::error::CameraError;
 use super::formats::{self, FormatInfo};
@@ -22,6 +23,8 @@ const CLASS: &str = "/sys/class/video4linux";
 const LOOKS: usize = 10;
 /// … and how long is waited before each further look.
 const SETTLING: Duration = Duration::from_millis(50);
+/// For a device to say who it is.
+static ASKING: Asking = Asking::new(Duration::from_secs(2));
 
 /// A camera, whatever its number.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -108,15 +111,16 @@ pub struct CameraInfo {
     pub controls: Vec<ControlInfo>,
 }
 
-/// All cameras of this machine, by number. Devices that cannot be opened are left out: they are nothing that could be used.
+/// All cameras of this machine, by number. Devices that cannot be opened, or do not answer, are left out: they are nothing that
+/// could be used.
 pub fn cameras() -> Vec<CameraInfo> {
-    all().into_iter().map(|found| describe(&found)).collect()
+    Present::now().cameras.into_iter().map(|found| describe(&found)).collect()
 }
 
 /// One camera, by path or identity.
 ///
 /// # Errors
-/// When there is no such camera; the error lists those that there are.
+/// When there is no such camera, where the error lists those that there are, or it does not answer.
 pub fn camera(device: &str) -> Result<CameraInfo, CameraError> {
     Ok(describe(&named(device)?))
 }
@@ -151,13 +155,14 @@ pub(super) fn named(device: &str) -> Result<OpenCamera, CameraError> {
 }
 
 fn named_now(device: &str) -> Result<OpenCamera, CameraError> {
-    let mut all = all();
+    let mut present = Present::now();
     if !device.starts_with('/') {
-        let at = all.iter().position(|found| found.key == device).ok_or_else(|| missing(device, &all))?;
-        return Ok(all.swap_remove(at));
+        let at = present.cameras.iter().position(|found| found.key == device);
+        let at = at.ok_or_else(|| present.missing(device))?;
+        return Ok(present.cameras.swap_remove(at));
     }
     let fault = |reason: io::Error| match reason.kind() {
-        io::ErrorKind::NotFound => missing(device, &all),
+        io::ErrorKind::NotFound => present.missing(device),
         io::ErrorKind::InvalidInput => CameraError::NotACamera { device: device.into() },
         io::ErrorKind::PermissionDenied => CameraError::Forbidden { device: device.into() },
         io::ErrorKind::ResourceBusy => CameraError::Busy { device: device.into() },
@@ -165,8 +170,11 @@ fn named_now(device: &str) -> Result<OpenCamera, CameraError> {
     };
     // What stands in /dev/v4l/by-id points to a device node.
     let path = fs::canonicalize(device).map_err(fault)?;
-    match all.iter().position(|found| found.path == path) {
-        Some(at) => Ok(all.swap_remove(at)),
+    if present.silent.contains(&path) {
+        return Err(CameraError::Silent { device: device.into() });
+    }
+    match present.cameras.iter().position(|found| found.path == path) {
+        Some(at) => Ok(present.cameras.swap_remove(at)),
         // Not among the cameras: the device itself says why.
         None => Err(DeviceNode::open(&path).map_or_else(fault, |_| CameraError::NotACamera { device: device.into() })),
     }
@@ -176,12 +184,12 @@ fn named_now(device: &str) -> Result<OpenCamera, CameraError> {
 /// were there together with it.
 ///
 /// # Errors
-/// While it is not there.
+/// While it is not there, or does not answer.
 pub(super) fn again(identity: &Identity, others: &[Identity], key: &str) -> Result<OpenCamera, CameraError> {
-    let mut all = all();
-    let identities: Vec<Identity> = all.iter().map(|found| found.identity.clone()).collect();
-    let at = place(&identities, identity, others).ok_or_else(|| missing(key, &all))?;
-    Ok(all.swap_remove(at))
+    let mut present = Present::now();
+    let identities: Vec<Identity> = present.cameras.iter().map(|found| found.identity.clone()).collect();
+    let at = place(&identities, identity, others).ok_or_else(|| present.missing(key))?;
+    Ok(present.cameras.swap_remove(at))
 }
 
 fn place(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<usize> {
@@ -192,30 +200,51 @@ fn place(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<u
     })
 }
 
-fn missing(device: &str, all: &[OpenCamera]) -> CameraError {
-    let present = all.iter().map(|found| format!("{} ({})", found.path.display(), found.key)).collect();
-    CameraError::Missing { device: device.into(), present }
+/// What there is at a time.
+struct Present {
+    cameras: Vec<OpenCamera>,
+    /// Devices that do not answer: any camera may be behind them.
+    silent: Vec<PathBuf>,
 }
 
-fn all() -> Vec<OpenCamera> {
-    let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix("video")?.parse::<u32>().ok();
-    let entries = fs::read_dir(DEVICES).into_iter().flatten().flatten();
-    let mut paths: Vec<(u32, PathBuf)> =
-        entries.filter_map(|entry| Some((number(&entry.path())?, entry.path()))).collect();
-    paths.sort();
-    let open = |path: PathBuf| {
-        let node = DeviceNode::open(&path).ok()?;
-        let identity = Identity::of(&node, &path).ok()??;
-        Some((node, path, identity))
-    };
-    let opened: Vec<(DeviceNode, PathBuf, Identity)> = paths.into_iter().filter_map(|(_, path)| open(path)).collect();
-    let identities: Vec<Identity> = opened.iter().map(|(_, _, identity)| identity.clone()).collect();
-    let found = opened.into_iter().map(|(node, path, identity)| {
-        let others = identities.iter().filter(|other| **other != identity && other.is_like(&identity));
-        let others: Vec<Identity> = others.cloned().collect();
-        OpenCamera { key: identity.key(&others), node, path, identity, others }
-    });
-    found.collect()
+impl Present {
+    fn now() -> Present {
+        let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix("video")?.parse::<u32>().ok();
+        let entries = fs::read_dir(DEVICES).into_iter().flatten().flatten();
+        let mut paths: Vec<(u32, PathBuf)> =
+            entries.filter_map(|entry| Some((number(&entry.path())?, entry.path()))).collect();
+        paths.sort();
+        let paths: Vec<PathBuf> = paths.into_iter().map(|(_, path)| path).collect();
+        let open = |path: &Path| {
+            let node = DeviceNode::open(path).ok()?;
+            let identity = Identity::of(&node, path).ok()??;
+            Some((node, identity))
+        };
+        let (mut opened, mut silent) = (Vec::new(), Vec::new());
+        for (path, answer) in paths.iter().cloned().zip(ASKING.ask(&paths, open)) {
+            match answer {
+                Heard::Said(Some((node, identity))) => opened.push((node, path, identity)),
+                Heard::Said(None) => {}
+                Heard::Silent => silent.push(path),
+            }
+        }
+        let identities: Vec<Identity> = opened.iter().map(|(_, _, identity)| identity.clone()).collect();
+        let found = opened.into_iter().map(|(node, path, identity)| {
+            let others = identities.iter().filter(|other| **other != identity && other.is_like(&identity));
+            let others: Vec<Identity> = others.cloned().collect();
+            OpenCamera { key: identity.key(&others), node, path, identity, others }
+        });
+        Present { cameras: found.collect(), silent }
+    }
+
+    fn missing(&self, device: &str) -> CameraError {
+        let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>();
+        if !self.silent.is_empty() && !device.starts_with('/') {
+            return CameraError::Silent { device: names(&self.silent).join(", ") };
+        }
+        let camera = |found: &OpenCamera| format!("{} ({})", found.path.display(), found.key);
+        CameraError::Missing { device: device.into(), present: self.cameras.iter().map(camera).collect() }
+    }
 }
 
 #[cfg(test)]

@@ -23,6 +23,12 @@ pub enum CameraError {
         /// What was asked for.
         device: String,
     },
+    /// Its driver was asked who it is, and has not said anything.
+    #[error("the driver of {device} does not answer; unplug the camera and plug it in again")]
+    Silent {
+        /// What was asked for; where that is no path, the devices that do not answer.
+        device: String,
+    },
     /// Somebody else streams from it.
     #[error(
         "{device} is in use; close the other program, or give the camera a source of its own (PUT /v1/sources/…) that several sessions name"

@@ -4,6 +4,7 @@
 //! looked for by identity and set up anew, as if for the first time. So there is one way up and one way down.
 
 use std::io;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use isophote_frame::Frame;
@@ -55,8 +56,8 @@ pub struct LiveCamera {
     /// Frames lost since the last one.
     lost: u64,
     next_number: u64,
-    /// When the first frame was taken.
-    first_ns: Option<u64>,
+    /// When the first frame was taken, by this one or by one whose spare it is.
+    first_ns: Arc<OnceLock<u64>>,
     /// What was wrong with the last picture, if anything.
     damage: Option<String>,
     last_picture: Instant,
@@ -122,7 +123,7 @@ impl LiveCamera {
             applied: None,
             lost: 0,
             next_number: 0,
-            first_ns: None,
+            first_ns: Arc::default(),
             damage: None,
             last_picture: Instant::now(),
             since: Instant::now(),
@@ -131,6 +132,41 @@ impl LiveCamera {
         camera.knob = Knob::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
         camera.exposure = camera.knob.map(|knob| Exposure::waking(camera.wake.clone(), knob.reach()));
         Ok(camera)
+    }
+
+    /// The same camera, closed, to go on in place of one whose driver does not come back. No driver is asked here: it is found
+    /// again by its identity, like one that was unplugged.
+    pub fn spare(&self) -> LiveCamera {
+        LiveCamera {
+            spec: self.spec.clone(),
+            identity: self.identity.clone(),
+            others: self.others.clone(),
+            plan: self.plan,
+            format: self.format,
+            interval: self.interval,
+            link: Link::Resting,
+            state: CameraState::Resting,
+            status: self.status.clone(),
+            wake: self.wake.clone(),
+            watch: DeviceWatch::new().ok(),
+            knob: self.knob,
+            exposure: self.exposure.clone(),
+            applied: None,
+            lost: 0,
+            next_number: self.next_number,
+            first_ns: self.first_ns.clone(),
+            damage: None,
+            last_picture: Instant::now(),
+            since: Instant::now(),
+        }
+    }
+
+    /// A spare goes on: its frames are numbered from `next_number`, and what was lost is counted from `status` on.
+    pub fn go_on(&mut self, next_number: u64, status: CameraStatus) {
+        (self.next_number, self.status) = (next_number, status);
+        self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
+        self.state = CameraState::Lost("its driver does not come back".into());
+        self.last_picture = Instant::now();
     }
 
     /// What it does.
@@ -320,8 +356,8 @@ impl LiveCamera {
         let number = self.next_number + std::mem::take(&mut self.lost);
         self.next_number = number + 1;
         let time_s = frame.capture_ns.map(|now_ns| {
-            let first_ns = *self.first_ns.get_or_insert(now_ns);
-            now_ns.saturating_sub(first_ns) as f64 * 1e-9
+            let first_ns = self.first_ns.get_or_init(|| now_ns);
+            now_ns.saturating_sub(*first_ns) as f64 * 1e-9
         });
         Captured { frame: frame.with_sequence(number).with_time_s(time_s), file: None, truth: None }
     }
@@ -375,5 +411,76 @@ fn reason_of(error: &io::Error) -> String {
     match error.raw_os_error() {
         Some(ENODEV) => "the camera was unplugged".into(),
         _ => format!("the stream broke off: {error}"),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::pixels::Encoding;
+
+    /// A camera that no machine has.
+    fn absent() -> LiveCamera {
+        let text = |text: &str| text.to_string();
+        let (name, bus) = (text("Camera of a test"), text("nowhere"));
+        let encoding = Encoding::of(*b"GREY").unwrap();
+        LiveCamera {
+            spec: CameraSpec::default(),
+            identity: Identity { driver: text("none"), name, bus, serial: None, index: 0 },
+            others: Vec::new(),
+            plan: FormatPlan { encoding, size: [4, 4], interval: None },
+            format: StreamFormat { fourcc: *b"GREY", size: [4, 4], stride: 4, bytes: 16 },
+            interval: None,
+            link: Link::Resting,
+            state: CameraState::Resting,
+            status: CameraStatus {
+                device: text("/dev/video0"),
+                identity: text("camera-of-a-test-nowhere"),
+                format: text("GREY"),
+                width: 4,
+                height: 4,
+                rate_hz: None,
+                controls_taken: Default::default(),
+                gaps: 3,
+                damaged: 0,
+                overtaken: 0,
+                reconnects: 1,
+            },
+            wake: Wake::new().unwrap(),
+            watch: None,
+            knob: None,
+            exposure: None,
+            applied: None,
+            lost: 0,
+            next_number: 0,
+            first_ns: Arc::default(),
+            damage: None,
+            last_picture: Instant::now(),
+            since: Instant::now(),
+        }
+    }
+
+    fn picture(camera: &mut LiveCamera, capture_ns: u64) -> Captured {
+        let (encoding, bytes) = (camera.plan.encoding, [7; 16]);
+        let frame = encoding.frame(&bytes, [4, 4], 4, camera.spec.colour).unwrap();
+        camera.hand_on(frame.with_capture_ns(Some(capture_ns)))
+    }
+
+    /// Numbers, times, counters and the bell are one, whichever of the two reads the camera.
+    #[test]
+    fn a_spare_goes_on_where_the_other_was() {
+        let mut first = absent();
+        assert_eq!(picture(&mut first, 2_000_000_000).frame.sequence, 0);
+        let mut spare = first.spare();
+        let status = CameraStatus { gaps: 5, ..first.status().clone() };
+        spare.go_on(41, status.clone());
+        assert!(spare.next(Duration::ZERO).is_none());
+        assert!(matches!(spare.state(), CameraState::Lost(_)), "it is looked for: {:?}", spare.state());
+        let frame = picture(&mut spare, 4_500_000_000).frame;
+        assert_eq!((frame.sequence, frame.time_s), (41, Some(2.5)));
+        assert_eq!(*spare.status(), CameraStatus { reconnects: 2, ..status });
+        first.wake().ring();
+        assert!(spare.wake.hear());
     }
 }

@@ -2,16 +2,18 @@
 //!
 //! In: a device by path or identity, and what a document wants of it ([`CameraSpec`]). Out: frames, the newest there is
 //! ([`LiveCamera::next`]), with the driver's time and a number whose gaps say what was lost; the cameras of the machine
-//! ([`cameras`]) and their controls ([`set_controls`]). It never knows who looks at the frames, has no thread, and waits
-//! no longer than it is told to.
+//! ([`cameras`]) and their controls ([`set_controls`]). It never knows who looks at the frames, and waits
+//! no longer than it is told to, unless a driver's call does not return: then its caller is held. Only who a device is is asked on
+//! threads of their own, since one that hangs must not stand before the others.
 //!
 //! ```text
-//! ioctl (unsafe) ─► device ─► formats, controls, knob ──┐
+//! ioctl (unsafe) ─► asking, device ─► formats, controls, knob ──┐
 //!       └─► stream (buffers) ─► pixels ─────────────────┴─► Camera: rests, streams, is down and comes back
 //! ```
 //! A camera that is lost is looked for again by identity, at growing intervals of one second at most and whenever
 //! something changes in `/dev`.
 
+mod asking;
 mod controls;
 mod device;
 mod error;

@@ -9,6 +9,7 @@ use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 use super::parameters::DeviceParam;
 use super::{Answer, App, RawName, json, raw};
 use crate::documents::{place, read_json};
+use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::source::camera_problem;
 use crate::source::control::CameraNames;
@@ -16,16 +17,17 @@ use crate::source::control::CameraNames;
 /// The cameras of the service's machine.
 #[utoipa::path(get, path = "/v1/cameras", tag = "cameras", operation_id = "list_cameras",
     responses((status = 200, description = "All that could be used.", body = Items<CameraInfo>)))]
-pub async fn list() -> Answer {
-    json(StatusCode::OK, &Items { items: blocking(camera::cameras).await?, next: None })
+pub async fn list(app: App) -> Answer {
+    json(StatusCode::OK, &Items { items: asked(&app, "a camera", camera::cameras).await?, next: None })
 }
 
 /// One of them.
 #[utoipa::path(get, path = "/v1/cameras/{device}", tag = "cameras", operation_id = "get_camera", params(DeviceParam),
     responses((status = 200, description = "Formats and controls.", body = CameraInfo)))]
-pub async fn get(name: RawName) -> Answer {
+pub async fn get(app: App, name: RawName) -> Answer {
     let device = raw(name)?;
-    let found = blocking(move || camera::camera(&device)).await?;
+    let asked_of = device.clone();
+    let found = asked(&app, &asked_of, move || camera::camera(&device)).await?;
     json(StatusCode::OK, &found.map_err(|error| problem(&error))?)
 }
 
@@ -36,7 +38,7 @@ pub async fn get(name: RawName) -> Answer {
 pub async fn set(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let device = raw(name)?;
     let (values, text) = read_json::<ControlValues>(&headers, body).await?;
-    let commons = app.service.commons.clone();
+    let (commons, asked_of) = (app.service.commons.clone(), device.clone());
     let set = move || {
         let found = camera::camera(&device).map_err(|error| problem(&error))?;
         let names = CameraNames::of(&found);
@@ -45,13 +47,19 @@ pub async fn set(app: App, name: RawName, headers: HeaderMap, body: Body) -> Ans
         commons.refuse_control(&names)?;
         set.map_err(|error| problem(&error))
     };
-    let controls = blocking(set).await?.map_err(|problem| place(problem, &text))?;
+    let controls = asked(&app, &asked_of, set).await?.map_err(|problem| place(problem, &text))?;
     json(StatusCode::OK, &ControlsAnswer { controls })
 }
 
-/// Drivers may take their time.
-async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
-    tokio::task::spawn_blocking(work).await.map_err(|_| Problem::bug("asking a camera panicked"))
+/// Drivers may take their time, but not for ever.
+async fn asked<T: Send + 'static>(
+    app: &App,
+    device: &str,
+    question: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    let (drivers, device) = (app.service.commons.drivers.clone(), device.to_string());
+    let asking = move || drivers.ask(&device, LIMITS.camera_open_time, question);
+    tokio::task::spawn_blocking(asking).await.map_err(|_| Problem::bug("asking a camera panicked"))?
 }
 
 fn problem(error: &CameraError) -> Problem {

@@ -68,6 +68,8 @@ fn of_service(all: &mut Exposition, app: &App) {
         "Room taken by frames that clients send, until they are answered.",
         bytes,
     );
+    let given_up = service.commons.drivers.given_up();
+    one(all, "isophote_camera_threads_given_up", "Threads that wait in calls of cameras' drivers for ever.", given_up);
     one(all, "isophote_models", "Models of the registry.", service.registry.list().len());
     one(all, "isophote_sources", "Sources with a name.", service.sources().len());
 }

@@ -16,6 +16,7 @@ use crate::documents::{place, read_json};
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::session::{PreparedSwap, Session, SlowModels, Swapped};
+use crate::source::Taker;
 use crate::turns::FairWorkers;
 use crate::workshop::Lane;
 
@@ -30,7 +31,9 @@ pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Ans
     let opened = match &mut document.source {
         SourceReference::Own(source) => {
             let model = app.service.registry.get(&document.model)?.model.clone();
-            opened_ahead(&app, source, "source.", Some(model)).await.map_err(|problem| place(problem, &text))?
+            opened_ahead(&app, source, &Taker::Session(name.clone()), Some(model))
+                .await
+                .map_err(|problem| place(problem, &text))?
         }
         SourceReference::Named(_) => None,
     };

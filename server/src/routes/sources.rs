@@ -11,6 +11,7 @@ use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_st
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::documents::{place, read_json};
+use crate::source::Taker;
 
 /// Puts a source under a name, or another in its place.
 #[utoipa::path(put, path = "/v1/sources/{name}", tag = "sources", operation_id = "put_source", params(NameParam),
@@ -20,7 +21,9 @@ use crate::documents::{place, read_json};
 pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
     let (mut document, text) = read_json::<SourceDocument>(&headers, body).await?;
-    let opened = opened_ahead(&app, &mut document, "", None).await.map_err(|problem| place(problem, &text))?;
+    let opened = opened_ahead(&app, &mut document, &Taker::Source(name.clone()), None)
+        .await
+        .map_err(|problem| place(problem, &text))?;
     let service = app.service.clone();
     let work = move |owner: &mut Owner| {
         let put = service.put_source(owner, &name, document, opened, Keeping::Declared)?;

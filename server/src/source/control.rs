@@ -155,8 +155,11 @@ impl Source {
         }
         let mut taken = controls.clone();
         if let (SourceDocument::Camera(camera), false) = (&self.document, controls.is_empty()) {
-            let is_theirs = || self.lease.has(id, Instant::now());
-            let set = camera::set_controls(&camera.device, controls, &is_theirs);
+            let Some(spare) = &self.spare else { return Err(Problem::bug("a camera without a spare")) };
+            let (lease, id, device, wanted) = (self.lease.clone(), id.clone(), camera.device.clone(), controls.clone());
+            let is_theirs = move || lease.has(&id, Instant::now());
+            let set = move || camera::set_controls(&device, &wanted, &is_theirs);
+            let set = spare.drivers().ask(&camera.device, LIMITS.camera_open_time, set)?;
             taken = set.map_err(|error| match &error {
                 isophote_capture::CameraError::Control { name, .. } => {
                     Problem::wrong_key("wrong-value", &format!("controls.{name}"), error.to_string())

@@ -1,28 +1,26 @@
 //! A source that is a camera: its thread takes what the driver has, all the time, and hands the newest frame on.
+//!
+//! A driver's call may never return. Then the source says so; after a while its thread is given up, and another goes on with a
+//! spare of the camera, which is found by its identity: as soon as it is plugged in again, or the call returns after all, which ends
+//! the thread that made it and closes what that had open.
 
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use isophote_capture::{CameraState, LiveCamera};
+use isophote_capture::CameraState;
 use isophote_machine::monotonic_ns;
 use isophote_wire::SourceState;
 
-use super::{Source, State, Worker, label};
+use super::drivers::Drivers;
+use super::reader::CameraReader;
+use super::{Paused, Producer, Source, SourceNow, Worker, label};
+use crate::limits::LIMITS;
+use crate::thread::NamedThread;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
 const LOOK: Duration = Duration::from_millis(200);
 /// For a camera to be closed.
 const REST: Duration = Duration::from_secs(2);
-
-/// A camera that is closed until this is dropped: somebody else is to have it.
-pub struct Paused(Arc<Source>);
-
-impl Drop for Paused {
-    fn drop(&mut self) {
-        self.0.shared.lock().is_paused = false;
-        self.0.shared.changed.notify_all();
-    }
-}
 
 impl Source {
     /// Closes the camera; `None` where it is none.
@@ -31,45 +29,111 @@ impl Source {
         let mut state = self.shared.lock();
         state.is_paused = true;
         wake.ring();
-        let is_open = |state: &mut State| !state.is_resting;
         // A driver that does not let go keeps the device; whoever opens it is told that it is in use.
-        drop(self.shared.changed.wait_timeout_while(state, REST, is_open).unwrap_or_else(PoisonError::into_inner));
+        let is_awaited = |state: &mut SourceNow| !state.is_resting && state.silence(Instant::now()).is_none();
+        drop(self.shared.changed.wait_timeout_while(state, REST, is_awaited).unwrap_or_else(PoisonError::into_inner));
         Some(Paused(self.clone()))
+    }
+
+    /// Looks whether the camera's driver comes back, at `now`; where it has not for long, another thread goes on. To be called
+    /// now and then: a thread that is held cannot look itself.
+    pub fn look_after(&self, now: Instant) {
+        let Some(spare) = &self.spare else { return };
+        let mut state = self.shared.lock();
+        let Some(silence) = state.silence(now) else { return };
+        if !std::mem::replace(&mut state.is_silent_said, true) {
+            let reason = state.state(now).1;
+            tracing::warn!(source = spare.label, frame = state.frames, reason, "source stalled");
+        }
+        let given_up = state.given_up.len();
+        let patience = LIMITS.driver_patience * (1 << given_up.min(LIMITS.given_up_each));
+        let may_go_on = given_up < LIMITS.given_up_each && spare.drivers.has_room();
+        if silence < patience || !may_go_on || state.is_stopping {
+            return;
+        }
+        let mut camera = spare.take();
+        let status = state.camera.clone().unwrap_or_else(|| camera.status().clone());
+        camera.go_on(state.newest.map_or(0, |newest| newest + 1), status);
+        let mut worker = Worker::of_camera(&self.shared, state.turn + 1);
+        let thread = NamedThread::start(format!("source {}", spare.label), move || {
+            worker.run(Producer::Camera { camera, drivers: Drivers::default() });
+        });
+        let thread = match thread {
+            Ok(thread) => thread,
+            Err(error) => return tracing::warn!(source = spare.label, %error, "no thread to go on with the camera"),
+        };
+        let turn = state.turn;
+        state.given_up.insert(turn, (now.checked_sub(silence).unwrap_or(now), spare.drivers.give_up()));
+        (state.turn, state.asked, state.is_resting, state.is_silent_said) = (turn + 1, None, true, false);
+        tracing::warn!(
+            source = spare.label,
+            given_up = state.given_up.len(),
+            "a thread is left to the camera's driver"
+        );
+        drop(state);
+        *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = thread;
+    }
+
+    /// The thread is not waited for any longer: where a driver has it, it counts until it comes back.
+    pub(super) fn leave_to_driver(&self) {
+        let Some(spare) = &self.spare else { return };
+        let mut state = self.shared.lock();
+        let turn = state.turn;
+        if !state.is_over && !state.given_up.contains_key(&turn) {
+            let since = state.asked.unwrap_or_else(Instant::now);
+            state.given_up.insert(turn, (since, spare.drivers.give_up()));
+            tracing::warn!(source = spare.label, "a thread is left to the camera's driver");
+        }
     }
 }
 
 impl Worker {
-    /// Until the source stops.
-    pub(super) fn run_camera(&mut self, mut camera: LiveCamera) {
+    /// Until the source stops, or another thread has taken over.
+    pub(super) fn run_camera(&mut self, mut camera: Box<dyn CameraReader>) {
         loop {
-            if !self.is_open() {
+            if !self.may_open() {
                 camera.rest();
-                self.report(&camera);
-                if !self.wait_for_sessions() {
+                if !self.report(&*camera) || !self.wait_for_sessions() {
                     return;
                 }
                 continue;
             }
-            if let Some(mut captured) = camera.next(LOOK) {
+            let captured = camera.next(LOOK);
+            if !self.is_in_charge() {
+                return;
+            }
+            if let Some(mut captured) = captured {
                 // Some drivers do not say when.
                 captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
                 self.deliver(captured, None);
             }
-            self.report(&camera);
+            if !self.report(&*camera) {
+                return;
+            }
         }
     }
 
-    /// Whether the camera may be open; whoever pauses it from now on waits until it is closed.
-    fn is_open(&self) -> bool {
+    fn is_in_charge(&self) -> bool {
+        self.shared.lock().turn == self.turn
+    }
+
+    /// Whether the camera may be open; whoever pauses it from now on waits until it is closed. A driver is asked from now on
+    /// in either case.
+    fn may_open(&self) -> bool {
         let mut state = self.shared.lock();
+        if state.turn != self.turn {
+            return false;
+        }
         let is_wanted = state.is_wanted();
         if is_wanted {
-            (state.is_resting, state.asked) = (false, Some(Instant::now()));
+            state.is_resting = false;
         }
+        state.asked = Some(Instant::now());
         is_wanted
     }
 
-    fn report(&self, camera: &LiveCamera) {
+    /// False where another thread has taken over: what this one knows is of no use any more.
+    fn report(&self, camera: &dyn CameraReader) -> bool {
         let (source_state, reason) = match camera.state() {
             CameraState::Resting => (SourceState::Idle, None),
             CameraState::Running => (SourceState::Running, None),
@@ -77,14 +141,19 @@ impl Worker {
             CameraState::Lost(reason) => (SourceState::Lost, Some(reason.clone())),
         };
         let mut state = self.shared.lock();
+        if state.turn != self.turn {
+            return false;
+        }
         state.is_resting = *camera.state() == CameraState::Resting;
         let before = std::mem::replace(&mut state.state, source_state);
+        let was_silent = std::mem::take(&mut state.is_silent_said);
         (state.reason, state.asked) = (reason.clone(), None);
         let frame = state.frames;
         state.camera = Some(camera.status().clone());
         drop(state);
-        say(before, source_state, reason, frame);
+        say(if was_silent { SourceState::Stalled } else { before }, source_state, reason, frame);
         self.shared.changed.notify_all();
+        true
     }
 }
 

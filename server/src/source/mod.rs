@@ -6,23 +6,28 @@
 //! lost.
 
 pub mod control;
+mod drivers;
+#[cfg(test)]
+pub mod hanging_tests;
 mod lease;
 mod live;
 mod open;
 mod playback;
 mod played;
 mod playing;
+mod reader;
 mod scene;
 mod schedule;
+mod state;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use isophote_capture::camera::CameraStatus;
-use isophote_capture::{Captured, Exposure, FrameSource, LiveCamera, Wake};
+use isophote_capture::{Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
 use isophote_tracker::Frame;
 
@@ -30,15 +35,19 @@ use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
+pub use drivers::Drivers;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
 };
 pub use lease::{ControlLease, LeaseId};
-pub use open::{Opened, camera_problem, open, open_recording, pixel_format};
+pub use open::{Opened, Taker, camera_problem, open, open_camera, open_recording, pixel_format};
 use playback::{Playback, Tape};
+pub use reader::CameraReader;
+use reader::SpareCamera;
 use scene::SceneInForce;
 use schedule::Ticks;
+use state::{SourceNow, SourceShared};
 
 /// What is known about a source's frames before the first one comes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -75,7 +84,12 @@ pub enum Producer {
     /// Clients send them.
     Pushed,
     /// A camera sends them.
-    Camera(Box<LiveCamera>),
+    Camera {
+        /// It rests.
+        camera: Box<dyn CameraReader>,
+        /// Where threads are counted that its driver keeps.
+        drivers: Drivers,
+    },
 }
 
 /// A running source.
@@ -84,56 +98,23 @@ pub struct Source {
     shape: FrameShape,
     exposure: Option<Exposure>,
     scene: Option<SceneInForce>,
-    lease: ControlLease,
+    lease: Arc<ControlLease>,
     /// Ends a camera's wait.
     wake: Option<Wake>,
-    shared: Arc<Shared>,
-    thread: NamedThread,
+    /// Of a camera.
+    spare: Option<SpareCamera>,
+    shared: Arc<SourceShared>,
+    /// Of a camera whose driver does not come back, the one that went on.
+    thread: Mutex<NamedThread>,
 }
 
-struct Shared {
-    state: Mutex<State>,
-    changed: Condvar,
-}
+/// A camera that is closed until this is dropped: somebody else is to have it.
+pub struct Paused(Arc<Source>);
 
-struct State {
-    sessions: Vec<Arc<Inbox>>,
-    pushed: VecDeque<(Captured, Reply)>,
-    state: SourceState,
-    reason: Option<String>,
-    frames: u64,
-    /// The number of the newest frame.
-    newest: Option<u64>,
-    camera: Option<CameraStatus>,
-    /// Of frames that are made or read.
-    playback: Option<Playback>,
-    /// Since when a camera's driver has had a question to answer.
-    asked: Option<Instant>,
-    /// A camera is closed, and stays so while `is_paused`.
-    is_resting: bool,
-    is_paused: bool,
-    is_stopping: bool,
-}
-
-impl State {
-    fn is_wanted(&self) -> bool {
-        !self.is_stopping && !self.is_paused && !self.sessions.is_empty()
-    }
-
-    /// What it does and why, at `now`: a driver that does not come back says nothing itself.
-    fn state(&self, now: Instant) -> (SourceState, Option<String>) {
-        let silence = self.asked.map_or(Duration::ZERO, |asked| now.saturating_duration_since(asked));
-        if silence > LIMITS.driver_time {
-            let reason = format!("the camera's driver has not answered for {} s", silence.as_secs());
-            return (SourceState::Stalled, Some(reason));
-        }
-        (self.state, self.reason.clone())
-    }
-}
-
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+impl Drop for Paused {
+    fn drop(&mut self) {
+        self.0.shared.lock().is_paused = false;
+        self.0.shared.changed.notify_all();
     }
 }
 
@@ -149,7 +130,7 @@ impl Source {
             let tape = frames.reel().map(|reel| Tape { count: reel.count(), repeat, shown: None, seek: None });
             playback = Some(Playback::new(tape));
         }
-        let state = State {
+        let state = SourceNow {
             sessions: Vec::new(),
             pushed: VecDeque::new(),
             state: SourceState::Idle,
@@ -159,19 +140,26 @@ impl Source {
             camera: None,
             playback,
             asked: None,
+            is_silent_said: false,
+            turn: 0,
+            given_up: BTreeMap::new(),
+            is_over: false,
             is_resting: true,
             is_paused: false,
             is_stopping: false,
         };
-        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let shared = Arc::new(SourceShared { state: Mutex::new(state), changed: Condvar::new() });
         let (pace, rate_hz) = (opened.pace, opened.rate_hz);
-        let (exposure, wake) = match &opened.producer {
-            Producer::Frames(frames) => (frames.exposure(), None),
-            Producer::Pushed => (None, None),
-            Producer::Camera(camera) => (camera.exposure(), Some(camera.wake())),
+        let (exposure, wake, spare) = match &opened.producer {
+            Producer::Frames(frames) => (frames.exposure(), None, None),
+            Producer::Pushed => (None, None, None),
+            Producer::Camera { camera, drivers } => {
+                let spare = SpareCamera::of(label, &**camera, drivers.clone());
+                (camera.exposure(), Some(camera.wake()), Some(spare))
+            }
         };
         let schedule = Ticks::new(rate_hz);
-        let worker = Worker { shared: shared.clone(), pace, rate_hz, schedule, frame: 0, faults: 0 };
+        let mut worker = Worker { shared: shared.clone(), turn: 0, pace, rate_hz, schedule, frame: 0, faults: 0 };
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
         Ok(Source {
@@ -179,10 +167,11 @@ impl Source {
             shape: opened.shape,
             exposure,
             scene,
-            lease: ControlLease::default(),
+            lease: Arc::default(),
             wake,
+            spare,
             shared,
-            thread,
+            thread: Mutex::new(thread),
         })
     }
 
@@ -210,13 +199,12 @@ impl Source {
 
     /// How much of a thread's time a frame's fits may take: none is left when the next one comes.
     pub fn frame_budget(&self) -> Option<Duration> {
-        self.realtime_hz()?;
-        Some(self.interval().map_or(LIMITS.frame_budget, |one| one.min(LIMITS.frame_budget)))
+        Some(interval(self.realtime_hz()?).map_or(LIMITS.frame_budget, |one| one.min(LIMITS.frame_budget)))
     }
 
     /// Between its frames, where they do not wait and the rate is known.
     pub fn interval(&self) -> Option<Duration> {
-        Duration::try_from_secs_f64(self.realtime_hz()?.recip()).ok()
+        interval(self.realtime_hz()?)
     }
 
     /// Its document with its state.
@@ -309,9 +297,13 @@ impl Source {
         self.wake.iter().for_each(Wake::ring);
     }
 
-    /// Waits for the thread's end, after [`Source::leave`].
+    /// Waits for the thread's end, after [`Source::leave`]. One that a camera's driver keeps is left to it.
     pub fn wait(&self, until: Instant) {
-        self.thread.wait(until);
+        let now = Instant::now();
+        let until = if self.shared.lock().silence(now).is_some() { now } else { until };
+        if !self.thread.lock().unwrap_or_else(PoisonError::into_inner).wait(until) {
+            self.leave_to_driver();
+        }
     }
 
     /// Ends the thread and waits a while for it.
@@ -333,12 +325,19 @@ pub fn realtime_hz(document: &SourceDocument, promised: Option<f64>) -> Option<f
     }
 }
 
+/// Between frames at a rate, where there is one.
+fn interval(rate_hz: f64) -> Option<Duration> {
+    Duration::try_from_secs_f64(rate_hz.recip()).ok()
+}
+
 fn end_of(state: SourceState, reason: String) -> SourceEnd {
     if state == SourceState::Failed { SourceEnd::Failed(reason) } else { SourceEnd::Finished(reason) }
 }
 
 struct Worker {
-    shared: Arc<Shared>,
+    shared: Arc<SourceShared>,
+    /// Which of the source's threads it is.
+    turn: u64,
     pace: Pace,
     /// 0: as fast as `pace` allows.
     rate_hz: f64,
@@ -350,18 +349,24 @@ struct Worker {
 }
 
 impl Worker {
-    fn run(mut self, producer: Producer) {
-        let _guard = EndGuard(self.shared.clone());
+    /// A camera keeps its own pace.
+    fn of_camera(shared: &Arc<SourceShared>, turn: u64) -> Worker {
+        let (shared, schedule) = (shared.clone(), Ticks::new(0.0));
+        Worker { shared, turn, pace: Pace::Realtime, rate_hz: 0.0, schedule, frame: 0, faults: 0 }
+    }
+
+    fn run(&mut self, producer: Producer) {
+        let _guard = EndGuard { shared: self.shared.clone(), turn: self.turn };
         match producer {
             Producer::Frames(frames) => self.run_frames(frames),
             Producer::Pushed => self.run_pushed(),
-            Producer::Camera(camera) => self.run_camera(*camera),
+            Producer::Camera { camera, .. } => self.run_camera(camera),
         }
     }
 
     fn run_pushed(&mut self) {
         loop {
-            let idle = |state: &mut State| !state.is_stopping && state.pushed.is_empty();
+            let idle = |state: &mut SourceNow| !state.is_stopping && state.pushed.is_empty();
             let waited = self.shared.changed.wait_while(self.shared.lock(), idle);
             let mut state = waited.unwrap_or_else(PoisonError::into_inner);
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
@@ -378,7 +383,7 @@ impl Worker {
             state.state = SourceState::Idle;
             self.schedule.restart();
         }
-        let idle = |state: &mut State| !state.is_stopping && !state.is_wanted();
+        let idle = |state: &mut SourceNow| !state.is_stopping && !state.is_wanted();
         let mut state = self.shared.changed.wait_while(state, idle).unwrap_or_else(PoisonError::into_inner);
         state.state = SourceState::Running;
         !state.is_stopping
@@ -415,7 +420,7 @@ fn label() -> String {
     std::thread::current().name().unwrap_or_default().trim_start_matches("source ").to_string()
 }
 
-fn finish(shared: &Shared, end: SourceState, reason: String) {
+fn finish(shared: &SourceShared, end: SourceState, reason: String) {
     match end {
         SourceState::Failed => tracing::warn!(source = label(), reason, "source failed"),
         _ => tracing::info!(source = label(), reason, "source has no more frames"),
@@ -431,13 +436,22 @@ fn finish(shared: &Shared, end: SourceState, reason: String) {
     }
 }
 
-/// Tells the sessions when the thread panics.
-struct EndGuard(Arc<Shared>);
+/// Tells the sessions when the thread panics, and that a thread has ended that may have been given up.
+struct EndGuard {
+    shared: Arc<SourceShared>,
+    turn: u64,
+}
 
 impl Drop for EndGuard {
     fn drop(&mut self) {
-        if std::thread::panicking() {
-            finish(&self.0, SourceState::Failed, "bug: the source's thread panicked".into());
+        let is_in_charge = {
+            let mut state = self.shared.lock();
+            state.given_up.remove(&self.turn);
+            state.is_over |= state.turn == self.turn;
+            state.turn == self.turn
+        };
+        if std::thread::panicking() && is_in_charge {
+            finish(&self.shared, SourceState::Failed, "bug: the source's thread panicked".into());
         }
     }
 }

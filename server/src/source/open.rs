@@ -13,9 +13,29 @@ use isophote_wire::{
 };
 
 use super::scene::synthetic_problem;
-use super::{FrameShape, Producer};
+use super::{Drivers, FrameShape, Paused, Producer};
 use crate::limits::LIMITS;
+use crate::name::Name;
 use crate::problem::Problem;
+
+/// Who is to have what is opened.
+#[derive(Clone)]
+pub enum Taker {
+    /// A source of that name.
+    Source(Name),
+    /// A session of that name, as its own.
+    Session(Name),
+}
+
+impl Taker {
+    /// Where the source's document stands in the one that was sent.
+    pub fn prefix(&self) -> &'static str {
+        match self {
+            Taker::Source(_) => "",
+            Taker::Session(_) => "source.",
+        }
+    }
+}
 
 /// A source that is ready to start.
 pub struct Opened {
@@ -27,9 +47,11 @@ pub struct Opened {
     pub pace: Pace,
     /// Frames a second, 0: as fast as `pace` allows.
     pub rate_hz: f64,
+    /// The camera's reader before, which keeps away from it until this is dropped.
+    pub held: Option<Paused>,
 }
 
-/// Opens what a document describes, unless that is a recording. `prefix` is where it stands in the document that was sent
+/// Opens what a document describes, unless that is a recording or a camera, which take their time. `prefix` is where it stands in the document that was sent
 /// (`source.` or nothing), `find` looks a model up.
 pub fn open(
     document: &SourceDocument,
@@ -40,7 +62,7 @@ pub fn open(
         SourceDocument::Synthetic(synthetic) => open_synthetic(synthetic, prefix, find(&synthetic.model)?),
         SourceDocument::Recording(_) => Err(Problem::bug("a recording is opened before, by `open_recording`")),
         SourceDocument::Pushed(pushed) => open_pushed(pushed, prefix),
-        SourceDocument::Camera(camera) => open_camera(camera, prefix),
+        SourceDocument::Camera(_) => Err(Problem::bug("a camera is opened before, by `open_camera`")),
     }
 }
 
@@ -84,7 +106,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         size: source.size(),
     };
     let producer = Producer::Frames(Box::new(source));
-    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz })
+    Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, held: None })
 }
 
 /// Opens a recording, which may take its time. `reader` is the model that will look at the frames, when that is known; `reach` is
@@ -113,7 +135,7 @@ pub fn open_recording(
     };
     let address = recording.address();
     let producer = Producer::Frames(Box::new(recording));
-    Ok((address, Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz }))
+    Ok((address, Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, held: None }))
 }
 
 fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Problem> {
@@ -126,10 +148,14 @@ fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Proble
         columns: None,
         size: Some(vec![document.width, document.height]),
     };
-    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0 })
+    Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0, held: None })
 }
 
-fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Problem> {
+/// Opens a camera, tries what the document wants of it, and closes it again. Its driver may take its time.
+///
+/// # Errors
+/// What is wrong with the document or the camera, and 503 where the driver does not answer.
+pub fn open_camera(document: &CameraDocument, prefix: &str, drivers: &Drivers) -> Result<Opened, Problem> {
     let size = match (document.width, document.height) {
         (Some(width), Some(height)) => {
             check_size(width as usize, height as usize, prefix)?;
@@ -156,7 +182,8 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         colour: document.colour,
         controls: document.controls.clone(),
     };
-    let camera = LiveCamera::open(spec).map_err(|error| camera_problem(&error, prefix))?;
+    let camera = drivers.ask(&document.device, LIMITS.camera_open_time, move || LiveCamera::open(spec))?;
+    let camera = camera.map_err(|error| camera_problem(&error, prefix))?;
     let shape = FrameShape {
         dimensions: Some(2),
         planes: Some(camera.planes()),
@@ -164,12 +191,14 @@ fn open_camera(document: &CameraDocument, prefix: &str) -> Result<Opened, Proble
         columns: None,
         size: Some(camera.size().to_vec()),
     };
-    Ok(Opened { producer: Producer::Camera(Box::new(camera)), shape, pace: Pace::Realtime, rate_hz: 0.0 })
+    let producer = Producer::Camera { camera: Box::new(camera), drivers: drivers.clone() };
+    Ok(Opened { producer, shape, pace: Pace::Realtime, rate_hz: 0.0, held: None })
 }
 
-/// A camera that others use is a conflict; anything else is the document's, at its key.
+/// A camera that others use is a conflict, one that does not answer is not ready; anything else is the document's, at its key.
 pub fn camera_problem(error: &CameraError, prefix: &str) -> Problem {
     match error {
+        CameraError::Silent { .. } => Problem::late(error.to_string()),
         CameraError::Busy { .. } => Problem::conflict("in-use", error.to_string()),
         _ => Problem::wrong_key("wrong-source", &format!("{prefix}{}", error.key()), error.to_string()),
     }

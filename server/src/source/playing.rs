@@ -5,7 +5,7 @@ use isophote_wire::{PlaybackDocument, PlaybackView, SceneDocument, SceneView, So
 
 use super::playback::Playback;
 use super::scene::SceneInForce;
-use super::{Source, State};
+use super::{Source, SourceNow};
 use crate::problem::Problem;
 
 impl Source {
@@ -34,7 +34,7 @@ impl Source {
         Ok(view)
     }
 
-    fn playing<'a>(&self, state: &'a State) -> Result<&'a Playback, Problem> {
+    fn playing<'a>(&self, state: &'a SourceNow) -> Result<&'a Playback, Problem> {
         let kind = self.document.kind();
         let absent = || {
             let detail = format!("a {kind} source has no playback: its frames come when they come");
@@ -105,7 +105,7 @@ impl Source {
 }
 
 /// 409 where no more frames come.
-fn refuse_when_over(state: &State) -> Result<(), Problem> {
+fn refuse_when_over(state: &SourceNow) -> Result<(), Problem> {
     let (SourceState::Ended | SourceState::Failed) = state.state else { return Ok(()) };
     let reason = state.reason.as_deref().unwrap_or("it has ended");
     let detail = format!("{reason}; delete its sessions and put the source again to play it anew");

@@ -42,7 +42,8 @@ fn start(left: u64, panics: bool, pace: Pace) -> (Source, Arc<Inbox>) {
     let producer = Producer::Frames(Box::new(Counted { left, panics }));
     let rate_hz = if pace == Pace::Fit { 0.0 } else { 10_000.0 };
     let source =
-        Source::start("test", document, Opened { producer, shape: FrameShape::default(), pace, rate_hz }).unwrap();
+        Source::start("test", document, Opened { producer, shape: FrameShape::default(), pace, rate_hz, held: None })
+            .unwrap();
     let inbox = Arc::new(Inbox::default());
     assert_eq!(source.view("test").state, SourceState::Idle);
     source.subscribe(&inbox);

@@ -71,8 +71,11 @@ impl LifeSigns {
     }
     /// Asks for one; false where it has been silent for too long, or takes nothing.
     pub async fn ask(&self, socket: &mut WebSocket) -> bool {
-        self.heard.elapsed() <= LIMITS.silence_time
-            && send(socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await
+        !self.is_silent(Instant::now()) && send(socket, Message::Ping(Vec::new().into()), LIMITS.send_time).await
+    }
+    /// Whether it has gone without saying so.
+    fn is_silent(&self, now: Instant) -> bool {
+        now.saturating_duration_since(self.heard) > LIMITS.silence_time
     }
 }
 
@@ -191,6 +194,16 @@ pub(super) async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A client whose machine has gone sends no end. Between two pings is time for an answer, more than once.
+    #[tokio::test]
+    async fn who_is_silent_for_long_has_gone() {
+        let signs = LifeSigns::begin();
+        let after = |time: Duration| signs.heard + time;
+        assert!(!signs.is_silent(signs.heard) && !signs.is_silent(after(LIMITS.silence_time)));
+        assert!(signs.is_silent(after(LIMITS.silence_time + Duration::from_millis(1))));
+        assert!(LIMITS.silence_time >= 3 * LIMITS.ping_time);
+    }
 
     #[test]
     fn credit_is_spent_and_renewed() {

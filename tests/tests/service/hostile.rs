@@ -295,3 +295,59 @@ fn a_subscriber_without_credit_falls_out_and_is_told() {
     assert_eq!(number(&next, "frame"), number(&first, "frame") + 1 + number(&next, "dropped"));
     assert_eq!((number(&after, "frame"), number(&after, "dropped")), (number(&next, "frame") + 1, 0));
 }
+
+/// Heads that never end, and bodies that never come: the service ends them, and serves others meanwhile.
+#[test]
+fn heads_and_bodies_that_do_not_end_are_ended() {
+    let service = Running::start();
+    service.put("/v1/sessions/witness", &session("realtime", 30.0)).expect(201);
+    let head = "GET /v1/sessions HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
+    let body = "PUT /v1/models/slow HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/toml\r\nContent-Length: 1000\r\n\r\nname";
+    let heads: Vec<TcpStream> = (0..20).map(|_| begun(&service, head)).collect();
+    let bodies: Vec<TcpStream> = (0..20).map(|_| begun(&service, body)).collect();
+    let frames = service.get("/v1/sessions/witness").expect(200)["frames"].as_u64().unwrap();
+    service.wait_for("witness", |view| view["frames"].as_u64() > Some(frames + 30));
+    for mut stream in heads {
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).expect("closed before the deadline");
+    }
+    for mut stream in bodies {
+        assert_eq!(status(&mut stream), "400");
+    }
+    assert_eq!(service.get("/v1/sessions/witness").expect(200)["state"], "running");
+}
+
+/// Whatever bytes are sent as a model: the answer is short, says what is wrong, and repeats little of it.
+#[test]
+fn bytes_that_are_no_document_have_a_short_answer() {
+    let service = Running::start();
+    let long = "x".repeat(20_000);
+    let formula = |formula: &str| {
+        let text = format!(
+            "name = \"m\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\nbx = {{ start = 1.0 }}\n[model]\nintensity = \"{formula}\"\n"
+        );
+        text.into_bytes()
+    };
+    let nested = formula(&format!("{}bx{}", "(".repeat(100_000), ")".repeat(100_000)));
+    let cases: [(&str, Vec<u8>); 8] = [
+        ("not UTF-8", b"name = \"\xff\xfe\"".to_vec()),
+        ("a NUL", b"name = \"a\0b\"".to_vec()),
+        ("from right to left", formula("bx \u{202e}+ 1")),
+        ("nested", nested),
+        ("a long name", formula(&long)),
+        ("a long number", formula(&"9".repeat(20_000))),
+        ("one key many times", b"a = [1]\n".repeat(5_000)),
+        ("brackets", "[".repeat(100_000).into_bytes()),
+    ];
+    for (what, text) in cases {
+        let answer = service.request("PUT", "/v1/models/m", &[("content-type", "application/toml")], &text);
+        let problem = answer.expect(422);
+        let first = &problem["diagnostics"][0];
+        assert!(first["code"].is_string() && first["line"].as_u64() >= Some(1), "{what}: {problem:.500}");
+        for said in [&problem["detail"], &first["message"], &first["help"]] {
+            let said = said.as_str().unwrap_or_default();
+            assert!(said.len() <= 2048 && !said.contains(&long[..100]), "{what}: {} bytes", said.len());
+        }
+    }
+    service.get("/v1/models/m").expect(404);
+}

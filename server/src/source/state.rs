@@ -1,0 +1,81 @@
+//! What a source's thread and those who look at it share.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use isophote_capture::Captured;
+use isophote_capture::camera::CameraStatus;
+use isophote_wire::SourceState;
+
+use super::drivers::GivenUp;
+use super::playback::Playback;
+use crate::limits::LIMITS;
+use crate::session::inbox::{Inbox, Reply};
+
+pub(super) struct SourceShared {
+    pub(super) state: Mutex<SourceNow>,
+    pub(super) changed: Condvar,
+}
+
+pub(super) struct SourceNow {
+    pub(super) sessions: Vec<Arc<Inbox>>,
+    pub(super) pushed: VecDeque<(Captured, Reply)>,
+    pub(super) state: SourceState,
+    pub(super) reason: Option<String>,
+    pub(super) frames: u64,
+    /// The number of the newest frame.
+    pub(super) newest: Option<u64>,
+    pub(super) camera: Option<CameraStatus>,
+    /// Of frames that are made or read.
+    pub(super) playback: Option<Playback>,
+    /// Since when a camera's driver has had a question to answer.
+    pub(super) asked: Option<Instant>,
+    /// Whether the log has it that this takes long.
+    pub(super) is_silent_said: bool,
+    /// Which of its threads has the camera; those before were left to the driver.
+    pub(super) turn: u64,
+    /// Those of them that have not come back, and since when they are expected.
+    pub(super) given_up: BTreeMap<u64, (Instant, GivenUp)>,
+    /// The thread in charge has ended.
+    pub(super) is_over: bool,
+    /// A camera is closed, and stays so while `is_paused`.
+    pub(super) is_resting: bool,
+    pub(super) is_paused: bool,
+    pub(super) is_stopping: bool,
+}
+
+impl SourceNow {
+    pub(super) fn is_wanted(&self) -> bool {
+        !self.is_stopping && !self.is_paused && !self.sessions.is_empty()
+    }
+
+    /// For how long a camera's driver has not come back, where that is long.
+    pub(super) fn silence(&self, now: Instant) -> Option<Duration> {
+        let silence = now.saturating_duration_since(self.asked?);
+        (silence > LIMITS.driver_time).then_some(silence)
+    }
+
+    /// What it does and why, at `now`: a driver that does not come back says nothing itself.
+    pub(super) fn state(&self, now: Instant) -> (SourceState, Option<String>) {
+        let given_up = self.given_up.values().map(|(since, _)| now.saturating_duration_since(*since)).max();
+        if let Some(silence) = self.silence(now) {
+            let seconds = given_up.unwrap_or(silence).max(silence).as_secs();
+            let reason = format!(
+                "the camera's driver has not answered for {seconds} s; unplug the camera and plug it in again, or use another"
+            );
+            return (SourceState::Stalled, Some(reason));
+        }
+        let is_away = matches!(self.state, SourceState::Lost | SourceState::Stalled);
+        let owed = given_up.filter(|_| is_away).map(|time| {
+            format!("; before, its driver did not come back, which it has owed for {} s now", time.as_secs())
+        });
+        (self.state, self.reason.clone().map(|reason| reason + owed.as_deref().unwrap_or_default()))
+    }
+}
+
+impl SourceShared {
+    pub(super) fn lock(&self) -> MutexGuard<'_, SourceNow> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
