@@ -63,6 +63,14 @@ fn one_of_two_that_look_alike_is_the_target_in_half_of_the_cases() {
 }
 
 #[test]
+fn what_is_suddenly_not_explained_is_another_thing() {
+    for depth in [0.36, 0.42] {
+        let estimate = after_ten_frames(depth, 1.5);
+        assert_ne!(estimate.state, TrackState::Tracking, "{depth}: {estimate:?}");
+    }
+}
+
+#[test]
 fn what_is_suddenly_in_noise_is_the_same_thing() {
     let estimate = after_ten_frames(0.0, 7.5);
     assert!(estimate.state == TrackState::Tracking && estimate.reduced_chi_square.unwrap() > 30.0, "{estimate:?}");
