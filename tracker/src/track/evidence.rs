@@ -1,6 +1,7 @@
 //! How sure: what a fit says for and against having the target, and the probability that follows.
 //!
-//! What comes in: a fit, and what was expected. What goes out: [`Evidence`], whose logistic function is the confidence.
+//! What comes in: a fit, and what was expected. What goes out: [`Evidence`], whose log odds order things, and from which the
+//! confidence follows ([`odds`]).
 //!
 //! 1. *Contrast*, `ln (F₀/F)`: F₀ is F without the target, brightness 0 and the background fitted anew. F is a parabola in
 //!    both, so `F₀ − F = v²/var(v)`, where var(v) is the brightness' variance at unit noise when nothing but the background
@@ -18,6 +19,7 @@
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
 //! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
 //!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), and more that is hidden than may be. What is taken for the target keeps it.
+//! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
 
@@ -26,6 +28,7 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use super::asymmetry;
+use super::odds;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
 use super::structure::Structure;
@@ -73,6 +76,9 @@ pub(crate) struct Ground {
     /// Log odds that its looks took away when it was first found.
     #[serde(with = "exact", default)]
     pub oddity: f64,
+    /// Odds of all else that was there then and may have been the target.
+    #[serde(with = "exact", default)]
+    pub rivals: f64,
 }
 
 /// A target's own pixels.
@@ -103,6 +109,8 @@ pub struct Evidence {
     pub strangeness: f64,
     /// Log odds.
     pub oddity: f64,
+    /// Odds.
+    pub rivals: f64,
     /// ln of the log-likelihood ratio against background alone; it says that there is something, not that it is the target.
     pub significance: f64,
 }
@@ -142,9 +150,9 @@ impl Evidence {
             }
         };
         let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
-        let oddity = ground.map_or(0.0, |ground| ground.oddity);
+        let [oddity, rivals] = ground.map_or([0.0; 2], |ground| [ground.oddity, ground.rivals]);
         let significance = (0.5 * gain * freedom).max(1.0).ln();
-        Some(Evidence { contrast, misfit, oddity, significance, ..Evidence::default() })
+        Some(Evidence { contrast, misfit, oddity, rivals, significance, ..Evidence::default() })
     }
 
     /// By which one of several things is taken.
@@ -158,15 +166,31 @@ impl Evidence {
         Evidence { contrast: Self::CONTRAST_MAX, significance, ..Evidence::default() }.rank()
     }
 
-    /// The log odds.
+    /// The log odds, by which things are ordered; the confidence follows from them, but they are not its log odds.
     pub fn log_odds(&self) -> f64 {
-        let seen = [self.contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
-        CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>() - self.oddity
+        self.weighed(self.misfit)
+    }
+
+    /// The odds that the thing fitted is the target, were nothing else in the frame.
+    pub fn odds(&self) -> f64 {
+        odds::of(self.weighed(self.misfit.min(odds::MISFIT_MAX)))
+    }
+
+    /// The probability that the thing fitted is the target, were nothing else in the frame.
+    pub fn confidence_alone(&self) -> f64 {
+        let odds = self.odds();
+        odds / (1.0 + odds)
     }
 
     /// The probability that the thing fitted is the target.
     pub fn confidence(&self) -> f64 {
-        1.0 / (1.0 + (-self.log_odds()).exp())
+        let odds = self.odds();
+        odds / (1.0 + odds + self.rivals)
+    }
+
+    fn weighed(&self, misfit: f64) -> f64 {
+        let seen = [self.contrast.min(Self::CONTRAST_MAX), misfit, self.distance, self.strangeness];
+        CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>() - self.oddity
     }
 }
 
@@ -175,7 +199,7 @@ impl Solver {
     pub fn stated_ground(&self, look: &Look, attempt: &Attempt) -> Option<Ground> {
         let fit = attempt.fit.as_ref().filter(|_| self.model().has_noise() && !self.fits_pose())?;
         let limit = self.limit(look, &fit.parameters)?;
-        Some(Ground { variance: f64::NAN, limit, own: None, oddity: 0.0 })
+        Some(Ground { variance: f64::NAN, limit, own: None, oddity: 0.0, rivals: 0.0 })
     }
 }
 

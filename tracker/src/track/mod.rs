@@ -23,6 +23,7 @@ mod memory;
 pub(crate) mod motion;
 mod nearby;
 mod noise;
+mod odds;
 mod past;
 mod posed;
 mod prominence;
@@ -45,12 +46,14 @@ use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use memory::Memory;
-use search::{Candidate, Search, UNLIKE};
+use search::{Candidate, Search};
 use solver::{Attempt, Look, Solver};
 use window::Margin;
 
 /// A reduced χ² this many times the last one asks for a second opinion.
 const MISFIT: f64 = 9.0;
+/// What has lower log odds when its χ² has jumped like that is not the target: noise alone lowers none.
+const OTHER: f64 = 0.0;
 /// A brightness that changed by more than this factor from one frame to the next asks for one, too: a fit that lost its
 /// target settles on whatever faint thing is near. So does an area.
 const FADED: f64 = 4.0;
@@ -141,7 +144,7 @@ impl Track {
         let candidate = self.expecting(solver, candidate, time_s);
         // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.
         let is_substitute = candidate.is_substitute();
-        let is_unlike = is_substitute && candidate.confidence().is_some_and(|confidence| confidence < UNLIKE);
+        let is_unlike = is_substitute && candidate.is_unlike();
         // What suddenly hides half of a target may be half of the target, elsewhere.
         let is_sudden = is_substitute && self.memory.reduced.is_some() && !self.memory.is_substitute;
         let is_kept = !is_unlike
@@ -193,11 +196,11 @@ impl Track {
         let suits = |candidate: &Candidate| {
             let looks_alike = self.change(solver, &candidate.attempt) <= FADED;
             // However unsure the prediction is: what looks otherwise and is hardly a target is none.
-            let unlike = candidate.confidence().is_some_and(|confidence| confidence < UNLIKE) && !looks_alike;
+            let unlike = candidate.is_unlike() && !looks_alike;
             let is_possible = !self.is_confirmed()
                 || (self.is_near(solver, candidate, time_s) && !unlike)
                 || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt));
-            is_possible && self.inherits(solver, candidate, time_s)
+            is_possible && self.inherits(solver, candidate, time_s) && !self.is_other(solver, look, candidate)
         };
         let is_guess = |candidate: &Candidate| {
             !self.is_confirmed() && self.memory.looked().is_none() && search.is_guess(solver, candidate)
@@ -285,6 +288,13 @@ impl Track {
         brightness.max(self.memory.area_change(solver, &fit.parameters))
     }
 
+    /// A target that was explained, in its place something that is not, however like it in size.
+    fn is_other(&self, solver: &Solver, look: &Look, candidate: &Candidate) -> bool {
+        self.is_confirmed()
+            && candidate.log_odds().is_some_and(|log_odds| log_odds < OTHER)
+            && self.is_jump(solver, look, &candidate.attempt)
+    }
+
     /// A χ²/ν far above the last one.
     fn is_jump(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> bool {
         let (Some(fit), Some(last), Some(reduced)) = (&attempt.fit, self.memory.reduced, attempt.reduced()) else {
@@ -316,6 +326,8 @@ fn inside(solver: &Solver, look: &Look, predicted: &Predicted) -> bool {
 #[cfg(test)]
 mod tests;
 
+#[cfg(test)]
+mod confidence_tests;
 #[cfg(test)]
 mod faint_tests;
 #[cfg(test)]

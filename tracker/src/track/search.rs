@@ -24,12 +24,12 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
-/// What is the target with less than this probability, and looks otherwise than it did, is not taken.
-pub(super) const UNLIKE: f64 = 0.003;
-/// Where nothing is known but looks, one of several things must be the target with this probability.
-const GUESS: f64 = 0.3;
-/// What is the target with this probability at least need not be looked for any further.
-const LIKELY: f64 = 0.5;
+/// What has lower log odds, and looks otherwise than it did, is not taken.
+const UNLIKE: f64 = -5.8;
+/// Where nothing is known but looks, one of several things must have these log odds.
+const GUESS: f64 = -0.85;
+/// What has higher log odds need not be looked for any further.
+const LIKELY: f64 = 0.0;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
 
@@ -126,9 +126,21 @@ impl Candidate {
         self.evidence.as_ref().map(Evidence::confidence)
     }
 
-    /// True when it is the target with at least the probability that the session asks for, as far as that is known.
+    /// True when, were nothing else there, it is the target with at least the probability that the session asks for, as far as
+    /// that is known.
     pub fn is_sure(&self, solver: &Solver) -> bool {
-        self.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min)
+        let alone = self.evidence.as_ref().map(Evidence::confidence_alone);
+        alone.is_none_or(|confidence| confidence >= solver.options.confidence_min)
+    }
+
+    /// True for what is hardly a target, as far as that is known.
+    pub fn is_unlike(&self) -> bool {
+        self.log_odds().is_some_and(|log_odds| log_odds < UNLIKE)
+    }
+
+    /// The log odds of its evidence.
+    pub fn log_odds(&self) -> Option<f64> {
+        self.evidence.as_ref().map(Evidence::log_odds)
     }
 
     /// True for a fit of one of the model's alternatives.
@@ -139,7 +151,7 @@ impl Candidate {
     /// The target, as far as the model can tell; what leaves parameters undetermined is not.
     fn is_likely(&self) -> bool {
         let is_determined = || self.attempt.ending != Ending::Singular;
-        self.confidence().map_or_else(is_determined, |confidence| confidence >= LIKELY)
+        self.log_odds().map_or_else(is_determined, |log_odds| log_odds >= LIKELY)
     }
 
     /// True when its centre lies inside the outline of something at `other`.
@@ -244,6 +256,7 @@ impl Search {
         // Stable: where there is no evidence the most massive stays first.
         search.candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()));
         search.merge(solver);
+        search.weigh_rivals(solver);
         search.claimed = vec![false; search.candidates.len()];
         Ok(search)
     }
@@ -262,7 +275,7 @@ impl Search {
             return Ok(());
         };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0 });
+        let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
             if self.is_spent(look) || self.is_beaten(starts, cold.variance) {
@@ -316,7 +329,7 @@ impl Search {
         (self.fitted, self.work) = (0, 0);
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = Some(Ground { variance: spotted.variance, limit, own: None, oddity: 0.0 });
+        let ground = Some(Ground { variance: spotted.variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
         for starts in &spotted.sights {
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
             if self.candidates.iter().any(is_known) {
@@ -340,6 +353,20 @@ impl Search {
             }
         }
         Ok(())
+    }
+
+    /// One thing is the target: where nothing is known but looks, what else there is speaks against each.
+    fn weigh_rivals(&mut self, solver: &Solver) {
+        if !self.is_first || self.is_placed || solver.options.targets > 1 {
+            return;
+        }
+        let odds = |candidate: &Candidate| candidate.evidence.as_ref().map_or(0.0, Evidence::odds);
+        let all: f64 = self.candidates.iter().map(odds).sum();
+        for candidate in &mut self.candidates {
+            let rivals = (all - odds(candidate)).max(0.0);
+            candidate.evidence.iter_mut().for_each(|evidence| evidence.rivals = rivals);
+            candidate.ground.iter_mut().for_each(|ground| ground.rivals = rivals);
+        }
     }
 
     /// Of several fits of one thing the best remains.
@@ -366,7 +393,7 @@ impl Search {
         if options.confidence_min == 0.0 || options.targets > 1 || solver.given_looks() != (None, None) {
             return false;
         }
-        let unlike = candidate.confidence().is_none_or(|confidence| confidence < GUESS);
+        let unlike = candidate.log_odds().is_none_or(|log_odds| log_odds < GUESS);
         unlike
             && self.candidates.iter().any(|candidate| candidate.evidence.is_some())
             && !self.is_placed

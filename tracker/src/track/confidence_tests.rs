@@ -1,0 +1,77 @@
+//! What confidence says of look-alikes, and what becomes of a target that is no longer explained.
+#![allow(clippy::unwrap_used)]
+use std::sync::Arc;
+
+use isophote_frame::{Frame, Plane};
+use isophote_jit::PixelFormat;
+use isophote_symbolic::{Model, Precision};
+
+use crate::picture::Noise;
+use crate::{Compiled, Estimate, TrackState, Tracker, TrackerOptions};
+
+const SIZE: [usize; 2] = [240, 180];
+
+fn tracker(targets: usize) -> Tracker {
+    let model = Model::from_toml(include_str!("../../../tests/documents/plain-spot.toml")).unwrap();
+    let compiled = Compiled::new(Arc::new(model), Precision::F32).unwrap();
+    Tracker::new(Arc::new(compiled), TrackerOptions { targets, ..TrackerOptions::default() }).unwrap()
+}
+
+/// Spots at these places, with stripes of that depth on them, in so much noise.
+fn frame(number: u64, centres: &[[f64; 2]], depth: f64, noise: f64) -> Frame {
+    let mut random = Noise(number + 1);
+    let value = |i: usize| {
+        let (x, y) = ((i % SIZE[0]) as f64, (i / SIZE[0]) as f64);
+        let spot = |[bx, by]: &[f64; 2]| {
+            let s = ((x - bx) / 17.0).powi(2) + ((y - by) / 12.0).powi(2);
+            if s < 1.0 { 120.0 * (1.0 - s * (0.5 + s * (0.3 + 0.2 * s))) } else { 0.0 }
+        };
+        let stripes = 1.0 + depth * (std::f64::consts::TAU * (x + y) / 8.0).sin();
+        let light = stripes * centres.iter().map(spot).sum::<f64>();
+        (20.0 + light + noise * random.normal()).round().clamp(0.0, 255.0) as u8
+    };
+    let bytes = (0..SIZE[0] * SIZE[1]).map(value).collect();
+    Frame::new(&SIZE, vec![Plane::owned(PixelFormat::U8, bytes, SIZE[0])]).unwrap().with_sequence(number)
+}
+
+/// A target that is followed in ten frames, then seen like that.
+fn after_ten_frames(depth: f64, noise: f64) -> Estimate {
+    let mut tracker = tracker(1);
+    let centre = [[120.3, 90.6]];
+    for number in 0..10 {
+        assert_eq!(tracker.track(&frame(number, &centre, 0.0, 1.5)).state, TrackState::Tracking);
+    }
+    tracker.track(&frame(10, &centre, depth, noise))
+}
+
+#[test]
+fn one_of_two_that_look_alike_is_the_target_in_half_of_the_cases() {
+    let two = [[70.2, 90.4], [170.7, 88.9]];
+    let mut alone = tracker(1);
+    let confidence = alone.track(&frame(0, &two[..1], 0.0, 1.5)).confidence.unwrap();
+    assert!((0.93..0.96).contains(&confidence), "{confidence}");
+    let mut one = tracker(1);
+    for number in 0..5 {
+        let estimate = one.track(&frame(number, &two, 0.0, 1.5));
+        let confidence = estimate.confidence.unwrap();
+        assert!(estimate.state == TrackState::Tracking && (0.4..0.5).contains(&confidence), "{estimate:?}");
+    }
+    let mut both = tracker(2);
+    for estimate in both.track_all(&frame(0, &two, 0.0, 1.5)) {
+        assert!(estimate.confidence.unwrap() > 0.9, "who wants both is told of both: {estimate:?}");
+    }
+}
+
+#[test]
+fn what_is_suddenly_not_explained_is_another_thing() {
+    for depth in [0.36, 0.42] {
+        let estimate = after_ten_frames(depth, 1.5);
+        assert_ne!(estimate.state, TrackState::Tracking, "{depth}: {estimate:?}");
+    }
+}
+
+#[test]
+fn what_is_suddenly_in_noise_is_the_same_thing() {
+    let estimate = after_ten_frames(0.0, 7.5);
+    assert!(estimate.state == TrackState::Tracking && estimate.reduced_chi_square.unwrap() > 30.0, "{estimate:?}");
+}
