@@ -140,14 +140,18 @@ impl Definite {
     }
 }
 
-/// Scales rows and columns alike until that is the diagonal; the largest share by which an entry of it changes.
+/// Entries of a diagonal may change by this factor.
+const CHANGE: f64 = 8.0;
+
+/// Scales rows and columns alike until that is the diagonal; by what share its entries change, their mean. Where one changes
+/// beyond measure, or is no number, that is infinite.
 pub(crate) fn to_diagonal(matrix: &mut DMatrix<f64>, diagonal: &[f64]) -> f64 {
     let n = diagonal.len();
     let mut changed = 0.0_f64;
     for (i, wanted) in diagonal.iter().enumerate() {
         let share = wanted / matrix[(i, i)];
-        // What is no number has changed beyond measure.
-        changed = if share > 0.0 { changed.max((share - 1.0).abs()) } else { f64::INFINITY };
+        let is_measured = (1.0 / CHANGE..=CHANGE).contains(&share);
+        changed += if is_measured { (share - 1.0).abs() / n as f64 } else { f64::INFINITY };
         let scale = share.sqrt();
         for j in 0..n {
             matrix[(i, j)] *= scale;
