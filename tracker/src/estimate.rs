@@ -53,6 +53,9 @@ pub enum Ending {
     NonFinite,
     /// The fit ended well but its normal equations are singular: some parameters are undetermined. No covariance.
     Singular,
+    /// The search used up what it may before all that stands out was fitted, and nothing that was fitted may be the target.
+    /// Parameters are the last known ones.
+    SearchLimit,
     /// No fit was tried: nothing in the window stands out of the background. Parameters are the last known ones.
     #[default]
     NoTarget,
@@ -86,6 +89,7 @@ impl Ending {
             Ending::DomainVanished => "domain-vanished",
             Ending::NonFinite => "non-finite",
             Ending::Singular => "singular",
+            Ending::SearchLimit => "search-limit",
             Ending::NoTarget => "no-target",
             Ending::WrongFrame => "wrong-frame",
             Ending::NoKernel => "no-kernel",

@@ -7,13 +7,13 @@ use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::candidate::Candidate;
 use super::evidence::Ground;
 use super::looks::Likeness;
 use super::noise::NoiseLevel;
 use super::past::Past;
 use super::rival::Rival;
 use super::rows::RowLevel;
-use super::search::Candidate;
 use super::shared::SharedParameters;
 use super::solver::{Attempt, Solver};
 use super::window::{half_widths, sizes};

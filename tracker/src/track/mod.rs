@@ -11,9 +11,11 @@
 
 mod asymmetry;
 mod branch;
+pub(crate) mod candidate;
 mod clock;
 mod coordinate;
 mod course;
+mod dark;
 pub(crate) mod disagreement;
 pub(crate) mod evidence;
 mod faint;
@@ -45,8 +47,9 @@ use crate::solve::alternatives::StartsFrom;
 use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
+use candidate::Candidate;
 use memory::Memory;
-use search::{Candidate, Search};
+use search::Search;
 use solver::{Attempt, Look, Solver};
 use window::Margin;
 
@@ -131,6 +134,9 @@ impl Track {
             for (axis, px) in margin.px.iter_mut().enumerate().take(solver.model().coordinates().len()) {
                 *px = (*px + MARGIN_DEVIATIONS * predicted.deviation(axis)).min(MARGIN_PX_MAX);
             }
+        }
+        if solver.is_dark(look, &start, margin, self.memory.size_px(solver)) {
+            return Ok(Followed::Doubtful(None));
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;

@@ -4,7 +4,8 @@
 //! What comes in: a frame, and what is remembered of the target. What goes out: a candidate that may be it. It never knows why
 //! there is no other search.
 
-use super::search::{Candidate, Scope, Search};
+use super::candidate::Candidate;
+use super::search::{Scope, Search};
 use super::solver::{Look, Solver};
 use super::window::Margin;
 use super::{Finding, MARGIN_DEVIATIONS, Track};

@@ -4,7 +4,7 @@
 //! What comes in: an [`Attempt`], and where it started. What goes out: the attempt, or that of the alternative model that
 //! explains more. It never knows which track it is for.
 
-use super::search::Candidate;
+use super::candidate::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::estimate::Rejection;

@@ -3,10 +3,11 @@
 //! What comes in: a frame, starting values that are given, and targets that are followed already. What goes out:
 //! [`Candidate`]s. It never knows which track will take one.
 
+use super::candidate::{Candidate, Sighting};
 use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
-use super::window::{Margin, shape};
+use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
 use crate::sight::cold::{Cold, Grain, Spotted, Starts};
 use crate::sight::mask::Mask;
@@ -24,14 +25,8 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
-/// What has lower log odds, and looks otherwise than it did, is not taken.
-const UNLIKE: f64 = -5.8;
 /// Where nothing is known but looks, one of several things must have these log odds.
 const GUESS: f64 = -0.85;
-/// What has higher log odds need not be looked for any further.
-const LIKELY: f64 = 0.0;
-/// Without a shape: fits that end this near to each other are of one thing, px.
-const COINCIDENCE_PX: f64 = 3.0;
 
 /// Fits of things that stand out, and of what the document's image finds, may use every pixel of the picture so many times each;
 /// the likeliest things come first. What is left is not looked at. …
@@ -46,9 +41,6 @@ const SIGHTS_MIN: usize = 2;
 /// A thing's energy is at most so many times that of a box of its size and height.
 const ENERGY: f64 = 4.0;
 
-/// A fit of something that was seen with a size is of that when its area is the same but for this factor.
-const ALIKE: f64 = 6.0;
-
 /// How much of what there is has to be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scope {
@@ -56,27 +48,6 @@ pub(crate) enum Scope {
     Likeliest,
     /// Everything.
     All,
-}
-
-/// A fit of something that may be the target.
-#[derive(Clone, Debug)]
-pub(crate) struct Candidate {
-    pub attempt: Attempt,
-    /// Absent where the model does not say what is bright.
-    pub evidence: Option<Evidence>,
-    /// What is beside it, where that was looked at.
-    pub ground: Option<Ground>,
-    /// Whether it is where a track expects its target, once that track has asked.
-    pub near: Option<bool>,
-}
-
-/// Something that may be the target.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Sighting {
-    /// Of the fit, all of the model's.
-    pub parameters: Vec<f64>,
-    /// For and against it; absent where the model does not say what is bright.
-    pub evidence: Option<Evidence>,
 }
 
 /// What a search came to.
@@ -97,6 +68,8 @@ pub(crate) struct Search {
     /// Things that were fitted, and how many pixels that took in all passes.
     fitted: usize,
     work: u64,
+    /// Things were left because it had used up what it may.
+    is_cut: bool,
 }
 
 /// A fit that leaves too much unexplained.
@@ -111,78 +84,6 @@ struct Doubtful {
 pub(crate) struct Pick {
     pub index: usize,
     pub candidate: Candidate,
-}
-
-impl Candidate {
-    /// With the evidence of the fit alone.
-    pub fn of(solver: &Solver, attempt: Attempt, ground: Option<Ground>) -> Candidate {
-        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good());
-        let evidence = fit.and_then(|fit| Evidence::of(solver, fit, ground));
-        Candidate { evidence, attempt, ground, near: None }
-    }
-
-    /// The probability that it is the target.
-    pub fn confidence(&self) -> Option<f64> {
-        self.evidence.as_ref().map(Evidence::confidence)
-    }
-
-    /// True when, were nothing else there, it is the target with at least the probability that the session asks for, as far as
-    /// that is known.
-    pub fn is_sure(&self, solver: &Solver) -> bool {
-        let alone = self.evidence.as_ref().map(Evidence::confidence_alone);
-        alone.is_none_or(|confidence| confidence >= solver.options.confidence_min)
-    }
-
-    /// True for what is hardly a target, as far as that is known.
-    pub fn is_unlike(&self) -> bool {
-        self.log_odds().is_some_and(|log_odds| log_odds < UNLIKE)
-    }
-
-    /// The log odds of its evidence.
-    pub fn log_odds(&self) -> Option<f64> {
-        self.evidence.as_ref().map(Evidence::log_odds)
-    }
-
-    /// True for a fit of one of the model's alternatives.
-    pub fn is_substitute(&self) -> bool {
-        self.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
-    }
-
-    /// The target, as far as the model can tell; what leaves parameters undetermined is not.
-    fn is_likely(&self) -> bool {
-        let is_determined = || self.attempt.ending != Ending::Singular;
-        self.log_odds().map_or_else(is_determined, |log_odds| log_odds >= LIKELY)
-    }
-
-    /// True when its centre lies inside the outline of something at `other`.
-    pub fn coincides(&self, solver: &Solver, other: &[f64]) -> bool {
-        let Some(fit) = &self.attempt.fit else { return false };
-        let dimensions = solver.model().coordinates().len();
-        solver.model().roles().iter().any(|roles| {
-            let off: Vec<f64> = roles.centre.iter().map(|p| fit.parameters[p.index()] - other[p.index()]).collect();
-            match shape(roles, dimensions, other).filter(|a| a.nrows() == off.len() && !off.is_empty()) {
-                Some(a) => {
-                    let term = |i: usize| (0..off.len()).map(|j| off[i] * a[(i, j)] * off[j]).sum::<f64>();
-                    (0..off.len()).map(term).sum::<f64>() <= 1.0
-                }
-                None => !off.is_empty() && off.iter().map(|d| d * d).sum::<f64>() <= COINCIDENCE_PX.powi(2),
-            }
-        })
-    }
-
-    /// True when a fit ended inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
-    /// and met no saturated pixels, of which anything can be said.
-    fn stays(&self, solver: &Solver, start: &[f64]) -> bool {
-        let Some(fit) = &self.attempt.fit else { return false };
-        let sizes = solver.looks(&fit.parameters).0.zip(solver.looks(start).0);
-        let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
-        let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
-        is_alike && is_clear && self.attempt.ending != Ending::Singular && self.coincides(solver, start)
-    }
-
-    fn rank(&self) -> f64 {
-        self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
-    }
 }
 
 impl Search {
@@ -211,54 +112,78 @@ impl Search {
             is_first,
             fitted: 0,
             work: 0,
+            is_cut: false,
         };
-        let [width, height, ..] = look.window.size();
-        let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
-        if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
-            search.look(solver, look, given, Grain::Halved)?;
-        }
+        search.find(solver, look, given, size_px)?;
         if look.unfinished().is_some() {
             return Ok(search);
         }
-        let is_small = size_px.is_some_and(|size| size < HALVED_PX);
-        let detects = solver.bank.is_some();
-        if !coarse || (!detects && (is_small || (search.candidates.is_empty() && size_px.is_none()))) {
-            search.look(solver, look, given, Grain::Full)?;
-        }
-        if search.is_wanting(solver) && look.unfinished().is_none() {
-            search.spot(solver, look, given, size_px)?;
-        }
-        // What is small and saturated stands out by itself, and is lost where four pixels are looked at as one.
-        if coarse && detects && is_small && search.candidates.is_empty() && look.unfinished().is_none() {
-            search.look(solver, look, given, Grain::Full)?;
-        }
-        // Something faint that a model explains says nothing of the massive thing that it does not explain.
-        let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None) && candidate.is_likely();
-        if let Some(Doubtful { attempt, start, ground, is_placed }) = search.doubtful.take()
-            && !search.candidates.iter().any(is_fine)
-        {
-            let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-            let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
-            let budget = look.budget(RECONSIDERED);
-            let bounded = look.bounded(&budget);
-            let attempt = solver.reconsidered(&bounded, attempt, &start, margin, None, starts)?;
-            bounded.wanted().cloned().into_iter().for_each(|preparation| look.want(preparation));
-            let has_rows = look.row_variance().is_none() && bounded.row_variance().is_some();
-            bounded.row_variance().into_iter().for_each(|variance| look.learn_rows(variance));
-            if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
-                let ground = ground
-                    .filter(|_| search.is_first)
-                    .map(|ground| ground.seen_first(solver, look, &attempt))
-                    .or(ground);
-                search.candidates.push(Candidate::of(solver, attempt, ground));
-            }
-        }
+        search.reconsider(solver, look)?;
         // Stable: where there is no evidence the most massive stays first.
         search.candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()));
         search.merge(solver);
         search.weigh_rivals(solver);
         search.claimed = vec![false; search.candidates.len()];
+        if search.is_cut && search.candidates.is_empty() {
+            let strongest = search.failure.strongest;
+            search.failure = Attempt { strongest, ..Attempt::none(Ending::SearchLimit) };
+        }
         Ok(search)
+    }
+
+    /// Fits what stands out, and what the document's own image finds.
+    fn find(
+        &mut self,
+        solver: &Solver,
+        look: &Look,
+        given: &[Option<f64>],
+        size_px: Option<f64>,
+    ) -> Result<(), CompileFailure> {
+        let [width, height, ..] = look.window.size();
+        let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
+        if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
+            self.look(solver, look, given, Grain::Halved)?;
+        }
+        if look.unfinished().is_some() {
+            return Ok(());
+        }
+        let is_small = size_px.is_some_and(|size| size < HALVED_PX);
+        let detects = solver.bank.is_some();
+        if !coarse || (!detects && (is_small || (self.candidates.is_empty() && size_px.is_none()))) {
+            self.look(solver, look, given, Grain::Full)?;
+        }
+        if self.is_wanting(solver) && look.unfinished().is_none() {
+            self.spot(solver, look, given, size_px)?;
+        }
+        // What is small and saturated stands out by itself, and is lost where four pixels are looked at as one.
+        if coarse && detects && is_small && self.candidates.is_empty() && look.unfinished().is_none() {
+            self.look(solver, look, given, Grain::Full)?;
+        }
+        Ok(())
+    }
+
+    /// Looks for what may hide the most massive thing that no fit explains, where nothing else is likely to be the target.
+    fn reconsider(&mut self, solver: &Solver, look: &Look) -> Result<(), CompileFailure> {
+        // Something faint that a model explains says nothing of the massive thing that it does not explain.
+        let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None) && candidate.is_likely();
+        let Some(Doubtful { attempt, start, ground, is_placed }) = self.doubtful.take() else { return Ok(()) };
+        if self.candidates.iter().any(is_fine) {
+            return Ok(());
+        }
+        let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+        let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
+        let budget = look.budget(RECONSIDERED);
+        let bounded = look.bounded(&budget);
+        let attempt = solver.reconsidered(&bounded, attempt, &start, margin, None, starts)?;
+        self.is_cut |= bounded.unfinished().is_some();
+        let has_rows = look.row_variance().is_none() && bounded.row_variance().is_some();
+        look.take_from(&bounded);
+        if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
+            let seen = |ground: Ground| ground.seen_first(solver, look, &attempt);
+            let ground = ground.filter(|_| self.is_first).map(seen).or(ground);
+            self.candidates.push(Candidate::of(solver, attempt, ground));
+        }
+        Ok(())
     }
 
     fn look(
@@ -278,7 +203,11 @@ impl Search {
         let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
-            if self.is_spent(look) || self.is_beaten(starts, cold.variance) {
+            if self.is_beaten(starts, cold.variance) {
+                break;
+            }
+            if self.is_spent(look) {
+                self.is_cut = true;
                 break;
             }
             let attempt = self.try_all(solver, look, starts, control)?;
@@ -336,15 +265,11 @@ impl Search {
                 continue;
             }
             if self.is_spent(look) {
+                self.is_cut = true;
                 break;
             }
             let attempt = self.try_all(solver, look, starts, control)?;
-            let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
-            let mut candidate = Candidate::of(solver, attempt, ground);
-            // That there is something has been decided: a fit that stays there need not decide again.
-            if candidate.attempt.rejection == Some(Rejection::Faint) && candidate.stays(solver, &starts.starts[0]) {
-                candidate = Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground);
-            }
+            let candidate = self.spotted(solver, look, attempt, starts, ground);
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
@@ -366,6 +291,26 @@ impl Search {
             let rivals = (all - odds(candidate)).max(0.0);
             candidate.evidence.iter_mut().for_each(|evidence| evidence.rivals = rivals);
             candidate.ground.iter_mut().for_each(|ground| ground.rivals = rivals);
+        }
+    }
+
+    /// A fit of what the document's image has found. That there is something has been decided: a fit that stays there need not
+    /// decide again.
+    fn spotted(
+        &self,
+        solver: &Solver,
+        look: &Look,
+        attempt: Attempt,
+        starts: &Starts,
+        ground: Option<Ground>,
+    ) -> Candidate {
+        let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
+        let candidate = Candidate::of(solver, attempt, ground);
+        match candidate.attempt.rejection {
+            Some(Rejection::Faint) if candidate.stays(solver, &starts.starts[0]) => {
+                Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground)
+            }
+            _ => candidate,
         }
     }
 

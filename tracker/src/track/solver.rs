@@ -104,6 +104,12 @@ impl<'a> Look<'a> {
         }
     }
 
+    /// What was found out, and gone on without, in a part of its work.
+    pub fn take_from(&self, part: &Look) {
+        part.wanted().cloned().into_iter().for_each(|preparation| self.want(preparation));
+        part.row_variance().into_iter().for_each(|variance| self.learn_rows(variance));
+    }
+
     /// Units for a part of its work.
     pub fn budget(&self, work: u64) -> FrameBudget<'_> {
         FrameBudget::part(work, self.budget)

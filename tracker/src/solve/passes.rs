@@ -1,0 +1,249 @@
+//! `Passes`: one pass after the other over a view, what a step needs of them, and what an end point is worth.
+//!
+//! What comes in: kernels, planes, parameters. What goes out: F, gradients and Hessians as a [`CostFunction`], and [`Worth`]. It never
+//! knows which steps are taken.
+
+use isophote_jit::Window;
+use isophote_symbolic::{Bindings, ValueKind};
+
+use crate::estimate::Ending;
+use crate::scaled::{self, Definite};
+use crate::sight::gaps::overlap;
+use crate::sight::view::View;
+use crate::solve::covariance::{beforehand, inform, inverse_fisher};
+use crate::solve::fit::Worth;
+use crate::solve::loops::{Loops, Totals};
+use crate::solve::stage::{CostFunction, Pass};
+use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, method, value_kind};
+use crate::solve::trust::{Curvature, Quadratic};
+
+/// Pixels of a pass that cost as much as one gap does.
+const GAP_WORK: usize = 64;
+
+/// What says F and χ² at the end of a fit by a model with noise.
+pub(super) enum Report<'a> {
+    /// There is none.
+    None,
+    /// The last pass, where its last step began.
+    Told,
+    /// A pass of its own.
+    Untold(&'a Loops),
+}
+
+/// Passes over a view.
+pub(super) struct Passes<'a> {
+    compiled: &'a StageKernels,
+    view: &'a View<'a>,
+    /// Windows without a common pixel: the view's, or what of it the target can be in.
+    parts: &'a [Window],
+    /// What of them takes no part.
+    gaps: Vec<Window>,
+    /// What a pass costs, in pixels.
+    work: usize,
+    constants: &'a [f64],
+    /// They are run though the frame's budget is used up: without them nothing could be said of what was reached.
+    pub is_last: bool,
+    /// Of the last pass.
+    totals: Totals,
+}
+
+impl<'a> Passes<'a> {
+    pub fn of(compiled: &'a StageKernels, view: &'a View<'a>, parts: &'a [Window], constants: &'a [f64]) -> Passes<'a> {
+        let inside = |gap: &Window| parts.iter().filter_map(|part| overlap(*gap, *part)).collect::<Vec<Window>>();
+        let gaps: Vec<Window> = view.gaps.iter().flat_map(inside).collect();
+        let work = parts.iter().map(|part| part.pixels()).sum::<usize>() + GAP_WORK * gaps.len();
+        Passes { compiled, view, parts, gaps, work, constants, is_last: false, totals: Totals::default() }
+    }
+
+    /// One pass over all parts.
+    pub fn run(&mut self, loops: &Loops, parameters: &[f64], entry: &[f64]) -> Result<&Totals, Ending> {
+        if !self.is_last {
+            self.view.spend(self.work)?;
+        }
+        let bindings =
+            Bindings { parameters, entry, constants: self.constants, saturation: &self.view.limits, shift: &[] };
+        let View { planes, row_variances, .. } = self.view;
+        let ran = loops.sums(&bindings, planes, self.parts, &self.gaps, row_variances, &mut self.totals);
+        ran.map(|()| &self.totals).ok_or(Ending::NonFinite)
+    }
+
+    /// The passes that nothing follows; `report` is there for models with noise.
+    pub fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
+        let mut pass = Pass::of(self.compiled.last_parameters().len());
+        pass.read(self.run(covariance, end, end)?, Curvature::GaussNewton)?;
+        self.worth_of((pass, None), report.map_or(Report::None, Report::Untold), end, end)
+    }
+
+    /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`; with the factors
+    /// of its Hessian, where they are known.
+    pub fn worth_of(
+        &mut self,
+        (pass, factors): (Pass, Option<Definite>),
+        report: Report,
+        end: &[f64],
+        entry: &[f64],
+    ) -> Result<Worth, Ending> {
+        let count = self.compiled.last_parameters().len();
+        let sums = &self.totals;
+        let carried = pass.quadratic.objective - sums.outputs.first().ok_or(Ending::NonFinite)?;
+        let met = pass.pixels + sums.saturated;
+        let mut chi_square = sums.seen.first().ok_or(Ending::NonFinite)? + carried;
+        let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
+        let row_variance = sums.rows.variance();
+        let mut quadratic = pass.quadratic;
+        let mut objective = quadratic.objective;
+        let is_weighed = !matches!(report, Report::None);
+        if is_weighed {
+            // What a last step takes from χ² it takes from F, to which weights that it changes are a detail.
+            let (sums, carried) = match report {
+                Report::Untold(report) => (self.run(report, end, entry)?, 0.0),
+                _ => (&self.totals, carried),
+            };
+            match (sums.outputs.as_slice(), sums.seen.as_slice()) {
+                (&[.., full, _], &[.., chi]) => (objective, chi_square) = (full + carried, chi + carried),
+                _ => return Err(Ending::NonFinite),
+            }
+        }
+        if !quadratic.is_finite() || !objective.is_finite() {
+            return Err(Ending::NonFinite);
+        }
+        let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
+        let variance = if is_weighed { Some(1.0) } else { reduced };
+        let known = beforehand(self.compiled.model(), self.compiled.last_parameters(), end);
+        let mut variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
+        let factors = factors.filter(|_| known.is_none());
+        if let Some((known, variance)) = known.zip(variance) {
+            inform(&mut quadratic, &known, variance);
+        }
+        let mut covariance =
+            variance.and_then(|variance| inverse_fisher(&quadratic, factors, self.compiled.precision(), variance));
+        let positive = variance.filter(|variance| *variance > 0.0);
+        let information = match covariance.as_mut().zip(positive) {
+            // What was cut short is not known better than the step that it was about to take, or took last.
+            Some((covariance, variance)) if self.is_last => {
+                let step = &*covariance * &quadratic.gradient * (0.5 / variance);
+                *covariance += &step * step.transpose();
+                variance_alone += step.component_mul(&step);
+                scaled::inverse(covariance)
+            }
+            Some((_, variance)) => Some(quadratic.hessian * (0.5 / variance)),
+            None => None,
+        };
+        let (pixels, left_out) = (pass.pixels, self.totals.left_out);
+        Ok(Worth {
+            objective,
+            reduced,
+            pixels,
+            left_out,
+            saturated,
+            row_variance,
+            covariance,
+            information,
+            variance_alone,
+        })
+    }
+}
+
+impl Pass {
+    /// From the outputs of a last pass: F, the gradient, the diagonal of H, and what may stand behind them.
+    fn read_closing(&mut self, sums: &Totals) -> Result<f64, Ending> {
+        let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
+        let n = gradient.len();
+        let (&first, rest) = sums.outputs.split_first().ok_or(Ending::NonFinite)?;
+        let (slopes, rest) = rest.split_at_checked(n).ok_or(Ending::NonFinite)?;
+        let diagonal = rest.get(..n).ok_or(Ending::NonFinite)?;
+        *objective = first;
+        gradient.copy_from_slice(slopes);
+        self.pixels = sums.pixels;
+        Ok(scaled::to_diagonal(hessian, diagonal))
+    }
+
+    /// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
+    pub fn read(&mut self, sums: &Totals, curvature: Curvature) -> Result<(), Ending> {
+        let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
+        let n = gradient.len();
+        let (&first, rest) = sums.outputs.split_first().ok_or(Ending::NonFinite)?;
+        if rest.len() != n + n * (n + 1) / 2 {
+            return Err(Ending::NonFinite);
+        }
+        let (slopes, upper) = rest.split_at(n);
+        *objective = first;
+        gradient.copy_from_slice(slopes);
+        let (whole, mut row) = (hessian.as_mut_slice(), upper);
+        for i in 0..n {
+            let (own, rest) = row.split_at(n - i);
+            for (j, &entry) in (i..).zip(own) {
+                whole[i * n + j] = entry;
+                whole[j * n + i] = entry;
+            }
+            row = rest;
+        }
+        self.quadratic.curvature = curvature;
+        self.pixels = sums.pixels;
+        Ok(())
+    }
+}
+
+/// Sums over a view, as something to minimise.
+pub(super) struct Summed<'a> {
+    pub passes: Passes<'a>,
+    gradient: Loops,
+    /// In its place where a pass is entered, and where a way is likely to end; of fits from nearby.
+    opening: Option<Loops>,
+    closing: Option<Loops>,
+    /// Looked up by the first who asks: the short way does not.
+    value: Option<Loops>,
+    value_job: Job,
+    control: Control,
+    curvature: Curvature,
+}
+
+impl<'a> Summed<'a> {
+    /// Those of a stage.
+    pub fn of(passes: Passes<'a>, index: usize, control: Control) -> Result<Summed<'a>, CompileFailure> {
+        let (compiled, layout) = (passes.compiled, &passes.view.layout);
+        let method = method(compiled.model(), index, layout);
+        let value_job = match value_kind(compiled.model(), method) {
+            ValueKind::Full => Job::Report,
+            ValueKind::Entry => Job::Value,
+        };
+        let gradient = compiled.loops(Job::Stage(index), control, layout)?;
+        let (opening, closing, value) = (None, None, None);
+        Ok(Summed { passes, gradient, opening, closing, value, value_job, control, curvature: curvature(method) })
+    }
+
+    /// The same for a fit that begins nearby.
+    pub fn nearby(self) -> Result<Summed<'a>, CompileFailure> {
+        let Passes { compiled, view, .. } = self.passes;
+        let [opening, closing] = [Job::Opening, Job::Closing].map(|job| compiled.short_loops(job, &view.layout));
+        Ok(Summed { opening: opening?, closing: closing?, ..self })
+    }
+}
+
+impl CostFunction for Summed<'_> {
+    fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+        let loops = self.opening.as_ref().filter(|_| point == entry).unwrap_or(&self.gradient);
+        pass.read(self.passes.run(loops, point, entry)?, self.curvature)
+    }
+
+    fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<f64, Ending>> {
+        let sums = self.passes.run(self.closing.as_ref()?, point, entry);
+        Some(sums.and_then(|sums| pass.read_closing(sums)))
+    }
+
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
+        let Passes { compiled, view, .. } = self.passes;
+        let value = match self.value.take() {
+            Some(value) => value,
+            None => compiled.loops(self.value_job, self.control, &view.layout).map_err(|_| Ending::NoKernel)?,
+        };
+        let found = self.passes.run(&value, point, entry).map(|totals| totals.outputs.first().copied());
+        self.value = Some(value);
+        found?.ok_or(Ending::NonFinite)
+    }
+
+    fn allowed(&self, point: &[f64]) -> bool {
+        let Passes { compiled, constants, .. } = &self.passes;
+        point.iter().all(|value| value.is_finite()) && compiled.model().constraints_hold(point, constants)
+    }
+}

@@ -1,0 +1,111 @@
+//! `Candidate`: a fit of something that may be the target, and what speaks for and against it.
+//!
+//! What comes in: an [`Attempt`] of a [`Solver`]. What goes out: whether it is sure, likely, the same thing as another one, and where
+//! it was looked for. It never knows how a search came to it.
+
+use super::evidence::{Evidence, Ground};
+use super::solver::{Attempt, Solver};
+use super::window::shape;
+use crate::estimate::Ending;
+
+/// What has lower log odds, and looks otherwise than it did, is not taken.
+const UNLIKE: f64 = -5.8;
+/// What has higher log odds need not be looked for any further.
+const LIKELY: f64 = 0.0;
+/// Without a shape: fits that end this near to each other are of one thing, px.
+const COINCIDENCE_PX: f64 = 3.0;
+/// A fit of something that was seen with a size is of that when its area is the same but for this factor.
+const ALIKE: f64 = 6.0;
+
+/// A fit of something that may be the target.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub attempt: Attempt,
+    /// Absent where the model does not say what is bright.
+    pub evidence: Option<Evidence>,
+    /// What is beside it, where that was looked at.
+    pub ground: Option<Ground>,
+    /// Whether it is where a track expects its target, once that track has asked.
+    pub near: Option<bool>,
+}
+
+/// Something that may be the target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// Of the fit, all of the model's.
+    pub parameters: Vec<f64>,
+    /// For and against it; absent where the model does not say what is bright.
+    pub evidence: Option<Evidence>,
+}
+
+impl Candidate {
+    /// With the evidence of the fit alone.
+    pub fn of(solver: &Solver, attempt: Attempt, ground: Option<Ground>) -> Candidate {
+        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good());
+        let evidence = fit.and_then(|fit| Evidence::of(solver, fit, ground));
+        Candidate { evidence, attempt, ground, near: None }
+    }
+
+    /// The probability that it is the target.
+    pub fn confidence(&self) -> Option<f64> {
+        self.evidence.as_ref().map(Evidence::confidence)
+    }
+
+    /// True when, were nothing else there, it is the target with at least the probability that the session asks for, as far as
+    /// that is known.
+    pub fn is_sure(&self, solver: &Solver) -> bool {
+        let alone = self.evidence.as_ref().map(Evidence::confidence_alone);
+        alone.is_none_or(|confidence| confidence >= solver.options.confidence_min)
+    }
+
+    /// True for what is hardly a target, as far as that is known.
+    pub fn is_unlike(&self) -> bool {
+        self.log_odds().is_some_and(|log_odds| log_odds < UNLIKE)
+    }
+
+    /// The log odds of its evidence.
+    pub fn log_odds(&self) -> Option<f64> {
+        self.evidence.as_ref().map(Evidence::log_odds)
+    }
+
+    /// True for a fit of one of the model's alternatives.
+    pub fn is_substitute(&self) -> bool {
+        self.attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
+    }
+
+    /// The target, as far as the model can tell; what leaves parameters undetermined is not.
+    pub(super) fn is_likely(&self) -> bool {
+        let is_determined = || self.attempt.ending != Ending::Singular;
+        self.log_odds().map_or_else(is_determined, |log_odds| log_odds >= LIKELY)
+    }
+
+    /// True when its centre lies inside the outline of something at `other`.
+    pub fn coincides(&self, solver: &Solver, other: &[f64]) -> bool {
+        let Some(fit) = &self.attempt.fit else { return false };
+        let dimensions = solver.model().coordinates().len();
+        solver.model().roles().iter().any(|roles| {
+            let off: Vec<f64> = roles.centre.iter().map(|p| fit.parameters[p.index()] - other[p.index()]).collect();
+            match shape(roles, dimensions, other).filter(|a| a.nrows() == off.len() && !off.is_empty()) {
+                Some(a) => {
+                    let term = |i: usize| (0..off.len()).map(|j| off[i] * a[(i, j)] * off[j]).sum::<f64>();
+                    (0..off.len()).map(term).sum::<f64>() <= 1.0
+                }
+                None => !off.is_empty() && off.iter().map(|d| d * d).sum::<f64>() <= COINCIDENCE_PX.powi(2),
+            }
+        })
+    }
+
+    /// True when a fit ended inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
+    /// and met no saturated pixels, of which anything can be said.
+    pub(super) fn stays(&self, solver: &Solver, start: &[f64]) -> bool {
+        let Some(fit) = &self.attempt.fit else { return false };
+        let sizes = solver.looks(&fit.parameters).0.zip(solver.looks(start).0);
+        let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
+        let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
+        is_alike && is_clear && self.attempt.ending != Ending::Singular && self.coincides(solver, start)
+    }
+
+    pub(super) fn rank(&self) -> f64 {
+        self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
+    }
+}
