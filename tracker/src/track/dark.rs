@@ -4,9 +4,9 @@
 //! What comes in: a frame, the start of a fit, and how large the target was. What goes out: yes or no. It never knows what the
 //! target looks like: what is brighter or darker than its surroundings on the scale of the target is something.
 //!
-//! 1. Where the middle of the window is clearly brighter or darker than its border, by a few pixels of each, there is something:
+//! 1. Where the target's middle is clearly brighter or darker than what is around it, by a few pixels of each, there is something:
 //!    a frame in which the target is seen costs no more than that.
-//! 2. Else a plane through all pixels is taken away, and what is left is summed over boxes of about the target's size all over the
+//! 2. Else, in the window of a fit, a plane through all pixels is taken away, and what is left is summed over boxes of about the target's size all over the
 //!    window. The noise is that of differences of neighbouring pixels, so whatever hangs together counts as
 //!    something, too. Where no sum is [`EVEN`] standard deviations off there is nothing that a fit would be believed of.
 
@@ -25,8 +25,11 @@ const EVEN: f64 = 0.75 * SIGNIFICANT;
 const SIDES: [f64; 2] = [0.8, 1.6];
 /// From one box to the next there are so many parts of a side: of boxes at every pixel many more of noise alone are far off.
 const PARTS: usize = 4;
-/// Pixels along a side that the first glance takes of the middle, and of the border.
-const GLANCE: usize = 8;
+/// Pixels along a side that the first glance takes of the middle, and of a square around the target.
+const GLANCE: usize = 4;
+/// Half the side of either, in half widths of the target.
+const MIDDLE: f64 = 0.6;
+const AROUND: f64 = 2.0;
 /// The two differ clearly by so many standard deviations.
 const CLEAR: f64 = 6.0;
 /// Pairs of neighbours that the noise is told from, about.
@@ -42,36 +45,44 @@ impl Solver {
         let [roles] = model.roles() else { return false };
         let [x, y] = roles.centre[..] else { return false };
         let is_suited = model.coordinates().len() == 2 && model.entries() == 1 && !self.fits_pose() && self.reaches();
+        if !is_suited {
+            return false;
+        }
+        let centre = [x, y].map(|centre| start[centre.index()]);
+        let plane = model.observed_channel().map(|channel| &look.planes[channel.index()]);
+        if plane.is_some_and(|plane| is_clear(look.window, centre, half_px, |[x, y]| plane.pixel_at([x, y, 0, 0]))) {
+            return false;
+        }
         let window = self.window(look, start, margin);
         let side = |share: f64| (share * half_px).round().max(1.0);
-        if !is_suited || 2.0 * side(SIDES[1]) > window.width.min(window.height) as f64 {
+        if 2.0 * side(SIDES[1]) > window.width.min(window.height) as f64 {
             return false;
         }
         let view = self.view(look, window);
         let mixture = Mixture::observed(model, &self.constants);
-        let value = |[x, y]: [usize; 2]| mixture.at(view.planes.iter().map(|plane| plane.pixel_at([x, y, 0, 0])));
-        if is_clear(window, [x, y].map(|centre| start[centre.index()]), half_px, value) {
-            return false;
-        }
         let grey = Grey::read(&view.planes, window, &view.saturation, &mixture);
         grey.saturated() == 0 && is_even(&grey, SIDES.map(|share| side(share) as usize))
     }
 }
 
-/// The middle of a window is clearly brighter or darker than its border.
+/// The middle of a target is clearly brighter or darker than what is around it in `window`.
 fn is_clear(window: Window, centre: [f64; 2], half_px: f64, value: impl Fn([usize; 2]) -> f64) -> bool {
     let (first, size) = ([window.x, window.y], [window.width, window.height]);
-    let inside = |number: usize, axis: usize| {
-        let at = centre[axis] + half_px * (2.0 * (number as f64 + 0.5) / GLANCE as f64 - 1.0);
-        (at.round().max(0.0) as usize).clamp(first[axis], first[axis] + size[axis] - 1)
+    // So many half widths from the centre.
+    let at = |off: [f64; 2]| {
+        let place = |axis: usize| {
+            let place = (centre[axis] + half_px * off[axis]).round().max(0.0) as usize;
+            place.clamp(first[axis], first[axis] + size[axis] - 1)
+        };
+        value([0, 1].map(place))
     };
-    let along = |number: usize, axis: usize| first[axis] + number * (size[axis] - 1) / (2 * GLANCE - 1);
-    let middle = (0..GLANCE * GLANCE).map(|i| value([inside(i % GLANCE, 0), inside(i / GLANCE, 1)]));
-    let border = (0..2 * GLANCE).flat_map(|i| {
-        let ([left, top], [right, bottom]) = (first, [0, 1].map(|axis| first[axis] + size[axis] - 1));
-        [[along(i, 0), top], [along(i, 0), bottom], [left, along(i, 1)], [right, along(i, 1)]]
+    let step = |number: usize| 2.0 * (number as f64 + 0.5) / GLANCE as f64 - 1.0;
+    let middle = (0..GLANCE * GLANCE).map(|i| at([i % GLANCE, i / GLANCE].map(|number| MIDDLE * step(number))));
+    let around = (0..GLANCE).flat_map(|i| {
+        let along = AROUND * step(i);
+        [[along, -AROUND], [along, AROUND], [-AROUND, along], [AROUND, along]].map(at)
     });
-    let [(middle, spread), (ground, noise)] = [moments(middle), moments(border.map(&value))];
+    let [(middle, spread), (ground, noise)] = [moments(middle), moments(around)];
     (middle - ground).powi(2) > CLEAR.powi(2) * (spread + noise) / (GLANCE * GLANCE) as f64
 }
 
