@@ -1,5 +1,5 @@
 //! Derivatives against finite differences of the interpreter's own F (f64), for every shipped model.
-#![allow(clippy::unwrap_used, missing_docs)]
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use isophote_symbolic::interpreter::{Outcome, Pixels, Slices, Window, run};
 use isophote_symbolic::{

@@ -127,16 +127,12 @@ impl Search<'_> {
         let mut graph = self.graph.copied();
         let mut differentiand = *self.differentiand;
         if let Some(variable) = cuts.collect {
-            let mut rewritten = |node: NodeId| {
-                let node = collected(&mut graph, node, variable);
-                let node = gather(&mut graph, node);
-                graph.set_opaque(node);
-                node
-            };
-            differentiand.residual = rewritten(differentiand.residual);
-            differentiand.own_variance = differentiand.own_variance.map(&mut rewritten);
-            if differentiand.is_opening {
-                differentiand.variance = differentiand.variance.map(rewritten);
+            let Differentiand { residual, variance, own_variance, is_opening, .. } = &mut differentiand;
+            let alike = own_variance.iter_mut().chain(variance.iter_mut().filter(|_| *is_opening));
+            for node in std::iter::once(residual).chain(alike) {
+                *node = collected(&mut graph, *node, variable);
+                *node = gather(&mut graph, *node);
+                graph.set_opaque(*node);
             }
             if differentiand.residual == levelled(&mut graph, self.differentiand.residual) {
                 return;
