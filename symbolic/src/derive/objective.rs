@@ -161,7 +161,8 @@ impl Objective {
                 return Vec::new();
             }
             let form = |form| {
-                let mut objective = Setting::of(&self.referee, &self.subset, budget.clone()).objective(form).ok()?;
+                let mut objective =
+                    DerivationSetting::of(&self.referee, &self.subset, budget.clone()).objective(form).ok()?;
                 if self.is_seeing {
                     objective.domain = seeing(&mut objective.graph, objective.domain, &self.channels());
                 }
@@ -261,7 +262,7 @@ impl Objective {
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
         let claim = Claim::Derivatives { newton: method == Method::Newton, part: Part::Both };
         let referee = referee(model, subset, method, claim)?;
-        let setting = Setting::of(&referee, subset, model.budget());
+        let setting = DerivationSetting::of(&referee, subset, model.budget());
         let (budget, mut lowering) = (setting.graph.budget().clone(), 0);
         let mut candidate = |form: Form| -> Result<Objective, Refusal> {
             let mut objective = setting.objective(form).map_err(Refusal::Limit)?;
@@ -322,7 +323,7 @@ pub(super) fn referee(
 }
 
 /// What is derived from, the same for every form.
-pub(super) struct Setting<'a> {
+pub(super) struct DerivationSetting<'a> {
     referee: &'a Arc<Referee>,
     graph: Graph,
     residual: NodeId,
@@ -335,8 +336,8 @@ pub(super) struct Setting<'a> {
     newton: bool,
 }
 
-impl<'a> Setting<'a> {
-    pub(super) fn of(referee: &'a Arc<Referee>, subset: &[ParameterId], budget: Budget) -> Setting<'a> {
+impl<'a> DerivationSetting<'a> {
+    pub(super) fn of(referee: &'a Arc<Referee>, subset: &[ParameterId], budget: Budget) -> DerivationSetting<'a> {
         let model = referee.model();
         let mut graph = model.formulas.graph.drawing_on(budget);
         let residual = residual(&mut graph, model);
@@ -356,13 +357,34 @@ impl<'a> Setting<'a> {
         let region = domain.filter(|_| reads_alike).map(|domain| region(&mut graph.copied(), domain));
         let is_masked = region.is_some_and(|region| region.mask.is_some());
         let subset = subset.to_vec();
-        Setting { is_masked, referee, graph, residual, variance, own_variance, domain, subset, parameters, newton }
+        DerivationSetting {
+            is_masked,
+            referee,
+            graph,
+            residual,
+            variance,
+            own_variance,
+            domain,
+            subset,
+            parameters,
+            newton,
+        }
     }
 
     /// The sums in one form, not yet checked.
     pub(super) fn objective(&self, form: Form) -> Result<Objective, Diagnostics> {
-        let Setting { referee, graph, residual, variance, own_variance, domain, is_masked, subset, parameters, newton } =
-            self;
+        let DerivationSetting {
+            referee,
+            graph,
+            residual,
+            variance,
+            own_variance,
+            domain,
+            is_masked,
+            subset,
+            parameters,
+            newton,
+        } = self;
         let is_masked = *is_masked;
         let (model, part) = (referee.model(), referee.claim().part().unwrap_or(Part::Both));
         let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();

@@ -4,7 +4,7 @@
 //! What comes in: an [`Objective`] with Gauss–Newton's derivatives. What goes out: objectives over the same parameters, in the same
 //! form. It never knows when such a pass is run.
 
-use crate::derive::objective::{Objective, Setting, referee};
+use crate::derive::objective::{DerivationSetting, Objective, referee};
 use crate::language::budget::Budget;
 use crate::language::model::{Method, Model};
 use crate::program::ParameterId;
@@ -41,7 +41,7 @@ impl Objective {
         let (model, subset) = (self.referee().model(), self.subset());
         let referee = referee(model, subset, Method::GaussNewton, claim)?;
         let form = self.proof().map_or(Form::Factored, |proof| proof.form);
-        Setting::of(&referee, subset, Budget::default()).objective(form)
+        DerivationSetting::of(&referee, subset, Budget::default()).objective(form)
     }
 
     /// Gradient or Hessian in a loop of its own, in the form of the joint loop.
@@ -56,7 +56,7 @@ impl Objective {
             (Part::Gradient | Part::Hessian | Part::Diagonal, Some(proof)) => {
                 let claim = Claim::Derivatives { newton: method == Method::Newton, part };
                 let referee = referee(model, subset, method, claim)?;
-                Setting::of(&referee, subset, model.budget()).objective(proof.form)
+                DerivationSetting::of(&referee, subset, model.budget()).objective(proof.form)
             }
             _ => Ok(joint),
         }

@@ -11,7 +11,7 @@ use crate::solve::trust::Curvature;
 use crate::solve::workers::Workers;
 
 /// A sum for one of the model's summands.
-pub(super) struct Part {
+pub(super) struct SummandPrograms {
     /// Which of the sums.
     pub sum: usize,
     pub is_clipped: bool,
@@ -25,7 +25,7 @@ pub(super) struct Part {
 /// What is derived of a model. Jobs that ask for the same sum share it: stages that free the same parameters, the covariance
 /// and a last stage with a Gauss–Newton Hessian.
 pub(super) struct Derived {
-    pub parts: Vec<Part>,
+    pub parts: Vec<SummandPrograms>,
     /// The sum that serves each job.
     pub jobs: Vec<(Job, usize)>,
     /// Free beside what each job asks for: the offset of the rows.
@@ -134,7 +134,7 @@ impl Derived {
         if model.stages().len() != 1 || self.sum_of(Job::Stage(0)) != joint {
             return;
         }
-        let of_joint: Vec<&Part> = self.parts.iter().filter(|part| Some(part.sum) == joint).collect();
+        let of_joint: Vec<&SummandPrograms> = self.parts.iter().filter(|part| Some(part.sum) == joint).collect();
         let jobs = if model.has_noise() { &[Job::Opening, Job::Closing][..] } else { &[Job::Closing] };
         let first = self.parts.iter().map(|part| part.sum + 1).max().unwrap_or(0);
         let parts = all(jobs.len() * of_joint.len(), workers, &|i| {
@@ -143,8 +143,8 @@ impl Derived {
                 Job::Opening => part.objective.opening(),
                 _ => part.objective.closing(),
             };
-            let part = Part::of(objective.map_err(CompileFailure::Model)?, first + number, part.is_clipped)?;
-            Ok(Part { is_short: true, ..part })
+            let part = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, first + number, part.is_clipped)?;
+            Ok(SummandPrograms { is_short: true, ..part })
         });
         if let Ok(parts) = parts {
             self.parts.extend(parts);
@@ -165,19 +165,19 @@ impl Derived {
 }
 
 /// The programs of a sum.
-fn part(Summand { model, is_clipped }: &Summand, sum: usize, what: &Sum) -> Result<Part, CompileFailure> {
+fn part(Summand { model, is_clipped }: &Summand, sum: usize, what: &Sum) -> Result<SummandPrograms, CompileFailure> {
     let objective = match what {
         Sum::Derivatives(parameters, Curvature::Full) => model.objective(parameters, Method::Newton),
         Sum::Derivatives(parameters, Curvature::GaussNewton) => model.objective(parameters, Method::GaussNewton),
         Sum::Value(kind) => model.value_objective(*kind),
     };
-    Part::of(objective.map_err(CompileFailure::Model)?, sum, *is_clipped)
+    SummandPrograms::of(objective.map_err(CompileFailure::Model)?, sum, *is_clipped)
 }
 
-impl Part {
-    fn of(objective: Objective, sum: usize, is_clipped: bool) -> Result<Part, CompileFailure> {
+impl SummandPrograms {
+    fn of(objective: Objective, sum: usize, is_clipped: bool) -> Result<SummandPrograms, CompileFailure> {
         let lowered = |control| objective.program(lowering(control)).map_err(CompileFailure::Model);
         let (plain, dropping) = (lowered(Control::Plain)?, lowered(Control::Dropping)?);
-        Ok(Part { sum, is_clipped, is_short: false, plain, dropping, objective })
+        Ok(SummandPrograms { sum, is_clipped, is_short: false, plain, dropping, objective })
     }
 }

@@ -4,7 +4,6 @@
 
 use isophote_jit::Window;
 use isophote_symbolic::{Bindings, Model, Precision, Stage};
-use nalgebra::{DMatrix, DVector};
 
 use crate::budget::FrameBudget;
 use crate::estimate::{Ending, StageReport, Substitute};
@@ -13,7 +12,7 @@ use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
 use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::Totals;
-use crate::solve::passes::{Passes, Report, Summed};
+use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
@@ -46,28 +45,6 @@ impl Fit {
     pub fn is_usable(&self) -> bool {
         self.ending.is_fit() || self.ending == Ending::Budget && self.worth.is_some()
     }
-}
-
-/// What the end point is worth, by a last pass that leaves saturated pixels out.
-#[derive(Clone, Debug)]
-pub(crate) struct Worth {
-    /// F; with noise that is χ² + Σ ln σ².
-    pub objective: f64,
-    /// χ²/ν; absent when there are no more pixels than parameters.
-    pub reduced: Option<f64>,
-    pub pixels: u64,
-    /// Pixels of the domain that say nothing about light, and took no part.
-    pub left_out: u64,
-    /// Share of the domain's pixels.
-    pub saturated: f64,
-    /// What rows are likely to be off by, as a variance in pixel values², where they are: of the first entry of `observed`.
-    pub row_variance: Option<f64>,
-    /// Of the last stage's parameters; absent when singular.
-    pub covariance: Option<DMatrix<f64>>,
-    /// Its inverse, as it was summed.
-    pub information: Option<DMatrix<f64>>,
-    /// Variances that they would have if all others were known: a lower bound, and never absent.
-    pub variance_alone: DVector<f64>,
 }
 
 /// What is known of a start.
@@ -218,9 +195,9 @@ pub(super) fn followed(
     }
     problem.passes.is_last = stage.ending == Ending::Budget;
     let report = match (&report, is_told) {
-        (None, _) => Report::None,
-        (Some(_), true) => Report::Told,
-        (Some(report), false) => Report::Untold(report),
+        (None, _) => EndReport::None,
+        (Some(_), true) => EndReport::Told,
+        (Some(report), false) => EndReport::Untold(report),
     };
     let worth = problem.passes.worth_of((pass, factors), report, &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };

@@ -13,7 +13,7 @@ pub(crate) mod exact;
 pub(crate) mod fit;
 pub(crate) mod follow;
 pub(crate) mod loops;
-mod passes;
+pub(crate) mod passes;
 pub(crate) mod prepare;
 pub(crate) mod readiness;
 pub(crate) mod residuals;

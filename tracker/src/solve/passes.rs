@@ -5,13 +5,13 @@
 
 use isophote_jit::Window;
 use isophote_symbolic::{Bindings, ValueKind};
+use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Ending;
 use crate::scaled::{self, Definite};
 use crate::sight::gaps::overlap;
 use crate::sight::view::View;
 use crate::solve::covariance::{beforehand, inform, inverse_fisher};
-use crate::solve::fit::Worth;
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::stage::{CostFunction, Pass};
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, method, value_kind};
@@ -20,8 +20,30 @@ use crate::solve::trust::{Curvature, Quadratic};
 /// Pixels of a pass that cost as much as one gap does.
 const GAP_WORK: usize = 64;
 
+/// What the end point is worth, by a last pass that leaves saturated pixels out.
+#[derive(Clone, Debug)]
+pub(crate) struct Worth {
+    /// F; with noise that is χ² + Σ ln σ².
+    pub objective: f64,
+    /// χ²/ν; absent when there are no more pixels than parameters.
+    pub reduced: Option<f64>,
+    pub pixels: u64,
+    /// Pixels of the domain that say nothing about light, and took no part.
+    pub left_out: u64,
+    /// Share of the domain's pixels.
+    pub saturated: f64,
+    /// What rows are likely to be off by, as a variance in pixel values², where they are: of the first entry of `observed`.
+    pub row_variance: Option<f64>,
+    /// Of the last stage's parameters; absent when singular.
+    pub covariance: Option<DMatrix<f64>>,
+    /// Its inverse, as it was summed.
+    pub information: Option<DMatrix<f64>>,
+    /// Variances that they would have if all others were known: a lower bound, and never absent.
+    pub variance_alone: DVector<f64>,
+}
+
 /// What says F and χ² at the end of a fit by a model with noise.
-pub(super) enum Report<'a> {
+pub(super) enum EndReport<'a> {
     /// There is none.
     None,
     /// The last pass, where its last step began.
@@ -71,7 +93,7 @@ impl<'a> Passes<'a> {
     pub fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
         let mut pass = Pass::of(self.compiled.last_parameters().len());
         pass.read(self.run(covariance, end, end)?, Curvature::GaussNewton)?;
-        self.worth_of((pass, None), report.map_or(Report::None, Report::Untold), end, end)
+        self.worth_of((pass, None), report.map_or(EndReport::None, EndReport::Untold), end, end)
     }
 
     /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`; with the factors
@@ -79,7 +101,7 @@ impl<'a> Passes<'a> {
     pub fn worth_of(
         &mut self,
         (pass, factors): (Pass, Option<Definite>),
-        report: Report,
+        report: EndReport,
         end: &[f64],
         entry: &[f64],
     ) -> Result<Worth, Ending> {
@@ -92,11 +114,11 @@ impl<'a> Passes<'a> {
         let row_variance = sums.rows.variance();
         let mut quadratic = pass.quadratic;
         let mut objective = quadratic.objective;
-        let is_weighed = !matches!(report, Report::None);
+        let is_weighed = !matches!(report, EndReport::None);
         if is_weighed {
             // What a last step takes from χ² it takes from F, to which weights that it changes are a detail.
             let (sums, carried) = match report {
-                Report::Untold(report) => (self.run(report, end, entry)?, 0.0),
+                EndReport::Untold(report) => (self.run(report, end, entry)?, 0.0),
                 _ => (&self.totals, carried),
             };
             match (sums.outputs.as_slice(), sums.seen.as_slice()) {

@@ -11,7 +11,7 @@ use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Preci
 use smallvec::smallvec;
 
 use crate::sight::view::PlaneLayout;
-use crate::solve::derived::{Derived, Part, all};
+use crate::solve::derived::{Derived, SummandPrograms, all};
 use crate::solve::loops::Loops;
 use crate::solve::rows::Rows;
 use crate::solve::trust::Curvature;
@@ -222,7 +222,7 @@ impl StageKernels {
         }
         let derived = self.derived(layout, workers)?;
         let each = |part: usize| {
-            let Part { is_clipped, is_short, .. } = derived.parts[part];
+            let SummandPrograms { is_clipped, is_short, .. } = derived.parts[part];
             // Pixels at their limit are looked at when there are some; fits from nearby always look for them.
             let is_asked_for = move |control: &&Control| match control {
                 Control::Plain => !is_clipped && !is_short,
@@ -306,7 +306,7 @@ impl StageKernels {
     /// The kernel of a part, compiled now if need be.
     fn kernel(
         &self,
-        parts: &[Part],
+        parts: &[SummandPrograms],
         index: usize,
         control: Control,
         (precision, layout): (Precision, &PlaneLayout),

@@ -41,7 +41,7 @@ impl StageKernels {
         let (own, theirs) = (derived.sum_of(Job::Value), others.sum_of(Job::Value));
         let mut others = others.parts.into_iter().filter(|part| Some(part.sum) == theirs);
         for part in derived.parts.iter_mut().filter(|part| Some(part.sum) == own) {
-            *part = Part { sum: part.sum, ..others.next().unwrap() };
+            *part = SummandPrograms { sum: part.sum, ..others.next().unwrap() };
         }
         let kernels =
             StageKernels::new(Arc::new(derivatives), Precision::F32, Arc::default(), &InTurn, Begins::Anywhere)

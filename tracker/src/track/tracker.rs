@@ -250,11 +250,15 @@ impl Tracker {
     /// Follows all, then searches for those that are not where they should be.
     fn outcomes(&self, look: &Look, time_s: f64) -> Result<Vec<Finding>, CompileFailure> {
         let solver = &self.solver;
+        // What was lost is searched for in any case: its frame has a search's time from the beginning, or a fit where it was last
+        // could use up the frame's own, again and again.
+        let is_lost = self.tracks.iter().any(|track| track.memory.found && track.memory.seen_s().is_none());
+        let mut postponed = if is_lost { look.search().err().map(Ending::from) } else { None };
         let followed = self.tracks.iter().map(|track| track.follow(solver, look, time_s));
         let mut followed = followed.collect::<Result<Vec<_>, _>>()?;
         separate(solver, &mut followed);
         let mut kept: Vec<Vec<f64>> = followed.iter().filter_map(kept).collect();
-        let (mut search, mut postponed) = (None, None);
+        let mut search = None;
         let mut outcomes: Vec<Option<Finding>> = Vec::new();
         outcomes.resize_with(followed.len(), || None);
         // Those that were seen lately choose before those that were lost, and these before those that were never found.
