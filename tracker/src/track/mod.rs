@@ -15,7 +15,6 @@ pub(crate) mod candidate;
 mod clock;
 mod coordinate;
 mod course;
-mod dark;
 pub(crate) mod disagreement;
 pub(crate) mod evidence;
 mod faint;
@@ -134,9 +133,6 @@ impl Track {
             for (axis, px) in margin.px.iter_mut().enumerate().take(solver.model().coordinates().len()) {
                 *px = (*px + MARGIN_DEVIATIONS * predicted.deviation(axis)).min(MARGIN_PX_MAX);
             }
-        }
-        if solver.is_dark(look, &start, margin, self.memory.size_px(solver)) {
-            return Ok(Followed::Doubtful(None));
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;

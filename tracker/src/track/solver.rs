@@ -60,7 +60,7 @@ pub(crate) struct Solver {
 
 /// A frame's pixels that may be looked at.
 pub(crate) struct Look<'a> {
-    pub planes: Vec<PlaneView<'a>>,
+    planes: Vec<PlaneView<'a>>,
     pub window: Window,
     /// What its pixels can hold at most.
     largest: f64,
