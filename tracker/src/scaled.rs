@@ -22,6 +22,12 @@ impl Definite {
         self.scale.iter_mut().zip(matrix.diagonal().iter()).for_each(|(scale, entry)| *scale = entry.sqrt());
     }
 
+    /// None yet, with the memory for so many rows.
+    pub fn with_room(count: usize) -> Definite {
+        let [scale, factor, scaled] = [count, count * count, count].map(Vec::with_capacity);
+        Definite { scale, factor, scaled }
+    }
+
     /// `None` when the matrix is not positive definite.
     pub fn of(matrix: &DMatrix<f64>) -> Option<Definite> {
         let mut definite = Definite::default();

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use crate::derive::expressions::Expressions;
 use crate::derive::jet::{jet, pair};
-use crate::derive::objective::{residual, variance};
+use crate::derive::terms::{residual, variance};
 use crate::derive::whole_model::WholeModel;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};

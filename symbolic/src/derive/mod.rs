@@ -26,6 +26,7 @@ pub(crate) mod search;
 pub(crate) mod square;
 pub(crate) mod steps;
 pub(crate) mod sums;
+pub(crate) mod terms;
 pub(crate) mod variant;
 pub(crate) mod whole_model;
 

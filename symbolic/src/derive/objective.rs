@@ -16,10 +16,11 @@ use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{FactoredSums, Output};
+use crate::derive::terms::{entry_domain, own_variance, referee, residual, variance};
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Lowering, Method, Model, Saturated};
+use crate::language::graph::{Graph, NodeId};
+use crate::language::model::{Lowering, Method, Model};
 use crate::program::interpreter::{Pixels, Window};
 use crate::program::{Bindings, ChannelId, Comparison, Cost, Input, ParameterId, Program};
 use crate::proof::claim::{Claim, Part, ValueKind};
@@ -27,15 +28,11 @@ use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
 use crate::proof::hyper::Order;
 use crate::proof::referee::Referee;
-use crate::proof::subject::Subject;
-use crate::proof::{Errors, Form, Proof, budget, is_small_f32};
+use crate::proof::{Errors, Form, Proof, is_small_f32};
 use isophote_syntax::diagnostic::Diagnostics;
 
 /// Units of work that it takes to lower an operation of a formula.
 const LOWERED: usize = 8;
-
-/// Predicted to be within so many standard deviations of the limit is near it.
-const NEAR_LIMIT: f64 = 3.0;
 
 /// What is to be summed; see the module's text.
 #[derive(Clone, Debug)]
@@ -240,8 +237,7 @@ impl Objective {
         let domain = entry_domain(&mut graph, model, Claim::Value(kind));
         let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = FactoredSums { outputs, shift: None };
-        let room = budget::room(model, &[], Method::GaussNewton).ok_or_else(|| WholeModel::of(model).costly())?;
-        let referee = Arc::new(Referee::new(subject(model, &[], Claim::Value(kind)), room));
+        let referee = referee(model, &[], Method::GaussNewton, Claim::Value(kind))?;
         let objective = Objective {
             referee,
             graph,
@@ -297,29 +293,6 @@ fn seeing(graph: &mut Graph, domain: Option<NodeId>, channels: &[ChannelId]) -> 
         let is_number = graph.compare(Comparison::Eq, pixel, pixel);
         Some(domain.map_or(is_number, |domain| graph.and(domain, is_number)))
     })
-}
-
-/// What the sums are of, as the document says it.
-fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
-    // A referee outlives the derivation: what it works out is bounded by its own limits.
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let residual = residual(&mut graph, model);
-    let variance = variance(&mut graph, model, claim);
-    let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-    let own_variance = own_variance(&mut graph, model, claim);
-    let (domain, shape) = (entry_domain(&mut graph, model, claim), model.formulas.shape());
-    Subject { model: model.clone(), graph, residual, variance, own_variance, shape, domain, parameters, claim }
-}
-
-/// Who judges derivatives, when the document's budget has room for it.
-pub(super) fn referee(
-    model: &Model,
-    subset: &[ParameterId],
-    method: Method,
-    claim: Claim,
-) -> Result<Arc<Referee>, Diagnostics> {
-    let room = budget::room(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
-    Ok(Arc::new(Referee::new(subject(model, subset, claim), room)))
 }
 
 /// What is derived from, the same for every form.
@@ -451,63 +424,4 @@ fn safest(candidate: &mut dyn FnMut(Form) -> Result<Objective, Refusal>) -> Resu
     let fits = |objective: &Objective| error(objective).is_none_or(|error| error <= bound);
     let found = factored.ok().filter(fits).or_else(|| candidate(Form::Plain).ok().filter(fits));
     Ok(found.unwrap_or(unfactored))
-}
-
-/// The pixel's variance, at the entry parameters where a claim holds it there.
-pub(crate) fn variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
-    let node = model.formulas.noise?;
-    let is_own = claim.is_newton() || claim.is_at_entry() || claim == Claim::Value(ValueKind::Full);
-    let node = if is_own { node } else { at_entry(graph, node) };
-    graph.set_opaque(node);
-    Some(node)
-}
-
-/// The pixel's variance at the parameters themselves, where a claim has it beside the one at entry.
-fn own_variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
-    let node = model.formulas.noise.filter(|_| claim == Claim::Closing)?;
-    graph.set_opaque(node);
-    Some(node)
-}
-
-fn at_entry(graph: &mut Graph, node: NodeId) -> NodeId {
-    let mut entry = |graph: &mut Graph, node: &Node| match node {
-        Node::Input(Input::Parameter(p)) => Some(graph.input(Input::Entry(*p))),
-        _ => None,
-    };
-    graph.substitute(node, &mut entry)
-}
-
-/// observed − intensity; of a pixel at its limit that limit − intensity.
-pub(crate) fn residual(graph: &mut Graph, model: &Model) -> NodeId {
-    let observed = match model.formulas.clipped {
-        Some(channel) => graph.input(Input::Saturation(channel)),
-        None => model.formulas.observed,
-    };
-    graph.sub(observed, model.formulas.intensity)
-}
-
-/// Where the model holds, at the entry parameters; of pixels at their limit those.
-fn entry_domain(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
-    let at_entry = |graph: &mut Graph, node| if claim.is_at_entry() { node } else { at_entry(graph, node) };
-    let mut domain = model.formulas.domain.map(|d| at_entry(graph, d));
-    if let (Saturated::Predicted, Node::Channel(channel)) =
-        (model.formulas.saturated, graph.node(model.formulas.observed).clone())
-    {
-        let limit = graph.input(Input::Saturation(channel));
-        let intensity = at_entry(graph, model.formulas.intensity);
-        let deviation = match model.formulas.noise {
-            Some(noise) => {
-                let noise = at_entry(graph, noise);
-                graph.sqrt(noise)
-            }
-            None => graph.number(0.0),
-        };
-        let most = graph.sum(0.0, [(limit, 1.0), (deviation, -NEAR_LIMIT)]);
-        let below = graph.compare(Comparison::Lt, intensity, most);
-        domain = Some(domain.map_or(below, |domain| graph.and(domain, below)));
-    }
-    let Some(channel) = model.formulas.clipped else { return domain };
-    let (limit, pixel) = (graph.input(Input::Saturation(channel)), graph.channel(channel));
-    let clipped = graph.compare(Comparison::Le, limit, pixel);
-    Some(domain.map_or(clipped, |domain| graph.and(domain, clipped)))
 }

@@ -4,7 +4,8 @@
 //! What comes in: an [`Objective`] with Gauss–Newton's derivatives. What goes out: objectives over the same parameters, in the same
 //! form. It never knows when such a pass is run.
 
-use crate::derive::objective::{DerivationSetting, Objective, referee};
+use crate::derive::objective::{DerivationSetting, Objective};
+use crate::derive::terms::referee;
 use crate::language::budget::Budget;
 use crate::language::model::{Method, Model};
 use crate::program::ParameterId;

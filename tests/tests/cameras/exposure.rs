@@ -56,7 +56,11 @@ fn a_spot_of_which_60_percent_are_saturated_is_seen_well_within_15_frames() {
         // The rig's processor is slow: the first fits may end with their best so far, an outline that is still too small.
         assert!(begin.2 > 0.45, "60 % of the spot are saturated: {begin:?}");
         for (frame, state, share) in &seen[FRAMES..] {
-            assert!(state == "tracking" && (0.005..0.04).contains(share), "frame {frame}: {state}, {share}");
+            assert!(state == "tracking" && *share < 0.04, "frame {frame}: {state}, {share}");
         }
+        // Nothing clipped, and no darker for it than the controller's dead band and an octave's last halving allow: the peak of
+        // 448 stands at the limit of 255 with 0.57 times the light.
+        let light = controls.light() * 448.0 / 255.0;
+        assert!((0.9..1.1).contains(&light), "{light} times the light at which the peak is at the limit");
     });
 }

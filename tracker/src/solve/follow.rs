@@ -99,7 +99,8 @@ pub(crate) fn follow<P: CostFunction>(
 ) -> Option<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
-    let mut step = Step { moved: Vec::with_capacity(rules.places.len()), ..Step::default() };
+    let (of_places, moved) = (Definite::with_room(rules.places.len()), Vec::with_capacity(rules.places.len()));
+    let mut step = Step { of_places, moved, ..Step::default() };
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
     // F, and the length of the step from there; not known of one that did not move all.
     let mut earlier: Option<(f64, Option<f64>)> = None;
