@@ -1,11 +1,14 @@
 //! `Kernel`: a program as native code, ready to run over the pixels of a window.
 
+use std::sync::Arc;
+
 use isophote_symbolic::{Bindings, Program, Sink};
 use smallvec::{SmallVec, smallvec};
 
 use crate::compile;
 use crate::error::{CompileError, RunError};
 use crate::host::Processor;
+use crate::memory::CodeMemory;
 use crate::options::KernelOptions;
 use crate::plane::{PlaneView, Region, Window};
 use crate::runner::{CallShape, Code};
@@ -42,6 +45,16 @@ impl Kernel {
         program: &Program,
         options: &KernelOptions,
     ) -> Result<Kernel, CompileError> {
+        Kernel::compile_into(None, processor, program, options)
+    }
+
+    /// The same where something has a say in the memory of its code.
+    pub(crate) fn compile_into(
+        say: Option<Arc<dyn CodeMemory>>,
+        processor: Processor,
+        program: &Program,
+        options: &KernelOptions,
+    ) -> Result<Kernel, CompileError> {
         let compiled = compile::native(program, options, processor)?;
         let shape = CallShape {
             inputs: program.inputs().len(),
@@ -52,7 +65,7 @@ impl Kernel {
             renders: matches!(program.sink(), Sink::Plane(_)),
             lanes: options.lanes().count(),
         };
-        let code = Code::load(&compiled, shape).map_err(CompileError::NoCodeMemory)?;
+        let code = Code::load(&compiled, shape, say).map_err(CompileError::NoCodeMemory)?;
         Ok(Kernel { program: program.clone(), options: options.clone(), frame_bytes: compiled.frame_bytes, code })
     }
 

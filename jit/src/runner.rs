@@ -2,17 +2,19 @@
 #![allow(unsafe_code)] // machine code cannot be called without; every block names the type that carries the proof
 
 use std::mem::ManuallyDrop;
-use std::ptr;
+use std::sync::Arc;
+use std::{io, ptr};
 
 use cranelift_codegen::ir::{AbiParam, types};
-use cranelift_jit::{JITBuilder, JITModule};
-use cranelift_module::{Module, default_libcall_names};
+use cranelift_jit::{BranchProtection, JITBuilder, JITMemoryKind, JITMemoryProvider, JITModule, SystemMemoryProvider};
+use cranelift_module::{Module, ModuleError, ModuleResult, default_libcall_names};
 use isophote_symbolic::Tables;
 use smallvec::SmallVec;
 
 use crate::abi::{Args, FUNCTIONS, PlaneArgs};
 use crate::compile::Native;
 use crate::host::{self, Allocator, Processor};
+use crate::memory::{CodeMemory, CodeStep};
 use crate::plane::{Padded, PixelFormat, Region, Window};
 
 /// What the code expects of its arguments.
@@ -63,10 +65,13 @@ impl Drop for Code {
 }
 
 impl Code {
-    /// Puts code into memory of its own, which is writable first and executable afterwards, never both.
-    pub fn load(native: &Native, shape: CallShape) -> Result<Code, String> {
+    /// Puts code into memory of its own, which is writable first and executable afterwards, never both; where there is a say in
+    /// it, only if that permits it.
+    pub fn load(native: &Native, shape: CallShape, say: Option<Arc<dyn CodeMemory>>) -> Result<Code, String> {
         let isa = host::isa(Processor::Host, Allocator::Backtracking).map_err(|e| e.to_string())?;
-        let mut module = ManuallyDrop::new(JITModule::new(JITBuilder::with_isa(isa, default_libcall_names())));
+        let mut builder = JITBuilder::with_isa(isa, default_libcall_names());
+        builder.memory_provider(Box::new(Pages { system: SystemMemoryProvider::new(), say }));
+        let mut module = ManuallyDrop::new(JITModule::new(builder));
         match define(&mut module, native) {
             Ok(entry) => Ok(Code { module, entry, bytes: native.bytes.len(), shape }),
             Err(error) => {
@@ -181,4 +186,33 @@ fn define(module: &mut JITModule, native: &Native) -> Result<EntryPoint, String>
     // SAFETY: `address` is the first byte of `native`, whose only function has `EntryPoint`'s signature (see `lower`), in
     // memory that is executable now; `Code` keeps the memory for as long as the pointer.
     Ok(unsafe { std::mem::transmute::<*const u8, EntryPoint>(address) })
+}
+
+/// The system's memory, and what has a say in it.
+struct Pages {
+    system: SystemMemoryProvider,
+    say: Option<Arc<dyn CodeMemory>>,
+}
+
+impl Pages {
+    fn permit(&self, step: CodeStep) -> io::Result<()> {
+        self.say.as_ref().map_or(Ok(()), |say| say.permit(step).map_err(io::Error::other))
+    }
+}
+
+impl JITMemoryProvider for Pages {
+    fn allocate(&mut self, size: usize, align: u64, kind: JITMemoryKind) -> io::Result<*mut u8> {
+        self.permit(CodeStep::Map)?;
+        self.system.allocate(size, align, kind)
+    }
+
+    unsafe fn free_memory(&mut self) {
+        // SAFETY: whoever calls this vouches for what the same function of the system's asks for.
+        unsafe { self.system.free_memory() }
+    }
+
+    fn finalize(&mut self, branch_protection: BranchProtection) -> ModuleResult<()> {
+        self.permit(CodeStep::Protect).map_err(|err| ModuleError::Allocation { err })?;
+        self.system.finalize(branch_protection)
+    }
 }

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use isophote_jit::CompileError;
 use isophote_symbolic::{Diagnostic, Diagnostics};
 use isophote_tracker::CompileFailure;
 use isophote_wire::ProblemDocument;
-use isophote_wire::explain::{self, ExplainError};
+use isophote_wire::explain::ExplainError;
 
 /// An error with its status, a stable code, a sentence, and diagnostics where a document is wrong.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +96,16 @@ impl Problem {
     pub fn not_ready(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", detail)
     }
+    /// 503: the system gives no thread.
+    pub fn no_thread(what: &str, error: &std::io::Error) -> Problem {
+        Problem::not_ready(format!("the machine has no thread {what}, what runs goes on: {error}"))
+    }
+    /// 503: the system gives no memory for machine code; what runs goes on.
+    pub fn no_code_memory(why: &str) -> Problem {
+        let detail =
+            format!("the machine has no memory for the model's code, what runs goes on with what it has: {why}");
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no-code-memory", detail)
+    }
     /// 500: our fault.
     pub fn bug(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "bug", detail)
@@ -120,10 +131,13 @@ impl Problem {
     }
 }
 
-/// The document asks for what cannot be compiled.
+/// The document asks for what cannot be compiled, or it is not its fault.
 impl From<CompileFailure> for Problem {
     fn from(failure: CompileFailure) -> Problem {
-        Problem::wrong_document(explain::diagnostics(&failure))
+        match failure {
+            CompileFailure::Model(diagnostics) => Problem::wrong_document(diagnostics),
+            CompileFailure::Kernel(error) => ExplainError::from(CompileError::clone(&error)).into(),
+        }
     }
 }
 
@@ -132,6 +146,7 @@ impl From<ExplainError> for Problem {
         match error {
             ExplainError::Question(_) => Problem::bad_request(error.to_string()),
             ExplainError::Model(diagnostics) => Problem::wrong_document(diagnostics),
+            ExplainError::Kernel(CompileError::NoCodeMemory(why)) => Problem::no_code_memory(&why),
             ExplainError::Kernel(_) => Problem::bug(error.to_string()),
         }
     }
@@ -146,7 +161,7 @@ impl IntoResponse for Problem {
         if self.status == StatusCode::UNAUTHORIZED {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
-        if self.status == StatusCode::TOO_MANY_REQUESTS || self.code == "full" {
+        if self.status == StatusCode::TOO_MANY_REQUESTS || ["full", "no-code-memory"].contains(&self.code) {
             // Of thirty a minute the next is there after two seconds.
             let after_s = if self.code == "too-often" { "2" } else { "1" };
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(after_s));

@@ -18,6 +18,8 @@ mod simulation;
 mod standing;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod trouble_tests;
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -99,7 +99,7 @@ impl Workshop {
             drop(reply.send(result)); // the client may have gone
         };
         let thread = Builder::new().name("prepare".into()).spawn(work);
-        thread.map_err(|error| Problem::bug(format!("no thread to compile on: {error}")))?;
+        thread.map_err(|error| Problem::no_thread("to compile on", &error))?;
         answer.await.map_err(|_| Problem::stopping())?
     }
 }

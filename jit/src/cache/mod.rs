@@ -15,7 +15,9 @@ use isophote_symbolic::{Program, Sink, Value};
 
 use self::key::KernelKey;
 use crate::error::CompileError;
+use crate::host::Processor;
 use crate::kernel::Kernel;
+use crate::memory::CodeMemory;
 use crate::options::{KernelOptions, VectorWidth};
 
 /// What a cache did and what it holds.
@@ -38,6 +40,7 @@ pub struct CacheCounts {
 pub struct KernelCache {
     budget_bytes: usize,
     width: VectorWidth,
+    memory: Option<Arc<dyn CodeMemory>>,
     shelf: Mutex<Shelf>,
     /// A compilation ended, well or not.
     ended: Condvar,
@@ -75,12 +78,18 @@ impl KernelCache {
 
     /// A cache that lets unused kernels go when all together need more than `budget_bytes`.
     pub fn new(budget_bytes: usize) -> KernelCache {
-        KernelCache { budget_bytes, width: VectorWidth::default(), shelf: Mutex::default(), ended: Condvar::new() }
+        let (width, memory) = (VectorWidth::default(), None);
+        KernelCache { budget_bytes, width, memory, shelf: Mutex::default(), ended: Condvar::new() }
     }
 
     /// A cache of [`KernelCache::BUDGET_BYTES`] for users who want vectors of that width, see [`KernelCache::get_or_compile_wide`].
     pub fn of_width(width: VectorWidth) -> KernelCache {
         KernelCache { width, ..KernelCache::default() }
+    }
+
+    /// The same cache, with a say of that in the memory of its kernels' code.
+    pub fn in_memory(self, memory: Arc<dyn CodeMemory>) -> KernelCache {
+        KernelCache { memory: Some(memory), ..self }
     }
 
     /// The vectors that its users want.
@@ -136,9 +145,17 @@ impl KernelCache {
         shelf.slots.insert(key.clone(), Slot::Compiling);
         drop(shelf);
         let claim = Claim { cache: self, key };
-        let kernel = Arc::new(Kernel::compile(program, options)?);
+        let kernel = Arc::new(self.compile(program, options)?);
         claim.fulfil(&kernel);
         Ok(kernel)
+    }
+
+    /// A kernel of the caller's own, which the cache does not know.
+    ///
+    /// # Errors
+    /// Those of [`Kernel::compile`].
+    pub fn compile(&self, program: &Program, options: &KernelOptions) -> Result<Kernel, CompileError> {
+        Kernel::compile_into(self.memory.clone(), Processor::Host, program, options)
     }
 
     fn lock(&self) -> MutexGuard<'_, Shelf> {

@@ -11,7 +11,7 @@ use isophote_symbolic::{Bindings, LIMITS, Lowering, Method, Model, ParameterId, 
 /// A program with what it is run on.
 pub struct Subject {
     pub program: Program,
-    options: KernelOptions,
+    pub options: KernelOptions,
     image: Image,
     values: Vec<f64>,
 }

@@ -177,7 +177,7 @@ impl Preview {
             };
             if let Err(error) = Builder::new().name(format!("preview {session}")).spawn(work) {
                 self.lock().draws = false;
-                return Err(Problem::bug(format!("no thread for the preview: {error}")));
+                return Err(Problem::no_thread("for the preview", &error));
             }
         }
         Ok(seat)

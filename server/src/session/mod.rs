@@ -129,7 +129,7 @@ impl Session {
             recorder: FitRecorder::default(),
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
-            .map_err(|error| Problem::bug(format!("no thread for the session: {error}")))?;
+            .map_err(|error| Problem::no_thread("for the session", &error))?;
         let (room, recorded) = (room.clone(), LastRecording::default());
         Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run, recorded })
     }

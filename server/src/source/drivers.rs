@@ -79,7 +79,7 @@ impl Drivers {
             said.try_send(answer).ok(); // whoever asked may have stopped waiting
         };
         let thread = Builder::new().name("camera driver".into()).spawn(work);
-        thread.map_err(|error| Problem::bug(format!("no thread to ask a camera: {error}")))?;
+        thread.map_err(|error| Problem::no_thread("to ask a camera", &error))?;
         let late = match heard.recv_timeout(limit) {
             Ok(answer) => return Ok(answer),
             Err(RecvTimeoutError::Disconnected) => return Err(Problem::bug("asking a camera panicked")),

@@ -161,7 +161,7 @@ impl Source {
         let schedule = Ticks::new(rate_hz);
         let mut worker = Worker { shared: shared.clone(), turn: 0, pace, rate_hz, schedule, frame: 0, faults: 0 };
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
-            .map_err(|error| Problem::bug(format!("no thread for the source: {error}")))?;
+            .map_err(|error| Problem::no_thread("for the source", &error))?;
         Ok(Source {
             document,
             shape: opened.shape,

@@ -13,7 +13,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth};
+use isophote_jit::{KernelOptions, PixelFormat, VectorWidth};
 use isophote_symbolic::{Diagnostic, Diagnostics, Lowering, Method, Model, Objective, ParameterId, Proof, Stage};
 use serde::{Deserialize, Serialize};
 
@@ -161,7 +161,7 @@ impl Compiled {
                 formats: vec![PixelFormat::U8; channels],
                 packed: channels == 1,
             };
-            Kernel::compile(&program, &options).map_err(|error| CompileFailure::Kernel(error.into()))?;
+            self.cache().compile(&program, &options).map_err(|error| CompileFailure::Kernel(error.into()))?;
             let end_ns = clock_ns();
             let compile_ms = end_ns.saturating_sub(begin_ns) as f64 / 1e6;
             let cost = StageCost::of(model, &objective, stage.method, lowering(Control::Plain), compile_ms);

@@ -144,7 +144,7 @@ impl Shadow {
             viewer: None,
         };
         let thread = NamedThread::start(format!("shadow {}", place.session), move || fitter.run())
-            .map_err(|error| Problem::bug(format!("no thread for the shadow: {error}")))?;
+            .map_err(|error| Problem::no_thread("for the shadow", &error))?;
         let source = place.source.clone();
         Ok(Shadow { entry, compiled, options, constants, carried, reset, source, shared, thread })
     }
