@@ -10,13 +10,13 @@ use std::time::Instant;
 use common::differential::{Case, Stage, agree};
 use common::documents::{Tally, try_document};
 use common::generate::{self, Variety};
-use common::soak::{admitted, cycles, resident_kib, subjects, swapping};
+use common::soak::{admitted, cycles, executable_maps, resident_kib, subjects, swapping};
 use common::{Random, widths};
 use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, VectorWidth, has_fma};
 use isophote_symbolic::{LIMITS, Level, Lowering, Precision, Program};
 
 const CYCLES: usize = 100_000;
-const SWAPS: usize = 10_000;
+const SWAPS: usize = 100_000;
 const DOCUMENTS: u64 = 10_000;
 const TRIPLES: usize = 1_000_000;
 
@@ -61,9 +61,13 @@ fn run_cycles() {
 fn run_swaps() {
     let subjects = subjects();
     let expected: Vec<_> = subjects.iter().map(|subject| subject.run(&subject.compile())).collect();
-    let start = Instant::now();
+    let (start, maps) = (Instant::now(), executable_maps());
     let seen = swapping(&subjects, &expected, SWAPS);
     println!("{SWAPS} swaps in {:.0} s under 3 running threads: {seen:?}", start.elapsed().as_secs_f64());
+    println!(
+        "maps that are executable, and those that are writable as well: {maps:?} before, {:?} after",
+        executable_maps()
+    );
 }
 
 /// Of each family the largest admitted program, and the one that takes longest (a smaller one may get the allocator that

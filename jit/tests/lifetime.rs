@@ -5,22 +5,10 @@
 
 mod common;
 
+use common::soak::executable_maps;
 use common::{Random, parameters, programs, shipped};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Lowering, Precision};
-
-/// Anonymous maps that are executable, and all that are writable as well.
-fn executable_maps() -> (usize, usize) {
-    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
-    let permissions = maps.lines().filter_map(|line| {
-        let mut words = line.split_whitespace();
-        let (permissions, file) = (words.nth(1)?, words.nth(3));
-        Some((permissions.to_owned(), file.is_none()))
-    });
-    let all: Vec<(String, bool)> = permissions.collect();
-    let executable = all.iter().filter(|(p, anonymous)| p.contains('x') && *anonymous).count();
-    (executable, all.iter().filter(|(p, _)| p.contains('w') && p.contains('x')).count())
-}
 
 #[test]
 fn a_kernel_may_move_between_threads() {

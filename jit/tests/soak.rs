@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::soak::{cycles, resident_kib, subjects, swapping};
+use common::soak::{cycles, executable_maps, resident_kib, subjects, swapping};
 
 #[test]
 fn kernels_come_and_go_without_a_trace() {
@@ -23,9 +23,12 @@ fn kernels_come_and_go_without_a_trace() {
     assert!(resident_kib() - before > 600, "{} kernels that nobody dropped are not seen", kept.len());
     drop(kept);
 
-    let mut expected: Vec<_> = subjects.iter().map(|subject| subject.run(&subject.compile())).collect();
-    let seen = swapping(&subjects, &expected, 200);
+    let (mut expected, maps) =
+        (subjects.iter().map(|subject| subject.run(&subject.compile())).collect::<Vec<_>>(), executable_maps());
+    let seen = swapping(&subjects, &expected, 2000);
     assert!(seen.wrong == 0 && seen.fewest > 0, "{seen:?}");
+    assert!(seen.live == 1 && (2..=5).contains(&seen.most_live), "{seen:?}");
+    assert_eq!(executable_maps(), maps, "code that outlives its kernel");
     expected[1] = expected[0].clone();
     let seen = swapping(&subjects, &expected, 20);
     assert!(seen.wrong > 0, "a planted wrong expectation is not seen: {seen:?}");

@@ -81,6 +81,24 @@ pub struct Swapping {
     pub wrong: u64,
     /// Answers of the thread that had the fewest.
     pub fewest: u64,
+    /// Kernels that were there at once, at most: one for each thread that runs, one in the handle, and the next.
+    pub most_live: usize,
+    /// Those that are there when all threads are done: the one in the handle.
+    pub live: usize,
+}
+
+/// Anonymous maps that are executable, and all that are writable as well.
+#[cfg(target_os = "linux")]
+pub fn executable_maps() -> (usize, usize) {
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+    let permissions = maps.lines().filter_map(|line| {
+        let mut words = line.split_whitespace();
+        let (permissions, file) = (words.nth(1)?, words.nth(3));
+        Some((permissions.to_owned(), file.is_none()))
+    });
+    let all: Vec<(String, bool)> = permissions.collect();
+    let executable = all.iter().filter(|(p, anonymous)| p.contains('x') && *anonymous).count();
+    (executable, all.iter().filter(|(p, _)| p.contains('w') && p.contains('x')).count())
 }
 
 /// Three threads run whatever kernel the handle holds while this one compiles a new one and swaps it in, so many times.
@@ -88,6 +106,8 @@ pub struct Swapping {
 pub fn swapping(subjects: &[Subject], expected: &[Sums], swaps: usize) -> Swapping {
     let fresh = |at: usize| Arc::new((at, subjects[at].compile()));
     let handle = Mutex::new(fresh(0));
+    let mut kernels = vec![Arc::downgrade(&*handle.lock().unwrap())];
+    let mut most_live = 1;
     let is_over = AtomicBool::new(false);
     let counts: [[AtomicU64; 2]; 3] = Default::default();
     std::thread::scope(|scope| {
@@ -104,6 +124,9 @@ pub fn swapping(subjects: &[Subject], expected: &[Sums], swaps: usize) -> Swappi
         }
         for swap in 1..=swaps {
             let next = fresh(swap % subjects.len());
+            kernels.push(Arc::downgrade(&next));
+            kernels.retain(|kernel| kernel.strong_count() > 0);
+            most_live = most_live.max(kernels.len());
             drop(std::mem::replace(&mut *handle.lock().unwrap(), next));
         }
         // On a busy machine a thread may not have begun yet.
@@ -113,7 +136,8 @@ pub fn swapping(subjects: &[Subject], expected: &[Sums], swaps: usize) -> Swappi
         is_over.store(true, Ordering::Relaxed);
     });
     let of = |which: usize| counts.iter().map(move |count| count[which].load(Ordering::Relaxed));
-    Swapping { answers: of(0).sum(), wrong: of(1).sum(), fewest: of(0).min().unwrap() }
+    let live = kernels.iter().filter(|kernel| kernel.strong_count() > 0).count();
+    Swapping { answers: of(0).sum(), wrong: of(1).sum(), fewest: of(0).min().unwrap(), most_live, live }
 }
 
 /// Documents of a family that grows: the body of the k-th term, and how many parameters a term has.
