@@ -1,13 +1,15 @@
-//! What runs goes on whatever befalls something else: no memory for code.
+//! What runs goes on whatever befalls something else: no memory for code, and panics wherever work of a user's is done.
 
 #![allow(clippy::unwrap_used)]
 
+use std::panic::resume_unwind;
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
-use isophote_capture::Captured;
-use isophote_jit::{CodeMemory, CodeStep, KernelCache, VectorWidth};
-use isophote_tracker::{Frame, Plane};
-use isophote_wire::{ModelAnswer, SessionState};
+use isophote_capture::{Captured, FrameSource, SourceError};
+use isophote_jit::{CodeMemory, CodeStep, KernelCache, PixelFormat, VectorWidth};
+use isophote_tracker::{Buffer, Frame, Lease, Plane};
+use isophote_wire::{ModelAnswer, Pace, SessionState, ShadowDocument, ShadowState};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
@@ -21,22 +23,66 @@ use crate::problem::Problem;
 use crate::registry::{Expected, Media, ModelEntry};
 use crate::session::SlowModels;
 use crate::session::inbox::Reply;
+use crate::source::{FrameShape, Opened, Producer};
 use crate::store::MemoryStore;
+use crate::workshop::Lane;
 
-/// What befalls the next kernel at a step.
+/// A panic of which nothing is printed.
+fn panics() -> ! {
+    resume_unwind(Box::new("planted"))
+}
+
+/// What befalls the next kernel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trouble {
+    Refused(CodeStep),
+    Panic,
+}
+
 #[derive(Debug, Default)]
-struct TroubledMemory(Mutex<Option<CodeStep>>);
+struct TroubledMemory(Mutex<Option<Trouble>>);
 
 impl TroubledMemory {
-    fn trouble(&self, at: Option<CodeStep>) {
-        *self.0.lock().unwrap() = at;
+    fn trouble(&self, what: Option<Trouble>) {
+        *self.0.lock().unwrap() = what;
     }
 }
 
 impl CodeMemory for TroubledMemory {
     fn permit(&self, step: CodeStep) -> Result<(), String> {
         let trouble = *self.0.lock().unwrap();
-        if trouble == Some(step) { Err("planted".into()) } else { Ok(()) }
+        match trouble {
+            Some(Trouble::Refused(at)) if at == step => Err("planted".into()),
+            Some(Trouble::Panic) => panics(),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Pixels that the thread of that name does not survive.
+struct Deadly {
+    thread: &'static str,
+    pixels: Vec<u8>,
+}
+
+impl Lease for Deadly {
+    fn bytes(&self) -> &[u8] {
+        if std::thread::current().name() == Some(self.thread) { panics() } else { &self.pixels }
+    }
+}
+
+/// A source that does not survive its first frame.
+struct DeadlySource;
+
+impl FrameSource for DeadlySource {
+    fn next(&mut self) -> Result<Option<Captured>, SourceError> {
+        panics()
+    }
+    fn description(&self) -> String {
+        "a fault".into()
+    }
+    fn size(&self) -> Option<Vec<usize>> {
+        None
     }
 }
 
@@ -98,7 +144,7 @@ impl Rig {
 
     /// The model that fits a frame in which all pixels have the same light, and what it finds, rounded.
     fn fitted(&self, session: &str) -> (String, f64) {
-        let plane = Plane::owned(isophote_jit::PixelFormat::U8, vec![100; WIDTH * 6], WIDTH);
+        let plane = Plane::owned(PixelFormat::U8, vec![100; WIDTH * 6], WIDTH);
         let estimate = self.push(session, plane);
         let model = estimate["model"].as_str().unwrap().split('@').next().unwrap().to_string();
         (model, estimate["parameters"]["v0"].as_f64().unwrap().round())
@@ -111,7 +157,7 @@ fn without_memory_for_code_sessions_keep_the_kernels_that_they_have() {
         let mut rig = Rig::start();
         rig.put_session("one", "level").unwrap();
         assert_eq!(rig.fitted("one"), ("level".into(), 100.0));
-        rig.memory.trouble(Some(step));
+        rig.memory.trouble(Some(Trouble::Refused(step)));
         let refused = [
             ("a document", rig.check("new", "v0 + 7").map(drop)),
             ("a swap", rig.swap("one", "slope")),
@@ -131,4 +177,97 @@ fn without_memory_for_code_sessions_keep_the_kernels_that_they_have() {
         assert_eq!(rig.fitted("one").0, "slope", "{step:?}");
         rig.service.stop();
     }
+}
+
+/// Looks until it is so.
+fn until(what: &str, is_so: impl Fn() -> bool) {
+    let begin = Instant::now();
+    while !is_so() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "{what}");
+        std::thread::park_timeout(Duration::from_millis(1));
+    }
+}
+
+impl Rig {
+    /// A frame that the thread of that name does not survive; the session that says something of it does.
+    fn push_deadly(&self, session: &str, thread: &'static str) {
+        let buffer = Buffer::Leased(Arc::new(Deadly { thread, pixels: vec![100; WIDTH * 6] }));
+        self.push(session, Plane { buffer, ..Plane::owned(PixelFormat::U8, Vec::new(), WIDTH) });
+    }
+
+    /// What a session is, and why.
+    fn state(&self, session: &str) -> (SessionState, String) {
+        let view = self.service.session_view(session).unwrap();
+        (view.state, view.reason.unwrap_or_default())
+    }
+
+    fn put_shadow(&mut self, session: &str, model: &str) {
+        let (running, entry) = (self.service.session(session).unwrap(), self.service.registry.get(model).unwrap());
+        let document: ShadowDocument = serde_json::from_value(json!({"model": model})).unwrap();
+        // It is tried on the next frame.
+        let prepared = std::thread::scope(|scope| {
+            let prepare = || running.prepare_shadow(entry, &document, &self.service.workshop.at_once());
+            let preparing = scope.spawn(prepare);
+            while !preparing.is_finished() {
+                self.fitted(session);
+            }
+            preparing.join().unwrap().unwrap()
+        });
+        self.service.put_shadow(&mut self.owner, session, &running, prepared).unwrap();
+    }
+
+    /// A swap as the route makes it: prepared on a thread of the workshop.
+    fn prepare_swap_beside(&self, session: &str, model: &str) -> Result<(), Problem> {
+        let (running, entry) = (self.service.session(session).unwrap(), self.service.registry.get(model).unwrap());
+        let prepare = self.service.workshop.prepare(Lane::Sessions, move |workers| {
+            running.prepare_swap(&entry, SlowModels::Allowed, workers).map(drop)
+        });
+        tokio::runtime::Builder::new_current_thread().build().unwrap().block_on(prepare)
+    }
+}
+
+/// Panics in the threads that fit, that fit beside, that compile and that make frames, a hundred times each, beside a session
+/// that goes on. Those in routes are in `guard.rs`, in the owner's changes in `compiler.rs`.
+#[test]
+fn a_panic_ends_what_it_happens_in_and_nothing_else() {
+    let mut rig = Rig::start();
+    rig.put_session("witness", "level").unwrap();
+    let well = ("level".to_string(), 100.0);
+    for round in 0..100 {
+        rig.put_session("one", "level").unwrap();
+        assert_eq!(rig.fitted("one"), well, "{round}");
+        rig.push_deadly("witness", "fit one");
+        until("the session fails", || rig.state("one").0 == SessionState::Failed);
+        assert_eq!(rig.state("one").1, "bug: the fit thread panicked");
+        assert_eq!(rig.fitted("witness"), well, "{round}");
+
+        rig.put_shadow("witness", "level");
+        rig.push_deadly("witness", "shadow witness");
+        let shadow = || rig.service.session("witness").unwrap().shadow().unwrap().view();
+        until("the shadow fails", || shadow().state == ShadowState::Failed);
+        assert!(shadow().reason.unwrap().starts_with("bug: "), "{round}");
+        assert_eq!(rig.fitted("witness"), well, "{round}");
+
+        rig.memory.trouble(Some(Trouble::Panic));
+        let problem = rig.prepare_swap_beside("witness", "slope").unwrap_err();
+        assert_eq!((problem.status.as_u16(), problem.code), (500, "bug"), "{round}");
+        rig.memory.trouble(None);
+        assert_eq!(rig.fitted("witness"), well, "{round}");
+
+        let document = json!({"kind": "recording", "path": "a fault", "rate_hz": 0, "pace": "fit"});
+        let producer = Producer::Frames(Box::new(DeadlySource));
+        let opened = Opened { producer, shape: FrameShape::default(), pace: Pace::Fit, rate_hz: 0.0, held: None };
+        let document = serde_json::from_value(document).unwrap();
+        rig.service.put_source(&mut rig.owner, &name("dead"), document, Some(opened), Keeping::Declared).unwrap();
+        let session = serde_json::from_value(json!({"source": "dead", "model": "level"})).unwrap();
+        rig.service.put_session(&mut rig.owner, &name("blind"), session, None, None, Keeping::Declared).unwrap();
+        until("the session loses its source", || rig.state("blind").0 == SessionState::LostSource);
+        assert_eq!(rig.state("blind").1, "bug: the source's thread panicked");
+        rig.service.remove_session(&mut rig.owner, &name("blind")).unwrap();
+        rig.service.remove_source(&mut rig.owner, &name("dead")).unwrap();
+        assert_eq!(rig.fitted("witness"), well, "{round}");
+    }
+    assert_eq!(rig.state("witness").0, SessionState::Running);
+    rig.prepare_swap_beside("witness", "slope").unwrap();
+    rig.service.stop();
 }
