@@ -12,6 +12,7 @@ mod language;
 mod links;
 mod markdown;
 mod names;
+mod packages;
 mod rooms;
 mod sources;
 
