@@ -3,7 +3,7 @@
 //! What comes in: units of work as they are spent, and a [`Watch`] that may end it at any time. What goes out: go on, or why
 //! not. It never knows what the work is, nor a clock: who has one looks at it in the watch.
 //!
-//! A unit is one pixel of one pass. What works on no pixels is charged by the pixels that take about as long.
+//! A unit is one pixel of one pass of a usual document. Whatever else is done is charged by the pixels that take about as long.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -4,11 +4,16 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use isophote_symbolic::{Method, Model, Objective, ParameterId, Program, Summand, ValueKind};
+use isophote_symbolic::{Cost, Method, Model, Objective, ParameterId, Program, Summand, ValueKind};
 
 use crate::solve::stage_kernels::{CompileFailure, Control, Job, curvature, held, lowering};
 use crate::solve::trust::Curvature;
 use crate::solve::workers::Workers;
+
+/// A pixel of a pass of `spot` takes about so many flops, …
+const USUAL_FLOPS: usize = 256;
+/// … and an elementary function as long as so many.
+const CALL_FLOPS: u32 = 400;
 
 /// A sum for one of the model's summands.
 pub(super) struct SummandPrograms {
@@ -125,6 +130,17 @@ impl Derived {
             part(&summands[i % summands.len()], sum, &sums[sum])
         })?;
         Ok(Derived { parts, jobs, offset })
+    }
+
+    /// What a pixel of a pass of the last stage costs, in pixels of a usual one.
+    pub fn weight(&self) -> usize {
+        let joint = self.sum_of(Job::Covariance);
+        let parts = self.parts.iter().filter(|part| Some(part.sum) == joint && !part.is_clipped);
+        let flops = |part: &SummandPrograms| {
+            let Cost { flops_per_pixel, calls, .. } = part.plain.cost();
+            (flops_per_pixel + CALL_FLOPS * calls.values().sum::<u32>()) as usize
+        };
+        (parts.map(flops).sum::<usize>() / USUAL_FLOPS).max(1)
     }
 
     /// The sums of fits from nearby, where those are of one stage that sums what the covariance is made of. Where they are too

@@ -60,7 +60,7 @@ pub(super) struct Passes<'a> {
     parts: &'a [Window],
     /// What of them takes no part.
     gaps: Vec<Window>,
-    /// What a pass costs, in pixels.
+    /// What a pass costs, in pixels of a usual one.
     work: usize,
     constants: &'a [f64],
     /// They are run though the frame's budget is used up: without them nothing could be said of what was reached.
@@ -73,7 +73,8 @@ impl<'a> Passes<'a> {
     pub fn of(compiled: &'a StageKernels, view: &'a View<'a>, parts: &'a [Window], constants: &'a [f64]) -> Passes<'a> {
         let inside = |gap: &Window| parts.iter().filter_map(|part| overlap(*gap, *part)).collect::<Vec<Window>>();
         let gaps: Vec<Window> = view.gaps.iter().flat_map(inside).collect();
-        let work = parts.iter().map(|part| part.pixels()).sum::<usize>() + GAP_WORK * gaps.len();
+        let pixels = parts.iter().map(|part| part.pixels()).sum::<usize>() + GAP_WORK * gaps.len();
+        let work = compiled.weight() * pixels;
         Passes { compiled, view, parts, gaps, work, constants, is_last: false, totals: Totals::default() }
     }
 

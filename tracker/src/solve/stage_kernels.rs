@@ -102,6 +102,8 @@ pub struct StageKernels {
     free: Arc<[Free]>,
     precision: Precision,
     derived: Arc<Derived>,
+    /// See [`StageKernels::weight`].
+    weight: Arc<OnceLock<usize>>,
     /// The same of rows that have offsets, once such frames were met.
     of_rows: Arc<OnceLock<Result<Derived, CompileFailure>>>,
     cache: Arc<KernelCache>,
@@ -130,7 +132,8 @@ impl StageKernels {
         let derived = Arc::new(derived);
         let free = |stage: usize| Free::of(&model, derived.order(Job::Stage(stage)));
         let free = (0..model.stages().len()).map(free).collect();
-        Ok(StageKernels { model, free, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
+        let (weight, of_rows, ready) = (Arc::default(), Arc::default(), Mutex::default());
+        Ok(StageKernels { model, free, precision, derived, weight, of_rows, cache, ready })
     }
 
     /// The same programs and cache, holding no kernel yet.
@@ -140,6 +143,7 @@ impl StageKernels {
             free: self.free.clone(),
             precision: self.precision,
             derived: self.derived.clone(),
+            weight: self.weight.clone(),
             of_rows: self.of_rows.clone(),
             cache: self.cache.clone(),
             ready: Mutex::default(),
@@ -154,6 +158,11 @@ impl StageKernels {
     /// Arithmetic of the pixel loops.
     pub fn precision(&self) -> Precision {
         self.precision
+    }
+
+    /// What a pixel of its passes costs, in pixels of a usual document's: budgets count these.
+    pub(crate) fn weight(&self) -> usize {
+        *self.weight.get_or_init(|| self.derived.weight())
     }
 
     /// The kernels' cache.

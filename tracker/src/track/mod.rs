@@ -136,7 +136,8 @@ impl Track {
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
-        let attempt = solver.reconsidered(look, attempt, &start, margin, self.memory.reduced, StartsFrom::Given)?;
+        let usual = self.memory.reduced;
+        let (attempt, _) = solver.reconsidered(look, attempt, &start, margin, usual, StartsFrom::Given)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let last = || self.memory.last_start();
         let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;

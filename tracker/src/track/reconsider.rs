@@ -7,7 +7,8 @@
 use super::candidate::Candidate;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::estimate::Rejection;
+
+use crate::estimate::{Ending, Rejection};
 use crate::solve::alternatives::{self, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
@@ -19,6 +20,10 @@ const ASTRAY: f64 = 4.0;
 /// The area of an alternative is at most so many times that of the start, or that part of it; of a start that nobody has
 /// confirmed a smaller part, since what stands out of a picture is as large as the glare is.
 const SIZES: f64 = 4.0;
+/// Alternatives may use every pixel of the picture so many times each, …
+const PASSES: u64 = 128;
+/// … and so many units at least. A target that fills 96 × 96 px of glare takes a quarter of that.
+const WORK_MIN: u64 = 1 << 27;
 
 impl Solver {
     /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. Poses have rules of their
@@ -31,7 +36,7 @@ impl Solver {
     }
 
     /// The attempt, when it is fine, else the best of the alternatives that begin at `start` as well. While these are being
-    /// prepared beside the fits it is the attempt, too.
+    /// prepared beside the fits it is the attempt, too. With why the alternatives were not all tried, where they were not.
     pub fn reconsidered(
         &self,
         look: &Look,
@@ -40,13 +45,29 @@ impl Solver {
         margin: Margin,
         usual: Option<f64>,
         starts: StartsFrom,
-    ) -> Result<Attempt, CompileFailure> {
+    ) -> Result<(Attempt, Option<Ending>), CompileFailure> {
         // Where ground alone explains what there is, nothing is hidden either.
         let is_blank = attempt.rejection == Some(Rejection::Faint)
             && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0));
         if is_blank || self.is_fine(&attempt, usual) || look.unfinished().is_some() {
-            return Ok(attempt);
+            return Ok((attempt, None));
         }
+        let budget = look.budget((PASSES * look.window.pixels() as u64).max(WORK_MIN));
+        let bounded = look.bounded(&budget);
+        let attempt = self.best_explained(&bounded, attempt, start, margin, usual, starts)?;
+        look.take_from(&bounded);
+        Ok((attempt, bounded.unfinished()))
+    }
+
+    fn best_explained(
+        &self,
+        look: &Look,
+        attempt: Attempt,
+        start: &[f64],
+        margin: Margin,
+        usual: Option<f64>,
+        starts: StartsFrom,
+    ) -> Result<Attempt, CompileFailure> {
         let attempt = self.off_by_rows(look, attempt, start, margin)?;
         if self.is_fine(&attempt, usual) {
             return Ok(attempt);

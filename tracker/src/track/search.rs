@@ -33,9 +33,6 @@ const GUESS: f64 = -0.85;
 const PASSES: u64 = 4;
 /// … and so many pixels of passes at least: in a small picture a target is most of it.
 const WORK_MIN: u64 = 2_000_000;
-/// What may hide a target takes more: so many pixels of passes, a few seconds, where nothing that was seen explains the picture.
-/// A capture in glare is worth it.
-const RECONSIDERED: u64 = 1 << 30;
 /// So many things are fitted however long that takes.
 const SIGHTS_MIN: usize = 2;
 /// A thing's energy is at most so many times that of a box of its size and height.
@@ -172,12 +169,10 @@ impl Search {
         }
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
         let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
-        let budget = look.budget(RECONSIDERED);
-        let bounded = look.bounded(&budget);
-        let attempt = solver.reconsidered(&bounded, attempt, &start, margin, None, starts)?;
-        self.is_cut |= bounded.unfinished().is_some();
-        let has_rows = look.row_variance().is_none() && bounded.row_variance().is_some();
-        look.take_from(&bounded);
+        let had_rows = look.row_variance().is_some();
+        let (attempt, stop) = solver.reconsidered(look, attempt, &start, margin, None, starts)?;
+        self.is_cut |= stop.is_some();
+        let has_rows = !had_rows && look.row_variance().is_some();
         if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
             let seen = |ground: Ground| ground.seen_first(solver, look, &attempt);
             let ground = ground.filter(|_| self.is_first).map(seen).or(ground);
@@ -408,7 +403,8 @@ impl Search {
             }
             let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
             let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
-            self.work += stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
+            let pixels = stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
+            self.work += solver.compiled.weight() as u64 * pixels;
             let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
             if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
                 others.extend(best.replace(attempt));
