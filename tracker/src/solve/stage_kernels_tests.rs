@@ -124,3 +124,20 @@ fn a_stage_in_another_order_fits_alike() {
     assert!(apart < 1e-6, "{apart}");
     assert_eq!(ends[0].order, ends[1].order);
 }
+
+#[test]
+fn a_pixel_counts_by_what_it_costs() {
+    let weight = |text: &str| {
+        let model = Arc::new(Model::from_toml(text).unwrap());
+        let kernels = StageKernels::new(model, Precision::F32, Arc::default(), &InTurn, Begins::Anywhere).unwrap();
+        assert_eq!(kernels.share().weight(), kernels.weight());
+        kernels.weight()
+    };
+    assert_eq!(weight(include_str!("../../../models/thesis-spot.toml")), 1);
+    // Three channels, a loop for each.
+    let raw = weight(include_str!("../../../models/three-spots-raw.toml"));
+    assert!((2..8).contains(&raw), "{raw}");
+    // Powers at several points of a pixel.
+    let moffat = weight(include_str!("../../../models/moffat.toml"));
+    assert!(moffat > 2 * raw, "{moffat}");
+}
