@@ -62,8 +62,20 @@ pub async fn read_json<T: DeserializeOwned>(headers: &HeaderMap, body: Body) -> 
     Ok((document, text))
 }
 
+/// A list of values would be read as those of the keys, in their order.
+fn refuse_list(text: &str) -> Result<(), Problem> {
+    let start = text.len() - text.trim_start().len();
+    if !text[start..].starts_with('[') {
+        return Ok(());
+    }
+    let span = Span { start: start as u32, end: start as u32 + 1 };
+    let diagnostic = Diagnostic::error(text, "wrong-value", "", span, "the document is a list, not an object");
+    Err(Problem::wrong_document(vec![diagnostic.help("write keys and values: {\"key\": value}")]))
+}
+
 /// Parses a JSON document.
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, Problem> {
+    refuse_list(text)?;
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let parsed = serde_path_to_error::deserialize(&mut deserializer);
     let value = parsed.map_err(|error| {
@@ -168,6 +180,7 @@ mod tests {
             ),
             ("{\"source\": \"s\"}", "", 1, 1),
             ("{\"source\": \"s\",\n \"model\" \"m\"}", "", 2, 10),
+            ("\n [\"s\", \"m\"]", "", 2, 2),
         ];
         for (text, key, line, column) in cases {
             let fault = fault(text);

@@ -139,7 +139,9 @@ impl Registry {
         self.get(name.as_str())?;
         let before = self.before(name);
         let found = before.record.find(version);
-        let found = found.ok_or_else(|| Problem::unknown("version of the model", &format!("{name}` {version}")))?;
+        let found = found.ok_or_else(|| {
+            Problem::unknown(&format!("version of the model `{name}` with the number"), &version.to_string())
+        })?;
         match before.contents.into_iter().find(|content| content.key() == found.content) {
             Some(shipped) => Ok(shipped),
             None => self.content(&found.digest, &found.content),

@@ -3,6 +3,7 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::os::unix::fs::OpenOptionsExt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use isophote_capture::{open_regular, read_regular};
@@ -89,9 +90,17 @@ fn of_file(path: &Path) -> Result<Database, DatabaseError> {
     database(FileBackend::new(file(path)?)?)
 }
 
+/// Opened, and read once: where pages are damaged the database's own code panics, then or at the first reading.
 fn opened(path: &Path) -> Result<RedbStore, FolderError> {
     let again = path.to_path_buf();
-    RedbStore::open(move || of_file(&again)).map_err(|error| {
+    let sound = || -> Result<RedbStore, StoreError> {
+        let store = RedbStore::open(move || of_file(&again))?;
+        RecordTable::ALL.into_iter().try_for_each(|table| store.list(table).map(drop))?;
+        Ok(store)
+    };
+    let found = catch_unwind(AssertUnwindSafe(sound));
+    let found = found.unwrap_or_else(|_| Err(StoreError::Failed("it is damaged".into())));
+    found.map_err(|error| {
         at(path)(&format!("{error}; keep a copy of it, and start with another --data to go on without it"))
     })
 }

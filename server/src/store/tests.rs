@@ -135,3 +135,34 @@ fn another_format_is_not_read() {
     });
     assert!(opened.err().unwrap().to_string().contains("newer isophote"));
 }
+
+#[test]
+fn a_damaged_page_is_told_with_the_file_and_what_to_do() {
+    let data = Data::new("damaged");
+    fs::create_dir_all(&data.0).unwrap();
+    let import =
+        |_: &std::path::Path| -> std::io::Result<(usize, Transaction)> { panic!("there is nothing to import") };
+    let made = open(&data.0, import).unwrap();
+    for number in 0..40 {
+        made.commit(&put(RecordTable::Contents, &format!("key{number}"), &"words ".repeat(400))).unwrap();
+    }
+    drop(made);
+    let path = data.0.join("isophote.redb");
+    let whole = fs::read(&path).unwrap();
+    let mut refused = 0;
+    for page in (0..whole.len()).step_by(4096) {
+        let mut damaged = whole.clone();
+        let end = (page + 4096).min(damaged.len());
+        damaged[page..end].fill(0);
+        fs::write(&path, &damaged).unwrap();
+        // What no record is on may be damaged.
+        if let Err(error) = open(&data.0, import) {
+            let error = error.to_string();
+            assert!(error.contains("isophote.redb: ") && error.contains("start with another --data"), "{error}");
+            refused += 1;
+        }
+    }
+    assert!(refused > 0);
+    fs::write(&path, &whole).unwrap();
+    assert!(open(&data.0, import).is_ok());
+}
