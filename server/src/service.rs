@@ -270,11 +270,16 @@ impl Service {
         prepare_session(document, running.as_deref(), own, &entry, workers)
     }
 
+    /// Processors that sources with names keep busy.
+    fn load_of_sources(&self) -> f64 {
+        self.sources().iter().map(|(_, source)| source.load()).sum()
+    }
+
     /// 429 where the machine has no room for a session of such a cost beside what runs.
     fn admit(&self, name: &Name, prepared: &PreparedSession) -> Result<(), Problem> {
         let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
         let others = self.sessions().into_iter().filter(|(other, _)| other != name);
-        let running = others.filter_map(|(_, session)| session.load()).sum();
+        let running = others.filter_map(|(_, session)| session.load()).sum::<f64>() + self.load_of_sources();
         let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
         self.commons.admit(&format!("the session `{name}`"), (self.holding().load, running), added)
     }
@@ -286,7 +291,9 @@ impl Service {
             let load = session.load()?;
             Some(if Arc::ptr_eq(&session.source().source, source) { (load * ratio).min(1.0) } else { load })
         };
-        let running = self.sessions().into_iter().filter_map(load).sum();
+        let named = self.sources().into_iter().filter(|(_, named)| Arc::ptr_eq(named, source));
+        let more = named.map(|(_, source)| source.load() * (ratio - 1.0)).sum::<f64>();
+        let running = self.sessions().into_iter().filter_map(load).sum::<f64>() + self.load_of_sources() + more;
         self.commons.admit("a source at that speed", (self.holding().load, running), None)
     }
 
@@ -309,8 +316,9 @@ impl Service {
             if !is_known {
                 self.commons.refuse_more("sessions", LIMITS.sessions, self.holding(), |of| of.sessions)?;
             }
-            // A source of its own has no frames yet on which anything could be measured.
-            if let (Some(prepared), SourceReference::Named(_)) = (prepared, &document.source) {
+            // One with a source of its own, which has no frames yet on which anything could be measured, is admitted as long as
+            // what runs leaves some room.
+            if let Some(prepared) = prepared {
                 self.admit(name, prepared)?;
             }
             let entry = self.registry.get(&document.model)?;
@@ -454,7 +462,7 @@ impl Member for Service {
             sources: self.sources().len() + self.standing_sources.len(),
             sessions: sessions.len() + self.standing_sessions.len(),
             shadows: sessions.iter().filter(|(_, session)| session.shadow().is_ok()).count(),
-            load: sessions.iter().filter_map(|(_, session)| session.load()).sum(),
+            load: sessions.iter().filter_map(|(_, session)| session.load()).sum::<f64>() + self.load_of_sources(),
         }
     }
 

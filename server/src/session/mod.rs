@@ -191,12 +191,13 @@ impl Session {
         is_shadow || status.active.name == name || status.requested_model == name
     }
 
-    /// Processors that it keeps busy at the rate of its source; `None` where frames wait for their fits.
+    /// Processors that it keeps busy at the rate of its source, with a source of its own that one's as well; `None` where frames wait for their fits.
     pub fn load(&self) -> Option<f64> {
         let rate_hz = self.source.source.realtime_hz()?;
         let is_over = matches!(self.state().0, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
         let cost_ns = self.shared.status().load_ns().filter(|_| !is_over).unwrap_or(0);
-        Some(busy(cost_ns as f64 * 1e-9, rate_hz))
+        let own = if self.source.is_own && !is_over { self.source.source.load() } else { 0.0 };
+        Some(busy(cost_ns as f64 * 1e-9, rate_hz) + own)
     }
 
     /// What it does, and why it does not run.

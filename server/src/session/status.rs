@@ -8,12 +8,11 @@ use isophote_wire::{ExposureControl, SessionState};
 
 use super::swap::Active;
 use super::watch::{FrameTimes, FrameUse};
+use crate::capacity::mean_cost;
 use crate::source::{FrameShape, Source};
 
 /// Estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;
-/// Frames over which costs are averaged.
-const COST_FRAMES: u64 = 16;
 /// Without a frame for this long a steady source has stalled, ns; and for this many periods.
 const STALL_NS: u64 = 2_000_000_000;
 const STALL_PERIODS: u64 = 8;
@@ -95,8 +94,7 @@ impl Status {
 
     /// What the frame has cost of a processor, all in all.
     pub fn cost(&mut self, frame_ns: u64) {
-        let share = |mean_ns: u64| (mean_ns * (COST_FRAMES - 1) + frame_ns) / COST_FRAMES;
-        self.cost_ns = Some(self.cost_ns.map_or(frame_ns, share));
+        self.cost_ns = Some(self.cost_ns.map_or(frame_ns, |mean_ns| mean_cost(mean_ns, frame_ns)));
     }
 
     /// The same as far as anything is known.

@@ -31,12 +31,13 @@ use isophote_capture::{Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
 use isophote_tracker::Frame;
 
+use crate::capacity::{busy, mean_cost};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
 pub use drivers::Drivers;
-use isophote_machine::monotonic_ns;
+use isophote_machine::{monotonic_ns, thread_ns};
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
 };
@@ -137,6 +138,7 @@ impl Source {
             reason: None,
             frames: 0,
             newest: None,
+            cost_ns: None,
             camera: None,
             playback,
             asked: None,
@@ -159,7 +161,8 @@ impl Source {
             }
         };
         let schedule = Ticks::new(rate_hz);
-        let mut worker = Worker { shared: shared.clone(), turn: 0, pace, rate_hz, schedule, frame: 0, faults: 0 };
+        let mut worker =
+            Worker { shared: shared.clone(), turn: 0, pace, rate_hz, schedule, frame: 0, faults: 0, worked_ns: None };
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::no_thread("for the source", &error))?;
         Ok(Source {
@@ -195,6 +198,12 @@ impl Source {
         let is_camera = matches!(self.document, SourceDocument::Camera(_));
         let promised = || self.shared.lock().camera.as_ref().and_then(|camera| camera.rate_hz);
         Some(self.speed() * realtime_hz(&self.document, is_camera.then(promised).flatten())?)
+    }
+
+    /// Processors that its thread keeps busy with making, reading or decoding frames; 0 where nobody looks, or frames wait for fits.
+    pub fn load(&self) -> f64 {
+        let (Some(rate_hz), true) = (self.realtime_hz(), self.sessions() > 0) else { return 0.0 };
+        busy(self.shared.lock().cost_ns.unwrap_or(0) as f64 * 1e-9, rate_hz)
     }
 
     /// How much of a thread's time a frame's fits may take: none is left when the next one comes.
@@ -346,13 +355,15 @@ struct Worker {
     frame: u64,
     /// Frames that have failed since the last that did not.
     faults: usize,
+    /// What its thread had used of a processor when the last frame was handed out.
+    worked_ns: Option<u64>,
 }
 
 impl Worker {
     /// A camera keeps its own pace.
     fn of_camera(shared: &Arc<SourceShared>, turn: u64) -> Worker {
         let (shared, schedule) = (shared.clone(), Ticks::new(0.0));
-        Worker { shared, turn, pace: Pace::Realtime, rate_hz: 0.0, schedule, frame: 0, faults: 0 }
+        Worker { shared, turn, pace: Pace::Realtime, rate_hz: 0.0, schedule, frame: 0, faults: 0, worked_ns: None }
     }
 
     fn run(&mut self, producer: Producer) {
@@ -406,6 +417,11 @@ impl Worker {
             let mut state = self.shared.lock();
             state.frames += 1;
             state.newest = Some(captured.frame.sequence);
+            let worked_ns = thread_ns();
+            if let Some(before_ns) = self.worked_ns.replace(worked_ns) {
+                let frame_ns = worked_ns.saturating_sub(before_ns);
+                state.cost_ns = Some(state.cost_ns.map_or(frame_ns, |mean_ns| mean_cost(mean_ns, frame_ns)));
+            }
             (state.sessions.clone(), state.playback.as_ref().map_or(0, |playback| playback.jumps))
         };
         let delivery = Arc::new(Delivery { captured, sent_ns: monotonic_ns(), jumps, reply: Mutex::new(reply) });

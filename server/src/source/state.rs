@@ -26,6 +26,8 @@ pub(super) struct SourceNow {
     pub(super) frames: u64,
     /// The number of the newest frame.
     pub(super) newest: Option<u64>,
+    /// What a frame costs its thread of a processor, in the mean.
+    pub(super) cost_ns: Option<u64>,
     pub(super) camera: Option<CameraStatus>,
     /// Of frames that are made or read.
     pub(super) playback: Option<Playback>,

@@ -208,6 +208,29 @@ fn what_sessions_cost_is_known_while_their_source_is_paused() {
 }
 
 #[test]
+fn what_sources_cost_counts_as_well() {
+    let service = Running::start();
+    // Its fits take a small part of what its frames take to be made.
+    let own = json!({"source": large("realtime", 250.0, 0.1), "model": "thesis-spot"});
+    let refused = (0..40).find_map(|number| {
+        let answer = service.put(&format!("/v1/sessions/own-{number}"), &own);
+        if answer.status == 429 {
+            return Some(answer.expect(429));
+        }
+        answer.expect(201);
+        service.wait_for(&format!("own-{number}"), |view| {
+            view["cost_ms"].is_number() && self::number(view, "frames") > 3.0
+        });
+        None
+    });
+    let refused = refused.unwrap();
+    assert_eq!(refused["code"], "over-capacity", "{refused}");
+    let figures = &refused["figures"];
+    assert!(number(figures, "load") > number(figures, "capacity"), "{refused}");
+    service.stop();
+}
+
+#[test]
 fn a_session_for_which_there_is_no_room_is_refused() {
     let service = Running::start();
     service.put("/v1/sources/fast", &large("realtime", 1000.0, 0.1)).expect(201);
