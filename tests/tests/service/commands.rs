@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
+use isophote_tests::rig::until;
 use isophote_tests::{Finished, Service, finish, program, repository};
 use serde_json::Value;
 
@@ -209,16 +210,11 @@ fn sessions_leave_no_threads_behind() {
         demo.ok(&["session", "stop", "b"]);
     };
     round();
-    // What is prepared for a session ends after it, with the kernel that is being compiled.
+    // What is prepared for a session ends after it, with the kernel that is being compiled; so does the thread that saw it end.
     let settled = || {
-        for _ in 0..600 {
-            let names = threads();
-            if !names.iter().any(|name| name.starts_with("prepare")) {
-                return names;
-            }
-            std::thread::sleep(std::time::Duration::from_millis(100));
-        }
-        threads()
+        let is_ending = |name: &String| name.starts_with("prepare") || name.starts_with("end ");
+        let only_lasting = || Some(threads()).filter(|names| !names.iter().any(is_ending));
+        until("threads that end", LIMIT, only_lasting).unwrap_or_else(|_| threads())
     };
     let before = settled().len();
     (0..5).for_each(|_| round());
