@@ -2,6 +2,7 @@
 //! from what was prepared beside it; read from anywhere. What is put is made ready, written, and only then takes its place:
 //! acknowledged means durable, refused means that nothing was changed.
 
+mod admission;
 mod apply;
 mod declare;
 #[cfg(test)]
@@ -270,33 +271,6 @@ impl Service {
         prepare_session(document, running.as_deref(), own, &entry, workers)
     }
 
-    /// Processors that sources with names keep busy.
-    fn load_of_sources(&self) -> f64 {
-        self.sources().iter().map(|(_, source)| source.load()).sum()
-    }
-
-    /// 429 where the machine has no room for a session of such a cost beside what runs.
-    fn admit(&self, name: &Name, prepared: &PreparedSession) -> Result<(), Problem> {
-        let Some(rate_hz) = prepared.realtime_hz else { return Ok(()) };
-        let others = self.sessions().into_iter().filter(|(other, _)| other != name);
-        let running = others.filter_map(|(_, session)| session.load()).sum::<f64>() + self.load_of_sources();
-        let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
-        self.commons.admit(&format!("the session `{name}`"), (self.holding().load, running), added)
-    }
-
-    /// 429 where the sessions of a source that goes faster would keep more than the machine busy.
-    pub fn admit_speed(&self, source: &Arc<Source>, speed: Option<f64>) -> Result<(), Problem> {
-        let Some(ratio) = speed.map(|speed| speed / source.speed()).filter(|ratio| *ratio > 1.0) else { return Ok(()) };
-        let load = |(_, session): (Name, Arc<Session>)| {
-            let load = session.load()?;
-            Some(if Arc::ptr_eq(&session.source().source, source) { (load * ratio).min(1.0) } else { load })
-        };
-        let named = self.sources().into_iter().filter(|(_, named)| Arc::ptr_eq(named, source));
-        let more = named.map(|(_, source)| source.load() * (ratio - 1.0)).sum::<f64>();
-        let running = self.sessions().into_iter().filter_map(load).sum::<f64>() + self.load_of_sources() + more;
-        self.commons.admit("a source at that speed", (self.holding().load, running), None)
-    }
-
     /// `PUT /v1/sessions/{name}`: the new session runs before the old one stops, which the receiver hears of. Its source may be
     /// opened already.
     pub fn put_session(
@@ -316,8 +290,7 @@ impl Service {
             if !is_known {
                 self.commons.refuse_more("sessions", LIMITS.sessions, self.holding(), |of| of.sessions)?;
             }
-            // One with a source of its own, which has no frames yet on which anything could be measured, is admitted as long as
-            // what runs leaves some room.
+            // Of what a source of its own costs nothing is known yet.
             if let Some(prepared) = prepared {
                 self.admit(name, prepared)?;
             }
