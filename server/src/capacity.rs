@@ -1,9 +1,8 @@
 //! What the machine can bear: realtime sessions are admitted by what they cost.
 //!
 //! What comes in: the costs of the sessions that run and of their sources, as measured frame by frame, and that of a session which
-//! is to be added. What goes
-//! out: a problem with the figures where the machine would be full. Sessions whose frames wait for their fits take what is left,
-//! and are not counted.
+//! is to be added. What goes out: a problem with the figures where the machine would be full. Sessions whose frames wait for their
+//! fits take what is left, and are not counted.
 
 use axum::http::StatusCode;
 
@@ -27,9 +26,9 @@ pub fn busy(fit_s: f64, rate_hz: f64) -> f64 {
 /// Frames over which the mean of what one costs goes.
 const COST_FRAMES: u64 = 16;
 
-/// The mean of what frames cost, with one more.
-pub fn mean_cost(mean_ns: u64, frame_ns: u64) -> u64 {
-    (mean_ns * (COST_FRAMES - 1) + frame_ns) / COST_FRAMES
+/// The mean of what frames cost, if there were any, with one more.
+pub fn mean_cost(mean_ns: Option<u64>, frame_ns: u64) -> u64 {
+    (mean_ns.unwrap_or(frame_ns) * (COST_FRAMES - 1) + frame_ns) / COST_FRAMES
 }
 
 impl Load {

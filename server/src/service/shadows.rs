@@ -36,8 +36,8 @@ impl Service {
             }
             if let Some(rate_hz) = session.source().source.realtime_hz() {
                 let running: f64 = sessions.iter().filter_map(|(_, session)| session.load()).sum();
-                let running = running + shadows.iter().filter_map(|shadow| shadow.load()).sum::<f64>();
-                let running = running + self.load_of_sources();
+                let of_shadows: f64 = shadows.iter().filter_map(|shadow| shadow.load()).sum();
+                let running = running + of_shadows + self.load_of_sources();
                 let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
                 let what = format!("a shadow of the session `{name}`");
                 self.commons.admit(&what, (self.holding().load, running), added)?;

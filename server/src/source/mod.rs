@@ -413,14 +413,14 @@ impl Worker {
     }
 
     fn deliver(&mut self, captured: Captured, reply: Option<Reply>) {
+        let worked_ns = thread_ns();
+        let frame_ns = self.worked_ns.replace(worked_ns).map(|before_ns| worked_ns.saturating_sub(before_ns));
         let (sessions, jumps) = {
             let mut state = self.shared.lock();
             state.frames += 1;
             state.newest = Some(captured.frame.sequence);
-            let worked_ns = thread_ns();
-            if let Some(before_ns) = self.worked_ns.replace(worked_ns) {
-                let frame_ns = worked_ns.saturating_sub(before_ns);
-                state.cost_ns = Some(state.cost_ns.map_or(frame_ns, |mean_ns| mean_cost(mean_ns, frame_ns)));
+            if let Some(frame_ns) = frame_ns {
+                state.cost_ns = Some(mean_cost(state.cost_ns, frame_ns));
             }
             (state.sessions.clone(), state.playback.as_ref().map_or(0, |playback| playback.jumps))
         };

@@ -346,52 +346,39 @@ impl<'a> DerivationSetting<'a> {
 
     /// The sums in one form, not yet checked.
     pub(super) fn objective(&self, form: Form) -> Result<Objective, Diagnostics> {
-        let DerivationSetting {
-            referee,
-            graph,
-            residual,
-            variance,
-            own_variance,
-            domain,
-            is_masked,
-            subset,
-            parameters,
-            newton,
-        } = self;
-        let is_masked = *is_masked;
-        let (model, part) = (referee.model(), referee.claim().part().unwrap_or(Part::Both));
-        let names: Vec<String> = subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
+        let (model, part) = (self.referee.model(), self.referee.claim().part().unwrap_or(Part::Both));
+        let names: Vec<String> = self.subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
-        let is_second = *newton && (part.has_hessian() || variance.is_some());
+        let is_second = self.newton && (part.has_hessian() || self.variance.is_some());
         let order = if is_second { Order::Second } else { Order::First };
         let differentiand = Differentiand {
-            parameters,
+            parameters: &self.parameters,
             names: &names,
-            residual: *residual,
-            variance: *variance,
-            own_variance: *own_variance,
-            is_opening: referee.claim().is_at_entry(),
-            is_masked,
+            residual: self.residual,
+            variance: self.variance,
+            own_variance: self.own_variance,
+            is_opening: self.referee.claim().is_at_entry(),
+            is_masked: self.is_masked,
             shape: model.formulas.shape(),
             order,
             part,
         };
         let derived = match form {
-            Form::Factored => search::fewest_flops(graph, &differentiand, Scaling::Unified),
-            Form::Plain => search::fewest_flops(graph, &differentiand, Scaling::AsWritten),
-            Form::Unfactored => Derivation::new(graph.copied(), &differentiand, &Cuts::default(), By::Variables)
+            Form::Factored => search::fewest_flops(&self.graph, &differentiand, Scaling::Unified),
+            Form::Plain => search::fewest_flops(&self.graph, &differentiand, Scaling::AsWritten),
+            Form::Unfactored => Derivation::new(self.graph.copied(), &differentiand, &Cuts::default(), By::Variables)
                 .and_then(|mut derivation| derivation.unfactored().map(|sums| (derivation, sums))),
         };
         let origin = WholeModel::of(model);
-        let (mut derivation, mut sums) = derived.ok_or_else(|| origin.outgrown(graph, subset.len()))?;
+        let (mut derivation, mut sums) = derived.ok_or_else(|| origin.outgrown(&self.graph, self.subset.len()))?;
         sums.outputs.extend(derivation.closing());
         Ok(Objective {
             names: model.names(sums.outputs.iter().map(|o| o.name.clone()).collect()).into(),
             sums,
             values: 1,
-            referee: (*referee).clone(),
-            subset: subset.clone(),
-            domain: *domain,
+            referee: self.referee.clone(),
+            subset: self.subset.clone(),
+            domain: self.domain,
             is_seeing: false,
             origin,
             forms: derivation.forms,

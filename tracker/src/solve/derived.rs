@@ -35,6 +35,8 @@ pub(super) struct Derived {
     pub jobs: Vec<(Job, usize)>,
     /// Free beside what each job asks for: the offset of the rows.
     pub offset: Option<ParameterId>,
+    /// What a pixel of a pass of the last stage costs, in pixels of a usual one.
+    pub weight: usize,
 }
 
 /// What each number gives, or the first fault.
@@ -129,11 +131,12 @@ impl Derived {
             let sum = order[i / summands.len()];
             part(&summands[i % summands.len()], sum, &sums[sum])
         })?;
-        Ok(Derived { parts, jobs, offset })
+        let derived = Derived { parts, jobs, offset, weight: 1 };
+        let weight = derived.weighed();
+        Ok(Derived { weight, ..derived })
     }
 
-    /// What a pixel of a pass of the last stage costs, in pixels of a usual one.
-    pub fn weight(&self) -> usize {
+    fn weighed(&self) -> usize {
         let joint = self.sum_of(Job::Covariance);
         let parts = self.parts.iter().filter(|part| Some(part.sum) == joint && !part.is_clipped);
         let flops = |part: &SummandPrograms| {

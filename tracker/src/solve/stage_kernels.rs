@@ -102,8 +102,6 @@ pub struct StageKernels {
     free: Arc<[Free]>,
     precision: Precision,
     derived: Arc<Derived>,
-    /// See [`StageKernels::weight`].
-    weight: Arc<OnceLock<usize>>,
     /// The same of rows that have offsets, once such frames were met.
     of_rows: Arc<OnceLock<Result<Derived, CompileFailure>>>,
     cache: Arc<KernelCache>,
@@ -132,8 +130,7 @@ impl StageKernels {
         let derived = Arc::new(derived);
         let free = |stage: usize| Free::of(&model, derived.order(Job::Stage(stage)));
         let free = (0..model.stages().len()).map(free).collect();
-        let (weight, of_rows, ready) = (Arc::default(), Arc::default(), Mutex::default());
-        Ok(StageKernels { model, free, precision, derived, weight, of_rows, cache, ready })
+        Ok(StageKernels { model, free, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
     }
 
     /// The same programs and cache, holding no kernel yet.
@@ -143,7 +140,6 @@ impl StageKernels {
             free: self.free.clone(),
             precision: self.precision,
             derived: self.derived.clone(),
-            weight: self.weight.clone(),
             of_rows: self.of_rows.clone(),
             cache: self.cache.clone(),
             ready: Mutex::default(),
@@ -162,7 +158,7 @@ impl StageKernels {
 
     /// What a pixel of its passes costs, in pixels of a usual document's: budgets count these.
     pub(crate) fn weight(&self) -> usize {
-        *self.weight.get_or_init(|| self.derived.weight())
+        self.derived.weight
     }
 
     /// The kernels' cache.

@@ -54,24 +54,22 @@ impl Solver {
         }
         let budget = look.budget((PASSES * look.window.pixels() as u64).max(WORK_MIN));
         let bounded = look.bounded(&budget);
-        let attempt = self.best_explained(&bounded, attempt, start, margin, usual, starts)?;
+        let mut attempt = self.off_by_rows(&bounded, attempt, start, margin)?;
+        if !self.is_fine(&attempt, usual) {
+            attempt = self.best_explained(&bounded, attempt, (start, margin), starts)?;
+        }
         look.take_from(&bounded);
         Ok((attempt, bounded.unfinished()))
     }
 
+    /// The best of the alternatives, or the attempt where none explains more.
     fn best_explained(
         &self,
         look: &Look,
         attempt: Attempt,
-        start: &[f64],
-        margin: Margin,
-        usual: Option<f64>,
+        (start, margin): (&[f64], Margin),
         starts: StartsFrom,
     ) -> Result<Attempt, CompileFailure> {
-        let attempt = self.off_by_rows(look, attempt, start, margin)?;
-        if self.is_fine(&attempt, usual) {
-            return Ok(attempt);
-        }
         let view = self.view(look, self.window(look, start, margin));
         let alternatives = match self.options.preparing {
             Preparing::AtOnce => self.compiled.alternatives(&|| true),
