@@ -12,13 +12,14 @@ use isophote_benches::tracked::widths;
 /// Frames; the first ones are not timed.
 const FRAMES: usize = 600;
 /// A document, its target as semi-axes, px, where it is a spot, and frame by pass as asked for 0.1 px and 1 px.
-const TASKS: [(&str, [f64; 2], [f64; 2]); 6] = [
+const TASKS: [(&str, [f64; 2], [f64; 2]); 7] = [
     ("spot", [60.0, 42.0], [6.0, 10.0]),
     ("spot", [18.0, 14.0], [10.0, 14.0]),
     ("spot-plane", [60.0, 42.0], [10.0, 10.0]),
     ("spot-plane", [18.0, 14.0], [10.0, 10.0]),
     ("gaussian-pixel", [0.0; 2], [25.0, 25.0]),
     ("three-spots-pose", [0.0; 2], [40.0, 40.0]),
+    ("three-spots-pose-raw", [0.0; 2], [40.0, 40.0]),
 ];
 
 fn main() {
@@ -34,7 +35,7 @@ fn main() {
             for (jump_px, asked) in [0.1, 1.0].into_iter().zip(asked) {
                 let mut subject: Box<dyn Subject> = match document {
                     "gaussian-pixel" => Box::new(Small::new()),
-                    "three-spots-pose" => Box::new(Plate::new()),
+                    "three-spots-pose" | "three-spots-pose-raw" => Box::new(Plate::new(document)),
                     _ => Box::new(Spot::of_size(document, semi_axes_px, 0.02 * count as f64)),
                 };
                 let line = line(subject.as_mut(), &Task { document, jump_px, width, count, asked });

@@ -165,12 +165,21 @@ impl<'a> PlaneView<'a> {
         if self.format == PixelFormat::U16 { self.packed_row(place, count) } else { None }
     }
 
-    fn packed_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
+    /// The bytes of `count` pixels of 8 bit of a row, from `place` on, up to the last pixel's, and how many there are from one
+    /// pixel to the next; `None` for other formats, or where they are not all inside.
+    pub fn spaced_bytes_of_row(&self, place: [usize; 4], count: usize) -> Option<(&'a [u8], usize)> {
+        let first = self.first_of_row(place, count).filter(|_| self.format == PixelFormat::U8 && count > 0)?;
+        Some((self.bytes.get(first..=first + (count - 1) * self.strides[0])?, self.strides[0]))
+    }
+
+    /// Where a row's pixels begin; `None` where they are not all inside.
+    fn first_of_row(&self, place: [usize; 4], count: usize) -> Option<usize> {
         let inside = (0..4).all(|axis| place[axis] < self.size[axis]) && place[0] + count <= self.size[0];
-        if !self.is_packed() || !inside {
-            return None;
-        }
-        let first: usize = place.iter().zip(self.strides).map(|(at, stride)| at * stride).sum();
+        inside.then(|| place.iter().zip(self.strides).map(|(at, stride)| at * stride).sum())
+    }
+
+    fn packed_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
+        let first = self.first_of_row(place, count).filter(|_| self.is_packed())?;
         self.bytes.get(first..first + count * self.format.bytes_per_pixel())
     }
 

@@ -10,8 +10,9 @@ use common::documents::{Tally, try_document, try_faults};
 fn programs_of_random_documents_do_what_their_formulas_say() {
     let mut tally = Tally::default();
     (0..60).for_each(|seed| try_document(seed, &mut tally));
-    let Tally { documents, programs, undefined, empty_rows, runs, compared, undecided, ref faults, .. } = tally;
+    let Tally { documents, joint, programs, undefined, empty_rows, runs, compared, undecided, ref faults, .. } = tally;
     assert!(faults.is_empty(), "{} faults\n{}", faults.len(), faults[..faults.len().min(4)].join("\n\n"));
+    assert!(joint > 2, "{tally:?}");
     assert!(documents > 40 && programs > 30 * documents && empty_rows > documents, "{tally:?}");
     assert!(compared * 10 > runs * 9 && undecided * 100 < runs && undefined * 100 < programs, "{tally:?}");
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use isophote_jit::{KernelCache, PixelFormat, VectorWidth};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::geometry::Rigid;
-use isophote_tracker::{Camera, Compiled, Estimate, Frame, InTurn, Tracker, TrackerOptions};
+use isophote_tracker::{Camera, Compiled, Estimate, Frame, InTurn, Plane, Tracker, TrackerOptions};
 use nalgebra::{Rotation3, Vector3};
 
 use super::pass::Covered;
@@ -176,8 +176,13 @@ impl Subject for Small {
     }
 }
 
-/// Three spots on a plate, 1 m away and tilted by 30°, by `three-spots-pose`.
+/// What each channel reads of each light, as `three-spots-pose-raw` has it.
+const MIXING: [[f64; 3]; 3] = [[1.0, 0.12, 0.03], [0.10, 1.0, 0.12], [0.02, 0.08, 1.0]];
+
+/// Three spots on a plate, 1 m away and tilted by 30°, by a document that fits their pose to the pixels: in one plane, or in three
+/// of a camera that mixes their colours.
 pub struct Plate {
+    document: &'static str,
     place: Rigid,
     pose: Rigid,
     random: pose::Random,
@@ -187,20 +192,14 @@ impl Plate {
     const DISTANCE_MM: f64 = 1000.0;
 
     /// In the middle of 640 × 480 px.
-    pub fn new() -> Plate {
+    pub fn new(document: &'static str) -> Plate {
         let rotation = Rotation3::from_euler_angles(0.4, 0.34, 0.5).into_inner();
         let place = Rigid { rotation, translation: Vector3::new(0.0, 0.0, Plate::DISTANCE_MM) };
-        Plate { pose: place, place, random: pose::Random::of(1) }
+        Plate { document, pose: place, place, random: pose::Random::of(1) }
     }
 
     fn mm_per_px() -> f64 {
         Plate::DISTANCE_MM / pose::lens().fx
-    }
-}
-
-impl Default for Plate {
-    fn default() -> Plate {
-        Plate::new()
     }
 }
 
@@ -216,7 +215,20 @@ impl Subject for Plate {
     fn shot(&mut self, offset_px: [f64; 2]) -> Frame {
         self.pose = self.place;
         self.pose.translation += Vector3::new(offset_px[0], offset_px[1], 0.0) * Plate::mm_per_px();
-        pose::frame(&self.pose, &pose::target(0.0).spots, pose::brightness(0.0), &mut self.random).unwrap()
+        let (spots, brightness) = (pose::target(0.0).spots, pose::brightness(0.0));
+        if self.document != "three-spots-pose-raw" {
+            return pose::frame(&self.pose, &spots, brightness, &mut self.random).unwrap();
+        }
+        let lights = spots.chunks(1).map(|spot| pose::means(&self.pose, spot, brightness).unwrap());
+        let lights: Vec<Vec<f64>> = lights.collect();
+        let read = |mixture: [f64; 3], random: &mut pose::Random| {
+            let light =
+                |i: usize| lights.iter().zip(mixture).map(|(light, m)| m * (light[i] - pose::BACKGROUND)).sum::<f64>();
+            let pixel = |i: usize| random.read_out(pose::BACKGROUND + light(i));
+            Plane::owned(PixelFormat::U8, (0..lights[0].len()).map(pixel).collect(), pose::WIDTH)
+        };
+        let planes = MIXING.map(|mixture| read(mixture, &mut self.random)).to_vec();
+        Frame::new(&[pose::WIDTH, pose::HEIGHT], planes).unwrap()
     }
 
     fn error_px(&self, estimate: &Estimate) -> [f64; 2] {
@@ -235,6 +247,6 @@ impl Subject for Plate {
             constants: profile().collect(),
             ..TrackerOptions::default()
         };
-        tracker("three-spots-pose", width, options)
+        tracker(self.document, width, options)
     }
 }

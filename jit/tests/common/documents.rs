@@ -9,7 +9,7 @@ use isophote_jit::{Kernel, KernelOptions, PixelFormat, Slices, VectorWidth, Wind
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
     Bindings, Diagnostics, DirectSums, Lowering, Method, Model, Objective, Opcode, ParameterId, Part, Precision,
-    Prediction, Program, ValueKind,
+    Prediction, Program, Summand, ValueKind,
 };
 
 /// Error in f64 over the sum of the absolute terms.
@@ -23,6 +23,8 @@ const DECIDED: f64 = 1e-5;
 #[derive(Default, Debug)]
 pub struct Tally {
     pub documents: u64,
+    /// … that have channels in one loop.
+    pub joint: u64,
     /// Refused: past a limit, or not a document.
     pub refused: u64,
     pub programs: u64,
@@ -228,7 +230,11 @@ pub fn try_document(seed: u64, tally: &mut Tally) {
     };
     tally.documents += 1;
     let before = tally.faults.len();
-    for summand in model.summands() {
+    let mut summands = model.summands();
+    let joint = Summand::joint(&summands);
+    tally.joint += u64::from(joint.is_some());
+    summands.extend(joint);
+    for summand in summands {
         let scenes = [false, true].map(|has_gaps| Scene::new(&mut random, &document, &summand.model, has_gaps));
         try_sums(&summand.model, &scenes, &mut random, tally);
         try_planes(&summand.model, &scenes[0], &mut random, tally);

@@ -22,7 +22,7 @@ pub(crate) enum Scaling {
 pub(crate) struct Absorbed {
     pub tops: Vec<NodeId>,
     pub jets: Vec<Jet>,
-    pub variances: [Option<NodeId>; 2],
+    pub others: Vec<NodeId>,
     /// Some factor could change sides, whether it was allowed to or not.
     pub is_unifiable: bool,
 }
@@ -33,11 +33,11 @@ pub(crate) fn absorb(
     graph: &mut Graph,
     tops: &[NodeId],
     jets: &[Jet],
-    variances: [Option<NodeId>; 2],
+    others: &[NodeId],
     scaling: Scaling,
 ) -> Absorbed {
     let mut roots = tops.to_vec();
-    roots.extend(variances.iter().flatten());
+    roots.extend(others);
     roots.extend(jets.iter().flat_map(|j| j.first.values().chain(j.second.values()).copied()));
     let counts = graph.use_counts(&roots);
     let held: BTreeSet<NodeId> = roots.iter().copied().collect();
@@ -101,7 +101,7 @@ pub(crate) fn absorb(
     let new_tops: Vec<NodeId> = tops.iter().map(at).collect();
     new_tops.iter().for_each(|t| graph.set_opaque(*t));
     let jets = jets.iter().map(mapped).collect();
-    Absorbed { tops: new_tops, jets, variances: variances.map(|variance| variance.map(|v| at(&v))), is_unifiable }
+    Absorbed { tops: new_tops, jets, others: others.iter().map(at).collect(), is_unifiable }
 }
 
 /// 1/(a or b) as 1/a or 1/b, where all that is chosen among is known earlier: the divisions leave the loop.

@@ -13,6 +13,7 @@ use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers};
 use crate::derive::cuts::{Finite, frontier};
 use crate::derive::features::{Chain, Features, features};
 use crate::derive::jet::{Jet, compose, jet, pair, totals};
+use crate::derive::joint::{self, Direction, Weights, counted, directions, full};
 use crate::derive::monomial::{Polynomial, Powers, Splitter, terms, whole_output};
 use crate::derive::rank::{Combination, dependent};
 use crate::derive::schedule;
@@ -23,18 +24,17 @@ use crate::program::Weight;
 use crate::proof::claim::Part;
 use crate::proof::hyper::Order;
 use crate::proof::likelihood::Shape;
+use crate::proof::subject::PixelValue;
 use isophote_syntax::limits::LIMITS;
 
 /// What is differentiated: the same for every choice.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub(crate) struct Differentiand<'a> {
     /// The nodes of the free parameters, and their names.
     pub parameters: &'a [NodeId],
     pub names: &'a [String],
-    pub residual: NodeId,
-    pub variance: Option<NodeId>,
-    /// The variance at the parameters themselves, where F is summed by that as well.
-    pub own_variance: Option<NodeId>,
+    /// What F is made of.
+    pub values: Vec<PixelValue>,
     /// The variance is that at the parameters themselves.
     pub is_opening: bool,
     /// Pixels are chosen by a condition at the parameters of entry, as the variance is.
@@ -45,6 +45,13 @@ pub(crate) struct Differentiand<'a> {
     pub order: Order,
     /// What is summed of it.
     pub part: Part,
+}
+
+impl Differentiand<'_> {
+    /// Above all residuals.
+    pub fn top(&self, graph: &mut Graph) -> NodeId {
+        graph.product(1.0, self.values.iter().map(|value| (value.residual, 1)).collect::<Powers>())
+    }
 }
 
 /// A choice of variables for the chain rule.
@@ -94,6 +101,7 @@ pub(crate) struct Derivation {
     value: NodeId,
     /// F with ln σ², and r²/σ², by the variance at the parameters themselves.
     own: Option<[NodeId; 2]>,
+    counted: Vec<Output>,
     /// Of the parameters.
     names: Vec<String>,
     entries: Vec<Entry>,
@@ -114,17 +122,24 @@ impl Derivation {
     /// Nothing when the graph overflows.
     pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts, by: By) -> Option<Derivation> {
         let mut variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
-        let (residual, parameters) = (differentiand.residual, differentiand.parameters);
-        let finite = (differentiand.order == Order::First && by == By::Features)
-            .then(|| Finite::below(&graph, residual, parameters));
+        let parameters = differentiand.parameters;
+        let top = differentiand.top(&mut graph);
+        let finite =
+            (differentiand.order == Order::First && by == By::Features).then(|| Finite::below(&graph, top, parameters));
         if let Some(finite) = &finite {
-            variables.extend(frontier(&graph, residual, parameters, finite));
+            variables.extend(frontier(&graph, top, parameters, finite));
         }
         // The top variables: r, and σ² where it is differentiated.
-        let mut tops = vec![differentiand.residual];
-        tops.extend(differentiand.variance.filter(|_| differentiand.order == Order::Second));
+        let residuals: Vec<NodeId> = differentiand.values.iter().map(|value| value.residual).collect();
+        let variances = differentiand.values.iter().filter_map(|value| value.variance);
+        let mut tops = residuals.clone();
+        tops.extend(variances.filter(|_| differentiand.order == Order::Second));
         let mut jets: Vec<Jet> =
             tops.iter().map(|top| jet(&mut graph, *top, &variables, differentiand.order)).collect();
+        let mut directions = finite.iter().flat_map(|_| directions(&mut graph, &jets)).collect::<Vec<Direction>>();
+        if finite.is_some() {
+            jets = directions.iter().map(|direction| direction.gradient.clone()).collect();
+        }
         let mut slopes: BTreeMap<NodeId, Jet> = BTreeMap::new();
         if let Some(finite) = &finite {
             slopes.extend(cuts.nodes.iter().map(|cut| (*cut, jet(&mut graph, *cut, &variables, Order::First))));
@@ -135,28 +150,81 @@ impl Derivation {
                 Jet { first: kept.collect(), ..Jet::default() }
             }));
         }
-        let variances = [differentiand.variance.filter(|_| !differentiand.is_masked), differentiand.own_variance];
-        let Absorbed { tops, mut jets, variances: [variance, own], is_unifiable } =
-            absorb(&mut graph, &tops, &jets, variances, cuts.scaling);
         // A variance stays as it is where a mask is made of the same values.
-        let variance = variance.or(differentiand.variance);
-        if let Some(finite) = finite {
-            slopes.values_mut().zip(jets.split_off(1)).for_each(|(all, kept)| all.first.extend(kept.first));
-            let chain = Chain { residual: tops[0], gradient: &jets[0], slopes, variables, finite };
-            return Derivation::over_features(graph, differentiand, chain, [variance, own], is_unifiable);
+        let others = |value: &PixelValue| [value.variance.filter(|_| !differentiand.is_masked), value.own_variance];
+        let rewritten: Vec<NodeId> = differentiand.values.iter().flat_map(others).flatten().collect();
+        let parts = directions.iter().flat_map(|direction| &direction.parts).map(|(_, part)| *part);
+        let all: Vec<NodeId> = rewritten.iter().copied().chain(parts).collect();
+        let Absorbed { tops, mut jets, others: all, is_unifiable } =
+            absorb(&mut graph, &tops, &jets, &all, cuts.scaling);
+        let mut all = all.into_iter();
+        let mut values = differentiand.values.clone();
+        for (value, top) in values.iter_mut().zip(&tops) {
+            value.residual = *top;
+            let variance = value.variance.as_mut().filter(|_| !differentiand.is_masked);
+            variance.into_iter().chain(value.own_variance.as_mut()).zip(&mut all).for_each(|(old, new)| *old = new);
         }
-        let (value, mut form) = top_form(&mut graph, differentiand, &tops, &jets, variance)?;
-        let own = own.map(|own| differentiand.shape.full(&mut graph, tops[0], Some(own)));
+        directions
+            .iter_mut()
+            .flat_map(|direction| &mut direction.parts)
+            .zip(all)
+            .for_each(|((_, old), new)| *old = new);
+        let shape = differentiand.shape;
+        let own = values[0].own_variance.map(|_| full(&mut graph, shape, &values, |value| value.own_variance));
+        let (value, top) = joint::top(&mut graph, shape, differentiand.order, &values);
+        let mut derivation = Derivation {
+            forms: Vec::new(),
+            is_unifiable,
+            value,
+            own,
+            counted: counted(&mut graph, &values),
+            names: differentiand.names.to_vec(),
+            entries: Vec::new(),
+            factors: FxHashMap::default(),
+            graph,
+        };
+        if let Some(finite) = &finite {
+            slopes
+                .values_mut()
+                .zip(jets.split_off(directions.len()))
+                .for_each(|(all, kept)| all.first.extend(kept.first));
+            directions.iter_mut().zip(jets).for_each(|(direction, jet)| direction.gradient = jet);
+            let residuals = &tops[..values.len()];
+            let weights = Weights::of(&mut derivation.graph, &top, residuals, &directions)?;
+            let slopes = &slopes;
+            let of = |direction: &Direction| {
+                let chain = Chain { gradient: &direction.gradient, slopes, variables: &variables, finite };
+                features(&mut derivation.graph, &chain, differentiand.parameters)
+            };
+            let features = directions.iter().map(of).collect::<Option<Vec<Features>>>()?;
+            return derivation.over_features(differentiand, &weights, features);
+        }
+        derivation.over_variables(differentiand, cuts, (&top, &tops, &jets))
+    }
+
+    /// With derivatives as the chain rule has them, of F by `tops` and of these by variables.
+    fn over_variables(
+        mut self,
+        differentiand: &Differentiand<'_>,
+        cuts: &Cuts,
+        (top, tops, jets): (&Jet, &[NodeId], &[Jet]),
+    ) -> Option<Derivation> {
+        let graph = &mut self.graph;
+        let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
+        let mut form = compose(graph, top, &|t| of[&t]);
+        if graph.overflowed() {
+            return None;
+        }
         if !differentiand.part.has_hessian() {
             form.second.clear();
         }
         let ascending: Vec<NodeId> = cuts.nodes.iter().copied().collect();
-        let totals = totals(&mut graph, &ascending, differentiand.parameters, differentiand.order);
+        let totals = totals(graph, &ascending, differentiand.parameters, differentiand.order);
         if graph.overflowed() {
             return None;
         }
         let mut roots: Vec<NodeId> = form.first.values().chain(form.second.values()).copied().collect();
-        absorb_numbers(&mut graph, &mut roots);
+        absorb_numbers(graph, &mut roots);
         form.first.values_mut().chain(form.second.values_mut()).zip(&roots).for_each(|(old, new)| *old = *new);
         let mut forms: Vec<(String, NodeId)> = Vec::new();
         let mut place = |node: NodeId, name: &str| {
@@ -205,35 +273,31 @@ impl Derivation {
                 }
             }
         }
-        Some(Derivation {
-            graph,
-            forms,
-            is_unifiable,
-            value,
-            own,
-            names: differentiand.names.to_vec(),
-            entries,
-            factors: FxHashMap::default(),
-        })
+        Some(Derivation { forms, entries, ..self })
     }
 
-    /// The same from first derivatives alone: F_u = Σ L r_u and F_uv = Σ Q r_u r_v.
+    /// From first derivatives alone: F_u = Σ L φ_u and F_uv = Σ Q φ_u φ_v, with the features of each direction.
     fn over_features(
-        mut graph: Graph,
+        mut self,
         differentiand: &Differentiand<'_>,
-        chain: Chain<'_>,
-        [variance, own]: [Option<NodeId>; 2],
-        is_unifiable: bool,
+        weights: &Weights,
+        features: Vec<Features>,
     ) -> Option<Derivation> {
-        let residual = chain.residual;
-        let own = own.map(|own| differentiand.shape.full(&mut graph, residual, Some(own)));
-        let (value, top) = differentiand.shape.jet(&mut graph, Order::First, &[residual], variance);
-        let (l, q) = (*top.first.get(&residual)?, *top.second.get(&(residual, residual))?);
-        let Features { values, slopes } = features(&mut graph, &chain, differentiand.parameters)?;
+        let graph = &mut self.graph;
+        // Features with their directions, and what each parameter takes of them.
+        let (mut values, mut slopes) = (Vec::new(), vec![Vec::new(); differentiand.parameters.len()]);
+        for (direction, own) in features.into_iter().enumerate() {
+            let first = values.len();
+            values.extend(own.values.into_iter().map(|value| (direction, value)));
+            for (all, own) in slopes.iter_mut().zip(own.slopes) {
+                all.extend(own.into_iter().map(|(value, factor)| (first + value, factor)));
+            }
+        }
         let mut forms: Vec<(String, NodeId)> = Vec::new();
         let mut entries = Vec::new();
         if differentiand.part.has_gradient() {
-            forms.extend(values.iter().map(|value| ("L".into(), graph.mul(l, *value))));
+            let form = |(direction, value): &(usize, NodeId)| graph.mul(weights.slopes[*direction], *value);
+            forms.extend(values.iter().map(form).map(|form| ("L".into(), form)));
             entries.extend(slopes.iter().enumerate().map(|(i, uses)| Entry { by: smallvec![i], uses: uses.clone() }));
         }
         let mut products: FxHashMap<(usize, usize), usize> = FxHashMap::default();
@@ -242,8 +306,12 @@ impl Derivation {
                 let mut uses = Vec::new();
                 for (s, c) in own {
                     for (t, d) in other {
-                        let form = *products.entry(((*s).min(*t), (*s).max(*t))).or_insert_with(|| {
-                            forms.push(("Q".into(), graph.product(1.0, [(q, 1), (values[*s], 1), (values[*t], 1)])));
+                        let (first, last) = ((*s).min(*t), (*s).max(*t));
+                        let [(a, first_value), (b, last_value)] = [values[first], values[last]];
+                        let Some(weight) = weights.curvatures.get(&(a, b)) else { continue };
+                        let form = *products.entry((first, last)).or_insert_with(|| {
+                            let factors = [(*weight, 1), (first_value, 1), (last_value, 1)];
+                            forms.push(("Q".into(), graph.product(1.0, factors)));
                             forms.len() - 1
                         });
                         uses.push((form, graph.mul(*c, *d)));
@@ -255,22 +323,13 @@ impl Derivation {
                 }
             }
         }
-        Some(Derivation {
-            graph,
-            forms,
-            is_unifiable,
-            value,
-            own,
-            names: differentiand.names.to_vec(),
-            entries,
-            factors: FxHashMap::default(),
-        })
+        Some(Derivation { forms, entries, ..self })
     }
 
     /// What is summed behind the derivatives, as it stands.
     pub fn closing(&mut self) -> Vec<Output> {
         let named = self.own.into_iter().flat_map(|own| FULL.into_iter().zip(own));
-        named.map(|(name, node)| whole_output(&mut self.graph, name, node)).collect()
+        named.map(|(name, node)| whole_output(&mut self.graph, name, node)).chain(self.counted.drain(..)).collect()
     }
 
     /// Takes back what was tried since, and leaves what `layout` needs.
@@ -390,18 +449,4 @@ pub(crate) fn reduced(graph: &mut Graph, sums: FactoredSums) -> FactoredSums {
     let outputs = sums.outputs.into_iter();
     let outputs = outputs.map(|o| Output { terms: o.terms.into_iter().flat_map(&mut replaced).collect(), ..o });
     FactoredSums { outputs: outputs.collect(), shift: None }
-}
-
-/// F and its form over cuts and parameters: the top variables eliminated.
-fn top_form(
-    graph: &mut Graph,
-    differentiand: &Differentiand<'_>,
-    tops: &[NodeId],
-    jets: &[Jet],
-    variance: Option<NodeId>,
-) -> Option<(NodeId, Jet)> {
-    let (value, top) = differentiand.shape.jet(graph, differentiand.order, tops, variance);
-    let of: FxHashMap<NodeId, &Jet> = tops.iter().copied().zip(jets).collect();
-    let form = compose(graph, &top, &|t| of[&t]);
-    (!graph.overflowed()).then_some((value, form))
 }

@@ -7,13 +7,14 @@ use std::collections::BTreeSet;
 
 use crate::derive::expressions::Expressions;
 use crate::derive::jet::{jet, pair};
-use crate::derive::terms::{residual, variance};
+use crate::derive::terms::values;
 use crate::derive::whole_model::WholeModel;
 use crate::language::graph::{Graph, NodeId};
 use crate::language::model::{Method, Model};
 use crate::program::{Input, ParameterId};
 use crate::proof::claim::{Claim, Part};
 use crate::proof::hyper::Order;
+use crate::proof::subject::PixelValue;
 use isophote_syntax::diagnostic::Diagnostics;
 
 /// Derivatives of one pixel's F, F itself left out.
@@ -59,8 +60,7 @@ fn entries(
 ) -> Vec<(String, NodeId)> {
     let newton = method == Method::Newton;
     let order = if newton { Order::Second } else { Order::First };
-    let residual = residual(graph, model);
-    let variance = variance(graph, model, Claim::Derivatives { newton, part });
+    let PixelValue { residual, variance, .. } = values(graph, model, Claim::Derivatives { newton, part })[0];
     let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let variables: BTreeSet<NodeId> = parameters.iter().copied().collect();
     let name = |i: usize| &model.parameters[subset[i].index()].name;

@@ -25,15 +25,14 @@ pub(crate) struct Features {
 
 /// What the chain rule goes through.
 pub(crate) struct Chain<'a> {
-    pub residual: NodeId,
-    /// The residual's derivatives by the variables.
+    /// The derivatives by the variables, of a residual or of a direction in which several change.
     pub gradient: &'a Jet,
     /// Those of the cuts.
-    pub slopes: BTreeMap<NodeId, Jet>,
+    pub slopes: &'a BTreeMap<NodeId, Jet>,
     /// Cuts, values known per pass, parameters.
-    pub variables: BTreeSet<NodeId>,
+    pub variables: &'a BTreeSet<NodeId>,
     /// Derivatives of others are taken where the residual depends on them only.
-    pub finite: Finite,
+    pub finite: &'a Finite,
 }
 
 /// What a parameter takes of a pixel value: which parameter, row factors, a coefficient known per pass.
@@ -65,7 +64,7 @@ pub(crate) fn features(graph: &mut Graph, chain: &Chain<'_>, parameters: &[NodeI
         }
         for inner in leaves.iter().rev().filter(|l| !parameters.contains(l)) {
             let Some(above) = gradient.remove(inner) else { continue };
-            let own = jet(graph, *inner, &chain.variables, Order::First);
+            let own = jet(graph, *inner, chain.variables, Order::First);
             for (l, slope) in &own.first {
                 let slope = Splitter::new(&BTreeSet::new()).whole(graph, *slope);
                 let product = above.times(graph, &slope)?;
@@ -162,7 +161,7 @@ fn gradient(graph: &mut Graph, chain: &Chain<'_>) -> Option<BTreeMap<NodeId, Pol
         }
         for (l, slope) in &chain.slopes[&cut].first {
             let product = match guard {
-                Some(guard) => guarded(graph, &chain.finite, guard, &above, *slope),
+                Some(guard) => guarded(graph, chain.finite, guard, &above, *slope),
                 None => graph.mul(adjoint, *slope),
             };
             if is_cut(l) {

@@ -13,6 +13,7 @@ pub(crate) mod entry;
 pub(crate) mod expressions;
 pub(crate) mod features;
 pub(crate) mod jet;
+pub(crate) mod joint;
 pub(crate) mod likelihood;
 pub(crate) mod monomial;
 pub(crate) mod objective;

@@ -12,11 +12,12 @@ use crate::derive::absorb::{Scaling, gather, reciprocals};
 use crate::derive::derivation::{By, Cuts, Derivation, Differentiand};
 use crate::derive::domain::region;
 use crate::derive::expressions::Expressions;
+use crate::derive::joint::{counted, full};
 use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{FactoredSums, Output};
-use crate::derive::terms::{entry_domain, own_variance, referee, residual, variance};
+use crate::derive::terms::{entry_domain, referee, values};
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
 use crate::language::graph::{Graph, NodeId};
@@ -28,6 +29,7 @@ use crate::proof::direct::DirectSums;
 use crate::proof::draft::Draft;
 use crate::proof::hyper::Order;
 use crate::proof::referee::Referee;
+use crate::proof::subject::PixelValue;
 use crate::proof::{Errors, Form, Proof, is_small_f32};
 use isophote_syntax::diagnostic::Diagnostics;
 
@@ -70,6 +72,7 @@ impl Objective {
     /// # Errors
     /// When it is too long; when no form passes, which is a bug.
     pub fn program(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
+        let lowering = self.own(lowering);
         if lowering.fma == CHECKED.fma {
             let passed = self.passed()?;
             if !lowering.drop_saturated {
@@ -82,6 +85,16 @@ impl Objective {
             }
         }
         self.lowered(lowering)
+    }
+
+    /// How it is lowered: several values of a pixel are left out one by one.
+    fn own(&self, lowering: Lowering) -> Lowering {
+        Lowering { drop_saturated: lowering.drop_saturated && !self.is_joint(), ..lowering }
+    }
+
+    /// Several values of a pixel are summed.
+    pub(crate) fn is_joint(&self) -> bool {
+        self.referee.model().formulas.is_joint
     }
 
     /// The program of [`CHECKED`], proved once.
@@ -135,7 +148,7 @@ impl Objective {
         window: Window,
         nudge: f64,
     ) -> DirectSums {
-        self.referee.direct(&self.dropped(lowering), bindings, pixels, window, nudge)
+        self.referee.direct(&self.dropped(self.own(lowering)), bindings, pixels, window, nudge)
     }
 
     pub(crate) fn referee(&self) -> &Referee {
@@ -188,6 +201,9 @@ impl Objective {
     /// The same sums without pixels that are no number (NaN) in a channel that the sums read: those that a caller takes out
     /// of a picture.
     pub fn skipping_nan(&self) -> Objective {
+        if self.is_joint() {
+            return self.clone();
+        }
         let mut objective = Objective { checked: OnceLock::new(), is_seeing: true, ..self.clone() };
         let channels = self.channels();
         objective.referee = Arc::new(self.referee.within(|graph, domain| seeing(graph, domain, &channels)));
@@ -202,7 +218,7 @@ impl Objective {
         if sums.outputs.len() > self.values {
             sums.outputs.drain(..self.values);
         }
-        let draft = schedule::sums(&mut graph, &sums, self.domain, lowering, self.names.clone());
+        let draft = schedule::sums(&mut graph, &sums, self.domain, self.own(lowering), self.names.clone());
         Ok(self.origin.checked(&graph, draft)?.cost())
     }
 
@@ -225,14 +241,13 @@ impl Objective {
 
     pub(crate) fn value(model: &Model, kind: ValueKind) -> Result<Objective, Diagnostics> {
         let mut graph = model.formulas.graph.drawing_on(model.budget());
-        let residual = residual(&mut graph, model);
-        let variance = variance(&mut graph, model, Claim::Value(kind));
-        let shape = model.formulas.shape();
-        let [full, chi] = shape.full(&mut graph, residual, variance);
-        let outputs = match kind {
+        let values = values(&mut graph, model, Claim::Value(kind));
+        let [full, chi] = full(&mut graph, model.formulas.shape(), &values, |value| value.variance);
+        let mut outputs = match kind {
             ValueKind::Entry => vec![whole_output(&mut graph, "chi2", chi)],
             ValueKind::Full => vec![whole_output(&mut graph, "F", full), whole_output(&mut graph, "chi2", chi)],
         };
+        outputs.extend(counted(&mut graph, &values));
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect()).into();
         let domain = entry_domain(&mut graph, model, Claim::Value(kind));
         let work = LOWERED * graph.reachable(&[chi]).len();
@@ -299,9 +314,7 @@ fn seeing(graph: &mut Graph, domain: Option<NodeId>, channels: &[ChannelId]) -> 
 pub(super) struct DerivationSetting<'a> {
     referee: &'a Arc<Referee>,
     graph: Graph,
-    residual: NodeId,
-    variance: Option<NodeId>,
-    own_variance: Option<NodeId>,
+    values: Vec<PixelValue>,
     domain: Option<NodeId>,
     is_masked: bool,
     subset: Vec<ParameterId>,
@@ -313,35 +326,27 @@ impl<'a> DerivationSetting<'a> {
     pub(super) fn of(referee: &'a Arc<Referee>, subset: &[ParameterId], budget: Budget) -> DerivationSetting<'a> {
         let model = referee.model();
         let mut graph = model.formulas.graph.drawing_on(budget);
-        let residual = residual(&mut graph, model);
-        let residual = reciprocals(&mut graph, residual);
-        let residual = gather(&mut graph, residual);
-        graph.set_opaque(residual);
         let (newton, claim) = (referee.claim().is_newton(), referee.claim());
-        let variance = variance(&mut graph, model, claim).map(|variance| reciprocals(&mut graph, variance));
-        // What is predicted at the parameters themselves is written as the residual is, so that both are made of the same values.
-        let variance = variance.map(|v| if claim.is_at_entry() { gather(&mut graph, v) } else { v });
-        let own_variance = own_variance(&mut graph, model, claim).map(|variance| reciprocals(&mut graph, variance));
-        let own_variance = own_variance.map(|variance| gather(&mut graph, variance));
-        variance.into_iter().chain(own_variance).for_each(|variance| graph.set_opaque(variance));
+        let mut values = values(&mut graph, model, claim);
+        for PixelValue { residual, variance, own_variance, .. } in &mut values {
+            let rewritten = [Some(residual), variance.as_mut(), own_variance.as_mut()].into_iter().flatten();
+            for (index, node) in rewritten.enumerate() {
+                *node = reciprocals(&mut graph, *node);
+                // What is predicted at the parameters themselves is written as the residual is, so that both are made of the same
+                // values.
+                if index != 1 || claim.is_at_entry() {
+                    *node = gather(&mut graph, *node);
+                }
+                graph.set_opaque(*node);
+            }
+        }
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model, claim);
-        let reads_alike = !newton && !claim.is_at_entry() && variance.is_some();
+        let reads_alike = !newton && !claim.is_at_entry() && values[0].variance.is_some();
         let region = domain.filter(|_| reads_alike).map(|domain| region(&mut graph.copied(), domain));
         let is_masked = region.is_some_and(|region| region.mask.is_some());
         let subset = subset.to_vec();
-        DerivationSetting {
-            is_masked,
-            referee,
-            graph,
-            residual,
-            variance,
-            own_variance,
-            domain,
-            subset,
-            parameters,
-            newton,
-        }
+        DerivationSetting { is_masked, referee, graph, values, domain, subset, parameters, newton }
     }
 
     /// The sums in one form, not yet checked.
@@ -349,14 +354,12 @@ impl<'a> DerivationSetting<'a> {
         let (model, part) = (self.referee.model(), self.referee.claim().part().unwrap_or(Part::Both));
         let names: Vec<String> = self.subset.iter().map(|p| model.parameters[p.index()].name.clone()).collect();
         // Without noise the gradient is the same by both methods, and second derivatives are not wanted for it.
-        let is_second = self.newton && (part.has_hessian() || self.variance.is_some());
+        let is_second = self.newton && (part.has_hessian() || self.values[0].variance.is_some());
         let order = if is_second { Order::Second } else { Order::First };
         let differentiand = Differentiand {
             parameters: &self.parameters,
             names: &names,
-            residual: self.residual,
-            variance: self.variance,
-            own_variance: self.own_variance,
+            values: self.values.clone(),
             is_opening: self.referee.claim().is_at_entry(),
             is_masked: self.is_masked,
             shape: model.formulas.shape(),

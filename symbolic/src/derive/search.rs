@@ -16,6 +16,7 @@ use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Lowering;
 use crate::program::Weight;
 use crate::proof::hyper::Order;
+use crate::proof::subject::PixelValue;
 use isophote_syntax::limits::LIMITS;
 
 /// Derivations tried at most.
@@ -47,7 +48,11 @@ pub(crate) fn fewest_flops(
     differentiand: &Differentiand<'_>,
     most: Scaling,
 ) -> Option<(Derivation, FactoredSums)> {
-    let classes = cut_classes(graph, differentiand.residual, differentiand.parameters, differentiand.order);
+    let classes = {
+        let mut graph = graph.copied();
+        let top = differentiand.top(&mut graph);
+        cut_classes(&graph, top, differentiand.parameters, differentiand.order)
+    };
     let mut search = Search {
         graph,
         differentiand,
@@ -125,16 +130,21 @@ impl Search<'_> {
             return;
         }
         let mut graph = self.graph.copied();
-        let mut differentiand = *self.differentiand;
+        let mut differentiand = self.differentiand.clone();
         if let Some(variable) = cuts.collect {
-            let Differentiand { residual, variance, own_variance, is_opening, .. } = &mut differentiand;
-            let alike = own_variance.iter_mut().chain(variance.iter_mut().filter(|_| *is_opening));
-            for node in std::iter::once(residual).chain(alike) {
-                *node = collected(&mut graph, *node, variable);
-                *node = gather(&mut graph, *node);
-                graph.set_opaque(*node);
+            let Differentiand { values, is_opening, .. } = &mut differentiand;
+            let mut is_new = false;
+            for PixelValue { residual, variance, own_variance, .. } in values {
+                let before = *residual;
+                let alike = own_variance.iter_mut().chain(variance.iter_mut().filter(|_| *is_opening));
+                for node in std::iter::once(&mut *residual).chain(alike) {
+                    *node = collected(&mut graph, *node, variable);
+                    *node = gather(&mut graph, *node);
+                    graph.set_opaque(*node);
+                }
+                is_new |= *residual != levelled(&mut graph, before);
             }
-            if differentiand.residual == levelled(&mut graph, self.differentiand.residual) {
+            if !is_new {
                 return;
             }
         }

@@ -8,12 +8,12 @@ use std::sync::Arc;
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Method, Model, Saturated};
+use crate::language::model::{Method, Model, Observation, Saturated};
 use crate::program::{Comparison, Input, ParameterId};
 use crate::proof::budget;
 use crate::proof::claim::{Claim, ValueKind};
 use crate::proof::referee::Referee;
-use crate::proof::subject::Subject;
+use crate::proof::subject::{PixelValue, Subject};
 use isophote_syntax::diagnostic::Diagnostics;
 
 /// Predicted to be within so many standard deviations of the limit is near it.
@@ -23,12 +23,38 @@ const NEAR_LIMIT: f64 = 3.0;
 fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     // A referee outlives the derivation: what it works out is bounded by its own limits.
     let mut graph = model.formulas.graph.drawing_on(Budget::default());
-    let residual = residual(&mut graph, model);
-    let variance = variance(&mut graph, model, claim);
+    let values = values(&mut graph, model, claim);
     let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
-    let own_variance = own_variance(&mut graph, model, claim);
+    let counts = counts(&mut graph, &values);
     let (domain, shape) = (entry_domain(&mut graph, model, claim), model.formulas.shape());
-    Subject { model: model.clone(), graph, residual, variance, own_variance, shape, domain, parameters, claim }
+    Subject { model: model.clone(), graph, values, counts, shape, domain, parameters, claim }
+}
+
+/// The values of a pixel whose F is summed.
+pub(crate) fn values(graph: &mut Graph, model: &Model, claim: Claim) -> Vec<PixelValue> {
+    let mut of = |entry: &Observation| PixelValue {
+        residual: residual(graph, model, entry),
+        variance: variance(graph, entry, claim),
+        own_variance: own_variance(graph, entry, claim),
+        below: below(graph, model, entry),
+    };
+    model.formulas.summed().iter().map(&mut of).collect()
+}
+
+/// Of a value that is summed beside others: that it is below its limit, and at it. What is no number is neither.
+fn below(graph: &mut Graph, model: &Model, entry: &Observation) -> Option<[NodeId; 2]> {
+    let Node::Channel(channel) = *graph.node(entry.observed) else { return None };
+    model.formulas.is_joint.then(|| {
+        let limit = graph.input(Input::Saturation(channel));
+        [(Comparison::Lt, entry.observed, limit), (Comparison::Le, limit, entry.observed)]
+            .map(|(comparison, a, b)| graph.compare(comparison, a, b))
+    })
+}
+
+/// Of each value in turn 1 where it is below its limit, else 0, and 1 where it is at it; nothing where all values are summed.
+pub(crate) fn counts(graph: &mut Graph, values: &[PixelValue]) -> Vec<NodeId> {
+    let [zero, one] = [0.0, 1.0].map(|number| graph.number(number));
+    values.iter().filter_map(|value| value.below).flatten().map(|truth| graph.select(truth, one, zero)).collect()
 }
 
 /// Who judges derivatives, when the document's budget has room for it.
@@ -43,8 +69,8 @@ pub(crate) fn referee(
 }
 
 /// The pixel's variance, at the entry parameters where a claim holds it there.
-pub(crate) fn variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
-    let node = model.formulas.noise?;
+fn variance(graph: &mut Graph, entry: &Observation, claim: Claim) -> Option<NodeId> {
+    let node = entry.noise?;
     let is_own = claim.is_newton() || claim.is_at_entry() || claim == Claim::Value(ValueKind::Full);
     let node = if is_own { node } else { at_entry(graph, node) };
     graph.set_opaque(node);
@@ -52,8 +78,8 @@ pub(crate) fn variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option
 }
 
 /// The pixel's variance at the parameters themselves, where a claim has it beside the one at entry.
-pub(crate) fn own_variance(graph: &mut Graph, model: &Model, claim: Claim) -> Option<NodeId> {
-    let node = model.formulas.noise.filter(|_| claim == Claim::Closing)?;
+fn own_variance(graph: &mut Graph, entry: &Observation, claim: Claim) -> Option<NodeId> {
+    let node = entry.noise.filter(|_| claim == Claim::Closing)?;
     graph.set_opaque(node);
     Some(node)
 }
@@ -67,12 +93,12 @@ fn at_entry(graph: &mut Graph, node: NodeId) -> NodeId {
 }
 
 /// observed − intensity; of a pixel at its limit that limit − intensity.
-pub(crate) fn residual(graph: &mut Graph, model: &Model) -> NodeId {
+fn residual(graph: &mut Graph, model: &Model, entry: &Observation) -> NodeId {
     let observed = match model.formulas.clipped {
         Some(channel) => graph.input(Input::Saturation(channel)),
-        None => model.formulas.observed,
+        None => entry.observed,
     };
-    graph.sub(observed, model.formulas.intensity)
+    graph.sub(observed, entry.intensity)
 }
 
 /// Where the model holds, at the entry parameters; of pixels at their limit those.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::language::budget::Budget;
 use crate::language::estimator::Estimator;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::program::{ChannelId, ConstantId, Input, Names, ParameterId};
+use crate::program::{ChannelId, ConstantId, Input, Level, Names, ParameterId};
 use isophote_syntax::diagnostic::Span;
 
 /// An unknown of the fit.
@@ -200,6 +200,8 @@ pub(crate) struct Formulas {
     pub entries: Vec<Observation>,
     /// Models whose F add up to the document's, this one among them.
     pub siblings: usize,
+    /// F is that of all entries, in one loop.
+    pub is_joint: bool,
 }
 
 /// One entry of `observed` and its prediction.
@@ -217,7 +219,38 @@ impl Formulas {
         let entries = vec![Observation { observed, intensity, shown, noise }];
         Formulas { observed, intensity, shown, noise, entries, ..self.clone() }
     }
+
+    /// The entries whose F is summed.
+    pub fn summed(&self) -> Vec<Observation> {
+        let Formulas { observed, intensity, shown, noise, .. } = *self;
+        if self.is_joint { self.entries.clone() } else { vec![Observation { observed, intensity, shown, noise }] }
+    }
+
+    /// True when each entry is a channel that nothing else of a pixel's F reads, and what is predicted of one is mostly what is
+    /// predicted of the others.
+    fn shares_work(&self) -> bool {
+        let graph = &self.graph;
+        let is_apart = |entry: &Observation| {
+            let reads = |node: NodeId| graph.channels(&[node]);
+            let corrected = reads(entry.intensity);
+            let is_own = |channel: &ChannelId| reads(entry.observed) == [*channel] || corrected.contains(channel);
+            matches!(graph.node(entry.observed), Node::Channel(_))
+                && reads(entry.shown).is_empty()
+                && entry.noise.is_none_or(|noise| reads(noise).iter().all(is_own))
+        };
+        let pixels = |roots: &[NodeId]| {
+            graph.reachable(roots).into_iter().filter(|node| graph.level(*node) == Level::Pixel).count()
+        };
+        let intensities: Vec<NodeId> = self.entries.iter().map(|entry| entry.intensity).collect();
+        let apart: usize = intensities.iter().map(|intensity| pixels(&[*intensity])).sum();
+        self.saturated != Saturated::Predicted
+            && self.entries.iter().all(is_apart)
+            && SHARED * pixels(&intensities) as f64 <= apart as f64
+    }
 }
+
+/// Values of a pixel are summed in one loop where their predictions, each by itself, have so many times the operations of all.
+const SHARED: f64 = 1.5;
 
 /// A part of a model's F; see [`Model::summands`].
 #[derive(Clone, Debug)]
@@ -226,6 +259,24 @@ pub struct Summand {
     pub model: Model,
     /// It sums pixels at their limit, and no others.
     pub is_clipped: bool,
+    /// Values of a pixel that it sums.
+    pub entries: usize,
+}
+
+impl Summand {
+    /// One summand for all of those of pixels below their limit, where a document mixes several channels, so that their
+    /// predictions share work: what is predicted of all of them is worked out once. Behind its sums stand two more: how many
+    /// values of pixels it summed, and how many are at their limit. It leaves those out itself, each channel for its own,
+    /// whatever it is lowered for, and what is no number as well.
+    pub fn joint(summands: &[Summand]) -> Option<Summand> {
+        let seen: Vec<&Model> = summands.iter().filter(|s| !s.is_clipped).map(|s| &s.model).collect();
+        let [first, _, ..] = seen[..] else { return None };
+        let entries: Vec<Observation> = seen.iter().flat_map(|model| model.formulas.entries.iter().copied()).collect();
+        let formulas = Formulas { entries, is_joint: true, ..first.formulas.clone() };
+        let count = formulas.entries.len();
+        let model = || Model { formulas: formulas.clone(), ..Model::clone(first) };
+        formulas.shares_work().then(|| Summand { model: model(), is_clipped: false, entries: count })
+    }
 }
 
 /// A checked document.
@@ -344,7 +395,7 @@ impl Model {
             };
             let of = |formulas: Formulas, is_clipped| {
                 let budget = budget.clone();
-                Summand { model: Model { formulas, budget, ..self.clone() }, is_clipped }
+                Summand { model: Model { formulas, budget, ..self.clone() }, is_clipped, entries: 1 }
             };
             summands.push(of(formulas, false));
             summands.extend(clipped.map(|formulas| of(formulas, true)));

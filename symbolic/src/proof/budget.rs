@@ -29,8 +29,9 @@ pub(crate) struct Room {
 /// What the document's budget has room for. `None` when that is not one point.
 pub(crate) fn room(model: &Model, subset: &[ParameterId], method: Method) -> Option<Room> {
     let formulas = &model.formulas;
-    let mut roots: Vec<NodeId> = vec![formulas.observed, formulas.intensity];
-    roots.extend(formulas.noise);
+    let summed = formulas.summed();
+    let roots: Vec<NodeId> =
+        summed.iter().flat_map(|entry| [Some(entry.observed), Some(entry.intensity), entry.noise]).flatten().collect();
     let graph = &formulas.graph;
     let reachable = graph.reachable(&roots);
     let is_conditional = formulas.shape().is_conditional()
@@ -42,7 +43,7 @@ pub(crate) fn room(model: &Model, subset: &[ParameterId], method: Method) -> Opt
     for (parameters, newton) in sets {
         pixel = pixel.saturating_add(at_a_pixel(graph, &reachable, &parameters, newton));
     }
-    let pixel = pixel.saturating_mul(model.siblings()).max(1);
+    let pixel = pixel.saturating_mul(model.siblings().div_ceil(summed.len())).max(1);
     let pixels = |points: u64| if is_conditional { ONCE + FURTHER * points as usize } else { ONCE };
     let is_affordable = |points: &u64| pixel.saturating_mul(pixels(*points)) <= LIMITS.proof;
     let points = (1..=CONDITIONAL_POINTS).rev().find(is_affordable)?;

@@ -15,7 +15,7 @@ use crate::program::{
 use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
 use crate::proof::points::Random;
-use crate::{Lowering, Method, Model, ParameterId, Prediction, ValueKind};
+use crate::{Lowering, Method, Model, ParameterId, Prediction, Summand, ValueKind};
 
 /// Target, what is known per row and may be NaN outside of the domain, two channels, a variance of parameters.
 const DOCUMENT: &str = r#"
@@ -259,7 +259,7 @@ impl Tally {
         for (fma, drop_saturated) in [(false, false), (true, false), (false, true), (true, true)] {
             let lowering = Lowering { fma, drop_saturated };
             let program = objective.program(lowering).unwrap();
-            let dropped = if drop_saturated { objective.channels() } else { Vec::new() };
+            let dropped = if drop_saturated && !objective.is_joint() { objective.channels() } else { Vec::new() };
             let passes = |program: &Program| objective.referee().check(program, &dropped).is_some();
             self.plant(&program, &passes, &format!("{what}, {lowering:?}"));
         }
@@ -305,6 +305,26 @@ fn every_fault_in_derivatives_is_caught() {
         });
         tally.all_caught(method.name(), 1000);
     }
+}
+
+/// Two channels in one loop: weights of each, the directions that they share, limits, counts.
+#[test]
+fn every_fault_in_a_loop_of_several_channels_is_caught() {
+    let likelihoods = ["domain = \"s <= 2\"".into(), format!("{NOISE}\nsaturated = \"censored\"")];
+    let mut tally = Tally::default();
+    for likelihood in likelihoods {
+        let text =
+            DOCUMENT.replace("PROFILE", "exp(-s)").replace("OBSERVED", "[p, q]").replace("LIKELIHOOD", &likelihood);
+        let text = text.replace("\"v0 - lost + v1 * f\"", "\"[v0 - lost + v1 * f, 0.3 * (v0 - lost) + 0.6 * v1 * f]\"");
+        let model = Model::from_toml(&text).unwrap();
+        let joint = Summand::joint(&model.summands()).unwrap().model;
+        let some: Vec<ParameterId> = [0, 2, 4].map(ParameterId).to_vec();
+        let steps = joint.objective(&some, Method::GaussNewton).unwrap();
+        for objective in [&steps, &steps.closing().unwrap(), &joint.value_objective(ValueKind::Full).unwrap()] {
+            tally.sums(objective, &likelihood);
+        }
+    }
+    tally.all_caught("joint", 500);
 }
 
 #[test]

@@ -413,7 +413,12 @@ impl Document {
             }
         }
         let entries = if observed.starts_with('[') { 2 } else { 1 };
-        let intensities = (0..entries).map(|_| scope.intensity(random, depth)).collect();
+        let mut intensities: Vec<Tree> = (0..entries).map(|_| scope.intensity(random, depth)).collect();
+        if entries > 1 && !one_in(random, 3) {
+            // The same light in the other channel, a share of it.
+            let share = Tree::Constant.times(intensities[0].clone());
+            intensities[1] = Tree::Parameter(random.below(parameters)).plus(share);
+        }
         Document { scope, functions, definitions, observed, intensities, noise, domain, further, positive }
     }
 

@@ -263,10 +263,9 @@ fn rewritten_formulas_are_the_same_formulas() {
             let mut all = vec![roots[0], roots[1]];
             all.extend(own.first.values().chain(own.second.values()));
             changed[2] += keeps(seed, "absorb", &mut trial, &all, |graph| {
-                let Absorbed { tops, jets, variances: [variance, _], .. } =
-                    absorb(graph, &roots[..1], &[own], [Some(roots[1]), None], scaling);
+                let Absorbed { tops, jets, others, .. } = absorb(graph, &roots[..1], &[own], &roots[1..2], scaling);
                 let jets = jets[0].first.values().chain(jets[0].second.values()).copied();
-                tops.into_iter().chain(variance).chain(jets).collect()
+                tops.into_iter().chain(others).chain(jets).collect()
             });
         }
         let mut trial = graph.clone();

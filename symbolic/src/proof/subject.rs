@@ -10,7 +10,7 @@ use crate::language::model::{Loss, Model};
 use crate::proof::LARGEST;
 use crate::proof::claim::{Claim, Part, ValueKind};
 use crate::proof::evaluate::{LoopNest, Number, Raster, evaluate_at};
-use crate::proof::hyper::{Evaluator, Hyper, Order, Values};
+use crate::proof::hyper::{Bare, Evaluator, Hyper, Order, Values};
 use crate::proof::likelihood::Shape;
 use crate::proof::points::Point;
 use crate::proof::weighed::Weighed;
@@ -18,15 +18,33 @@ use crate::proof::weighed::Weighed;
 /// How much larger a prediction may be than a residual of which f64 knows on which side of a threshold it is.
 const CERTAIN: f64 = 1e10;
 
+/// A value of a pixel, as F is made of it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PixelValue {
+    pub residual: NodeId,
+    pub variance: Option<NodeId>,
+    /// The variance at the parameters themselves, where that is summed beside the one at entry.
+    pub own_variance: Option<NodeId>,
+    /// Of a value that is summed beside others: that it is below its limit, and at it.
+    pub below: Option<[NodeId; 2]>,
+}
+
+impl PixelValue {
+    /// All that is worked out of it.
+    pub fn nodes(&self) -> impl Iterator<Item = NodeId> {
+        [Some(self.residual), self.variance, self.own_variance].into_iter().flatten()
+    }
+}
+
 /// What the sums are of, as the document says it: no rewrite has seen it.
 #[derive(Clone, Debug)]
 pub(crate) struct Subject {
     pub model: Model,
     pub graph: Graph,
-    pub residual: NodeId,
-    pub variance: Option<NodeId>,
-    /// The variance at the parameters themselves, where that is summed beside the one at entry.
-    pub own_variance: Option<NodeId>,
+    /// Never empty, and all alike.
+    pub values: Vec<PixelValue>,
+    /// Of each of the values in turn, where they leave out some: 1 below the limit, 1 at it.
+    pub counts: Vec<NodeId>,
     pub shape: Shape,
     pub domain: Option<NodeId>,
     pub parameters: Vec<NodeId>,
@@ -35,7 +53,12 @@ pub(crate) struct Subject {
 
 impl Subject {
     pub(super) fn roots(&self) -> Vec<NodeId> {
-        [Some(self.residual), self.variance, self.own_variance].into_iter().flatten().collect()
+        self.values.iter().flat_map(PixelValue::nodes).chain(self.counts.iter().copied()).collect()
+    }
+
+    /// Nodes of each value.
+    fn nodes_each(&self) -> usize {
+        self.values[0].nodes().count()
     }
 
     /// How many numbers the sums are.
@@ -50,7 +73,12 @@ impl Subject {
             Claim::Value(ValueKind::Full) => 2,
             Claim::Closing => 3,
         };
-        values + derivatives
+        values + derivatives + self.counted()
+    }
+
+    /// Outputs behind the others.
+    fn counted(&self) -> usize {
+        if self.counts.is_empty() { 0 } else { 2 }
     }
 
     /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it; false
@@ -65,12 +93,19 @@ impl Subject {
         evaluator.enter(&|node| point.given(node));
         for (outer, x) in point.rows.iter().flat_map(|outer| point.columns.iter().map(move |x| (outer, *x))) {
             let values = evaluator.at(&|node| point.read(node, x, outer, &|_| 0.0));
-            let deviation = values.get(1).map_or(1.0, |variance| variance.value.sqrt());
-            let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
-            are_sure &= values[0].value.abs() < CERTAIN * threshold * deviation;
-            pixels.push(side * threshold * deviation - values[0].value);
+            let mut shown = |value: &[&Bare<f64>]| {
+                let deviation = value.get(1).map_or(1.0, |variance| variance.value.sqrt());
+                let side = if pixels.len() % 2 == 0 { 1.03 } else { 0.97 };
+                are_sure &= value[0].value.abs() < CERTAIN * threshold * deviation;
+                side * threshold * deviation - value[0].value
+            };
+            let each = values[..self.nodes_each() * self.values.len()].chunks(self.nodes_each());
+            let each: Vec<f64> = each.map(&mut shown).collect();
+            pixels.push(each);
         }
-        point.pixels = (0..self.model.channels.len()).flat_map(|_| pixels.iter().copied()).collect();
+        let channels = 0..self.model.channels.len();
+        let of = |channel: usize| pixels.iter().map(move |each| each[channel.min(each.len() - 1)]);
+        point.pixels = channels.flat_map(of).collect();
         are_sure
     }
 
@@ -135,8 +170,27 @@ impl Subject {
         Some(sums)
     }
 
-    /// What one pixel adds, by its residual and variance, and the share of defects.
+    /// What one pixel adds.
     fn entries<N: Number>(&self, values: &[&Hyper<N>], share: Option<N>) -> Vec<N> {
+        let (of_values, counts) = values.split_at(self.nodes_each() * self.values.len());
+        let each = of_values.chunks(self.nodes_each());
+        if counts.is_empty() {
+            return each.flat_map(|value| self.entries_of(value, share)).collect();
+        }
+        let mut entries = vec![N::from(0.0); self.outputs() - self.counted()];
+        let mut counted = [N::from(0.0); 2];
+        for (value, count) in each.zip(counts.chunks(2)) {
+            counted.iter_mut().zip(count).for_each(|(sum, count)| *sum = *sum + count.value);
+            if count[0].value != N::from(0.0) {
+                entries.iter_mut().zip(self.entries_of(value, share)).for_each(|(sum, entry)| *sum = *sum + entry);
+            }
+        }
+        entries.extend(counted);
+        entries
+    }
+
+    /// What one of its values adds, by its residual and variance, and the share of defects.
+    fn entries_of<N: Number>(&self, values: &[&Hyper<N>], share: Option<N>) -> Vec<N> {
         let n = self.parameters.len() as u16;
         let (residual, variance) = (values[0], values.get(1).map(|variance| variance.value));
         let mut entries = Vec::with_capacity(self.outputs());

@@ -26,20 +26,17 @@ pub(crate) fn clipping(plane: &PlaneView, window: Window) -> Option<f64> {
         PixelFormat::U16 => u32::from(u16::MAX),
         PixelFormat::F32 | PixelFormat::F64 => return None,
     };
-    let mut top = (0, 0);
-    let mut counts = vec![0; if largest == u32::from(u8::MAX) { 256 } else { 0 }];
-    each(plane, window, |value| match counts.get_mut(value as usize) {
-        Some(count) => *count += 1,
-        None if value > top.0 => top = (value, 1),
-        None => top.1 += u32::from(value == top.0),
-    });
-    if counts.is_empty() {
-        if top.1 < PIXELS_MIN || !is_plausible(top.0, largest) {
-            return None; // spares the large table
-        }
-        counts = vec![0; 1 << 16];
-        each(plane, window, |value| counts[value as usize] += 1);
+    let (mut top, mut pixels) = (0, 0);
+    each(plane, window, |value| top = top.max(value));
+    if !is_plausible(top, largest) {
+        return None;
     }
+    each(plane, window, |value| pixels += u32::from(value == top));
+    if pixels < PIXELS_MIN {
+        return None; // most pictures; what is counted so far takes a tenth of the table's time
+    }
+    let mut counts = vec![0; largest as usize + 1];
+    each(plane, window, |value| counts[value as usize] += 1);
     let present = (0..).zip(counts).filter(|(_, count)| *count > 0);
     spike(&present.collect::<Vec<_>>(), largest).map(f64::from)
 }
@@ -49,14 +46,23 @@ fn each(plane: &PlaneView, window: Window, mut see: impl FnMut(u32)) {
     let [width, height, depth, length] = window.size();
     for row in 0..height * depth * length {
         let place = [x, y + row % height, z + row / height % depth, w + row / height / depth];
-        match (plane.bytes_of_row(place, width), plane.words_of_row(place, width)) {
-            (Some(bytes), _) => bytes.iter().for_each(|byte| see(u32::from(*byte))),
-            (_, Some(words)) => {
+        let (bytes, words) = (plane.bytes_of_row(place, width), plane.words_of_row(place, width));
+        match (bytes, words, plane.spaced_bytes_of_row(place, width)) {
+            (Some(bytes), ..) => bytes.iter().for_each(|byte| see(u32::from(*byte))),
+            (_, Some(words), _) => {
                 words.chunks_exact(2).for_each(|word| see(u32::from(u16::from_ne_bytes([word[0], word[1]]))));
             }
-            (None, None) => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]) as u32)),
+            (.., Some((bytes, 2))) => every::<2>(bytes, &mut see),
+            (.., Some((bytes, 3))) => every::<3>(bytes, &mut see),
+            (.., Some((bytes, 4))) => every::<4>(bytes, &mut see),
+            _ => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]) as u32)),
         }
     }
+}
+
+/// The first of each `N` bytes. A number that the compiler knows takes a third of the time.
+fn every<const N: usize>(bytes: &[u8], see: &mut impl FnMut(u32)) {
+    bytes.chunks(N).for_each(|chunk| see(u32::from(chunk[0])));
 }
 
 /// In the upper half of the format's range, or the largest value of a narrower converter.
@@ -110,6 +116,26 @@ mod tests {
             }
         }
         assert_eq!(found(&picture(300.0, Falloff::Disc, 253.0)), Some(253.0));
+    }
+
+    /// Pixels among those of other planes, of either format, and of a part of the picture.
+    #[test]
+    fn planes_that_are_interleaved_are_read_as_packed_ones_are() {
+        for (amplitude, limit) in [(120.0, 255.0), (450.0, 253.0)] {
+            let frame = picture(amplitude, CUBIC, limit).frame();
+            let packed = frame.plane_view(0);
+            let window = Window { x: 7, y: 5, width: 80, height: 84, ..Window::whole(96, 96) };
+            let pixels: Vec<u8> = (0..96 * 96).map(|i| packed.pixel(i % 96, i / 96) as u8).collect();
+            let among: Vec<u8> = pixels.iter().flat_map(|pixel| [255, *pixel, 0]).collect();
+            let among = PlaneView::new(PixelFormat::U8, &among[1..], 96, 96, 3 * 96, 3).unwrap();
+            assert_eq!(clipping(&among, window), clipping(&packed, window));
+            let wide: Vec<u8> = pixels.iter().flat_map(|pixel| (u16::from(*pixel) << 8).to_ne_bytes()).collect();
+            let wide = PlaneView::new(PixelFormat::U16, &wide, 96, 96, 2 * 96, 2).unwrap();
+            let twice: Vec<u8> =
+                pixels.iter().flat_map(|pixel| [u16::from(*pixel) << 8, 9].map(u16::to_ne_bytes)).flatten().collect();
+            let twice = PlaneView::new(PixelFormat::U16, &twice, 96, 96, 4 * 96, 4).unwrap();
+            assert_eq!(clipping(&twice, window), clipping(&wide, window));
+        }
     }
 
     #[test]

@@ -20,6 +20,8 @@ pub(super) struct SummandPrograms {
     /// Which of the sums.
     pub sum: usize,
     pub is_clipped: bool,
+    /// It sums several values of a pixel, and says of how many.
+    pub is_joint: bool,
     /// It is asked for by fits from nearby alone.
     pub is_short: bool,
     pub plain: Program,
@@ -124,13 +126,21 @@ impl Derived {
             (job, known.unwrap_or_else(|| (sums.len(), sums.push(wanted)).0))
         });
         let jobs = served.collect();
-        let summands = model.summands();
         // The last stage has the most parameters, and work is begun at the end: nobody waits for it alone.
         let order: Vec<usize> = (0..sums.len()).rev().collect();
-        let parts = all(order.len() * summands.len(), workers, &|i| {
-            let sum = order[i / summands.len()];
-            part(&summands[i % summands.len()], sum, &sums[sum])
-        })?;
+        let of = |summands: &[Summand]| {
+            all(order.len() * summands.len(), workers, &|i| {
+                let sum = order[i / summands.len()];
+                part(&summands[i % summands.len()], sum, &sums[sum])
+            })
+        };
+        // Rows have an offset for each entry of `observed`.
+        let joint = if offset.is_none() { joint(model) } else { None };
+        let parts = match joint.map(|summands| of(&summands)) {
+            Some(Ok(parts)) => parts,
+            // What is too much in one loop may not be in several.
+            _ => of(&model.summands())?,
+        };
         let derived = Derived { parts, jobs, offset, weight: 1 };
         let weight = derived.weighed();
         Ok(Derived { weight, ..derived })
@@ -162,8 +172,8 @@ impl Derived {
                 Job::Opening => part.objective.opening(),
                 _ => part.objective.closing(),
             };
-            let part = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, first + number, part.is_clipped)?;
-            Ok(SummandPrograms { is_short: true, ..part })
+            let programs = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, first + number)?;
+            Ok(SummandPrograms { is_short: true, is_clipped: part.is_clipped, is_joint: part.is_joint, ..programs })
         });
         if let Ok(parts) = parts {
             self.parts.extend(parts);
@@ -183,20 +193,33 @@ impl Derived {
     }
 }
 
+/// The summands with those of pixels below their limit in one, where they share work.
+fn joint(model: &Model) -> Option<Vec<Summand>> {
+    let summands = model.summands();
+    let joint = Summand::joint(&summands)?;
+    Some([joint].into_iter().chain(summands.into_iter().filter(|summand| summand.is_clipped)).collect())
+}
+
 /// The programs of a sum.
-fn part(Summand { model, is_clipped }: &Summand, sum: usize, what: &Sum) -> Result<SummandPrograms, CompileFailure> {
+fn part(
+    Summand { model, is_clipped, entries }: &Summand,
+    sum: usize,
+    what: &Sum,
+) -> Result<SummandPrograms, CompileFailure> {
     let objective = match what {
         Sum::Derivatives(parameters, Curvature::Full) => model.objective(parameters, Method::Newton),
         Sum::Derivatives(parameters, Curvature::GaussNewton) => model.objective(parameters, Method::GaussNewton),
         Sum::Value(kind) => model.value_objective(*kind),
     };
-    SummandPrograms::of(objective.map_err(CompileFailure::Model)?, sum, *is_clipped)
+    let programs = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, sum)?;
+    Ok(SummandPrograms { is_clipped: *is_clipped, is_joint: *entries > 1, ..programs })
 }
 
 impl SummandPrograms {
-    fn of(objective: Objective, sum: usize, is_clipped: bool) -> Result<SummandPrograms, CompileFailure> {
+    fn of(objective: Objective, sum: usize) -> Result<SummandPrograms, CompileFailure> {
         let lowered = |control| objective.program(lowering(control)).map_err(CompileFailure::Model);
         let (plain, dropping) = (lowered(Control::Plain)?, lowered(Control::Dropping)?);
-        Ok(SummandPrograms { sum, is_clipped, is_short: false, plain, dropping, objective })
+        let (is_clipped, is_joint, is_short) = (false, false, false);
+        Ok(SummandPrograms { sum, is_clipped, is_joint, is_short, plain, dropping, objective })
     }
 }

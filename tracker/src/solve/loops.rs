@@ -16,6 +16,9 @@ use crate::solve::rows::{RowOffsets, Rows};
 pub(crate) struct Loops {
     pub seen: SmallVec<[Arc<Kernel>; 4]>,
     pub clipped: SmallVec<[Arc<Kernel>; 4]>,
+    /// The others are one kernel of several values of a pixel, whose last two sums are how many of them were below their limit, and
+    /// how many at it.
+    pub is_joint: bool,
     /// Where rows have offsets: what is summed in the place of these kernels, or, where those sum nothing but F with ln σ²
     /// and χ², what is taken away from that.
     pub rows: Option<Arc<Rows>>,
@@ -78,10 +81,10 @@ impl Totals {
 }
 
 /// Without a pixel there is nothing to add: a parameter's factor that has no value makes NaN of an empty sum.
-fn add(to: &mut Vec<f64>, from: &Sums) {
-    to.resize(from.outputs.len(), 0.0);
-    if from.pixels > 0 {
-        to.iter_mut().zip(&from.outputs).for_each(|(sum, value)| *sum += value);
+fn add(to: &mut Vec<f64>, from: &[f64], pixels: u64) {
+    to.resize(from.len(), 0.0);
+    if pixels > 0 {
+        to.iter_mut().zip(from).for_each(|(sum, value)| *sum += value);
     }
 }
 
@@ -124,16 +127,28 @@ impl Loops {
             for kernel in &self.seen {
                 let sums = &mut totals.last;
                 kernel.sums_into(bindings, planes, *window, sums).ok()?;
-                totals.pixels += sums.pixels;
-                saturated += sums.saturated;
-                add(&mut totals.seen, sums);
-                add(&mut totals.outputs, sums);
+                let (outputs, pixels) = match sums.outputs.as_slice() {
+                    [outputs @ .., below, at_limit] if self.is_joint => {
+                        // Without a pixel there are no counts.
+                        let [below, at_limit] = if sums.pixels > 0 { [*below, *at_limit] } else { [0.0; 2] };
+                        saturated += at_limit as u64;
+                        (outputs, below as u64)
+                    }
+                    outputs => {
+                        saturated += sums.saturated;
+                        (outputs, sums.pixels)
+                    }
+                };
+                totals.pixels += pixels;
+                add(&mut totals.seen, outputs, pixels);
+                add(&mut totals.outputs, outputs, pixels);
             }
             totals.saturated += saturated;
             // Where nothing was left out there is nothing to make up for.
             for kernel in self.clipped.iter().filter(|_| saturated > 0) {
                 kernel.sums_into(bindings, planes, *window, &mut totals.last).ok()?;
-                add(&mut totals.outputs, &totals.last);
+                let Sums { outputs, pixels, .. } = &totals.last;
+                add(&mut totals.outputs, outputs, *pixels);
             }
         }
         Some(())
@@ -180,14 +195,14 @@ mod tests {
         assert!(alone.pixels == 0 && alone.outputs.iter().any(|sum| sum.is_nan()), "{alone:?}");
         let mut totals = Totals::default();
         for clipped in [smallvec![], smallvec![empty.clone()]] {
-            let loops = Loops { seen: smallvec![empty.clone()], clipped, rows: None };
+            let loops = Loops { seen: smallvec![empty.clone()], clipped, is_joint: false, rows: None };
             loops.sums(&bindings, &[plane], &[window; 2], &[], &[], &mut totals).unwrap();
             assert_eq!((totals.outputs.as_slice(), totals.pixels), (&vec![0.0; alone.outputs.len()][..], 0));
         }
         // And with w = 1, beside one that has pixels.
         let bindings = Bindings { parameters: &[1.0, 1.0], entry: &[1.0, 1.0], ..Bindings::default() };
         let full = kernel("x >= 0");
-        let loops = Loops { seen: smallvec![empty, full.clone()], clipped: smallvec![], rows: None };
+        let loops = Loops { seen: smallvec![empty, full.clone()], clipped: smallvec![], is_joint: false, rows: None };
         loops.sums(&bindings, &[plane], &[window], &[], &[], &mut totals).unwrap();
         let full = full.sums(&bindings, &[plane], window).unwrap();
         assert_eq!((totals.outputs, totals.pixels), (full.outputs, 64));
@@ -202,7 +217,7 @@ mod tests {
         let is_gap =
             |x: usize, y: usize| gaps.iter().any(|g| x >= g.x && x < g.x + g.width && y >= g.y && y < g.y + g.height);
         let kernel = kernel("x >= 1");
-        let loops = Loops { seen: smallvec![kernel.clone()], clipped: smallvec![], rows: None };
+        let loops = Loops { seen: smallvec![kernel.clone()], clipped: smallvec![], is_joint: false, rows: None };
         let mut found = Vec::new();
         for hot in [0, 255] {
             let pixel = |i: usize| if is_gap(i % 8, i / 8) { hot } else { i as u8 };

@@ -269,17 +269,17 @@ impl StageKernels {
         let mut all = Loops::default();
         if derived.offset.is_none() || job == Job::Report {
             let even = layout.without_rows();
-            self.each(&self.derived, job, control, (precision, &even), |kernel, is_clipped| match is_clipped {
-                false => all.seen.push(kernel),
-                true => all.clipped.push(kernel),
+            self.each(&self.derived, job, control, (precision, &even), |kernel, part| {
+                all.is_joint |= part.is_joint;
+                if part.is_clipped { all.clipped.push(kernel) } else { all.seen.push(kernel) }
             })?;
         }
         let Some(offset) = derived.offset else { return Ok(all) };
         // What offsets explain is told by F.
         let of_rows = if job == Job::Report { Job::Value } else { job };
         let mut entries: Vec<Loops> = Vec::new();
-        self.each(derived, of_rows, control, made_for, |kernel, is_clipped| match entries.last_mut() {
-            Some(entry) if is_clipped => entry.clipped.push(kernel),
+        self.each(derived, of_rows, control, made_for, |kernel, part| match entries.last_mut() {
+            Some(entry) if part.is_clipped => entry.clipped.push(kernel),
             _ => entries.push(Loops { seen: smallvec![kernel], ..Loops::default() }),
         })?;
         let order = derived.order(of_rows);
@@ -289,20 +289,20 @@ impl StageKernels {
         Ok(Loops { rows: rows.map(Arc::new), ..all })
     }
 
-    /// Calls with each kernel of a job, and whether it sums pixels at their limit: those of an entry of `observed` follow that of
-    /// the entry's other pixels.
+    /// Calls with each kernel of a job, and what it is of: pixels at their limit of an entry of `observed` follow the entry's other
+    /// pixels, or all of these.
     fn each(
         &self,
         derived: &Derived,
         job: Job,
         control: Control,
         made_for: (Precision, &PlaneLayout),
-        mut visit: impl FnMut(Arc<Kernel>, bool),
+        mut visit: impl FnMut(Arc<Kernel>, &SummandPrograms),
     ) -> Result<(), CompileFailure> {
         let sum = derived.sum_of(job);
         for (index, part) in derived.parts.iter().enumerate().filter(|(_, part)| Some(part.sum) == sum) {
             if !part.is_clipped || control != Control::Plain {
-                visit(self.kernel(&derived.parts, index, control, made_for)?, part.is_clipped);
+                visit(self.kernel(&derived.parts, index, control, made_for)?, part);
             }
         }
         Ok(())

@@ -134,8 +134,8 @@ fn a_pixel_counts_by_what_it_costs() {
         kernels.weight()
     };
     assert_eq!(weight(include_str!("../../../models/thesis-spot.toml")), 1);
-    // Three channels, a loop for each.
-    let raw = weight(include_str!("../../../models/three-spots-raw.toml"));
+    // Three channels in one loop.
+    let raw = weight(include_str!("../../../models/three-spots-pose-raw.toml"));
     assert!((2..8).contains(&raw), "{raw}");
     // Powers at several points of a pixel.
     let moffat = weight(include_str!("../../../models/moffat.toml"));

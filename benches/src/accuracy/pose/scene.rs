@@ -82,7 +82,7 @@ impl Random {
     }
 
     /// What a pixel reads.
-    fn read_out(&mut self, mean: f64) -> u8 {
+    pub fn read_out(&mut self, mean: f64) -> u8 {
         let electrons: f64 = Poisson::new(mean * ELECTRONS_PER_DN).unwrap().sample(&mut self.0);
         let noise: f64 = StandardNormal.sample(&mut self.0);
         ((electrons + READ_NOISE_E * noise) / ELECTRONS_PER_DN).round().clamp(0.0, LIMIT) as u8

@@ -142,6 +142,7 @@ pub(crate) fn read_model(
         clipped,
         entries: list,
         siblings: 1,
+        is_joint: false,
     })
 }
 

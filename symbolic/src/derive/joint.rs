@@ -1,0 +1,178 @@
+//! Several values of a pixel in one loop: channels that mix the same lights.
+//!
+//! What comes in: residuals with their derivatives, and which values are below their limit. What goes out: *directions*, in which
+//! residuals change together. Where r_c,l = a_c g_l with the same a for several variables l (what a light adds to each of three
+//! channels), F_l = (Σ L_c a_c) g_l and F_lm = (Σ Q_c a_c b_c) g_l g_m: what is multiplied with the lights' own derivatives is
+//! summed over the channels before. One value has one direction, a = 1. It never knows what a light is.
+
+use std::collections::BTreeMap;
+
+use rustc_hash::FxHashMap;
+
+use crate::derive::jet::Jet;
+use crate::derive::monomial::{Powers, whole_output};
+use crate::derive::sums::Output;
+use crate::derive::terms::counts;
+use crate::language::graph::{Graph, Node, NodeId};
+use crate::proof::hyper::Order;
+use crate::proof::likelihood::Shape;
+use crate::proof::subject::PixelValue;
+
+/// What the two sums of counts are called.
+const COUNTED: [&str; 2] = ["seen", "saturated"];
+
+/// See the module's text.
+#[derive(Clone, Debug)]
+pub(crate) struct Direction {
+    /// a: which residual, and by what it changes.
+    pub parts: Vec<(usize, NodeId)>,
+    /// g.
+    pub gradient: Jet,
+}
+
+/// The directions of residuals with these first derivatives.
+pub(crate) fn directions(graph: &mut Graph, jets: &[Jet]) -> Vec<Direction> {
+    let one = graph.number(1.0);
+    if let [alone] = jets {
+        return vec![Direction { parts: vec![(0, one)], gradient: alone.clone() }];
+    }
+    let mut of: BTreeMap<NodeId, Vec<(usize, NodeId)>> = BTreeMap::new();
+    for (number, jet) in jets.iter().enumerate() {
+        jet.first.iter().for_each(|(l, slope)| of.entry(*l).or_default().push((number, *slope)));
+    }
+    let mut found: Vec<Direction> = Vec::new();
+    for (l, slopes) in of {
+        let (shared, parts) = apart(graph, &slopes);
+        match found.iter_mut().find(|direction| direction.parts == parts) {
+            Some(direction) => _ = direction.gradient.first.insert(l, shared),
+            None => found.push(Direction { parts, gradient: Jet { first: [(l, shared)].into(), ..Jet::default() } }),
+        }
+    }
+    found
+}
+
+/// The factors that all slopes share, and what is left of each.
+fn apart(graph: &mut Graph, slopes: &[(usize, NodeId)]) -> (NodeId, Vec<(usize, NodeId)>) {
+    let factors: Vec<(f64, Powers)> = slopes.iter().map(|(_, slope)| factors(graph, *slope)).collect();
+    let mut shared = factors[0].1.clone();
+    for (_, others) in &factors[1..] {
+        let least = |(node, exponent): &(NodeId, i32)| {
+            let other =
+                others.iter().find(|(n, e)| n == node && e.signum() == exponent.signum()).map_or(0, |(_, e)| *e);
+            (*node, if exponent.abs() < other.abs() { *exponent } else { other })
+        };
+        shared = shared.iter().map(least).filter(|(_, exponent)| *exponent != 0).collect();
+    }
+    let number = factors[0].0;
+    let left = slopes.iter().zip(&factors).map(|((which, _), (own, powers))| {
+        let rest = powers.iter().copied().chain(shared.iter().map(|(n, e)| (*n, -e)));
+        (*which, graph.product(own / number, rest))
+    });
+    let left = left.collect();
+    (graph.product(number, shared), left)
+}
+
+/// A product's number and factors.
+fn factors(graph: &Graph, node: NodeId) -> (f64, Powers) {
+    let (number, inner) = match graph.node(node) {
+        Node::Number(bits) => return (bits.get(), Powers::new()),
+        Node::Sum(constant, terms) if constant.get() == 0.0 && terms.len() == 1 && !graph.is_opaque(node) => {
+            (terms[0].1.get(), terms[0].0)
+        }
+        _ => (1.0, node),
+    };
+    match graph.node(inner) {
+        Node::Product(factors) if !graph.is_opaque(inner) => (number, factors.iter().copied().collect()),
+        _ => (number, Powers::from_slice(&[(inner, 1)])),
+    }
+}
+
+/// What F's derivatives by the residuals, Gauss–Newton's, make of directions.
+pub(crate) struct Weights {
+    /// F_a of each direction.
+    pub slopes: Vec<NodeId>,
+    /// F_ab of each pair of directions that has one, the first not after the second.
+    pub curvatures: FxHashMap<(usize, usize), NodeId>,
+}
+
+impl Weights {
+    /// `top`: F's derivatives by the residuals.
+    pub fn of(graph: &mut Graph, top: &Jet, residuals: &[NodeId], directions: &[Direction]) -> Option<Weights> {
+        let each = residuals.iter().map(|r| Some((*top.first.get(r)?, *top.second.get(&(*r, *r))?)));
+        let each: Vec<(NodeId, NodeId)> = each.collect::<Option<_>>()?;
+        let mut sum = |terms: Vec<Powers>| {
+            let products = terms.into_iter().map(|factors| (graph.product(1.0, factors), 1.0)).collect::<Vec<_>>();
+            let is_sum = products.len() > 1;
+            let node = graph.sum(0.0, products);
+            if is_sum {
+                graph.set_opaque(node);
+            }
+            node
+        };
+        let slope = |(which, a): &(usize, NodeId)| Powers::from_slice(&[(each[*which].0, 1), (*a, 1)]);
+        let slopes = directions.iter().map(|direction| sum(direction.parts.iter().map(slope).collect())).collect();
+        let mut curvatures = FxHashMap::default();
+        for (i, first) in directions.iter().enumerate() {
+            for (j, second) in directions.iter().enumerate().skip(i) {
+                let both = first.parts.iter().flat_map(|a| second.parts.iter().map(move |b| (a, b)));
+                let both = both.filter(|((c, _), (d, _))| c == d);
+                let terms: Vec<_> = both
+                    .map(|((which, a), (_, b))| Powers::from_slice(&[(each[*which].1, 1), (*a, 1), (*b, 1)]))
+                    .collect();
+                if !terms.is_empty() {
+                    curvatures.insert((i, j), sum(terms));
+                }
+            }
+        }
+        Some(Weights { slopes, curvatures })
+    }
+}
+
+/// F, and its derivatives by residuals (and by variances at second order), of all values that are below their limit.
+pub(crate) fn top(graph: &mut Graph, shape: Shape, order: Order, values: &[PixelValue]) -> (NodeId, Jet) {
+    let (mut all, mut terms) = (Jet::default(), Vec::new());
+    for value in values {
+        let tops: Vec<NodeId> =
+            [Some(value.residual), value.variance.filter(|_| order == Order::Second)].into_iter().flatten().collect();
+        let (whole, Jet { first, second }) = shape.jet(graph, order, &tops, value.variance);
+        terms.push((masked(graph, value, whole), 1.0));
+        all.first.extend(first.into_iter().map(|(l, slope)| (l, masked(graph, value, slope))));
+        all.second.extend(second.into_iter().map(|(pair, slope)| (pair, masked(graph, value, slope))));
+    }
+    (graph.sum(0.0, terms), all)
+}
+
+/// F with ln σ², and F without it, of all values that are below their limit.
+pub(crate) fn full(
+    graph: &mut Graph,
+    shape: Shape,
+    values: &[PixelValue],
+    variance: impl Fn(&PixelValue) -> Option<NodeId>,
+) -> [NodeId; 2] {
+    let mut each = [Vec::new(), Vec::new()];
+    for value in values {
+        let parts = shape.full(graph, value.residual, variance(value));
+        each.iter_mut().zip(parts).for_each(|(list, part)| list.push((masked(graph, value, part), 1.0)));
+    }
+    each.map(|terms| graph.sum(0.0, terms))
+}
+
+/// Zero where the value is not below its limit.
+fn masked(graph: &mut Graph, value: &PixelValue, node: NodeId) -> NodeId {
+    let Some([below, _]) = value.below else { return node };
+    let zero = graph.number(0.0);
+    graph.select(below, node, zero)
+}
+
+/// How many values are below their limits, and how many at them, where they are summed beside others.
+pub(crate) fn counted(graph: &mut Graph, values: &[PixelValue]) -> Vec<Output> {
+    let counts = counts(graph, values);
+    if counts.is_empty() {
+        return Vec::new();
+    }
+    let sum = |graph: &mut Graph, which: usize| {
+        let node = graph.sum(0.0, counts.iter().skip(which).step_by(2).map(|count| (*count, 1.0)));
+        whole_output(graph, COUNTED[which], node)
+    };
+    vec![sum(graph, 0), sum(graph, 1)]
+}
