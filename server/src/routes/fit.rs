@@ -19,7 +19,7 @@ use isophote_wire::{
 };
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 
 use super::parameters::NameParam;
 use super::{Answer, App, json};
@@ -198,7 +198,7 @@ impl ImageFitQuery {
 }
 
 /// JSON of a part of a document.
-fn within<T: DeserializeOwned>(part: &str, text: &str) -> Result<T, Problem> {
+fn within<T: DeserializeOwned + ToSchema>(part: &str, text: &str) -> Result<T, Problem> {
     parse(text).map_err(|mut problem| {
         for diagnostic in &mut problem.diagnostics {
             diagnostic.key = format!("{part}.{}", diagnostic.key).trim_end_matches('.').to_string();
