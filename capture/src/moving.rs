@@ -4,6 +4,7 @@ use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
+use isophote_frame::plain;
 use isophote_symbolic::{Diagnostic, Diagnostics, Formula};
 use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize};
@@ -61,39 +62,30 @@ impl<'de> Deserialize<'de> for Moving {
 /// The values that a number may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Range {
-    /// Every finite number.
-    Finite,
-    /// Above 0.
-    Positive,
-    /// 0 and above.
-    NotNegative,
     /// Both ends included.
     Between(f64, f64),
     /// Above 0, and so much at most.
     PositiveTo(f64),
+    /// 0 or above, and so much at most.
+    NotNegativeTo(f64),
 }
 
 impl Range {
     fn holds(self, value: f64) -> bool {
-        let is_inside = match self {
-            Range::Finite => true,
-            Range::Positive => value > 0.0,
-            Range::NotNegative => value >= 0.0,
+        match self {
             Range::PositiveTo(to) => value > 0.0 && value <= to,
+            Range::NotNegativeTo(to) => (0.0..=to).contains(&value),
             Range::Between(from, to) => (from..=to).contains(&value),
-        };
-        is_inside && value.is_finite()
+        }
     }
 }
 
 impl fmt::Display for Range {
     fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
         match self {
-            Range::Finite => formatter.write_str("a finite number"),
-            Range::Positive => formatter.write_str("positive"),
-            Range::NotNegative => formatter.write_str("0 or positive"),
-            Range::Between(from, to) => write!(formatter, "{from} to {to}"),
-            Range::PositiveTo(to) => write!(formatter, "positive, and {to} at most"),
+            Range::Between(from, to) => write!(formatter, "{} to {}", plain(*from), plain(*to)),
+            Range::NotNegativeTo(to) => write!(formatter, "0 or positive, and {} at most", plain(*to)),
+            Range::PositiveTo(to) => write!(formatter, "positive, and {} at most", plain(*to)),
         }
     }
 }
@@ -132,7 +124,7 @@ impl Law {
     pub fn read(moving: &Moving, range: Range) -> Result<Law, MovingFault> {
         match moving {
             Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
-            Moving::Number(number) => Err(MovingFault::Range(format!("is {number}; it must be {range}"))),
+            Moving::Number(number) => Err(MovingFault::Range(format!("is {}; it must be {range}", plain(*number)))),
             Moving::Formula(text) => {
                 formula_of_t(text).map(|formula| Law::Moves(Box::new(formula))).map_err(MovingFault::Formula)
             }
@@ -145,6 +137,10 @@ impl Law {
             Law::Still(number) => return Ok(*number),
             Law::Moves(formula) => formula.evaluate(&[t_s]),
         };
-        if range.holds(value) { Ok(value) } else { Err(format!("is {value} at t = {t_s} s; it must be {range}")) }
+        if range.holds(value) {
+            Ok(value)
+        } else {
+            Err(format!("is {} at t = {t_s} s; it must be {range}", plain(value)))
+        }
     }
 }
