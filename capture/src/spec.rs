@@ -242,7 +242,7 @@ pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), Synt
     let mut constants: Vec<f64> = model.constants().iter().map(|c| c.value).collect();
     for (name, value) in &spec.set {
         let value = *value;
-        if !(value.abs() <= NUMBER_MAX) {
+        if !(-NUMBER_MAX..=NUMBER_MAX).contains(&value) {
             let max = plain(NUMBER_MAX);
             let reason = format!("is {}; it must be from -{max} to {max}", plain(value));
             return Err(SyntheticError::Light { key: format!("set.{name}"), reason });

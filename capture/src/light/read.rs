@@ -73,7 +73,10 @@ pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, LightFault> {
     let times = light.glare.iter().map(|one| ("glare", one.from_s, one.to_s));
     let times = times.chain(light.occluders.iter().map(|one| ("occluders", one.from_s, one.to_s)));
     for (list, from_s, to_s) in times.chain(light.blind.iter().map(|one| ("blind", one.from_s, one.to_s))) {
-        if let Some(time_s) = [from_s, to_s].into_iter().flatten().find(|time_s| !(time_s.abs() <= LIMITS.light_time_s))
+        if let Some(time_s) = [from_s, to_s]
+            .into_iter()
+            .flatten()
+            .find(|time_s| !(-LIMITS.light_time_s..=LIMITS.light_time_s).contains(time_s))
         {
             let reason = format!("has a time of {} s; it must be from -1e10 to 1e10", plain(time_s));
             return Err((format!("light.{list}"), MovingFault::Range(reason)));

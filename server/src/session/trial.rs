@@ -1,7 +1,7 @@
 //! `FitCost`: what a frame would cost with a model, measured beside the session that the model is for.
 //!
-//! What comes in: a tracker that remembers what the session's does, frames that the session has just fitted, the newest when one
-//! is asked for, and what may be too much. What goes out: the time of a processor that a frame takes, the median of five, or that
+//! What comes in: a tracker that remembers what the session's does, two frames that the session has just fitted, one after the
+//! other, and what may be too much. What goes out: the time of a processor that a frame takes, the median of five, or that
 //! of those which decide it. It never delays a fit of the session: all of it happens on another thread, in its turn.
 
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use isophote_machine::thread_ns;
-use isophote_tracker::{Stop, TrackState, Tracker, Watch};
+use isophote_tracker::{Frame, Stop, TrackState, Tracker, Watch};
 
 use super::inbox::{Delivery, Inbox, SampleFrame};
 use crate::limits::LIMITS;
@@ -25,41 +25,46 @@ const MAJORITY: usize = RUNS / 2 + 1;
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct FitCost(Duration);
 
-/// Frames that something is tried on: the first, and those that come meanwhile.
-pub struct TrialFrames<'a> {
-    source: &'a Source,
-    inbox: &'a Inbox,
+/// Frames that something is tried on.
+pub struct TrialFrames {
+    /// The session has fitted it.
     first: Arc<Delivery>,
+    /// The one that came next, if one did.
+    next: Option<Arc<Delivery>>,
 }
 
-impl<'a> TrialFrames<'a> {
-    /// Of a source, as a session of it that has that inbox has fitted them.
-    pub fn of(source: &'a Source, inbox: &'a Inbox, first: Arc<Delivery>) -> TrialFrames<'a> {
-        TrialFrames { source, inbox, first }
+impl TrialFrames {
+    /// Of a source, as a session of it that has that inbox has fitted them: the first is there, the next is waited for. It is
+    /// asked for before anything is tried, which may take as long as a target needs to be somewhere else.
+    pub fn of(source: &Source, inbox: &Inbox, first: Arc<Delivery>) -> TrialFrames {
+        let interval = source.interval().filter(|_| !source.is_still());
+        let next =
+            interval.and_then(|interval| inbox.sample(SampleFrame::Next, (2 * interval).min(LIMITS.frame_budget)));
+        TrialFrames { first, next: next.map(|sample| sample.delivery) }
     }
 
-    /// The newest that has been fitted since; `None` where none comes soon, and the one before is tried on once more.
-    fn next(&self) -> Option<Arc<Delivery>> {
-        let interval = self.source.interval().filter(|_| !self.source.is_still())?;
-        let sample = self.inbox.sample(SampleFrame::Next, (2 * interval).min(LIMITS.frame_budget))?;
-        Some(sample.delivery)
+    /// The one to search for the target, and the one to follow it to.
+    fn both(&self) -> [&Frame; 2] {
+        let next = self.next.as_ref().unwrap_or(&self.first);
+        [&self.first, next].map(|delivery| &delivery.captured.frame)
     }
 }
 
 impl FitCost {
     /// With a search before it where the target is not near where it is expected: that is not part of every frame. A search
-    /// that takes too long is what it says instead: each frame would begin one anew. So is one that has found the target where
-    /// fits lose it again at once. What takes more than `most` is not looked at for longer, where that is said.
+    /// that takes too long is what it says instead: each frame would begin one anew. Where it is asked what takes more than `most`,
+    /// so does a search that has found the target where the fit of the next frame loses it again, and nothing is looked at for
+    /// longer than that.
     pub fn measured(
         tracker: &Tracker,
         frames: &TrialFrames,
         workers: &FairWorkers,
         most: Option<Duration>,
     ) -> TrialResult {
-        let mut frame = frames.first.clone();
+        let [first, next] = frames.both();
         let (settled, spent) = workers.piece(|| {
             let (mut tracker, trial) = (tracker.fork(), Trial::begin(LIMITS.settle_time, true));
-            let estimates = tracker.track_all_while(&frame.captured.frame, &trial);
+            let estimates = tracker.track_all_while(first, &trial);
             let is_there = estimates.iter().any(|estimate| estimate.state == TrackState::Tracking);
             (is_there.then_some(tracker), trial.worked())
         });
@@ -67,23 +72,16 @@ impl FitCost {
             return TrialResult::Search(FitCost(spent));
         }
         let is_found = settled.is_some();
-        let mut before = settled.unwrap_or_else(|| tracker.fork());
-        let mut after: Option<Tracker> = None;
-        let mut costs = Vec::with_capacity(RUNS);
+        let tracker = settled.as_ref().unwrap_or(tracker);
         let within = most.unwrap_or(LIMITS.trial_time).min(LIMITS.trial_time);
+        let mut costs = Vec::with_capacity(RUNS);
         while costs.len() < RUNS && most.is_none_or(|most| !is_decided(&costs, most)) {
-            if let Some(next) = frames.next() {
-                before = after.take().unwrap_or(before);
-                frame = next;
-            }
-            let (fitted, cost) = workers.piece(|| {
-                let (mut tracker, trial) = (before.fork(), Trial::begin(within, false));
-                tracker.track_all_while(&frame.captured.frame, &trial);
-                let search = if is_found && trial.has_lost() { spent } else { Duration::ZERO };
-                (tracker, trial.worked() + search)
-            });
-            after = Some(fitted);
-            costs.push(FitCost(cost));
+            costs.push(workers.piece(|| {
+                let (mut tracker, trial) = (tracker.fork(), Trial::begin(within, false));
+                tracker.track_all_while(next, &trial);
+                let has_lost = most.is_some() && is_found && trial.has_lost();
+                FitCost(trial.worked() + if has_lost { spent } else { Duration::ZERO })
+            }));
         }
         tracing::debug!(?costs, is_found, ?spent, "model tried");
         TrialResult::Fit(median(costs, most))

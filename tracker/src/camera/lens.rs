@@ -94,17 +94,17 @@ impl Intrinsics {
     /// The first one that cannot be.
     pub fn check(&self) -> Result<(), IntrinsicsError> {
         for (name, value) in [("fx", self.fx), ("fy", self.fy)] {
-            if !(value > 0.0 && value <= PIXELS_MAX) {
+            if !(f64::MIN_POSITIVE..=PIXELS_MAX).contains(&value) {
                 let wanted = "must be a positive number of pixels, 1e9 at most";
                 return Err(IntrinsicsError::Number { name, value, wanted });
             }
         }
         for (name, value) in [("cx", self.cx), ("cy", self.cy)] {
-            if !(value.abs() <= PIXELS_MAX) {
+            if !(-PIXELS_MAX..=PIXELS_MAX).contains(&value) {
                 return Err(IntrinsicsError::Number { name, value, wanted: "must be from -1e9 to 1e9" });
             }
         }
-        if let Some(&value) = self.coefficients.iter().find(|c| !(c.abs() <= COEFFICIENT_MAX)) {
+        if let Some(&value) = self.coefficients.iter().find(|c| !(-COEFFICIENT_MAX..=COEFFICIENT_MAX).contains(*c)) {
             let wanted = "must be numbers from -1e12 to 1e12";
             return Err(IntrinsicsError::Number { name: "coefficients", value, wanted });
         }
@@ -129,7 +129,7 @@ impl Intrinsics {
         if (count != FIGURES && count != all) || rows.iter().any(|row| row.len() != count) {
             return wrong("has other rows or columns");
         }
-        if rows.iter().flatten().any(|entry| !(entry.abs() <= NUMBER_MAX)) {
+        if rows.iter().flatten().any(|entry| !(-NUMBER_MAX..=NUMBER_MAX).contains(entry)) {
             return wrong("has numbers beyond 1e30, or none");
         }
         let matrix = DMatrix::from_fn(count, count, |i, j| rows[i][j]);
