@@ -124,6 +124,7 @@ pub fn open_recording(
     let dimensions = reader.map_or(2, |model| model.coordinates().len());
     let recording = Recording::within(&document.path, dimensions, reach).map_err(wrong)?;
     let recording = recording.at_rate(document.rate_hz);
+    recording.check_picture().map_err(wrong)?;
     // All planes and columns are left as they are, for each session to pick from.
     let columns = recording.csv_channels().map_err(wrong)?;
     let size = recording.size();

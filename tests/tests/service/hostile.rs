@@ -380,7 +380,9 @@ fn bytes_that_are_no_document_have_a_short_answer() {
         text.into_bytes()
     };
     let nested = formula(&format!("{}bx{}", "(".repeat(100_000), ")".repeat(100_000)));
-    let cases: [(&str, Vec<u8>); 8] = [
+    let comment = format!("name = \"m\" # {}", "of great length ".repeat(20_000));
+    let cases: [(&str, Vec<u8>); 9] = [
+        ("a long line", comment.into_bytes()),
         ("not UTF-8", b"name = \"\xff\xfe\"".to_vec()),
         ("a NUL", b"name = \"a\0b\"".to_vec()),
         ("from right to left", formula("bx \u{202e}+ 1")),
@@ -397,6 +399,8 @@ fn bytes_that_are_no_document_have_a_short_answer() {
         assert!(first["code"].is_string() && first["line"].as_u64() >= Some(1), "{what}: {problem:.500}");
         for said in [&problem["detail"], &first["message"], &first["help"]] {
             let said = said.as_str().unwrap_or_default();
+            let line = first["source"].as_str().unwrap_or_default();
+            assert!(line.len() <= 1100, "{what}: {} bytes of its line", line.len());
             assert!(said.len() <= 2048 && !said.contains(&long[..100]), "{what}: {} bytes", said.len());
         }
     }
