@@ -14,7 +14,7 @@ use tokio::sync::oneshot;
 use super::checks::{check_document, check_shape, tracker, wrong_options};
 use super::shared::Shared;
 use super::swap::{self, Active, Swap, Swapped};
-use super::trial::{FitCost, TrialFrames, TrialResult};
+use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
@@ -166,7 +166,7 @@ impl Session {
         };
         // One that is cut short now and then is better than none; a machine that is busy at the moment makes any look slow.
         let most = (2 * budget).max(LIMITS.slow_fit_time);
-        let frames = TrialFrames::of(source, &self.shared.inbox, sample.delivery);
+        let frames = TrialPair::of(source, &self.shared.inbox, sample.delivery);
         let (cost, what) = match FitCost::measured(&candidate, &frames, workers, Some(most)) {
             TrialResult::Fit(cost) => (cost, "a frame, the median of five,"),
             TrialResult::Search(cost) => (cost, "a search that was left before its end"),
@@ -242,7 +242,7 @@ pub fn prepare_session(
     // Sessions on one source see the same: what another one knows of its target is where this one's is likely to be.
     let mut candidate = sample.tracker;
     candidate.swap(compiled, options);
-    let frames = TrialFrames::of(source, &inbox, sample.delivery);
+    let frames = TrialPair::of(source, &inbox, sample.delivery);
     let fit_ms = match FitCost::measured(&candidate, &frames, workers, None) {
         TrialResult::Fit(cost) => Some(cost.milliseconds()),
         TrialResult::Search(_) => None,

@@ -11,7 +11,7 @@ use super::change::{NewTracker, PreparedSwap, Requested};
 use super::checks::wrong_options;
 use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
 use super::swap::{Active, Swap};
-use super::trial::{FitCost, TrialFrames, TrialResult};
+use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
@@ -61,7 +61,7 @@ impl Session {
         let told = prepared.tracker.swap(compiled, options);
         (prepared.carried, prepared.reset) = (told.carried, told.reset);
         if source.realtime_hz().is_some() {
-            let frames = TrialFrames::of(source, &self.shared.inbox, sample.delivery);
+            let frames = TrialPair::of(source, &self.shared.inbox, sample.delivery);
             let measured = FitCost::measured(&prepared.tracker, &frames, workers, None);
             if let TrialResult::Fit(cost) = measured {
                 prepared.fit_ms = Some(cost.milliseconds());

@@ -26,21 +26,21 @@ const MAJORITY: usize = RUNS / 2 + 1;
 pub struct FitCost(Duration);
 
 /// Frames that something is tried on.
-pub struct TrialFrames {
+pub struct TrialPair {
     /// The session has fitted it.
     first: Arc<Delivery>,
     /// The one that came next, if one did.
     next: Option<Arc<Delivery>>,
 }
 
-impl TrialFrames {
+impl TrialPair {
     /// Of a source, as a session of it that has that inbox has fitted them: the first is there, the next is waited for. It is
     /// asked for before anything is tried, which may take as long as a target needs to be somewhere else.
-    pub fn of(source: &Source, inbox: &Inbox, first: Arc<Delivery>) -> TrialFrames {
+    pub fn of(source: &Source, inbox: &Inbox, first: Arc<Delivery>) -> TrialPair {
         let interval = source.interval().filter(|_| !source.is_still());
         let next =
             interval.and_then(|interval| inbox.sample(SampleFrame::Next, (2 * interval).min(LIMITS.frame_budget)));
-        TrialFrames { first, next: next.map(|sample| sample.delivery) }
+        TrialPair { first, next: next.map(|sample| sample.delivery) }
     }
 
     /// The one to search for the target, and the one to follow it to.
@@ -57,7 +57,7 @@ impl FitCost {
     /// longer than that.
     pub fn measured(
         tracker: &Tracker,
-        frames: &TrialFrames,
+        frames: &TrialPair,
         workers: &FairWorkers,
         most: Option<Duration>,
     ) -> TrialResult {

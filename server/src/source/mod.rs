@@ -7,6 +7,7 @@
 
 pub mod control;
 mod drivers;
+mod faults;
 #[cfg(test)]
 pub mod hanging_tests;
 mod lease;
@@ -37,6 +38,7 @@ use crate::problem::Problem;
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
 pub use drivers::Drivers;
+use faults::ReadFaults;
 use isophote_machine::{monotonic_ns, thread_ns};
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
@@ -44,7 +46,6 @@ use isophote_wire::{
 pub use lease::{ControlLease, LeaseId};
 pub use open::{Opened, Taker, camera_problem, open, open_camera, open_recording, pixel_format};
 use playback::{Playback, Tape};
-use played::ReadFaults;
 pub use reader::CameraReader;
 use reader::SpareCamera;
 use scene::SceneInForce;

@@ -10,24 +10,6 @@ use isophote_wire::{Pace, SourceState};
 use super::playback::Playback;
 use super::state::SourceNow;
 use super::{Worker, finish, label};
-use crate::limits::LIMITS;
-
-/// Frames that could not be read.
-#[derive(Default)]
-pub(super) struct ReadFaults {
-    /// One after the other.
-    in_a_row: usize,
-    /// Those that could be read since the last that could not.
-    read_since: usize,
-    /// The source has a reason that tells of them.
-    are_said: bool,
-}
-
-/// After so many rounds, from 1, of which nothing could be read.
-pub(super) fn rest_after(rounds: usize) -> Duration {
-    let (least, most) = LIMITS.reread_time;
-    (least * (1 << rounds.saturating_sub(1).min(16))).min(most)
-}
 
 /// What becomes of a frame that is there.
 enum Turn {
@@ -87,27 +69,21 @@ impl Worker {
     /// A frame was read. With the first after a whole round of which none was the source runs again; with a whole round of them
     /// nothing is left to be said.
     fn has_read(&mut self, frames: &mut dyn FrameSource) {
-        if !self.faults.are_said {
-            return;
-        }
-        (self.faults.in_a_row, self.faults.read_since) = (0, self.faults.read_since + 1);
-        let is_whole = frames.reel().is_none_or(|reel| self.faults.read_since >= reel.count());
+        let round = frames.reel().map_or(1, |reel| reel.count());
+        let Some(is_whole) = self.faults.read(round) else { return };
         let mut state = self.shared.lock();
         if state.state == SourceState::Stalled {
             state.state = SourceState::Running;
             tracing::info!(source = label(), frame = self.frame, "source is back");
         }
         if is_whole {
-            (state.reason, self.faults.are_said) = (None, false);
+            state.reason = None;
         }
     }
 
     /// Says which frame could not be read, and for how long to rest after a whole round of such.
     fn leave_out(&mut self, error: &SourceError, round: usize) -> Option<Duration> {
-        let ReadFaults { in_a_row, read_since, are_said } = &mut self.faults;
-        (*in_a_row, *read_since, *are_said) = (*in_a_row + 1, 0, true);
-        let rest = in_a_row.is_multiple_of(round).then(|| rest_after(*in_a_row / round));
-        let is_stalled = *in_a_row >= round;
+        let (is_stalled, rest) = self.faults.failed(round);
         let mut state = self.shared.lock();
         state.unread += 1;
         let reason = match is_stalled {

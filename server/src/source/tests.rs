@@ -9,7 +9,6 @@ use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
 use isophote_wire::{Pace, PlaybackDocument, RecordingDocument, SessionState, SourceDocument, SourceState};
 
-use super::played::rest_after;
 use super::{FrameShape, Opened, Producer, Source};
 use crate::session::inbox::{Event, Inbox, Reply, SourceEnd};
 
@@ -249,10 +248,4 @@ fn what_was_left_out_is_said_for_a_round() {
     assert_eq!(source.view("test").reason, None);
     inbox.close();
     source.stop();
-}
-
-#[test]
-fn rests_grow_up_to_a_bound() {
-    let (least, most) = crate::limits::LIMITS.reread_time;
-    assert_eq!((rest_after(1), rest_after(2), rest_after(usize::MAX)), (least, 2 * least, most));
 }

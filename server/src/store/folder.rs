@@ -191,7 +191,7 @@ fn read(path: &Path, why: &io::Error) -> Result<ReadOnlyStore, FolderError> {
 }
 
 fn refusing(path: &Path, records: MemoryStore, why: &io::Error) -> ReadOnlyStore {
-    let reason = format!("{} cannot be written to: {why}", path.display());
+    let reason = format!("the data folder cannot be written to: {why}");
     said(path, &format!("cannot be written to, so what is put will be refused: {why}"));
     ReadOnlyStore { records, reason }
 }
