@@ -78,15 +78,18 @@ impl Range {
             Range::Between(from, to) => (from..=to).contains(&value),
         }
     }
-}
 
-impl fmt::Display for Range {
-    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
-        match self {
-            Range::Between(from, to) => write!(formatter, "{} to {}", plain(*from), plain(*to)),
-            Range::NotNegativeTo(to) => write!(formatter, "0 or positive, and {} at most", plain(*to)),
-            Range::PositiveTo(to) => write!(formatter, "positive, and {} at most", plain(*to)),
-        }
+    /// A sentence about a value that is not in it: what it is, and what it must be.
+    fn refusal(self, value: f64, when: &str) -> String {
+        let is_large = value.is_finite() && value > 0.0;
+        let wanted = match self {
+            Range::Between(from, to) => format!("{} to {}", plain(from), plain(to)),
+            Range::PositiveTo(to) if is_large => format!("positive, and {} at most", plain(to)),
+            Range::PositiveTo(_) => "positive".to_string(),
+            Range::NotNegativeTo(to) if is_large => format!("0 or positive, and {} at most", plain(to)),
+            Range::NotNegativeTo(_) => "0 or positive".to_string(),
+        };
+        format!("is {}{when}; it must be {wanted}", plain(value))
     }
 }
 
@@ -124,7 +127,7 @@ impl Law {
     pub fn read(moving: &Moving, range: Range) -> Result<Law, MovingFault> {
         match moving {
             Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
-            Moving::Number(number) => Err(MovingFault::Range(format!("is {}; it must be {range}", plain(*number)))),
+            Moving::Number(number) => Err(MovingFault::Range(range.refusal(*number, ""))),
             Moving::Formula(text) => {
                 formula_of_t(text).map(|formula| Law::Moves(Box::new(formula))).map_err(MovingFault::Formula)
             }
@@ -137,10 +140,6 @@ impl Law {
             Law::Still(number) => return Ok(*number),
             Law::Moves(formula) => formula.evaluate(&[t_s]),
         };
-        if range.holds(value) {
-            Ok(value)
-        } else {
-            Err(format!("is {} at t = {t_s} s; it must be {range}", plain(value)))
-        }
+        if range.holds(value) { Ok(value) } else { Err(range.refusal(value, &format!(" at t = {t_s} s"))) }
     }
 }

@@ -242,7 +242,10 @@ pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), Synt
     let mut constants: Vec<f64> = model.constants().iter().map(|c| c.value).collect();
     for (name, value) in &spec.set {
         let value = *value;
-        if !(-NUMBER_MAX..=NUMBER_MAX).contains(&value) {
+        if !value.is_finite() {
+            return Err(SyntheticError::Range { name: "a value of `set`", value, range: "a finite number".into() });
+        }
+        if value.abs() > NUMBER_MAX {
             let max = plain(NUMBER_MAX);
             let reason = format!("is {}; it must be from -{max} to {max}", plain(value));
             return Err(SyntheticError::Light { key: format!("set.{name}"), reason });
