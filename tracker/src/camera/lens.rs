@@ -105,7 +105,7 @@ impl Intrinsics {
             }
         }
         if let Some(&value) = self.coefficients.iter().find(|c| !(-COEFFICIENT_MAX..=COEFFICIENT_MAX).contains(*c)) {
-            let wanted = "must be numbers from -1e12 to 1e12";
+            let wanted = "must be finite numbers, from -1e12 to 1e12";
             return Err(IntrinsicsError::Number { name: "coefficients", value, wanted });
         }
         let found = self.coefficients.len();
