@@ -23,6 +23,10 @@ pub struct FrameLimits {
     pub light_items: usize,
     /// Brightness of glare and of occluders, DN.
     pub light_dn: f64,
+    /// What light is multiplied by: an exposure, or a gain.
+    pub light_factor: f64,
+    /// When something of the light begins or ends, s: 300 years.
+    pub light_time_s: f64,
     /// Standard deviation of defocus, px.
     pub defocus_px: f64,
     /// Standard deviation of glare and of veils, px: beyond it light is even, and its square is a number still.
@@ -41,6 +45,8 @@ pub const LIMITS: FrameLimits = FrameLimits {
     exposure_latency: 64,
     light_items: 64,
     light_dn: 1e6,
+    light_factor: 1e6,
+    light_time_s: 1e10,
     defocus_px: 64.0,
     glare_px: 1e9,
 };

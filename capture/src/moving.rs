@@ -4,6 +4,7 @@ use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
+use isophote_frame::plain;
 use isophote_symbolic::{Diagnostic, Diagnostics, Formula};
 use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize};
@@ -61,40 +62,34 @@ impl<'de> Deserialize<'de> for Moving {
 /// The values that a number may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Range {
-    /// Every finite number.
-    Finite,
-    /// Above 0.
-    Positive,
-    /// 0 and above.
-    NotNegative,
     /// Both ends included.
     Between(f64, f64),
     /// Above 0, and so much at most.
     PositiveTo(f64),
+    /// 0 or above, and so much at most.
+    NotNegativeTo(f64),
 }
 
 impl Range {
     fn holds(self, value: f64) -> bool {
-        let is_inside = match self {
-            Range::Finite => true,
-            Range::Positive => value > 0.0,
-            Range::NotNegative => value >= 0.0,
-            Range::PositiveTo(to) => value > 0.0 && value <= to,
-            Range::Between(from, to) => (from..=to).contains(&value),
-        };
-        is_inside && value.is_finite()
-    }
-}
-
-impl fmt::Display for Range {
-    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
         match self {
-            Range::Finite => formatter.write_str("a finite number"),
-            Range::Positive => formatter.write_str("positive"),
-            Range::NotNegative => formatter.write_str("0 or positive"),
-            Range::Between(from, to) => write!(formatter, "{from} to {to}"),
-            Range::PositiveTo(to) => write!(formatter, "positive, and {to} at most"),
+            Range::PositiveTo(to) => value > 0.0 && value <= to,
+            Range::NotNegativeTo(to) => (0.0..=to).contains(&value),
+            Range::Between(from, to) => (from..=to).contains(&value),
         }
+    }
+
+    /// A sentence about a value that is not in it: what it is, and what it must be.
+    fn refusal(self, value: f64, when: &str) -> String {
+        let is_large = value.is_finite() && value > 0.0;
+        let wanted = match self {
+            Range::Between(from, to) => format!("{} to {}", plain(from), plain(to)),
+            Range::PositiveTo(to) if is_large => format!("positive, and {} at most", plain(to)),
+            Range::PositiveTo(_) => "positive".to_string(),
+            Range::NotNegativeTo(to) if is_large => format!("0 or positive, and {} at most", plain(to)),
+            Range::NotNegativeTo(_) => "0 or positive".to_string(),
+        };
+        format!("is {}{when}; it must be {wanted}", plain(value))
     }
 }
 
@@ -132,7 +127,7 @@ impl Law {
     pub fn read(moving: &Moving, range: Range) -> Result<Law, MovingFault> {
         match moving {
             Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
-            Moving::Number(number) => Err(MovingFault::Range(format!("is {number}; it must be {range}"))),
+            Moving::Number(number) => Err(MovingFault::Range(range.refusal(*number, ""))),
             Moving::Formula(text) => {
                 formula_of_t(text).map(|formula| Law::Moves(Box::new(formula))).map_err(MovingFault::Formula)
             }
@@ -145,6 +140,6 @@ impl Law {
             Law::Still(number) => return Ok(*number),
             Law::Moves(formula) => formula.evaluate(&[t_s]),
         };
-        if range.holds(value) { Ok(value) } else { Err(format!("is {value} at t = {t_s} s; it must be {range}")) }
+        if range.holds(value) { Ok(value) } else { Err(range.refusal(value, &format!(" at t = {t_s} s"))) }
     }
 }

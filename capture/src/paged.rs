@@ -145,6 +145,8 @@ pub(crate) struct OpenFile {
     /// Where files may be.
     pub reach: ReadableFolder,
     open: Option<(Arc<Paged>, Box<dyn Pages>)>,
+    /// What is open has failed: by the next time another file may be in its place.
+    has_failed: bool,
 }
 
 impl std::fmt::Debug for OpenFile {
@@ -156,16 +158,19 @@ impl std::fmt::Debug for OpenFile {
 impl OpenFile {
     /// Nothing is open yet.
     pub fn new(reach: ReadableFolder) -> OpenFile {
-        OpenFile { reach, open: None }
+        OpenFile { reach, open: None, has_failed: false }
     }
 
     /// The pixels of a page, from 0.
     pub fn picture(&mut self, file: &Arc<Paged>, page: usize) -> Result<StoredPicture, SourceError> {
-        let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, pages)| pages);
-        let known = known.or_else(|| file.kept().take());
+        let has_failed = std::mem::take(&mut self.has_failed);
+        let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file) && !has_failed);
+        let known = known.map(|(_, pages)| pages).or_else(|| file.kept().take());
         let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.about(&file.path))?;
         let (_, pages) = self.open.insert((file.clone(), pages));
-        pages.picture(page).map_err(|fault| fault.about(&file.path))
+        let picture = pages.picture(page).map_err(|fault| fault.about(&file.path));
+        self.has_failed = picture.is_err();
+        picture
     }
 
     /// When a page of the file that is open was taken, where that tells.

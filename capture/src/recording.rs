@@ -14,7 +14,7 @@ use crate::limits::LIMITS;
 use crate::paged::{Address, OpenFile, Paged};
 use crate::regular::ReadableFolder;
 use crate::source::{Captured, FrameSource, Reel, SourceError};
-use crate::stack::{StackNode, entries, picture_size, pictures_of, read};
+use crate::stack::{StackNode, check_picture, entries, picture_size, pictures_of, read};
 use crate::truth::{self, Truth};
 
 /// Files that are frames, in natural name order, decoded one at a time.
@@ -54,7 +54,11 @@ impl Recording {
 
     /// The same, of files that are within reach, now and whenever one of them is opened.
     pub fn within(path: impl AsRef<Path>, dimensions: usize, reach: &ReadableFolder) -> Result<Recording, SourceError> {
-        let sent = path.as_ref().to_path_buf();
+        Recording::opened(path.as_ref(), dimensions, reach).map_err(|error| error.within(reach))
+    }
+
+    fn opened(sent: &Path, dimensions: usize, reach: &ReadableFolder) -> Result<Recording, SourceError> {
+        let sent = sent.to_path_buf();
         let named = Address::of(&sent, reach.clone()).path;
         let wrong = |reason: std::io::Error| match reason.kind() {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: named.clone() },
@@ -122,6 +126,15 @@ impl Recording {
         self.topic.as_ref().map_or_else(|| path.to_string(), |topic| format!("{path}#{topic}"))
     }
 
+    /// Whether the first picture may be as large as it says, for whoever wants to know before frames are wanted.
+    ///
+    /// # Errors
+    /// It is too large. What else is wrong with it is told when its turn comes.
+    pub fn check_picture(&self) -> Result<(), SourceError> {
+        let reach = &self.file.reach;
+        check_picture(self.frames[0].first(), reach).map_err(|error| error.within(reach))
+    }
+
     /// How many frames there are.
     pub fn len(&self) -> usize {
         self.frames.len()
@@ -134,10 +147,10 @@ impl Recording {
 
     /// The columns that the first file's header names; `None` when it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
-        match &self.frames[0] {
-            StackNode::Table(path) => Ok(Some(Columns::parse(path, &read(path, &self.file.reach)?)?.names)),
-            _ => Ok(None),
-        }
+        let StackNode::Table(path) = &self.frames[0] else { return Ok(None) };
+        let reach = &self.file.reach;
+        let columns = read(path, reach).and_then(|bytes| Columns::parse(path, &bytes));
+        columns.map(|columns| Some(columns.names)).map_err(|error| error.within(reach))
     }
 
     /// Starts over with the first file; frames go on being counted, and so does the time.
@@ -166,7 +179,7 @@ impl FrameSource for Recording {
         self.clock_before = self.clock.clone();
         let sequence = self.sequence;
         self.sequence += 1;
-        let frame = self.load(&node);
+        let frame = self.load(&node).map_err(|error| error.within(&self.file.reach));
         let file = node.name();
         let truth = self.truth.get(&file);
         let told = truth.and_then(|truth| truth.t_s).map(Stamp::Seconds);

@@ -7,6 +7,7 @@ use isophote_frame::Frame;
 
 use crate::exposure::Exposure;
 use crate::limits::LIMITS;
+use crate::regular::ReadableFolder;
 use crate::scene::SceneKnob;
 
 /// One frame and what is known about it besides its pixels.
@@ -164,6 +165,28 @@ pub enum SourceError {
 }
 
 impl SourceError {
+    /// The same with its file said as it is named from where files are read, where that is one folder.
+    pub(crate) fn within(mut self, reach: &ReadableFolder) -> SourceError {
+        match &mut self {
+            SourceError::Missing { path }
+            | SourceError::Unreadable { path, .. }
+            | SourceError::Empty { path }
+            | SourceError::UnknownKind { path }
+            | SourceError::Damaged { path, .. }
+            | SourceError::Unsupported { path, .. }
+            | SourceError::Odd { path, .. }
+            | SourceError::Dimensions { path, .. }
+            | SourceError::TooLarge { path, .. }
+            | SourceError::Line { path, .. }
+            | SourceError::Channels { path, .. } => {
+                let said = reach.relative(path);
+                *path = if said.as_os_str().is_empty() { PathBuf::from(".") } else { said.to_path_buf() };
+            }
+            SourceError::Synthetic { .. } => {}
+        }
+        self
+    }
+
     pub(crate) fn too_many(path: &Path) -> SourceError {
         let reason = format!("more than {} pictures; split the recording", LIMITS.files);
         SourceError::TooLarge { path: path.into(), reason }

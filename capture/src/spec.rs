@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use isophote_frame::{CameraResponse, Response, ResponseError};
+use isophote_frame::{CameraResponse, LIGHT_MAX, NUMBER_MAX, Response, ResponseError, plain};
 use isophote_symbolic::{Diagnostics, Estimator, Model, Start};
 
 use crate::light::Light;
@@ -105,7 +105,7 @@ impl SyntheticSpec {
 #[derive(Debug, thiserror::Error)]
 pub enum SyntheticError {
     /// A number out of its range.
-    #[error("{name} is {value}; it must be {range}")]
+    #[error("{name} is {}; it must be {range}", plain(*value))]
     Range {
         /// As in the contract.
         name: &'static str,
@@ -134,10 +134,10 @@ pub enum SyntheticError {
         /// The faults, with places in the formula.
         diagnostics: Diagnostics,
     },
-    /// The light, the exposure or the gain is wrong.
+    /// The light, the exposure, the gain or a value of `set` is wrong.
     #[error("`{key}` {reason}")]
     Light {
-        /// As in the document, `light.glare[0].x`, `exposure` or `gain`.
+        /// As in the document, `light.glare[0].x`, `exposure`, `gain` or `set.bx`.
         key: String,
         /// What is wrong with it.
         reason: String,
@@ -214,9 +214,16 @@ pub(crate) fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     let latency = f64::from(spec.exposure_latency);
     in_range("exposure_latency", latency, spec.exposure_latency <= LIMITS.exposure_latency, "0 to 64")?;
     in_range("rate_hz", spec.rate_hz, spec.rate_hz > 0.0, "positive")?;
-    in_range("full_well_e", spec.full_well_e, spec.full_well_e >= 0.0, "0 (no noise) or positive")?;
-    in_range("read_noise_e", spec.read_noise_e, spec.read_noise_e >= 0.0, "0 or positive")?;
-    in_range("row_noise_e", spec.row_noise_e, spec.row_noise_e >= 0.0, "0 or positive")
+    let electrons = [
+        ("full_well_e", spec.full_well_e, "0 (no noise) or positive"),
+        ("read_noise_e", spec.read_noise_e, "0 or positive"),
+        ("row_noise_e", spec.row_noise_e, "0 or positive"),
+    ];
+    for (name, electrons, range) in electrons {
+        let range = format!("{range}, and {} at most", plain(LIGHT_MAX));
+        in_range(name, electrons, (0.0..=LIGHT_MAX).contains(&electrons), &range)?;
+    }
+    Ok(())
 }
 
 /// Parameters and constants of the first frame, motion apart.
@@ -237,6 +244,11 @@ pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), Synt
         let value = *value;
         if !value.is_finite() {
             return Err(SyntheticError::Range { name: "a value of `set`", value, range: "a finite number".into() });
+        }
+        if value.abs() > NUMBER_MAX {
+            let max = plain(NUMBER_MAX);
+            let reason = format!("is {}; it must be from -{max} to {max}", plain(value));
+            return Err(SyntheticError::Light { key: format!("set.{name}"), reason });
         }
         match (model.parameter(name), model.constant(name)) {
             (Some(id), _) => parameters[id.index()] = value,

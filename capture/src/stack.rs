@@ -15,7 +15,7 @@ use crate::files::{Beside, Content, format_of};
 use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
-use crate::picture::{DecodeError, StoredPicture};
+use crate::picture::{DecodeError, StoredPicture, check_size};
 use crate::regular::ReadableFolder;
 use crate::source::SourceError;
 
@@ -250,6 +250,31 @@ pub(crate) fn picture_size(node: &StackNode, reach: &ReadableFolder) -> Option<[
         StackNode::Page(file, page) => file.size(*page),
         StackNode::Pages(file, range) => file.size(range.start),
         StackNode::Table(_) | StackNode::Folder(..) => None,
+    }
+}
+
+/// Whether a file's first picture may be as large as it says: what is too large is so in every frame. What else is wrong with a
+/// file is told when its turn comes, and may be right by then.
+pub(crate) fn check_picture(node: &StackNode, reach: &ReadableFolder) -> Result<(), SourceError> {
+    let sized = match node {
+        StackNode::Image(path) => match format_of(path).map(|format| &format.content) {
+            Some(Content::Picture { size, .. }) => match read(path, reach) {
+                Ok(bytes) => size(&bytes),
+                Err(error @ SourceError::TooLarge { .. }) => return Err(error),
+                Err(_) => return Ok(()),
+            },
+            _ => return Ok(()),
+        },
+        StackNode::Page(..) | StackNode::Pages(..) => match picture_size(node, reach) {
+            Some(size) => Ok(size),
+            None => return Ok(()),
+        },
+        StackNode::Table(_) | StackNode::Folder(..) => return Ok(()),
+    };
+    let side = |px: usize| u32::try_from(px).unwrap_or(u32::MAX);
+    match sized.and_then(|[width, height]| check_size(side(width), side(height))) {
+        Err(fault @ DecodeError::TooLarge(_)) => Err(fault.about(node.path())),
+        _ => Ok(()),
     }
 }
 

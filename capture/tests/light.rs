@@ -347,7 +347,7 @@ fn wrong_light_is_told_by_its_key() {
         ),
         (
             "{\"glare\": [{\"sigma_px\": 1e200, \"height\": 5, \"y\": 3}]}".into(),
-            "`light.glare[0].sigma_px` is 1000000000000000000",
+            "`light.glare[0].sigma_px` is 1e200; it must be positive, and 1000000000 at most",
         ),
         ("{\"glare\": [{\"sigma_px\": 2}]}".into(), "missing field `height`"),
         (format!("{{\"glare\": [{{{lobe}, \"width\": 3}}]}}"), "unknown field `width`"),

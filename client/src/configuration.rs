@@ -5,9 +5,14 @@
 //! `--vector-width` is `ISOPHOTE_VECTOR_WIDTH` and `vector_width`.
 
 use std::ffi::OsString;
+use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::sync_channel;
+use std::thread::Builder;
+use std::time::Duration;
 
+use clap::builder::BoolishValueParser;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use serde::Serialize;
@@ -23,9 +28,6 @@ use crate::serve::ServeArgs;
 pub struct ShowArgs {
     #[command(flatten)]
     serve: ServeArgs,
-    /// One JSON object
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// What is done, not how: these have no variable and no key.
@@ -34,6 +36,8 @@ const ACTIONS: [&str; 4] = ["check", "json", "help", "version"];
 const SECRETS: [&str; 3] = ["token", "secret", "password"];
 /// Bytes of a file.
 const FILE_BYTES_MAX: u64 = 1 << 20;
+/// For all of it to be read.
+const READ_TIME: Duration = Duration::from_secs(5);
 
 /// One option of `serve`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -82,7 +86,7 @@ pub fn matches(command: Command, arguments: Vec<OsString>) -> Result<(ArgMatches
 
 /// Prints the settings.
 pub fn show(args: &ShowArgs, settings: &[Setting], out: &mut dyn Write) -> Result<(), Failure> {
-    if args.json {
+    if args.serve.json {
         return output::json(out, &serde_json::json!({ "items": settings }));
     }
     let row = |setting: &Setting| {
@@ -106,6 +110,12 @@ fn with_environment(arg: Arg) -> Arg {
         return arg;
     }
     let name = format!("ISOPHOTE_{}", key_of(&arg).to_uppercase());
+    // As with most programs, an empty variable says nothing.
+    if std::env::var_os(&name).is_some_and(|value| value.is_empty()) {
+        return arg;
+    }
+    let is_switch = matches!(arg.get_action(), ArgAction::SetTrue);
+    let arg = if is_switch { arg.value_parser(BoolishValueParser::new()) } else { arg };
     arg.env(name).hide_env_values(true)
 }
 
@@ -131,9 +141,8 @@ fn options(command: &Command) -> Vec<Arg> {
 }
 
 fn read(path: &Path, options: &[Arg]) -> Result<Vec<FileValue>, Failure> {
-    let failed = |error: std::io::Error| Failure::Other(format!("{}: cannot be read: {error}", path.display()));
-    let mut text = String::new();
-    std::fs::File::open(path).map_err(failed)?.take(FILE_BYTES_MAX).read_to_string(&mut text).map_err(failed)?;
+    let text =
+        text_in_time(path).map_err(|reason| Failure::Other(format!("{}: cannot be read: {reason}", path.display())))?;
     let at = |start: usize| {
         let head = &text[..text.floor_char_boundary(start)];
         let line = head.rfind('\n').map_or(head, |end| &head[end + 1..]);
@@ -144,6 +153,28 @@ fn read(path: &Path, options: &[Arg]) -> Result<Vec<FileValue>, Failure> {
         Failure::Other(format!("{place}: {}", error.message()))
     })?;
     table.get_ref().iter().map(|(key, value)| file_value(key, value, options, &at)).collect()
+}
+
+/// All of a file, which may be a pipe: another program's output is as good, as long as it ends.
+fn text_in_time(path: &Path) -> Result<String, String> {
+    let (sender, text) = sync_channel(1);
+    let from = path.to_path_buf();
+    let read = move || {
+        let mut text = String::new();
+        let file = File::open(from).and_then(|file| file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text));
+        drop(sender.send(file.map(|_| text))); // nobody waits any more
+    };
+    let thread = Builder::new().name("configuration".into()).spawn(read);
+    thread.map_err(|error| format!("there is no thread for it: {error}"))?;
+    let late = |_| {
+        let seconds = READ_TIME.as_secs();
+        format!("it has no end after {seconds} s; who writes to a pipe has to close it")
+    };
+    let text = text.recv_timeout(READ_TIME).map_err(late)?.map_err(|error| error.to_string())?;
+    if text.len() as u64 > FILE_BYTES_MAX {
+        return Err(format!("it has more than {FILE_BYTES_MAX} bytes, which is hardly a configuration"));
+    }
+    Ok(text)
 }
 
 fn file_value(
@@ -193,8 +224,11 @@ fn settings(chosen: &ArgMatches, options: &[Arg], file: &[FileValue]) -> Vec<Set
     let of = |option: &Arg| {
         let (key, id) = (key_of(option), option.get_id().as_str());
         let values = chosen.get_raw(id).map(|values| values.map(|value| value.to_string_lossy().into_owned()));
-        let value = values.map(|values| values.collect::<Vec<_>>().join(","));
         let is_switch = matches!(option.get_action(), ArgAction::SetTrue);
+        let value = match is_switch {
+            true => Some(chosen.get_flag(id).to_string()),
+            false => values.map(|values| values.collect::<Vec<_>>().join(",")),
+        };
         let is_secret = !is_switch && SECRETS.iter().any(|ending| key.ends_with(ending));
         let in_file = file.iter().find(|value| value.key == key);
         let (origin, place) = match chosen.value_source(id) {

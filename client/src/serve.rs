@@ -4,7 +4,10 @@ use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use isophote_server::{AccessOptions, HostName, Options, Server, Signals, StartError, Stopped, TlsFiles, check};
+use isophote_server::{
+    AccessOptions, HostName, Options, Server, Signals, StartError, StartFinding, Stopped, TlsFiles, check,
+};
+use serde_json::{Value, json};
 
 use crate::arguments::VectorWidthArgument;
 use crate::failure::Failure;
@@ -41,6 +44,9 @@ pub struct ServeArgs {
     /// Say whether the service could start, and start nothing: address, data folder, and whether code may be compiled and run
     #[arg(long)]
     pub check: bool,
+    /// One JSON object: what --check found, or the settings of `config show`
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     access: AccessArgs,
 }
@@ -91,6 +97,11 @@ impl AccessArgs {
 
 /// Serves until SIGINT or SIGTERM; a second one ends it at once. The line on standard error is for people and programs: it names the real port.
 pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    if args.json && !args.check {
+        let message =
+            "--json goes with --check: a service that runs prints nothing but its log, which is JSON with --log json";
+        return Err(Failure::Usage(message.into()));
+    }
     let width = args.vector_width.width()?;
     let access = args.access.options()?;
     let scheme = if access.tls.is_some() { "https" } else { "http" };
@@ -99,7 +110,7 @@ pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let no_log = |error| Failure::Other(format!("no thread for the log: {error}"));
     let _log = Log::start(args.log, args.log_level).map_err(no_log)?;
     if args.check {
-        return checked(&options, out);
+        return checked(&options, args, out);
     }
     let server = Server::start(&options).map_err(|error| match error {
         StartError::Access(_) => Failure::Usage(error.to_string()),
@@ -118,18 +129,30 @@ pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
 }
 
 /// One line a finding; the reasons are what it fails with.
-fn checked(options: &Options, out: &mut dyn Write) -> Result<(), Failure> {
+fn checked(options: &Options, args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let findings = check(options);
-    let rows = findings.iter().map(|finding| match &finding.result {
-        Ok(found) => vec![finding.what.to_string(), "ok".into(), found.clone()],
-        Err(reason) => vec![finding.what.to_string(), "no".into(), reason.clone()],
-    });
-    output::table(out, &["WHAT", "", "FOUND"], &rows.collect::<Vec<_>>())?;
     let reasons: Vec<&str> =
         findings.iter().filter_map(|finding| finding.result.as_ref().err()).map(String::as_str).collect();
+    if args.json {
+        let items: Vec<Value> = findings.iter().map(item).collect();
+        output::json(out, &json!({ "would_start": reasons.is_empty(), "items": items }))?;
+    } else {
+        let rows = findings.iter().map(|finding| match &finding.result {
+            Ok(found) => vec![finding.what.to_string(), "ok".into(), found.clone()],
+            Err(reason) => vec![finding.what.to_string(), "no".into(), reason.clone()],
+        });
+        output::table(out, &["WHAT", "", "FOUND"], &rows.collect::<Vec<_>>())?;
+    }
     if reasons.is_empty() {
         Ok(())
     } else {
         Err(Failure::Other(format!("the service would not start: {}", reasons.join("; "))))
+    }
+}
+
+fn item(finding: &StartFinding) -> Value {
+    match &finding.result {
+        Ok(found) => json!({ "what": finding.what, "ok": true, "found": found }),
+        Err(reason) => json!({ "what": finding.what, "ok": false, "reason": reason }),
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! What comes in: the options of a start. What goes out: one finding for each thing that a start needs.
 
+use std::io;
 use std::net::TcpListener;
 use std::path::Path;
 use std::sync::Arc;
@@ -16,6 +17,7 @@ use crate::listener::{Options, StartError};
 use crate::registry::{Registry, models_in};
 use crate::service::store_of;
 use crate::session::fit_once;
+use crate::store::is_read_only;
 
 /// One thing that a start needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,9 +74,20 @@ fn address(options: &Options) -> Result<String, String> {
 fn writable(data: Option<&Path>) -> Result<String, String> {
     let Some(data) = data else { return Ok("none: models are kept in memory only".into()) };
     let probe = data.join("writable.check");
-    let written = std::fs::write(&probe, b"").and_then(|()| std::fs::remove_file(&probe));
-    written.map_err(|error| format!("{}: cannot be written to: {error}", data.display()))?;
-    Ok(format!("{} is there and nobody else's", data.display()))
+    told(data, std::fs::write(&probe, b"").and_then(|()| std::fs::remove_file(&probe)))
+}
+
+/// What comes of a folder in which that became of a file.
+fn told(data: &Path, written: io::Result<()>) -> Result<String, String> {
+    let path = data.display();
+    match written {
+        Ok(()) => Ok(format!("{path} is there and nobody else's")),
+        // As a start does.
+        Err(error) if is_read_only(&error) => {
+            Ok(format!("{path} cannot be written to ({error}): what is in it is read, and every change refused"))
+        }
+        Err(error) => Err(format!("{path}: cannot be written to: {error}")),
+    }
 }
 
 /// Derives, compiles and runs: an operating system may forbid what a compiler at run time needs.
@@ -92,4 +105,19 @@ fn kernel(registry: &Registry) -> Result<String, String> {
         return Err(format!("compiled with vectors of {bits} bits, but a spot in a picture of it was not found"));
     }
     Ok(format!("compiled and run, with vectors of {bits} bits"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A start uses what can be read, and says so.
+    #[test]
+    fn a_folder_that_can_be_read_only_is_no_reason_not_to_start() {
+        let told = |kind: io::ErrorKind| told(Path::new("data"), Err(kind.into()));
+        for kind in [io::ErrorKind::ReadOnlyFilesystem, io::ErrorKind::PermissionDenied] {
+            assert!(told(kind).is_ok_and(|found| found.contains("every change refused")), "{kind}");
+        }
+        assert!(told(io::ErrorKind::StorageFull).is_err_and(|why| why.starts_with("data: cannot be written to")));
+    }
 }

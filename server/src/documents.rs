@@ -8,8 +8,10 @@ use jsonc_parser::ast::{ObjectPropName, Value};
 use jsonc_parser::common::Ranged;
 use jsonc_parser::{CollectOptions, ParseOptions, parse_to_ast};
 use serde::de::DeserializeOwned;
+use utoipa::ToSchema;
 
 use crate::limits::LIMITS;
+use crate::objects::list_for_object;
 use crate::problem::Problem;
 
 /// The media type of the body, without its parameters, in lower case.
@@ -53,7 +55,10 @@ pub fn text(bytes: Vec<u8>) -> Result<String, Problem> {
 }
 
 /// Reads a JSON body: 415, 413, or 422 with the wrong key and its place.
-pub async fn read_json<T: DeserializeOwned>(headers: &HeaderMap, body: Body) -> Result<(T, String), Problem> {
+pub async fn read_json<T: DeserializeOwned + ToSchema>(
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<(T, String), Problem> {
     if media_type(headers) != "application/json" {
         return Err(Problem::wrong_type("application/json"));
     }
@@ -62,20 +67,11 @@ pub async fn read_json<T: DeserializeOwned>(headers: &HeaderMap, body: Body) -> 
     Ok((document, text))
 }
 
-/// A list of values would be read as those of the keys, in their order.
-fn refuse_list(text: &str) -> Result<(), Problem> {
-    let start = text.len() - text.trim_start().len();
-    if !text[start..].starts_with('[') {
-        return Ok(());
-    }
-    let span = Span { start: start as u32, end: start as u32 + 1 };
-    let diagnostic = Diagnostic::error(text, "wrong-value", "", span, "the document is a list, not an object");
-    Err(Problem::wrong_document(vec![diagnostic.help("write keys and values: {\"key\": value}")]))
-}
-
 /// Parses a JSON document.
-pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, Problem> {
-    refuse_list(text)?;
+pub fn parse<T: DeserializeOwned + ToSchema>(text: &str) -> Result<T, Problem> {
+    if let Some(fault) = list_for_object::<T>(text) {
+        return Err(Problem::wrong_document(vec![fault]));
+    }
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let parsed = serde_path_to_error::deserialize(&mut deserializer);
     let value = parsed.map_err(|error| {
@@ -138,7 +134,8 @@ fn span_of(text: &str, key: &str) -> Span {
     Span { start: range.start as u32, end: range.end as u32 }
 }
 
-fn property_name<'a>(name: &'a ObjectPropName) -> &'a str {
+/// As it is meant.
+pub fn property_name<'a>(name: &'a ObjectPropName) -> &'a str {
     match name {
         ObjectPropName::String(text) => &text.value,
         ObjectPropName::Word(word) => word.value,
@@ -181,6 +178,7 @@ mod tests {
             ("{\"source\": \"s\"}", "", 1, 1),
             ("{\"source\": \"s\",\n \"model\" \"m\"}", "", 2, 10),
             ("\n [\"s\", \"m\"]", "", 2, 2),
+            ("{\"source\": \"s\", \"model\": \"m\",\n \"window\": [1, 2, 3, 4]}", "window", 2, 12),
         ];
         for (text, key, line, column) in cases {
             let fault = fault(text);

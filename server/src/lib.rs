@@ -33,6 +33,7 @@ pub mod limits;
 mod listener;
 mod name;
 mod node;
+mod objects;
 mod openings;
 mod places;
 mod preview;

@@ -145,6 +145,9 @@ pub struct ServiceLimits {
     pub open_time: Duration,
     /// Recordings that are opened at a time.
     pub openings: usize,
+    /// Least and most of the time between two rounds of a recording that is played again and again and of which nothing can be
+    /// read.
+    pub reread_time: (Duration, Duration),
     /// A start that has lasted for so long, or was stopped in order, has not died.
     pub start_time: Duration,
     /// Starts that died one after the other; then sessions that were declared stay stopped.
@@ -246,6 +249,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     answer_time: Duration::from_secs(2),
     open_time: Duration::from_secs(30),
     openings: 4,
+    reread_time: (Duration::from_millis(250), Duration::from_secs(5)),
     start_time: Duration::from_secs(30),
     starts_died: 3,
     frame_time: Duration::from_secs(15),

@@ -1,6 +1,6 @@
 //! Several channels in one loop: the sums of all of them at once are those of each by itself, whatever is at its limit or is no
 //! number.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_symbolic::interpreter::{self, Outcome, Pixels, Slices, Window};
 use isophote_symbolic::{

@@ -30,7 +30,9 @@ pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};
 pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TracePoint, TrackState};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
-pub use isophote_frame::{Buffer, CameraResponse, Frame, FrameError, GainMap, Lease, Plane, Response, ResponseError};
+pub use isophote_frame::{
+    Buffer, CameraResponse, Frame, FrameError, GainMap, Lease, Plane, Response, ResponseError, plain,
+};
 pub use options::{
     CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions,
 };

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use isophote_frame::ResponseError;
+use isophote_frame::{LIGHT_MAX, NUMBER_MAX, ResponseError, plain};
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
@@ -100,6 +100,21 @@ pub const PREDICT_STEPS_MAX: usize = 256;
 /// How far ahead a prediction may look, s: beyond, nothing that was learned of the motion says anything.
 pub const PREDICT_HORIZON_S_MAX: f64 = 3600.0;
 
+/// What the deviation of an acceleration may be, px/s²: 10 kHz and a pixel a frame are 1e8.
+const ACCELERATIONS: [f64; 2] = [1e-12, 1e12];
+
+/// Between frames that carry no time, s.
+const PERIODS_S: [f64; 2] = [1e-9, 1e9];
+
+/// For how long a target that is not seen may be predicted, s: eleven days.
+const COAST_S_MAX: f64 = 1e6;
+
+/// Electrons that raise a pixel value by one: values of pictures in fractions may have any unit.
+const ELECTRONS_PER_DN: [f64; 2] = [1e-30, NUMBER_MAX];
+
+/// The least black level; it rounds to 0.
+const BLACK_MIN: f64 = -0.5;
+
 /// Targets that one tracker may follow.
 pub const TARGETS_MAX: usize = 64;
 
@@ -123,16 +138,18 @@ pub enum TrackError {
         nearest: Option<String>,
     },
     /// A start that is not between the parameter's bounds, or not a number.
-    #[error("start of `{name}` = {value} is not inside its bounds (exclusive)")]
+    #[error("start of `{name}` = {} is not {range}", plain(*value))]
     OutsideBounds {
         /// The parameter.
         name: String,
         /// As given.
         value: f64,
+        /// What would be right.
+        range: String,
     },
-    /// A constant that is infinite or not a number.
-    #[error("constant `{name}` = {value} is not a finite number")]
-    NotFinite {
+    /// A constant that is infinite, or not a number that means anything.
+    #[error("constant `{name}` = {} is no number from -{max} to {max}", plain(*value), max = plain(NUMBER_MAX))]
+    OutsideNumbers {
         /// The constant.
         name: String,
         /// As given.
@@ -171,7 +188,7 @@ pub enum TrackError {
         name: String,
     },
     /// A number of the options that cannot be.
-    #[error("{name} = {value} must be {range}")]
+    #[error("{name} = {} must be {range}", plain(*value))]
     Range {
         /// As in a session's options, or where it stands in the session: `camera.…`, `constants.…`.
         name: &'static str,
@@ -206,6 +223,11 @@ fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
 }
 
+/// Whether something can be computed of it.
+fn is_number(value: f64) -> bool {
+    value.abs() <= NUMBER_MAX
+}
+
 impl MotionOptions {
     /// The density of the acceleration as white noise, unit²/s³, where it is given.
     pub(crate) fn density(&self) -> Option<f64> {
@@ -213,20 +235,16 @@ impl MotionOptions {
     }
 
     fn check(&self) -> Result<(), TrackError> {
-        let positive = |name, value: f64| match value > 0.0 && value.is_finite() {
+        let inside = |name, value: f64, [least, most]: [f64; 2], note: &str| match (least..=most).contains(&value) {
             true => Ok(()),
-            false => Err(TrackError::Range { name, value, range: "a positive number".into() }),
+            false => {
+                let range = format!("from {}{note} to {}", plain(least), plain(most));
+                Err(TrackError::Range { name, value, range })
+            }
         };
-        positive("motion.period_s", self.period_s)?;
-        positive("motion.acceleration_px_s2", self.acceleration_px_s2.unwrap_or(1.0))?;
-        match self.coast_s >= 0.0 && self.coast_s.is_finite() {
-            true => Ok(()),
-            false => Err(TrackError::Range {
-                name: "motion.coast_s",
-                value: self.coast_s,
-                range: "0 (lost at once) or positive".into(),
-            }),
-        }
+        inside("motion.period_s", self.period_s, PERIODS_S, "")?;
+        inside("motion.acceleration_px_s2", self.acceleration_px_s2.unwrap_or(1.0), ACCELERATIONS, "")?;
+        inside("motion.coast_s", self.coast_s, [0.0, COAST_S_MAX], " (lost at once)")
     }
 }
 
@@ -243,8 +261,10 @@ impl TrackerOptions {
             };
             let parameter = &model.parameters()[id.index()];
             let inside = parameter.min.is_none_or(|min| value > min) && parameter.max.is_none_or(|max| value < max);
-            if !inside || !value.is_finite() {
-                return Err(TrackError::OutsideBounds { name: name.clone(), value });
+            if !inside || !is_number(value) {
+                let (min, max) = (parameter.min.unwrap_or(-NUMBER_MAX), parameter.max.unwrap_or(NUMBER_MAX));
+                let range = format!("between {} and {}, its bounds (exclusive)", plain(min), plain(max));
+                return Err(TrackError::OutsideBounds { name: name.clone(), value, range });
             }
         }
         self.motion.check()?;
@@ -275,8 +295,8 @@ impl TrackerOptions {
             if model.constant(name).is_none() {
                 return Err(TrackError::UnknownConstant { name: name.clone(), nearest: nearest(name) });
             }
-            if !value.is_finite() {
-                return Err(TrackError::NotFinite { name: name.clone(), value });
+            if !is_number(value) {
+                return Err(TrackError::OutsideNumbers { name: name.clone(), value });
             }
         }
         if let Some(target) = &self.target {
@@ -338,26 +358,25 @@ impl TrackerOptions {
         let camera = &self.camera;
         // Elsewhere they may be anything.
         let constant = |name: &str| self.constants.get(name).copied().filter(|_| model.has_noise());
-        let positive = "a positive number";
-        let not_negative = "0 or a positive number";
         if let (Some(value), None) = (camera.row_noise_e, camera.electrons_per_dn) {
             let range = "given together with `electrons_per_dn`".to_string();
             return Err(TrackError::Range { name: "camera.row_noise_e", value, range });
         }
-        let rows: [(&str, Option<f64>, f64, &str); 7] = [
-            ("camera.black", Some(camera.black), f64::MIN, "a finite number"),
-            ("camera.saturation", camera.saturation, camera.black.next_up(), "a number above `black`"),
-            ("camera.electrons_per_dn", camera.electrons_per_dn, f64::MIN_POSITIVE, positive),
-            ("camera.read_noise_e", camera.read_noise_e, 0.0, not_negative),
-            ("camera.row_noise_e", camera.row_noise_e, 0.0, not_negative),
-            ("constants.gain", constant("gain"), 0.0, not_negative),
-            ("constants.read_noise", constant("read_noise"), 0.0, not_negative),
+        let above_black = [camera.black.max(BLACK_MIN).next_up(), LIGHT_MAX];
+        let rows: [(&str, Option<f64>, [f64; 2], &str); 7] = [
+            ("camera.black", Some(camera.black), [BLACK_MIN, LIGHT_MAX], "no less than 0 but for rounding"),
+            ("camera.saturation", camera.saturation, above_black, "above `black`"),
+            ("camera.electrons_per_dn", camera.electrons_per_dn, ELECTRONS_PER_DN, "a positive number"),
+            ("camera.read_noise_e", camera.read_noise_e, [0.0, LIGHT_MAX], "0 or a positive number"),
+            ("camera.row_noise_e", camera.row_noise_e, [0.0, LIGHT_MAX], "0 or a positive number"),
+            ("constants.gain", constant("gain"), [0.0, NUMBER_MAX], "0 or a positive number"),
+            ("constants.read_noise", constant("read_noise"), [0.0, NUMBER_MAX], "0 or a positive number"),
         ];
-        let is_wrong = |value: f64, least: f64| !(least..=f64::MAX).contains(&value);
-        let wrong = rows.into_iter().find_map(|(name, value, least, range)| {
-            value.filter(|value| is_wrong(*value, least)).map(|value| (name, value, range.to_string()))
+        let wrong = rows.into_iter().find_map(|(name, value, [least, most], range)| {
+            let value = value.filter(|value| !(least..=most).contains(value))?;
+            Some(TrackError::Range { name, value, range: format!("{range}, and {} at most", plain(most)) })
         });
-        wrong.map_or(Ok(()), |(name, value, range)| Err(TrackError::Range { name, value, range }))
+        wrong.map_or(Ok(()), Err)
     }
 
     /// A model that has the lens in its formulas must have all of it.

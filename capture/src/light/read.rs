@@ -2,14 +2,16 @@
 
 use std::fmt;
 
+use isophote_frame::{NUMBER_MAX, plain};
+
 use super::{Blind, Glare, Light, Occluder};
 use crate::limits::LIMITS;
 use crate::moving::{Law, Moving, MovingFault, Range};
 
 /// Pixels from anywhere.
-const ANYWHERE: Range = Range::Finite;
+const ANYWHERE: Range = Range::Between(-NUMBER_MAX, NUMBER_MAX);
 /// Columns or rows.
-const SIDE: Range = Range::NotNegative;
+const SIDE: Range = Range::NotNegativeTo(NUMBER_MAX);
 /// Light.
 const DN: Range = Range::Between(0.0, LIMITS.light_dn);
 /// Light a pixel.
@@ -20,6 +22,9 @@ const SOFT: Range = Range::Between(0.0, LIMITS.glare_px);
 const LOBE: Range = Range::PositiveTo(LIMITS.glare_px);
 /// Blur.
 const BLUR: Range = Range::Between(0.0, LIMITS.defocus_px);
+
+/// So many times the light, or the values.
+const FACTOR: Range = Range::PositiveTo(LIMITS.light_factor);
 
 /// Where a number stands.
 #[derive(Clone, Copy)]
@@ -68,8 +73,15 @@ pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, LightFault> {
     let times = light.glare.iter().map(|one| ("glare", one.from_s, one.to_s));
     let times = times.chain(light.occluders.iter().map(|one| ("occluders", one.from_s, one.to_s)));
     for (list, from_s, to_s) in times.chain(light.blind.iter().map(|one| ("blind", one.from_s, one.to_s))) {
-        let is_finite = [from_s, to_s].into_iter().flatten().all(f64::is_finite);
-        if !is_finite || from_s.zip(to_s).is_some_and(|(from_s, to_s)| from_s >= to_s) {
+        if let Some(time_s) = [from_s, to_s]
+            .into_iter()
+            .flatten()
+            .find(|time_s| !(-LIMITS.light_time_s..=LIMITS.light_time_s).contains(time_s))
+        {
+            let reason = format!("has a time of {} s; it must be from -1e10 to 1e10", plain(time_s));
+            return Err((format!("light.{list}"), MovingFault::Range(reason)));
+        }
+        if from_s.zip(to_s).is_some_and(|(from_s, to_s)| from_s >= to_s) {
             let reason = "has a time that ends before it begins: from_s must be less than to_s".to_string();
             return Err((format!("light.{list}"), MovingFault::Range(reason)));
         }
@@ -92,12 +104,12 @@ pub(crate) fn at(light: &Light<Law>, t_s: f64) -> Result<Light<f64>, String> {
 
 /// Reads a factor of light, which is called `key`: an exposure or a gain.
 pub(crate) fn read_factor(key: &str, factor: &Moving) -> Result<Law, LightFault> {
-    Law::read(factor, Range::Positive).map_err(|fault| (key.to_string(), fault))
+    Law::read(factor, FACTOR).map_err(|fault| (key.to_string(), fault))
 }
 
 /// The factor at time `t_s`.
 pub(crate) fn factor_at(key: &str, factor: &Law, t_s: f64) -> Result<f64, String> {
-    factor.at(t_s, Range::Positive).map_err(|reason| format!("`{key}` {reason}"))
+    factor.at(t_s, FACTOR).map_err(|reason| format!("`{key}` {reason}"))
 }
 
 impl<T> Light<T> {

@@ -19,7 +19,7 @@ use isophote_wire::{
 };
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 
 use super::parameters::NameParam;
 use super::{Answer, App, json};
@@ -72,6 +72,10 @@ pub async fn post(app: App, model: &str, uri: &Uri, headers: &HeaderMap, body: B
     let query = Query::<ImageFitQuery>::try_from_uri(uri);
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     let media = FrameMedia::of(headers)?;
+    if media == FrameMedia::Image && query.is_raw() {
+        let detail = "width, height and format are those of raw pixels (application/octet-stream); an image says itself what it is";
+        return Err(Problem::bad_request(detail));
+    }
     let document = query.document(model)?;
     let bytes_max = match (media, &document.source) {
         (FrameMedia::Raw, SourceReference::Own(source)) => raw_bytes_of(source)?,
@@ -170,6 +174,11 @@ fn raw_bytes_of(source: &SourceDocument) -> Result<usize, Problem> {
 }
 
 impl ImageFitQuery {
+    /// It says what pixels are.
+    fn is_raw(&self) -> bool {
+        self.width.is_some() || self.height.is_some() || self.format.is_some()
+    }
+
     /// The document of a session that would fit the image; the size of a file is not known yet.
     fn document(&self, model: &str) -> Result<SessionDocument, Problem> {
         let usual = SessionOptions::default();
@@ -198,7 +207,7 @@ impl ImageFitQuery {
 }
 
 /// JSON of a part of a document.
-fn within<T: DeserializeOwned>(part: &str, text: &str) -> Result<T, Problem> {
+fn within<T: DeserializeOwned + ToSchema>(part: &str, text: &str) -> Result<T, Problem> {
     parse(text).map_err(|mut problem| {
         for diagnostic in &mut problem.diagnostics {
             diagnostic.key = format!("{part}.{}", diagnostic.key).trim_end_matches('.').to_string();

@@ -5,6 +5,7 @@ use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Extension, Query};
 use axum::http::{HeaderMap, header};
+use isophote_tracker::plain;
 use isophote_wire::{PreviewFormat, PreviewPart};
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -53,11 +54,17 @@ impl PreviewQuery {
         let rate_hz = self.rate.unwrap_or(RATE_HZ);
         let (least, most) = (LIMITS.rate_hz_least, LIMITS.picture_rate_hz);
         if !(least..=most).contains(&rate_hz) {
-            return Err(Problem::bad_request(format!("rate is a number of Hz from {least} to {most}, not {rate_hz}")));
+            return Err(Problem::bad_request(format!(
+                "rate is a number of Hz from {least} to {most}, not {}",
+                plain(rate_hz)
+            )));
         }
         let scale = self.scale.unwrap_or(1.0);
         if !(scale > 0.0 && scale <= 1.0) {
-            return Err(Problem::bad_request(format!("scale is above 0 and at most 1, the full size; not {scale}")));
+            return Err(Problem::bad_request(format!(
+                "scale is above 0 and at most 1, the full size; not {}",
+                plain(scale)
+            )));
         }
         if self.credit.is_some_and(|credit| credit > LIMITS.credit) {
             return Err(Problem::bad_request(format!("credit is at most {}", LIMITS.credit)));

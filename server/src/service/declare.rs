@@ -197,6 +197,7 @@ impl Service {
                     reason,
                     declared_at,
                     frames: 0,
+                    unread: 0,
                     sessions: 0,
                     position,
                     playback,

@@ -14,7 +14,7 @@ use tokio::sync::oneshot;
 use super::checks::{check_document, check_shape, tracker, wrong_options};
 use super::shared::Shared;
 use super::swap::{self, Active, Swap, Swapped};
-use super::trial::{FitCost, TrialResult};
+use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
@@ -154,7 +154,8 @@ impl Session {
     pub(super) fn check_cost(&self, swap: &Swap, workers: &FairWorkers) -> Result<(), Problem> {
         let budget = self.source.source.frame_budget().filter(|_| !self.document.options.allow_slow);
         let Some(budget) = budget else { return Ok(()) };
-        let Some(sample) = self.source.source.sample(&self.shared.inbox) else { return Ok(()) };
+        let source = &self.source.source;
+        let Some(sample) = source.sample(&self.shared.inbox) else { return Ok(()) };
         let candidate = match &swap.warm {
             Some(warm) => warm.fork(),
             None => {
@@ -163,17 +164,19 @@ impl Session {
                 candidate
             }
         };
-        let (cost, what) = match FitCost::measured(&candidate, &sample.delivery.captured.frame, workers) {
-            TrialResult::Fit(cost) => (cost, "a fit, the median of five,"),
+        // One that is cut short now and then is better than none; a machine that is busy at the moment makes any look slow.
+        let most = (2 * budget).max(LIMITS.slow_fit_time);
+        let frames = TrialPair::of(source, &self.shared.inbox, sample.delivery);
+        let (cost, what) = match FitCost::measured(&candidate, &frames, workers, Some(most)) {
+            TrialResult::Fit(cost) => (cost, "a frame, the median of five,"),
             TrialResult::Search(cost) => (cost, "a search that was left before its end"),
         };
-        // One that is cut short now and then is better than none; a machine that is busy at the moment makes any look slow.
-        if !cost.exceeds((2 * budget).max(LIMITS.slow_fit_time)) {
+        if !cost.exceeds(most) {
             return Ok(());
         }
         let (fit_ms, budget_ms) = (cost.milliseconds(), budget.as_secs_f64() * 1e3);
         let detail = format!(
-            "with the model `{}` {what} takes {fit_ms:.1} ms on the newest frame, and frames of the source may take \
+            "with the model `{}` {what} takes {fit_ms:.1} ms of a processor or more, and frames of the source may take \
              {budget_ms:.1} ms; the running model goes on. With \"allow_slow\": true, in a swap or in the session's options, it \
              is taken even so: fits then end with their best so far",
             swap.active.name
@@ -234,13 +237,13 @@ pub fn prepare_session(
     let options = swap::options(document);
     let proof = workers.piece(|| tracker(compiled.clone(), options.clone(), &shape));
     proof.map_err(|error| wrong_options(document, entry, &error))?;
-    let Some(sample) = source.first_inbox().and_then(|inbox| source.sample(&inbox)) else {
-        return Ok(prepared);
-    };
+    let Some(inbox) = source.first_inbox() else { return Ok(prepared) };
+    let Some(sample) = source.sample(&inbox) else { return Ok(prepared) };
     // Sessions on one source see the same: what another one knows of its target is where this one's is likely to be.
     let mut candidate = sample.tracker;
     candidate.swap(compiled, options);
-    let fit_ms = match FitCost::measured(&candidate, &sample.delivery.captured.frame, workers) {
+    let frames = TrialPair::of(source, &inbox, sample.delivery);
+    let fit_ms = match FitCost::measured(&candidate, &frames, workers, None) {
         TrialResult::Fit(cost) => Some(cost.milliseconds()),
         TrialResult::Search(_) => None,
     };

@@ -78,6 +78,8 @@ pub(super) fn wrong_options(document: &SessionDocument, entry: &ModelEntry, erro
             Some(("camera" | "constants", _)) => name.to_string(),
             _ => format!("options.{name}"),
         },
+        (_, _, TrackError::OutsideBounds { name, .. }) => format!("start.{name}"),
+        (_, _, TrackError::OutsideNumbers { name, .. }) => format!("constants.{name}"),
         (Some(name), _, _) => format!("start.{name}"),
         (None, Some(name), _) => format!("constants.{name}"),
         (None, None, TrackError::Window { .. }) => "window".to_string(),

@@ -11,7 +11,7 @@ use super::change::{NewTracker, PreparedSwap, Requested};
 use super::checks::wrong_options;
 use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
 use super::swap::{Active, Swap};
-use super::trial::{FitCost, TrialResult};
+use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
@@ -55,12 +55,14 @@ impl Session {
             entry,
         };
         // Where no frame comes it begins as a session does.
-        let Some(sample) = self.source.source.sample(&self.shared.inbox) else { return Ok(prepared) };
+        let source = &self.source.source;
+        let Some(sample) = source.sample(&self.shared.inbox) else { return Ok(prepared) };
         prepared.tracker = sample.tracker;
         let told = prepared.tracker.swap(compiled, options);
         (prepared.carried, prepared.reset) = (told.carried, told.reset);
-        if self.source.source.realtime_hz().is_some() {
-            let measured = FitCost::measured(&prepared.tracker, &sample.delivery.captured.frame, workers);
+        if source.realtime_hz().is_some() {
+            let frames = TrialPair::of(source, &self.shared.inbox, sample.delivery);
+            let measured = FitCost::measured(&prepared.tracker, &frames, workers, None);
             if let TrialResult::Fit(cost) = measured {
                 prepared.fit_ms = Some(cost.milliseconds());
             }

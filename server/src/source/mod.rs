@@ -7,6 +7,7 @@
 
 pub mod control;
 mod drivers;
+mod faults;
 #[cfg(test)]
 pub mod hanging_tests;
 mod lease;
@@ -37,6 +38,7 @@ use crate::problem::Problem;
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
 pub use drivers::Drivers;
+use faults::ReadFaults;
 use isophote_machine::{monotonic_ns, thread_ns};
 use isophote_wire::{
     Pace, RecordingDocument, SessionState, SourceDocument, SourceState, SourceView, SyntheticDocument,
@@ -137,6 +139,7 @@ impl Source {
             state: SourceState::Idle,
             reason: None,
             frames: 0,
+            unread: 0,
             newest: None,
             cost_ns: None,
             camera: None,
@@ -161,8 +164,16 @@ impl Source {
             }
         };
         let schedule = Ticks::new(rate_hz);
-        let mut worker =
-            Worker { shared: shared.clone(), turn: 0, pace, rate_hz, schedule, frame: 0, faults: 0, worked_ns: None };
+        let mut worker = Worker {
+            shared: shared.clone(),
+            turn: 0,
+            pace,
+            rate_hz,
+            schedule,
+            frame: 0,
+            faults: ReadFaults::default(),
+            worked_ns: None,
+        };
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::no_thread("for the source", &error))?;
         Ok(Source {
@@ -230,6 +241,7 @@ impl Source {
             reason,
             declared_at: None,
             frames: shared.frames,
+            unread: shared.unread,
             sessions: shared.sessions.len(),
             position: playback.as_ref().and_then(|playback| playback.frame),
             playback,
@@ -353,8 +365,8 @@ struct Worker {
     schedule: Ticks,
     /// The number of the next frame.
     frame: u64,
-    /// Frames that have failed since the last that did not.
-    faults: usize,
+    /// Of the frames that could not be read.
+    faults: ReadFaults,
     /// What its thread had used of a processor when the last frame was handed out.
     worked_ns: Option<u64>,
 }
@@ -363,7 +375,16 @@ impl Worker {
     /// A camera keeps its own pace.
     fn of_camera(shared: &Arc<SourceShared>, turn: u64) -> Worker {
         let (shared, schedule) = (shared.clone(), Ticks::new(0.0));
-        Worker { shared, turn, pace: Pace::Realtime, rate_hz: 0.0, schedule, frame: 0, faults: 0, worked_ns: None }
+        Worker {
+            shared,
+            turn,
+            pace: Pace::Realtime,
+            rate_hz: 0.0,
+            schedule,
+            frame: 0,
+            faults: ReadFaults::default(),
+            worked_ns: None,
+        }
     }
 
     fn run(&mut self, producer: Producer) {
@@ -396,7 +417,10 @@ impl Worker {
         }
         let idle = |state: &mut SourceNow| !state.is_stopping && !state.is_wanted();
         let mut state = self.shared.changed.wait_while(state, idle).unwrap_or_else(PoisonError::into_inner);
-        state.state = SourceState::Running;
+        // One that has stalled runs again with its next frame.
+        if state.state != SourceState::Stalled {
+            state.state = SourceState::Running;
+        }
         !state.is_stopping
     }
 

@@ -8,6 +8,7 @@ use isophote_capture::{
 };
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Model;
+use isophote_tracker::plain;
 use isophote_wire::{
     CameraDocument, Pace, PushedDocument, PushedFormat, RecordingDocument, SourceDocument, SyntheticDocument,
 };
@@ -123,6 +124,7 @@ pub fn open_recording(
     let dimensions = reader.map_or(2, |model| model.coordinates().len());
     let recording = Recording::within(&document.path, dimensions, reach).map_err(wrong)?;
     let recording = recording.at_rate(document.rate_hz);
+    recording.check_picture().map_err(wrong)?;
     // All planes and columns are left as they are, for each session to pick from.
     let columns = recording.csv_channels().map_err(wrong)?;
     let size = recording.size();
@@ -218,8 +220,10 @@ fn check_rate(rate_hz: f64, pace: Pace, prefix: &str) -> Result<(), Problem> {
     if (least..=most).contains(&rate_hz) || rate_hz == 0.0 && pace == Pace::Fit {
         return Ok(());
     }
-    let message =
-        format!("rate_hz is {rate_hz}; it must be above 0, from {least} to {most} (0 with pace fit: no limit)");
+    let message = format!(
+        "rate_hz is {}; it must be above 0, from {least} to {most} (0 with pace fit: no limit)",
+        plain(rate_hz)
+    );
     Err(Problem::wrong_key("out-of-range", &format!("{prefix}rate_hz"), message))
 }
 

@@ -4,6 +4,7 @@
 //! whatever is wished; places in a recording do not.
 
 use isophote_machine::monotonic_ns;
+use isophote_tracker::plain;
 use isophote_wire::{PlaybackDocument, PlaybackView};
 
 use crate::limits::LIMITS;
@@ -78,7 +79,7 @@ impl Playback {
         let is_paused = paused.unwrap_or(self.is_paused);
         let (least, most) = LIMITS.speed;
         if let Some(speed) = speed.filter(|speed| !(least..=most).contains(speed)) {
-            let message = format!("speed is {speed}; it may be {least} to {most} times the rate");
+            let message = format!("speed is {}; it may be {least} to {most} times the rate", plain(speed));
             return Err(Problem::wrong_key("out-of-range", "speed", message));
         }
         if frame.is_some() && step.is_some() {

@@ -2,12 +2,14 @@
 //! says.
 
 use std::sync::PoisonError;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use isophote_capture::{FrameSource, Reel};
+use isophote_capture::{FrameSource, Reel, SourceError};
 use isophote_wire::{Pace, SourceState};
 
-use super::{Worker, finish};
+use super::playback::Playback;
+use super::state::SourceNow;
+use super::{Worker, finish, label};
 
 /// What becomes of a frame that is there.
 enum Turn {
@@ -26,7 +28,7 @@ impl Worker {
             let place = frames.reel().map(|reel| reel.place());
             match frames.next() {
                 Ok(Some(captured)) => {
-                    self.faults = 0;
+                    self.has_read(&mut *frames);
                     match self.wait_until_due(&mut *frames, place) {
                         Turn::Now => self.number(captured, None),
                         Turn::Left => {}
@@ -38,16 +40,18 @@ impl Worker {
                     None => return finish(&self.shared, SourceState::Ended, "the recording has ended".into()),
                 },
                 // It may be whole when its turn comes again. Its number is missing, and its place in time stays.
-                Err(error) if self.faults < self.faults_max(&mut *frames) => {
-                    self.faults += 1;
-                    self.shared.lock().reason = Some(format!("a frame is left out: {error}"));
+                Err(error) => {
+                    let Some(round) = self.round(&mut *frames) else {
+                        return finish(&self.shared, SourceState::Failed, error.to_string());
+                    };
+                    let rest = self.leave_out(&error, round);
                     match self.wait_until_due(&mut *frames, place) {
                         Turn::Now => self.frame += 1,
                         Turn::Left => {}
                         Turn::Over => return,
                     }
+                    rest.into_iter().for_each(|time| self.rest(time));
                 }
-                Err(error) => return finish(&self.shared, SourceState::Failed, error.to_string()),
             }
         }
     }
@@ -57,9 +61,54 @@ impl Worker {
         state.playback.as_ref().and_then(|playback| playback.tape.as_ref()).is_some_and(|tape| tape.repeat)
     }
 
-    /// Frames that may fail one after the other: of a recording that is played again and again, one whole round.
-    fn faults_max(&self, frames: &mut dyn FrameSource) -> usize {
-        frames.reel().filter(|_| self.repeats()).map_or(0, |reel: &mut dyn Reel| reel.count())
+    /// Frames of one round of a recording that is played again and again.
+    fn round(&self, frames: &mut dyn FrameSource) -> Option<usize> {
+        frames.reel().filter(|_| self.repeats()).map(|reel: &mut dyn Reel| reel.count())
+    }
+
+    /// A frame was read. With the first after a whole round of which none was the source runs again; with a whole round of them
+    /// nothing is left to be said.
+    fn has_read(&mut self, frames: &mut dyn FrameSource) {
+        let round = frames.reel().map_or(1, |reel| reel.count());
+        let Some(is_whole) = self.faults.read(round) else { return };
+        let mut state = self.shared.lock();
+        if state.state == SourceState::Stalled {
+            state.state = SourceState::Running;
+            tracing::info!(source = label(), frame = self.frame, "source is back");
+        }
+        if is_whole {
+            state.reason = None;
+        }
+    }
+
+    /// Says which frame could not be read, and for how long to rest after a whole round of such.
+    fn leave_out(&mut self, error: &SourceError, round: usize) -> Option<Duration> {
+        let (is_stalled, rest) = self.faults.failed(round);
+        let mut state = self.shared.lock();
+        state.unread += 1;
+        let reason = match is_stalled {
+            true => format!("no frame of the recording could be read; it is tried again until one can be: {error}"),
+            false => format!("a frame is left out: {error}"),
+        };
+        if is_stalled && state.state != SourceState::Stalled {
+            state.state = SourceState::Stalled;
+            tracing::warn!(source = label(), frame = self.frame, reason, "source stalled");
+        }
+        state.reason = Some(reason);
+        rest
+    }
+
+    /// Waits before the next round, unless something else is wanted before.
+    fn rest(&mut self, time: Duration) {
+        let is_idle = |state: &mut SourceNow| {
+            let plays_on = |playback: &Playback| {
+                !playback.is_still() && playback.tape.as_ref().is_some_and(|tape| tape.repeat && tape.seek.is_none())
+            };
+            state.is_wanted() && state.playback.as_ref().is_some_and(plays_on)
+        };
+        let waited = self.shared.changed.wait_timeout_while(self.shared.lock(), time, is_idle);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
+        self.schedule.restart();
     }
 
     /// Waits until there is somebody to show a frame to, and it is not to stand still; goes to where it is to go on. False when

@@ -74,10 +74,8 @@ pub fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocument, p
         SyntheticError::Motion { name, .. } => format!("motion.{name}"),
         SyntheticError::UnknownName { name, .. } if document.set.contains_key(name) => format!("set.{name}"),
         SyntheticError::UnknownName { name, .. } => format!("motion.{name}"),
-        SyntheticError::Range {
-            name: name @ ("full_well_e" | "read_noise_e" | "row_noise_e" | "saturation" | "black"),
-            ..
-        } => name.to_string(),
+        // What is made of several keys has none of its own.
+        SyntheticError::Range { name, .. } if !name.contains(' ') => name.to_string(),
         SyntheticError::Response(_) => "response".to_string(),
         SyntheticError::Range { .. } | SyntheticError::Unseen { .. } | SyntheticError::Model { .. } => String::new(),
     };

@@ -24,6 +24,8 @@ pub(super) struct SourceNow {
     pub(super) state: SourceState,
     pub(super) reason: Option<String>,
     pub(super) frames: u64,
+    /// Frames of a recording that could not be read.
+    pub(super) unread: u64,
     /// The number of the newest frame.
     pub(super) newest: Option<u64>,
     /// What a frame costs its thread of a processor, in the mean.

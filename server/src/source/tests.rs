@@ -4,10 +4,10 @@
 
 use std::sync::Arc;
 
-use isophote_capture::{Captured, FrameSource, SourceError};
+use isophote_capture::{Captured, FrameSource, Reel, SourceError};
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
-use isophote_wire::{Pace, PlaybackDocument, RecordingDocument, SourceDocument, SourceState};
+use isophote_wire::{Pace, PlaybackDocument, RecordingDocument, SessionState, SourceDocument, SourceState};
 
 use super::{FrameShape, Opened, Producer, Source};
 use crate::session::inbox::{Event, Inbox, Reply, SourceEnd};
@@ -143,6 +143,109 @@ fn a_paused_source_has_not_stalled() {
     for frame in 1..10 {
         assert_eq!(number(inbox.next()), Ok(frame), "none was lost");
     }
+    inbox.close();
+    source.stop();
+}
+
+/// A recording of so many frames, of which none can be read at some times.
+struct Torn {
+    count: usize,
+    place: usize,
+    /// Reads from the first on that fail.
+    fail: std::ops::Range<usize>,
+    reads: usize,
+}
+
+impl FrameSource for Torn {
+    fn next(&mut self) -> Result<Option<Captured>, SourceError> {
+        if self.place == self.count {
+            return Ok(None);
+        }
+        (self.place, self.reads) = (self.place + 1, self.reads + 1);
+        if self.fail.contains(&(self.reads - 1)) {
+            return Err(SourceError::Empty { path: "torn".into() });
+        }
+        let frame = Frame::new(&[1, 1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap();
+        Ok(Some(Captured { frame, file: None, truth: None }))
+    }
+    fn description(&self) -> String {
+        "frames of a test".into()
+    }
+    fn size(&self) -> Option<Vec<usize>> {
+        None
+    }
+    fn reel(&mut self) -> Option<&mut dyn Reel> {
+        Some(self)
+    }
+}
+
+impl Reel for Torn {
+    fn count(&self) -> usize {
+        self.count
+    }
+    fn place(&self) -> usize {
+        self.place
+    }
+    fn seek(&mut self, place: usize) {
+        self.place = place;
+    }
+}
+
+fn torn(count: usize, fail: std::ops::Range<usize>, repeat: bool) -> (Source, Arc<Inbox>) {
+    let document = RecordingDocument { path: "test".into(), rate_hz: 0.0, pace: Pace::Fit, repeat };
+    let producer = Producer::Frames(Box::new(Torn { count, place: 0, fail, reads: 0 }));
+    let opened = Opened { producer, shape: FrameShape::default(), pace: Pace::Fit, rate_hz: 0.0, held: None };
+    let source = Source::start("test", SourceDocument::Recording(document), opened).unwrap();
+    let inbox = Arc::new(Inbox::default());
+    source.subscribe(&inbox);
+    (source, inbox)
+}
+
+/// Two rounds of one frame fail; the third time it can be read.
+#[test]
+fn a_loop_waits_until_its_frames_can_be_read_again() {
+    let (source, inbox) = torn(1, 2..4, true);
+    assert_eq!((number(inbox.next()), number(inbox.next())), (Ok(0), Ok(1)));
+    assert_eq!(number(inbox.next()), Ok(4), "those that were missing are counted");
+    let view = source.view("test");
+    assert_eq!((view.state, view.reason, view.unread), (SourceState::Running, None, 2));
+    inbox.close();
+    source.stop();
+}
+
+#[test]
+fn a_loop_that_waits_says_why_and_is_stopped_at_once() {
+    let (source, inbox) = torn(3, 0..usize::MAX, true);
+    while source.view("test").state != SourceState::Stalled {
+        std::thread::yield_now();
+    }
+    let view = source.view("test");
+    assert!(view.unread >= 3 && view.reason.unwrap().contains("torn"));
+    assert!(matches!(source.trouble(), Some((SessionState::Stalled, Some(_)))));
+    // What does not begin anew has ended.
+    source.set_playback(&PlaybackDocument { repeat: Some(false), ..PlaybackDocument::default() }).unwrap();
+    assert!(number(inbox.next()).is_err());
+    source.stop();
+}
+
+#[test]
+fn a_recording_that_is_played_once_ends_with_a_frame_that_cannot_be_read() {
+    let (source, inbox) = torn(3, 1..2, false);
+    assert_eq!(number(inbox.next()), Ok(0));
+    assert!(matches!(number(inbox.next()), Err(SourceEnd::Failed(_))));
+    source.stop();
+}
+
+/// One frame of a round is left out, which is said for a round.
+#[test]
+fn what_was_left_out_is_said_for_a_round() {
+    let (source, inbox) = torn(3, 1..2, true);
+    assert_eq!((number(inbox.next()), number(inbox.next())), (Ok(0), Ok(2)));
+    let view = source.view("test");
+    assert_eq!((view.state, view.unread), (SourceState::Running, 1));
+    assert!(view.reason.unwrap().contains("left out"));
+    assert_eq!((number(inbox.next()), number(inbox.next()), number(inbox.next())), (Ok(3), Ok(4), Ok(5)));
+    assert_eq!(source.view("test").reason, None);
     inbox.close();
     source.stop();
 }

@@ -53,12 +53,27 @@ pub fn open(folder: &Path, import: impl Fn(&Path) -> io::Result<(usize, Transact
     }
     let path = folder.join(FILE);
     let store: Box<dyn Store> = match file(&path) {
-        Ok(_) => Box::new(opened(&path)?),
+        Ok(found) => {
+            check_filled(&path, &found)?;
+            Box::new(opened(&path)?)
+        }
         Err(error) if error.kind() == io::ErrorKind::NotFound => made(folder, import)?,
         Err(error) if is_read_only(&error) => Box::new(read(&path, &error)?),
         Err(error) => return Err(at(&path)(&error)),
     };
     Ok(Folder { store, _locks: locks })
+}
+
+/// A database is complete before it has its name, so that one without a byte was emptied by somebody: to begin a new one in its
+/// place would hide that everything is gone.
+fn check_filled(path: &Path, file: &File) -> Result<(), FolderError> {
+    let bytes = file.metadata().map_err(|error| at(path)(&error))?.len();
+    if bytes > 0 {
+        return Ok(());
+    }
+    Err(at(path)(
+        &"it is empty, which no database of this program ever is: put a copy of it back, or remove it to begin anew",
+    ))
 }
 
 fn locked(folder: &Path) -> Result<Option<File>, FolderError> {
@@ -76,7 +91,8 @@ fn locked(folder: &Path) -> Result<Option<File>, FolderError> {
     }
 }
 
-fn is_read_only(error: &io::Error) -> bool {
+/// Whether a folder or file can be read, but not changed: it is used all the same.
+pub fn is_read_only(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem)
 }
 
@@ -175,7 +191,7 @@ fn read(path: &Path, why: &io::Error) -> Result<ReadOnlyStore, FolderError> {
 }
 
 fn refusing(path: &Path, records: MemoryStore, why: &io::Error) -> ReadOnlyStore {
-    let reason = format!("{} cannot be written to: {why}", path.display());
+    let reason = format!("the data folder cannot be written to: {why}");
     said(path, &format!("cannot be written to, so what is put will be refused: {why}"));
     ReadOnlyStore { records, reason }
 }

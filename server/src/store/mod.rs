@@ -13,7 +13,7 @@ mod redb;
 #[cfg(test)]
 mod tests;
 
-pub use folder::{FolderError, open, said};
+pub use folder::{FolderError, is_read_only, open, said};
 pub use memory::MemoryStore;
 #[cfg(test)]
 pub use memory::ReadOnlyStore;

@@ -117,6 +117,11 @@ fn a_file_that_is_no_database_is_said_and_left() {
     let said = open(&data.0, |_| panic!("there is nothing to import")).err().unwrap().to_string();
     assert!(said.contains("isophote.redb") && said.contains("another --data"), "{said}");
     assert_eq!(fs::read_to_string(&path).unwrap(), "a text");
+    // One that was emptied is no new one.
+    fs::write(&path, "").unwrap();
+    let said = open(&data.0, |_| panic!("there is nothing to import")).err().unwrap().to_string();
+    assert!(said.contains("isophote.redb: it is empty") && said.contains("remove it"), "{said}");
+    assert_eq!(fs::read_to_string(&path).unwrap(), "");
     fs::remove_file(&path).unwrap();
     std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
     assert!(open(&data.0, |_| panic!("there is nothing to import")).is_err());

@@ -11,6 +11,7 @@ use isophote_wire::{EstimateView, FrameTime};
 
 use super::pushed::{DecodedFrame, Pushed, WaitingFrame};
 use super::websocket::{LifeSigns, close, refuse, send};
+use crate::documents::parse;
 use crate::gate::MessageGate;
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
@@ -78,10 +79,11 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                             pushed.decode(media, bytes.into(), time_s, room).await
                         }));
                     }
-                    Message::Text(text) => match serde_json::from_str(&text) {
+                    Message::Text(text) => match parse(&text) {
                         Ok(time) => next = time,
-                        Err(error) => {
-                            let reason = format!("frames are binary; text says when the next was taken: {error}");
+                        Err(problem) => {
+                            let why = problem.detail;
+                            let reason = format!("frames are binary; text says when the next was taken: {why}");
                             return refuse(&mut socket, &reason).await;
                         }
                     },

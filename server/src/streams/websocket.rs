@@ -6,6 +6,7 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use isophote_wire::CreditDocument;
 use tokio::time::Interval;
 
+use crate::documents::parse;
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::prompt;
@@ -82,12 +83,12 @@ impl LifeSigns {
 /// A message of a subscriber, which may renew its credit; false where it is none, and the stream is over.
 pub(super) async fn renewed(socket: &mut WebSocket, credit: &mut Credit, message: &Message) -> bool {
     let fault = match message {
-        Message::Text(text) => match serde_json::from_str::<CreditDocument>(text) {
+        Message::Text(text) => match parse::<CreditDocument>(text) {
             Ok(more) => {
                 credit.renew(more.credit);
                 return true;
             }
-            Err(error) => error.to_string(),
+            Err(problem) => problem.detail,
         },
         Message::Binary(_) => "messages are JSON text".into(),
         Message::Close(_) | Message::Ping(_) | Message::Pong(_) => return true,

@@ -188,6 +188,9 @@ pub struct SourceView {
     pub declared_at: Option<String>,
     /// Frames delivered.
     pub frames: u64,
+    /// Of a recording: frames that could not be read, and were left out.
+    #[serde(skip_serializing_if = "is_zero", default)]
+    pub unread: u64,
     /// Sessions that listen.
     pub sessions: usize,
     /// Of a recording: the place of the frame that was shown last, from 0. It goes back where the recording does.
@@ -212,7 +215,7 @@ pub enum SourceState {
     Idle,
     /// Frames come.
     Running,
-    /// A camera streams, but there is no picture; see `reason`.
+    /// A camera streams, but there is no picture, or of a recording that loops no frame can be read; see `reason`.
     Stalled,
     /// A camera is gone; see `reason`. It is looked for again.
     Lost,

@@ -67,6 +67,19 @@ pub struct Diagnostic {
 /// All faults that were found in one go; never empty when it is an error.
 pub type Diagnostics = Vec<Diagnostic>;
 
+/// Bytes of a line that a diagnostic has.
+const LINE_BYTES: usize = 1024;
+
+/// The line of a fault that begins behind `until`; of a long one so much, and nothing where the fault is behind that.
+fn shown_line(line: &str, until: &str) -> String {
+    let line = line.trim_end_matches('\r');
+    match (line.len() <= LINE_BYTES, until.len() <= LINE_BYTES) {
+        (true, _) => line.to_string(),
+        (false, true) => format!("{}…", &line[..line.floor_char_boundary(LINE_BYTES)]),
+        (false, false) => String::new(),
+    }
+}
+
 /// Bytes of a message or of a line that is echoed.
 const ECHO_CHARACTERS: usize = 80;
 
@@ -86,7 +99,7 @@ impl Diagnostic {
             line: document[..start].matches('\n').count() as u32 + 1,
             column: document[line_start..start].chars().count() as u32 + 1,
             span: Span { start: start as u32, end: end as u32 },
-            source: document[line_start..line_end].trim_end_matches('\r').to_string(),
+            source: shown_line(&document[line_start..line_end], &document[line_start..start]),
         }
     }
 

@@ -1,6 +1,8 @@
 //! Frames of sources that do not wait: each has its interval, a swap to a model that takes longer is refused, and searches take
 //! turns.
 
+use std::fmt::Write;
+
 use serde_json::{Value, json};
 
 use crate::client::{Running, session, synthetic};
@@ -98,6 +100,38 @@ fn a_slow_model_that_carries_nothing_over_is_refused() {
     let refused = service.put("/v1/sessions/one/model", &json!({"model": "slow"})).expect(409);
     assert_eq!(refused["code"], "too-slow", "{refused}");
     assert_eq!(service.get("/v1/sessions/one").expect(200)["requested_model"], "spot");
+    service.stop();
+}
+
+/// Eight bumps for one spot: what a search finds is lost with the next fit, which ends at once. Each frame would take a search.
+#[test]
+fn a_model_that_loses_what_it_has_found_is_too_slow_each_time() {
+    let (mut parameters, mut intensity, mut all) = (String::new(), String::from("0"), Vec::new());
+    for bump in 0..8 {
+        for (name, start) in [("x", 60 + 70 * bump), ("y", 420 - 50 * bump), ("w", 30 + 5 * bump), ("v", 30)] {
+            writeln!(parameters, "{name}{bump} = {{ start = {start} }}").unwrap();
+            all.push(format!("\"{name}{bump}\""));
+        }
+        write!(intensity, " + v{bump} * exp(-((x - x{bump})^2 + (y - y{bump})^2) / w{bump}^2)").unwrap();
+    }
+    let text = format!(
+        "name = \"bumps\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n{parameters}[model]\n\
+         intensity = \"{intensity}\"\n[[stages]]\nparameters = [{}]\nmethod = \"newton\"\niterations = 100\n",
+        all.join(", ")
+    );
+    let service = Running::start();
+    service.put_text("/v1/models/bumps", "application/toml", &text).expect(201);
+    let mut source = large("realtime", 30.0, 3.0);
+    (source["full_well_e"], source["read_noise_e"]) = (json!(5000), json!(15));
+    service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
+    service.wait_for("one", is_tracking);
+    for number in 0..6 {
+        let refused = service.put("/v1/sessions/one/model", &json!({"model": "bumps"})).expect(409);
+        assert_eq!(refused["code"], "too-slow", "{number}: {refused}");
+        let figures = &refused["figures"];
+        assert!(self::number(figures, "fit_ms") > 100.0, "{number}: {refused}");
+    }
+    assert_eq!(service.get("/v1/sessions/one").expect(200)["active_model"], "spot");
     service.stop();
 }
 

@@ -88,6 +88,18 @@ fn a_check_says_what_a_start_would() {
     assert_eq!(well.status, Some(0), "{}{}", well.stdout, well.stderr);
     assert_eq!(well.stdout.lines().filter(|line| line.contains(" ok ")).count(), 3, "{}", well.stdout);
 
+    let told = run(&[&with_file[..], &["--listen", "127.0.0.1:0", "--json"]].concat(), &[]);
+    let told: Value = serde_json::from_str(&told.stdout).unwrap();
+    let names: Vec<&str> =
+        told["items"].as_array().unwrap().iter().map(|item| item["what"].as_str().unwrap()).collect();
+    assert_eq!(
+        (&told["would_start"], &names[..]),
+        (&Value::Bool(true), &["address", "data folder", "kernel"][..]),
+        "{told}"
+    );
+    let alone = run(&["serve", "--json", "--listen", "127.0.0.1:0"], &[]);
+    assert_eq!(alone.status, Some(2), "{}", alone.stderr);
+
     let models = folder.0.join("models");
     fs::create_dir(&models).unwrap();
     fs::write(models.join("level.toml"), "name = \"level\"\n").unwrap();
@@ -100,7 +112,56 @@ fn a_check_says_what_a_start_would() {
     let taken = run(&[&with_file[..], &["--listen", service.address()]].concat(), &[]);
     assert_eq!(taken.status, Some(1), "{}", taken.stdout);
     assert!(taken.stderr.contains("cannot listen on") && taken.stderr.contains("another service"), "{}", taken.stderr);
-    let far = run(&["serve", "--check", "--listen", "192.0.2.1:7240"], &[]);
+    let far = run(&["serve", "--check", "--json", "--listen", "192.0.2.1:7240"], &[]);
     assert_eq!(far.status, Some(1));
     assert!(far.stderr.contains("192.0.2.1:7240"), "{}", far.stderr);
+    let told: Value = serde_json::from_str(&far.stdout).unwrap();
+    assert_eq!((&told["would_start"], &told["items"][0]["ok"]), (&Value::Bool(false), &Value::Bool(false)), "{told}");
+    assert!(told["items"][0]["reason"].as_str().unwrap().contains("192.0.2.1:7240"), "{told}");
+}
+
+#[test]
+fn switches_of_the_environment_are_said_in_many_ways_and_empty_variables_say_nothing() {
+    let shown = |variables: &[(&str, &str)]| run(&["config", "show", "--json"], variables);
+    let of = |shown: &Finished, key: &str| {
+        assert_eq!(shown.status, Some(0), "{}", shown.stderr);
+        let shown: Value = serde_json::from_str(&shown.stdout).unwrap();
+        let item = shown["items"].as_array().unwrap().iter().find(|item| item["key"] == key).unwrap().clone();
+        (item["value"].as_str().unwrap_or("-").to_string(), item["origin"].as_str().unwrap().to_string())
+    };
+    for on in ["1", "true", "yes"] {
+        assert_eq!(of(&shown(&[("ISOPHOTE_DEMO", on)]), "demo"), ("true".into(), "environment".into()), "{on}");
+    }
+    for off in ["0", "false", "no"] {
+        assert_eq!(of(&shown(&[("ISOPHOTE_DEMO", off)]), "demo"), ("false".into(), "environment".into()), "{off}");
+    }
+    assert_eq!(shown(&[("ISOPHOTE_DEMO", "perhaps")]).status, Some(2));
+    let empty =
+        shown(&[("ISOPHOTE_DEMO", ""), ("ISOPHOTE_LISTEN", ""), ("ISOPHOTE_CONFIG", ""), ("ISOPHOTE_DATA", "")]);
+    assert_eq!(of(&empty, "demo").1, "default");
+    assert_eq!(of(&empty, "listen"), ("127.0.0.1:7240".into(), "default".into()));
+    assert_eq!(of(&empty, "data").1, "default");
+}
+
+/// What another program writes is read, to its end; what has none is not waited for.
+#[test]
+fn a_configuration_may_be_a_pipe_that_ends() {
+    let folder = Folder::new("configuration-pipe");
+    let program = program().unwrap();
+    let script = format!("'{}' config show --json --config <(echo 'demo = true')", program.display());
+    let read = finish(Command::new("bash").args(["-c", &script]), LIMIT).unwrap();
+    assert_eq!(read.status, Some(0), "{}", read.stderr);
+    assert!(read.stdout.contains("\"file\""), "{}", read.stdout);
+    let pipe = folder.0.join("pipe.toml");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let begin = std::time::Instant::now();
+    let refused = run(&["serve", "--check", "--config", name(&pipe)], &[]);
+    assert_eq!(refused.status, Some(1), "{}", refused.stdout);
+    assert!(refused.stderr.contains("pipe.toml: cannot be read: it has no end after"), "{}", refused.stderr);
+    assert!(begin.elapsed() < LIMIT / 4, "{:?}", begin.elapsed());
+    for endless in [PathBuf::from("/dev/zero"), file(&folder, &"# long\n".repeat(200_000))] {
+        let refused = run(&["config", "show", "--config", name(&endless)], &[]);
+        assert_eq!(refused.status, Some(1), "{}", refused.stdout);
+        assert!(refused.stderr.contains("more than 1048576 bytes"), "{}", refused.stderr);
+    }
 }

@@ -149,6 +149,12 @@ fn malformed_websocket_frames_end_with_their_code() {
 #[test]
 fn numbers_that_make_no_sense_are_refused_at_their_key() {
     let service = Running::start();
+    let lens = |key: &str, value: Value| {
+        let mut lens = json!({"width": 64, "height": 48, "fx": 80, "fy": 80, "cx": 32, "cy": 24});
+        lens[key] = value;
+        json!({"intrinsics": lens})
+    };
+    let spot = |position_mm: Value, radius_mm: f64| json!({"spots": [{"name": "lamp", "position_mm": position_mm, "radius_mm": radius_mm}]});
     let mut document = session("realtime", 30.0);
     document["source"] = json!("shared");
     service.put("/v1/sources/shared", &synthetic("realtime", 30.0)).expect(201);
@@ -162,6 +168,17 @@ fn numbers_that_make_no_sense_are_refused_at_their_key() {
         ("camera", json!({"electrons_per_dn": 20, "row_noise_e": -1}), "camera.row_noise_e"),
         ("camera", json!({"row_noise_e": 40}), "camera.row_noise_e"),
         ("camera", json!({"defects": 1}), "camera.defects"),
+        ("camera", json!({"saturation": 1e300}), "camera.saturation"),
+        ("camera", json!({"black": -1}), "camera.black"),
+        ("camera", json!({"black": 1e300}), "camera.black"),
+        ("camera", json!({"electrons_per_dn": 1e300}), "camera.electrons_per_dn"),
+        ("camera", json!({"read_noise_e": 1e300}), "camera.read_noise_e"),
+        ("camera", json!({"electrons_per_dn": 20, "row_noise_e": 1e300}), "camera.row_noise_e"),
+        ("camera", lens("fx", json!(1e300)), "camera.intrinsics"),
+        ("camera", lens("cy", json!(-1e300)), "camera.intrinsics"),
+        ("start", json!({"bx": 1e300}), "start.bx"),
+        ("start", json!({"a1": -1}), "start.a1"),
+        ("constants", json!({"gain": 1e300}), "constants.gain"),
         ("constants", json!({"gain": -1}), "constants.gain"),
         ("constants", json!({"read_noise": -1}), "constants.read_noise"),
         ("window", json!({"x": 64, "y": 0, "width": 10, "height": 10}), "window"),
@@ -170,21 +187,55 @@ fn numbers_that_make_no_sense_are_refused_at_their_key() {
         ("options", json!({"predict": {"horizon_s": 1e300, "steps": 10}}), "options.predict.horizon_s"),
         ("options", json!({"predict": {"horizon_s": -1, "steps": 10}}), "options.predict.horizon_s"),
         ("options", json!({"predict": {"horizon_s": 1, "steps": 0}}), "options.predict.steps"),
+        ("options", json!({"motion": {"coast_s": 1e300}}), "options.motion.coast_s"),
+        ("options", json!({"motion": {"coast_s": -1}}), "options.motion.coast_s"),
+        ("options", json!({"motion": {"acceleration_px_s2": 1e300}}), "options.motion.acceleration_px_s2"),
+        ("options", json!({"motion": {"acceleration_px_s2": 0}}), "options.motion.acceleration_px_s2"),
+        ("target", spot(json!([0, 0, 1e300]), 3.0), "target"),
+        ("target", spot(json!([0, 0, 0]), 1e300), "target"),
     ];
     for (key, value, at) in cases {
         let mut wrong = document.clone();
         wrong[key] = value;
         let answer = service.put("/v1/sessions/one", &wrong).expect(422);
         assert_eq!(answer["diagnostics"][0]["key"], at, "{wrong}: {answer}");
+        assert!(answer["detail"].as_str().unwrap().len() < 200, "{answer}");
     }
     document["camera"] = json!({"saturation": 0.5, "black": 0, "electrons_per_dn": 1, "read_noise_e": 0});
     document["window"] = json!({"x": 0, "y": 0, "width": 1000, "height": 1000}); // clipped, as ever
     document["options"] = json!({"predict": {"horizon_s": 3600, "steps": 1}});
     service.put("/v1/sessions/one", &document).expect(201);
-    for (key, value) in [("gain", json!(-1)), ("gain", json!(0)), ("saturation", json!(0)), ("exposure", json!(-1))] {
+    let cases = [
+        ("gain", json!(-1), "gain"),
+        ("gain", json!(0), "gain"),
+        ("gain", json!(1e300), "gain"),
+        ("saturation", json!(0), "saturation"),
+        ("saturation", json!(1e300), "saturation"),
+        ("exposure", json!(-1), "exposure"),
+        ("exposure", json!(1e300), "exposure"),
+        ("full_well_e", json!(1e300), "full_well_e"),
+        ("read_noise_e", json!(1e300), "read_noise_e"),
+        ("row_noise_e", json!(1e300), "row_noise_e"),
+        ("rate_hz", json!(1e300), "rate_hz"),
+        ("bits", json!(0), "bits"),
+        ("samples", json!(1_000_000), "samples"),
+        ("exposure_latency", json!(4_000_000_000u32), "exposure_latency"),
+        ("set", json!({"v0": 1e300}), "set.v0"),
+        ("light", json!({"defocus_px": 1e300}), "light.defocus_px"),
+        ("light", json!({"glare": [{"x": 1e300, "sigma_px": 1, "height": 1}]}), "light.glare[0].x"),
+        ("light", json!({"occluders": [{"width": 1e300, "value": 1}]}), "light.occluders[0].width"),
+        ("light", json!({"occluders": [{"value": 1, "from_s": 1e300}]}), "light.occluders"),
+    ];
+    for (key, value, at) in cases {
         let mut source = synthetic("realtime", 30.0);
         source[key] = value;
-        service.put("/v1/sources/two", &source).expect(422);
+        let answer = service.put("/v1/sources/two", &source).expect(422);
+        assert_eq!(answer["diagnostics"][0]["key"], at, "{source}: {answer}");
+        assert!(answer["detail"].as_str().unwrap().len() < 200, "{answer}");
+        if ["gain", "exposure", "full_well_e", "read_noise_e", "row_noise_e", "set", "light"].contains(&key) {
+            let answer = service.put("/v1/sources/shared/scene", &json!({key: source[key]})).expect(422);
+            assert_eq!(answer["diagnostics"][0]["key"], at, "{source}: {answer}");
+        }
     }
 }
 
@@ -329,7 +380,9 @@ fn bytes_that_are_no_document_have_a_short_answer() {
         text.into_bytes()
     };
     let nested = formula(&format!("{}bx{}", "(".repeat(100_000), ")".repeat(100_000)));
-    let cases: [(&str, Vec<u8>); 8] = [
+    let comment = format!("name = \"m\" # {}", "of great length ".repeat(20_000));
+    let cases: [(&str, Vec<u8>); 9] = [
+        ("a long line", comment.into_bytes()),
         ("not UTF-8", b"name = \"\xff\xfe\"".to_vec()),
         ("a NUL", b"name = \"a\0b\"".to_vec()),
         ("from right to left", formula("bx \u{202e}+ 1")),
@@ -346,6 +399,8 @@ fn bytes_that_are_no_document_have_a_short_answer() {
         assert!(first["code"].is_string() && first["line"].as_u64() >= Some(1), "{what}: {problem:.500}");
         for said in [&problem["detail"], &first["message"], &first["help"]] {
             let said = said.as_str().unwrap_or_default();
+            let line = first["source"].as_str().unwrap_or_default();
+            assert!(line.len() <= 1100, "{what}: {} bytes of its line", line.len());
             assert!(said.len() <= 2048 && !said.contains(&long[..100]), "{what}: {} bytes", said.len());
         }
     }

@@ -97,6 +97,11 @@ fn wrong_images_and_queries_are_refused() {
     assert!(code(post(&service, "", RAW, &pixels), 400).ends_with("bad-request"), "raw pixels have no size");
     assert!(code(post(&service, "?size=3", PNG, &png), 400).ends_with("bad-request"));
     assert!(code(post(&service, "", PNG, &png[..300]), 422).ends_with("wrong-document"));
+    // What says nothing of an image is not left out silently.
+    for query in ["?width=5", "?height=48", "?format=u16le"] {
+        let problem = post(&service, query, PNG, &png).expect(400);
+        assert!(problem["detail"].as_str().unwrap().contains("raw pixels"), "{query}: {problem}");
+    }
     post(&service, "?width=64&height=47", RAW, &pixels).expect(413);
     post(&service, "?width=64&height=49", RAW, &pixels).expect(422);
     post(&service, "?width=70000&height=70000", RAW, b"").expect(422);

@@ -64,6 +64,20 @@ fn recordings_that_are_no_files_are_refused_at_once() {
         let source = json!({"kind": "recording", "path": at(name), "rate_hz": 30});
         service.put("/v1/sources/one", &source).expect(422);
     }
+    // A picture of 40,000 × 40,000 px, as its header says.
+    png(&at("huge.png"), 30.0);
+    let mut bytes = std::fs::read(at("huge.png")).unwrap();
+    bytes[16..24].copy_from_slice(&[0, 0, 156, 64, 0, 0, 156, 64]);
+    let mut crc = u32::MAX;
+    for byte in &bytes[12..29] {
+        crc ^= u32::from(*byte);
+        (0..8).for_each(|_| crc = crc >> 1 ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 });
+    }
+    bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
+    std::fs::write(at("huge.png"), &bytes).unwrap();
+    let answer = service.put("/v1/sessions/one", &recording(&at("huge.png"), true)).expect(422);
+    assert_eq!(answer["diagnostics"][0]["key"], "source.path", "{answer}");
+    assert!(answer["detail"].as_str().unwrap().contains("huge.png: "), "{answer}");
     // Others beside the pictures of a folder are left alone.
     png(&at("pipes-only").join("1.png"), 31.0);
     service.put("/v1/sessions/one", &recording(&at("pipes-only"), false)).expect(201);
@@ -86,10 +100,12 @@ fn a_damaged_file_does_not_end_a_loop() {
     // Whole again, it is fitted again.
     std::fs::write(folder.0.join("1.png"), &whole).unwrap();
     service.wait_for("one", |view| view["last"]["file"] == "1.png");
-    // A recording of which nothing can be read has ended.
+    // A recording of which nothing can be read waits until something can.
     (0..3).for_each(|i| std::fs::write(folder.0.join(format!("{i}.png")), &whole[..50]).unwrap());
-    let view = service.wait_for("one", |view| view["state"] == "lost_source");
+    let view = service.wait_for("one", |view| view["state"] == "stalled");
     assert!(view["reason"].as_str().unwrap().contains("damaged"), "{view}");
+    std::fs::write(folder.0.join("2.png"), &whole).unwrap();
+    service.wait_for("one", |view| view["state"] == "running" && view["last"]["file"] == "2.png");
 }
 
 #[test]

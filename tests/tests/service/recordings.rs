@@ -86,6 +86,13 @@ fn recordings_are_read_below_their_folder_only() {
     let detail = |sent: &str| service.put("/v1/sessions/one", &session(sent)).expect(422)["detail"].to_string();
     assert_eq!(detail("../outside/0.png"), detail("../outside/9.png").replace("9.png", "0.png"));
     assert!(detail("flat/9.png").contains("9.png") && !detail("flat/9.png").contains("outside"));
+    // Nor where the folder is.
+    std::fs::write(root.join("flat/torn.csv"), "x,y\n1\n").unwrap();
+    std::fs::create_dir_all(root.join("nothing")).unwrap();
+    for sent in ["flat/9.png", "flat/torn.csv", "nothing", "../outside", "absent.tiff"] {
+        let detail = detail(sent);
+        assert!(!detail.contains(folder.0.to_str().unwrap()), "{sent}: {detail}");
+    }
     service.stop();
 }
 
@@ -108,10 +115,15 @@ fn a_file_that_becomes_a_link_to_elsewhere_is_not_read() {
     symlink("../../outside/0.png", &path).unwrap();
     let reason = |view: &Value| view["reason"].as_str().unwrap_or_default().contains("outside of the folder");
     let begin = std::time::Instant::now();
-    while !reason(&service.get("/v1/sources/flat").expect(200)) {
+    let said = loop {
+        let view = service.get("/v1/sources/flat").expect(200);
+        if reason(&view) {
+            break view["reason"].as_str().unwrap().to_string();
+        }
         assert!(begin.elapsed() < crate::client::DEADLINE, "the link was followed");
         std::thread::yield_now();
-    }
+    };
+    assert!(said.contains("flat/1.png") && !said.contains(folder.0.to_str().unwrap()), "{said}");
     service.stop();
 }
 

@@ -119,7 +119,7 @@ fn wrong_documents_name_the_key() {
         (with("widnow", json!(null)), "widnow"),
         (with("start", json!({"bz": 1})), "start.bz"),
         (with("constants", json!({"amplification": 1})), "constants.amplification"),
-        (with("start", json!({"a1": -1})), "model"),
+        (with("start", json!({"a1": -1})), "start.a1"),
         (with("window", json!({"x": 0, "y": 0, "width": 0, "height": 5})), "window"),
         (with("target", json!({"name": "t"})), "target"),
         (with("target", two_spots()), "target"),
@@ -151,7 +151,7 @@ fn wrong_documents_name_the_key() {
         (source("rate_hz", json!(-1)), "source.rate_hz"),
         (source("width", json!(0)), "source.width"),
         (source("height", json!(1_000_000)), "source.width"),
-        (source("bits", json!(40)), "source"),
+        (source("bits", json!(40)), "source.bits"),
         (source("colour", json!("red")), "source.colour"),
         (source("motion", json!({"bx": "320 +"})), "source.motion.bx"),
     ];
@@ -267,11 +267,50 @@ fn a_recording_is_fitted_to_its_end() {
     service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(200);
     service.wait_for("one", |view| view["frames"].as_u64().unwrap() > 12);
     std::fs::write(folder.0.join("2.png"), b"torn").unwrap();
-    // A file that is torn is left out, and counts as a frame that was lost; without one that can be read it is over.
+    // A file that is torn is left out, and counts as a frame that was lost; without one that can be read it waits for one.
     service.wait_for("one", |view| view["dropped"].as_u64() > Some(2) && view["state"] == "running");
-    (0..5).for_each(|frame| std::fs::write(folder.0.join(format!("{frame}.png")), b"torn").unwrap());
-    let view = service.wait_for("one", |view| view["state"] == "lost_source");
+    let write =
+        |bytes: &[u8]| (0..5).for_each(|frame| std::fs::write(folder.0.join(format!("{frame}.png")), bytes).unwrap());
+    write(b"torn");
+    let view = service.wait_for("one", |view| view["state"] == "stalled");
     assert!(view["reason"].as_str().unwrap().contains(".png"), "{view}");
+    write(&isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0, 22.0))).unwrap());
+    let frames = view["frames"].as_u64();
+    service.wait_for("one", |view| view["state"] == "running" && view["frames"].as_u64() > frames);
+}
+
+/// One file that is cut off while it loops, and is whole again later, in the same place or in that of another.
+#[test]
+fn a_loop_of_one_file_outlives_its_damage() {
+    let folder = Folder::new("loop-of-one");
+    let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0, 22.0))).unwrap();
+    let header = b"YUV4MPEG2 W64 H48 F30:1 Cmono\nFRAME\n".to_vec();
+    let video = [header, picture(64, 48, (30.0, 22.0))].concat();
+    let service = Running::start();
+    for (name, bytes) in [("one.png", png), ("one.y4m", video)] {
+        let path = folder.0.join(name);
+        std::fs::write(&path, &bytes).unwrap();
+        let source = json!({"kind": "recording", "path": path, "rate_hz": 100, "loop": true});
+        service.put("/v1/sources/film", &source).expect(201);
+        service.put("/v1/sessions/one", &json!({"source": "film", "model": "spot"})).expect(201);
+        service.wait_for("one", |view| view["last"]["state"] == "tracking");
+        let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+        file.set_len(bytes.len() as u64 / 2).unwrap();
+        let view = service.wait_for("one", |view| view["state"] == "stalled");
+        assert!(view["reason"].as_str().unwrap().contains(name), "{view}");
+        let source = service.get("/v1/sources/film").expect(200);
+        assert!(source["state"] == "stalled" && source["unread"].as_u64() > Some(0), "{source}");
+        let whole = folder.0.join("whole");
+        std::fs::write(&whole, &bytes).unwrap();
+        std::fs::rename(&whole, &path).unwrap();
+        let frames = view["frames"].as_u64();
+        service.wait_for("one", |view| view["state"] == "running" && view["frames"].as_u64() > frames);
+        let source = service.get("/v1/sources/film").expect(200);
+        assert!(source["state"] == "running" && source["reason"].is_null(), "{source}");
+        service.delete("/v1/sessions/one").expect(204);
+        service.delete("/v1/sources/film").expect(204);
+    }
+    service.stop();
 }
 
 /// The same frames in one file, as a session's recording.

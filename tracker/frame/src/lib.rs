@@ -4,6 +4,7 @@
 //! [`PlaneView`] for each channel. A frame of more than two dimensions is a stack: its outer dimensions are rows.
 
 mod mend;
+mod number;
 mod response;
 
 use std::fmt;
@@ -12,6 +13,7 @@ use std::sync::Arc;
 use isophote_jit::{PixelFormat, PlaneError, PlaneView};
 
 pub use mend::Mend;
+pub use number::{LIGHT_MAX, NUMBER_MAX, plain};
 pub use response::{CameraResponse, GainMap, Response, ResponseError};
 
 /// Dimensions that a frame may have.

@@ -10,6 +10,7 @@
 //! ```
 //! Source: the camera models of OpenCV's modules calib3d and fisheye; Brown 1966; Kannala and Brandt 2006.
 
+use isophote_frame::{NUMBER_MAX, plain};
 use nalgebra::DMatrix;
 
 use super::{Distortion, Intrinsics};
@@ -38,7 +39,7 @@ pub enum IntrinsicsError {
         all: usize,
     },
     /// See the text.
-    #[error("`{name}` = {value} of the intrinsics {wanted}")]
+    #[error("`{name}` = {} of the intrinsics {wanted}", plain(*value))]
     Number {
         /// The key.
         name: &'static str,
@@ -49,6 +50,10 @@ pub enum IntrinsicsError {
     },
 }
 
+/// Of a focal length, or a place.
+const PIXELS_MAX: f64 = 1e9;
+/// Those of narrow lenses are large: they stand before high powers of small angles.
+const COEFFICIENT_MAX: f64 = 1e12;
 /// fx, fy, cx, cy.
 const FIGURES: usize = 4;
 /// Of a covariance that was written down.
@@ -89,17 +94,19 @@ impl Intrinsics {
     /// The first one that cannot be.
     pub fn check(&self) -> Result<(), IntrinsicsError> {
         for (name, value) in [("fx", self.fx), ("fy", self.fy)] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(IntrinsicsError::Number { name, value, wanted: "must be a positive number of pixels" });
+            if !(f64::MIN_POSITIVE..=PIXELS_MAX).contains(&value) {
+                let wanted = "must be a positive number of pixels, 1e9 at most";
+                return Err(IntrinsicsError::Number { name, value, wanted });
             }
         }
         for (name, value) in [("cx", self.cx), ("cy", self.cy)] {
-            if !value.is_finite() {
-                return Err(IntrinsicsError::Number { name, value, wanted: "must be a finite number" });
+            if !(-PIXELS_MAX..=PIXELS_MAX).contains(&value) {
+                return Err(IntrinsicsError::Number { name, value, wanted: "must be from -1e9 to 1e9" });
             }
         }
-        if let Some(&value) = self.coefficients.iter().find(|c| !c.is_finite()) {
-            return Err(IntrinsicsError::Number { name: "coefficients", value, wanted: "must be finite numbers" });
+        if let Some(&value) = self.coefficients.iter().find(|c| !(-COEFFICIENT_MAX..=COEFFICIENT_MAX).contains(*c)) {
+            let wanted = "must be finite numbers, from -1e12 to 1e12";
+            return Err(IntrinsicsError::Number { name: "coefficients", value, wanted });
         }
         let found = self.coefficients.len();
         let (wanted, fits) = match self.model {
@@ -122,8 +129,8 @@ impl Intrinsics {
         if (count != FIGURES && count != all) || rows.iter().any(|row| row.len() != count) {
             return wrong("has other rows or columns");
         }
-        if rows.iter().flatten().any(|entry| !entry.is_finite()) {
-            return wrong("has numbers that are not finite");
+        if rows.iter().flatten().any(|entry| !(-NUMBER_MAX..=NUMBER_MAX).contains(entry)) {
+            return wrong("has numbers beyond 1e30, or none");
         }
         let matrix = DMatrix::from_fn(count, count, |i, j| rows[i][j]);
         let largest = matrix.amax();

@@ -1,5 +1,6 @@
 //! `Target`: where the spots of a rigid target are, in a frame of its own.
 
+use isophote_frame::NUMBER_MAX;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -41,16 +42,21 @@ pub enum TargetError {
     #[error("two spots of the target have the name `{0}`")]
     Twice(String),
     /// See the text.
-    #[error("`position_mm` of the spot `{0}` must be three finite numbers")]
+    #[error("`position_mm` of the spot `{0}` must be three numbers from -1e9 to 1e9")]
     Position(String),
     /// See the text.
-    #[error("`radius_mm` of the spot `{0}` must be a positive number")]
+    #[error("`radius_mm` of the spot `{0}` must be a positive number, 1e9 at most")]
     Radius(String),
+    /// See the text.
+    #[error("`mixing` has numbers that are not from -1e30 to 1e30")]
+    Numbers,
     /// See the text.
     #[error("`mixing` has no inverse: the lights cannot be told apart")]
     Mixing,
 }
 
+/// Of a place or a radius: a thousand kilometres.
+const LENGTH_MM_MAX: f64 = 1e9;
 /// Spots of a target.
 const SPOTS_MAX: usize = 16;
 /// Of a mixing matrix, as a share of its largest entry's cube.
@@ -76,14 +82,17 @@ impl Target {
             if self.spots[..index].iter().any(|other| other.name == spot.name) {
                 return Err(TargetError::Twice(spot.name.clone()));
             }
-            if !spot.position_mm.iter().all(|c| c.is_finite()) {
+            if !spot.position_mm.iter().all(|c| c.abs() <= LENGTH_MM_MAX) {
                 return Err(TargetError::Position(spot.name.clone()));
             }
-            if !(spot.radius_mm.is_finite() && spot.radius_mm > 0.0) {
+            if !(spot.radius_mm > 0.0 && spot.radius_mm <= LENGTH_MM_MAX) {
                 return Err(TargetError::Radius(spot.name.clone()));
             }
         }
         let Some(mixing) = self.mixing else { return Ok(()) };
+        if !mixing.iter().flatten().all(|entry| entry.abs() <= NUMBER_MAX) {
+            return Err(TargetError::Numbers);
+        }
         let matrix = Matrix3::from_fn(|row, column| mixing[row][column]);
         let regular = matrix.determinant().abs() > DETERMINANT_MIN * matrix.amax().powi(3);
         if regular { Ok(()) } else { Err(TargetError::Mixing) }
@@ -150,6 +159,9 @@ mod tests {
         assert_eq!(with(&|t| t.spots[1].name = "red".into()), Err(TargetError::Twice("red".into())));
         assert_eq!(with(&|t| t.spots[0].radius_mm = 0.0), Err(TargetError::Radius("red".into())));
         assert_eq!(with(&|t| t.spots[0].position_mm[1] = f64::NAN), Err(TargetError::Position("red".into())));
+        assert_eq!(with(&|t| t.spots[0].position_mm[2] = -1e300), Err(TargetError::Position("red".into())));
+        assert_eq!(with(&|t| t.spots[0].radius_mm = 1e300), Err(TargetError::Radius("red".into())));
         assert_eq!(with(&|t| t.mixing = Some([[1.0; 3]; 3])), Err(TargetError::Mixing));
+        assert_eq!(with(&|t| t.mixing = Some([[1e300; 3]; 3])), Err(TargetError::Numbers));
     }
 }

@@ -1,0 +1,186 @@
+//! Objects that are written as lists. The derived readers of documents take a list for an object, its values for those of the
+//! keys in their order, wherever in a document that is: nobody means that.
+//!
+//! What comes in: a document's text, and its type, whose description says where objects are. What goes out: the first list in the
+//! place of one.
+
+use std::collections::BTreeMap;
+
+use isophote_symbolic::{Diagnostic, Span};
+use isophote_tracker::Target;
+use jsonc_parser::ast::Value as Node;
+use jsonc_parser::common::Ranged;
+use jsonc_parser::{CollectOptions, ParseOptions, parse_to_ast};
+use serde_json::Value;
+use utoipa::{PartialSchema, ToSchema};
+
+use crate::documents::property_name;
+
+/// A diagnostic at the first list where a document of that type has an object.
+pub fn list_for_object<T: ToSchema>(text: &str) -> Option<Diagnostic> {
+    if !text.contains('[') {
+        return None;
+    }
+    // What is no JSON is told by whoever reads it.
+    let parsed = parse_to_ast(text, &CollectOptions::default(), &ParseOptions::default()).ok()?;
+    let description = Described::of::<T>()?;
+    let mut open = vec![(parsed.value.as_ref()?, vec![&description.whole], String::new())];
+    let mut found: Vec<(Span, String)> = Vec::new();
+    while let Some((node, schemas, key)) = open.pop() {
+        let schemas = description.choices(schemas);
+        match node {
+            Node::Array(list) if is_object(&schemas) => {
+                found.push((Span { start: list.range().start as u32, end: list.range().end as u32 }, key));
+            }
+            Node::Array(list) => {
+                let items: Vec<&Value> = schemas.iter().filter_map(|schema| schema.get("items")).collect();
+                let items =
+                    list.elements.iter().enumerate().map(|(n, item)| (item, items.clone(), format!("{key}[{n}]")));
+                open.extend(items);
+            }
+            Node::Object(object) => {
+                for property in &object.properties {
+                    let name = property_name(&property.name);
+                    let values = schemas.iter().filter_map(|schema| value_of(schema, name)).collect();
+                    let dot = if key.is_empty() { "" } else { "." };
+                    open.push((&property.value, values, format!("{key}{dot}{name}")));
+                }
+            }
+            _ => {}
+        }
+    }
+    let (span, key) = found.into_iter().min_by_key(|(span, _)| span.start)?;
+    let what = if key.is_empty() { "the document" } else { &key };
+    let diagnostic = Diagnostic::error(text, "wrong-value", &key, span, format!("{what} is a list, not an object"));
+    Some(diagnostic.help("write keys and values: {\"key\": value}"))
+}
+
+/// A type, and those that it is made of.
+struct Described {
+    whole: Value,
+    parts: BTreeMap<String, Value>,
+}
+
+impl Described {
+    fn of<T: ToSchema>() -> Option<Described> {
+        let mut parts = Vec::new();
+        T::schemas(&mut parts);
+        // A session's may be empty as well, which hides what it is made of.
+        parts.push((Target::name().into_owned(), Target::schema()));
+        Target::schemas(&mut parts);
+        let parts = parts.into_iter().filter_map(|(name, schema)| Some((name, serde_json::to_value(schema).ok()?)));
+        Some(Described { whole: serde_json::to_value(T::schema()).ok()?, parts: parts.collect() })
+    }
+
+    /// What a value may be, all in all: no difference is made between one of several and all of them.
+    fn choices<'a>(&'a self, schemas: Vec<&'a Value>) -> Vec<&'a Value> {
+        let (mut open, mut choices) = (schemas, Vec::new());
+        // A type may be made of itself.
+        let mut left = 4 * (self.parts.len() + open.len() + 1);
+        while let (Some(schema), true) = (open.pop(), left > 0) {
+            left -= 1;
+            let name = schema["$ref"].as_str().and_then(|reference| reference.rsplit('/').next());
+            open.extend(name.and_then(|name| self.parts.get(name)));
+            let members = ["oneOf", "anyOf", "allOf"].map(|key| schema[key].as_array());
+            open.extend(members.into_iter().flatten().flatten());
+            if members.iter().all(|members| members.is_none()) && name.is_none() {
+                choices.push(schema);
+            }
+        }
+        choices
+    }
+}
+
+fn value_of<'a>(schema: &'a Value, name: &str) -> Option<&'a Value> {
+    schema["properties"].get(name).or_else(|| schema.get("additionalProperties").filter(|values| values.is_object()))
+}
+
+/// Whether an object may be there, and no list.
+fn is_object(choices: &[&Value]) -> bool {
+    let is = |schema: &Value, kind: &str| match &schema["type"] {
+        Value::Array(kinds) => kinds.iter().any(|one| one == kind),
+        one => one == kind,
+    };
+    let is_any = |schema: &&Value| schema["type"].is_null() && schema["properties"].is_null();
+    choices.iter().any(|schema| is(schema, "object"))
+        && !choices.iter().any(|schema| is(schema, "array") || is_any(schema) && schema["enum"].is_null())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use isophote_wire::{
+        ControlDocument, CreditDocument, FrameTime, PlaybackDocument, RecordDocument, RollbackDocument, SceneDocument,
+        SessionDocument, ShadowDocument, SourceDocument, SwapDocument,
+    };
+
+    fn key_of<T: ToSchema>(text: &str) -> Option<String> {
+        list_for_object::<T>(text).map(|fault| fault.key)
+    }
+
+    /// Every place where a document of a session or source has an object.
+    #[test]
+    fn lists_for_objects_are_found_in_their_places() {
+        let camera = r#"{"saturation": 255, "intrinsics": [640, 480], "defect_map": {}}"#;
+        let cases = [
+            (r#"["s", "m"]"#.to_string(), ""),
+            (r#"{"source": "s", "model": "m", "window": [1, 2, 3, 4]}"#.into(), "window"),
+            (r#"{"source": "s", "model": "m", "camera": [255]}"#.into(), "camera"),
+            (r#"{"source": "s", "model": "m", "camera": []}"#.into(), "camera"),
+            (format!(r#"{{"source": "s", "model": "m", "camera": {camera}}}"#), "camera.intrinsics"),
+            (r#"{"source": "s", "model": "m", "camera": {"defect_map": [1, 1, ""]}}"#.into(), "camera.defect_map"),
+            (r#"{"source": "s", "model": "m", "camera": {"response": [2.2]}}"#.into(), "camera.response"),
+            (r#"{"source": "s", "model": "m", "options": ["f32"]}"#.into(), "options"),
+            (r#"{"source": "s", "model": "m", "options": {"motion": [1, 2]}}"#.into(), "options.motion"),
+            (r#"{"source": "s", "model": "m", "options": {"exposure": ["centre"]}}"#.into(), "options.exposure"),
+            (r#"{"source": "s", "model": "m", "options": {"predict": [1, 2]}}"#.into(), "options.predict"),
+            (r#"{"source": "s", "model": "m", "target": {"spots": [["a", [0, 0, 0], 3]]}}"#.into(), "target.spots[0]"),
+            (r#"{"source": ["synthetic", "m"], "model": "m"}"#.into(), "source"),
+            (r#"{"source": {"kind": "synthetic", "model": "m", "light": [[]]}, "model": "m"}"#.into(), "source.light"),
+            (
+                r#"{"source": {"kind": "synthetic", "model": "m", "response": [1]}, "model": "m"}"#.into(),
+                "source.response",
+            ),
+        ];
+        for (text, key) in cases {
+            assert_eq!(key_of::<SessionDocument>(&text).as_deref(), Some(key), "{text}");
+        }
+        let light = r#"{"kind": "synthetic", "model": "m", "light": {"occluders": [{"x": 1}, [1, 2]]}}"#;
+        assert_eq!(key_of::<SourceDocument>(light).as_deref(), Some("light.occluders[1]"));
+        assert_eq!(key_of::<SceneDocument>(r#"{"light": []}"#).as_deref(), Some("light"));
+    }
+
+    #[test]
+    fn no_document_is_a_list() {
+        let found = [
+            key_of::<SourceDocument>("[1]"),
+            key_of::<SwapDocument>("[1]"),
+            key_of::<ShadowDocument>("[1]"),
+            key_of::<RecordDocument>("[1]"),
+            key_of::<RollbackDocument>("[1]"),
+            key_of::<ControlDocument>("[1]"),
+            key_of::<SceneDocument>("[1]"),
+            key_of::<PlaybackDocument>("[1]"),
+            key_of::<CreditDocument>("[1]"),
+            key_of::<FrameTime>("[1]"),
+        ];
+        assert_eq!(found, [const { Some(String::new()) }; 10]);
+    }
+
+    /// Where a document has lists it may have them, also those that a type of several kinds allows.
+    #[test]
+    fn lists_that_are_meant_are_left_alone() {
+        let target = r#"{"name": "t", "spots": [{"name": "r", "position_mm": [0, 80, 0], "radius_mm": 3}],
+                         "mixing": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}"#;
+        let intrinsics = r#"{"width": 6, "height": 4, "fx": 1, "fy": 1, "cx": 1, "cy": 1, "model": "plumb_bob",
+                            "coefficients": [1, 2], "covariance": [[1, 2], [3, 4]]}"#;
+        let light = r#"{"glare": [{"sigma_px": "t", "height": 2}], "slope": [0, "t"], "occluders": []}"#;
+        let text = format!(
+            r#"{{"source": {{"kind": "synthetic", "model": "m", "light": {light}}}, "model": "m", "window": null,
+                "camera": {{"intrinsics": {intrinsics}}}, "target": {target}}}"#
+        );
+        assert_eq!(key_of::<SessionDocument>(&text), None);
+        assert_eq!(key_of::<SessionDocument>(r#"{"source": ["#), None, "no JSON at all");
+    }
+}
