@@ -50,7 +50,10 @@ pub(crate) struct Differentiand<'a> {
 impl Differentiand<'_> {
     /// Above all residuals.
     pub fn top(&self, graph: &mut Graph) -> NodeId {
-        graph.product(1.0, self.values.iter().map(|value| (value.residual, 1)).collect::<Powers>())
+        match self.values[..] {
+            [alone] => alone.residual,
+            _ => graph.product(1.0, self.values.iter().map(|value| (value.residual, 1)).collect::<Powers>()),
+        }
     }
 }
 

@@ -24,7 +24,7 @@ const COUNTED: [&str; 2] = ["seen", "saturated"];
 /// See the module's text.
 #[derive(Clone, Debug)]
 pub(crate) struct Direction {
-    /// a: which residual, and by what it changes.
+    /// a: which residual, and by what it changes; none of one residual alone, which changes by 1.
     pub parts: Vec<(usize, NodeId)>,
     /// g.
     pub gradient: Jet,
@@ -32,9 +32,8 @@ pub(crate) struct Direction {
 
 /// The directions of residuals with these first derivatives.
 pub(crate) fn directions(graph: &mut Graph, jets: &[Jet]) -> Vec<Direction> {
-    let one = graph.number(1.0);
     if let [alone] = jets {
-        return vec![Direction { parts: vec![(0, one)], gradient: alone.clone() }];
+        return vec![Direction { parts: Vec::new(), gradient: alone.clone() }];
     }
     let mut of: BTreeMap<NodeId, Vec<(usize, NodeId)>> = BTreeMap::new();
     for (number, jet) in jets.iter().enumerate() {
@@ -100,6 +99,9 @@ impl Weights {
     pub fn of(graph: &mut Graph, top: &Jet, residuals: &[NodeId], directions: &[Direction]) -> Option<Weights> {
         let each = residuals.iter().map(|r| Some((*top.first.get(r)?, *top.second.get(&(*r, *r))?)));
         let each: Vec<(NodeId, NodeId)> = each.collect::<Option<_>>()?;
+        if let [(slope, curvature)] = each[..] {
+            return Some(Weights { slopes: vec![slope], curvatures: [((0, 0), curvature)].into_iter().collect() });
+        }
         let mut sum = |terms: Vec<Powers>| {
             let products = terms.into_iter().map(|factors| (graph.product(1.0, factors), 1.0)).collect::<Vec<_>>();
             let is_sum = products.len() > 1;

@@ -30,13 +30,32 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     Subject { model: model.clone(), graph, values, counts, shape, domain, parameters, claim }
 }
 
+/// Which node of a value.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Of {
+    Residual,
+    Variance,
+    OwnVariance,
+}
+
 /// The values of a pixel whose F is summed.
 pub(crate) fn values(graph: &mut Graph, model: &Model, claim: Claim) -> Vec<PixelValue> {
-    let mut of = |entry: &Observation| PixelValue {
-        residual: residual(graph, model, entry),
-        variance: variance(graph, entry, claim),
-        own_variance: own_variance(graph, entry, claim),
-        below: below(graph, model, entry),
+    rewritten_values(graph, model, claim, &|_, node, _| node)
+}
+
+/// The same, each node rewritten as soon as it is there.
+pub(crate) fn rewritten_values(
+    graph: &mut Graph,
+    model: &Model,
+    claim: Claim,
+    rewritten: &dyn Fn(&mut Graph, NodeId, Of) -> NodeId,
+) -> Vec<PixelValue> {
+    let mut of = |entry: &Observation| {
+        let residual = residual(graph, model, entry);
+        let residual = rewritten(graph, residual, Of::Residual);
+        let variance = variance(graph, entry, claim).map(|node| rewritten(graph, node, Of::Variance));
+        let own_variance = own_variance(graph, entry, claim).map(|node| rewritten(graph, node, Of::OwnVariance));
+        PixelValue { residual, variance, own_variance, below: below(graph, model, entry) }
     };
     model.formulas.summed().iter().map(&mut of).collect()
 }
@@ -53,8 +72,12 @@ fn below(graph: &mut Graph, model: &Model, entry: &Observation) -> Option<[NodeI
 
 /// Of each value in turn 1 where it is below its limit, else 0, and 1 where it is at it; nothing where all values are summed.
 pub(crate) fn counts(graph: &mut Graph, values: &[PixelValue]) -> Vec<NodeId> {
-    let [zero, one] = [0.0, 1.0].map(|number| graph.number(number));
-    values.iter().filter_map(|value| value.below).flatten().map(|truth| graph.select(truth, one, zero)).collect()
+    let truths: Vec<NodeId> = values.iter().filter_map(|value| value.below).flatten().collect();
+    let mut count = |truth: NodeId| {
+        let [zero, one] = [0.0, 1.0].map(|number| graph.number(number));
+        graph.select(truth, one, zero)
+    };
+    truths.into_iter().map(&mut count).collect()
 }
 
 /// Who judges derivatives, when the document's budget has room for it.
