@@ -344,7 +344,9 @@ fn a_subscriber_without_credit_falls_out_and_is_told() {
     let (next, after) = (socket.next().unwrap(), socket.next().unwrap());
     assert!(number(&next, "dropped") > frames / 4, "{next}");
     assert_eq!(number(&next, "frame"), number(&first, "frame") + 1 + number(&next, "dropped"));
-    assert_eq!((number(&after, "frame"), number(&after, "dropped")), (number(&next, "frame") + 1, 0));
+    // The session goes on meanwhile: what comes next may have fallen out as well.
+    assert_eq!(number(&after, "frame"), number(&next, "frame") + 1 + number(&after, "dropped"));
+    assert!(number(&after, "dropped") < frames / 4, "{after}");
 }
 
 /// Heads that never end, and bodies that never come: the service ends them, and serves others meanwhile.
