@@ -17,7 +17,7 @@ use crate::derive::monomial::whole_output;
 use crate::derive::schedule;
 use crate::derive::search;
 use crate::derive::sums::{FactoredSums, Output};
-use crate::derive::terms::{Of, entry_domain, referee, rewritten_values, values};
+use crate::derive::terms::{entry_domain, referee, rewritten_values, values};
 use crate::derive::whole_model::WholeModel;
 use crate::language::budget::Budget;
 use crate::language::graph::{Graph, NodeId};
@@ -327,19 +327,14 @@ impl<'a> DerivationSetting<'a> {
         let model = referee.model();
         let mut graph = model.formulas.graph.drawing_on(budget);
         let (newton, claim) = (referee.claim().is_newton(), referee.claim());
-        let values = rewritten_values(&mut graph, model, claim, &|graph, node, of| {
+        let values = rewritten_values(&mut graph, model, claim, &|graph, node, is_held| {
             let node = reciprocals(graph, node);
             // What is predicted at the parameters themselves is written as the residual is, so that both are made of the same
             // values.
-            let is_alike = of != Of::Variance || claim.is_at_entry();
-            let node = if is_alike { gather(graph, node) } else { node };
-            if of == Of::Residual {
-                graph.set_opaque(node);
-            }
+            let node = if !is_held || claim.is_at_entry() { gather(graph, node) } else { node };
+            graph.set_opaque(node);
             node
         });
-        let variances = values.iter().flat_map(|value| [value.variance, value.own_variance]).flatten();
-        variances.for_each(|variance| graph.set_opaque(variance));
         let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let domain = entry_domain(&mut graph, model, claim);
         let reads_alike = !newton && !claim.is_at_entry() && values[0].variance.is_some();

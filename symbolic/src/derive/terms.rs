@@ -30,31 +30,23 @@ fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
     Subject { model: model.clone(), graph, values, counts, shape, domain, parameters, claim }
 }
 
-/// Which node of a value.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Of {
-    Residual,
-    Variance,
-    OwnVariance,
-}
-
 /// The values of a pixel whose F is summed.
 pub(crate) fn values(graph: &mut Graph, model: &Model, claim: Claim) -> Vec<PixelValue> {
     rewritten_values(graph, model, claim, &|_, node, _| node)
 }
 
-/// The same, each node rewritten as soon as it is there.
+/// The same, each node rewritten as soon as it is there; of the variance that is held that is said.
 pub(crate) fn rewritten_values(
     graph: &mut Graph,
     model: &Model,
     claim: Claim,
-    rewritten: &dyn Fn(&mut Graph, NodeId, Of) -> NodeId,
+    rewritten: &dyn Fn(&mut Graph, NodeId, bool) -> NodeId,
 ) -> Vec<PixelValue> {
     let mut of = |entry: &Observation| {
         let residual = residual(graph, model, entry);
-        let residual = rewritten(graph, residual, Of::Residual);
-        let variance = variance(graph, entry, claim).map(|node| rewritten(graph, node, Of::Variance));
-        let own_variance = own_variance(graph, entry, claim).map(|node| rewritten(graph, node, Of::OwnVariance));
+        let residual = rewritten(graph, residual, false);
+        let variance = variance(graph, entry, claim).map(|node| rewritten(graph, node, true));
+        let own_variance = own_variance(graph, entry, claim).map(|node| rewritten(graph, node, false));
         PixelValue { residual, variance, own_variance, below: below(graph, model, entry) }
     };
     model.formulas.summed().iter().map(&mut of).collect()
