@@ -335,8 +335,8 @@ fn wrong_frames_and_names_are_told() {
     for (options, text) in [
         (options("bz", "", 1.0), "the model has no parameter `bz`; did you mean `bx`?"),
         (options("", "gain", 1.0), "the model has no constant `gain`"),
-        (options("v1", "", 0.0), "start of `v1` = 0 is not inside its bounds (exclusive)"),
-        (options("bx", "", f64::NAN), "start of `bx` = NaN is not inside its bounds (exclusive)"),
+        (options("v1", "", 0.0), "start of `v1` = 0 is not between 0 and 1e30, its bounds (exclusive)"),
+        (options("bx", "", f64::NAN), "start of `bx` = NaN is not between -1e30 and 1e30, its bounds (exclusive)"),
         (
             TrackerOptions { precision: Precision::F64, ..TrackerOptions::default() },
             "the options say F64, the kernels are for F32",
