@@ -18,6 +18,11 @@ struct Counted {
     panics: bool,
 }
 
+fn one_pixel() -> Captured {
+    let frame = Frame::new(&[1, 1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap();
+    Captured { frame, file: None, truth: None }
+}
+
 impl FrameSource for Counted {
     fn next(&mut self) -> Result<Option<Captured>, SourceError> {
         if self.left == 0 {
@@ -25,8 +30,7 @@ impl FrameSource for Counted {
             return Ok(None);
         }
         self.left -= 1;
-        let frame = Frame::new(&[1, 1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap();
-        Ok(Some(Captured { frame, file: None, truth: None }))
+        Ok(Some(one_pixel()))
     }
     fn description(&self) -> String {
         "frames of a test".into()
@@ -165,8 +169,7 @@ impl FrameSource for Torn {
         if self.fail.contains(&(self.reads - 1)) {
             return Err(SourceError::Empty { path: "torn".into() });
         }
-        let frame = Frame::new(&[1, 1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap();
-        Ok(Some(Captured { frame, file: None, truth: None }))
+        Ok(Some(one_pixel()))
     }
     fn description(&self) -> String {
         "frames of a test".into()

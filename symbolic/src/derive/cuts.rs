@@ -15,13 +15,13 @@ use crate::proof::hyper::Order;
 /// read (one target in several channels, or at several points of a pixel): what pays for one of them pays for all.
 pub(crate) fn cut_classes(
     graph: &Graph,
-    residual: NodeId,
+    residuals: &[NodeId],
     parameters: &[NodeId],
     order: Order,
 ) -> Vec<BTreeSet<NodeId>> {
-    let counts = graph.use_counts(&[residual]);
+    let counts = graph.use_counts(residuals);
     let mut likeness: FxHashMap<NodeId, u64> = FxHashMap::default();
-    for id in graph.reachable(&[residual]) {
+    for id in graph.reachable(residuals) {
         let node = graph.node(id);
         let mut below: Vec<u64> = operands(node).map(|n| likeness[&n]).collect();
         if let Node::Product(factors) = node {
@@ -41,7 +41,7 @@ pub(crate) fn cut_classes(
         likeness.insert(id, FxBuildHasher.hash_one(own));
     }
     let mut classes: BTreeMap<(u64, u32), BTreeSet<NodeId>> = BTreeMap::new();
-    for cut in cut_candidates(graph, residual, parameters, order) {
+    for cut in cut_candidates(graph, residuals, parameters, order) {
         classes.entry((likeness[&cut], counts[cut.index()])).or_default().insert(cut);
     }
     let mut classes: Vec<_> = classes.into_values().collect();
@@ -52,16 +52,16 @@ pub(crate) fn cut_classes(
 /// Shared pixel nodes that the chain rule may treat as variables: used more than once or nonlinearly, not mere offsets,
 /// and finite wherever their operands are when a condition might choose another branch; to first order also such as are read
 /// in branches only, outside of which nothing depends on them.
-fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId], order: Order) -> BTreeSet<NodeId> {
-    let reachable = graph.reachable(&[residual]);
-    let counts = graph.use_counts(&[residual]);
-    let Finite { depends, finite, .. } = Finite::below(graph, residual, parameters);
+fn cut_candidates(graph: &Graph, residuals: &[NodeId], parameters: &[NodeId], order: Order) -> BTreeSet<NodeId> {
+    let reachable = graph.reachable(residuals);
+    let counts = graph.use_counts(residuals);
+    let Finite { depends, finite, .. } = Finite::below(graph, residuals, parameters);
     let exposed = match order {
-        Order::First => exposed(graph, &reachable, &depends),
+        Order::First => exposed(graph, residuals, &reachable, &depends),
         Order::Second => reachable.iter().copied().collect(),
     };
     let differentiated = match order {
-        Order::First => differentiated(graph, &reachable, &depends),
+        Order::First => differentiated(graph, residuals, &reachable, &depends),
         Order::Second => reachable.iter().copied().collect(),
     };
     let mut powered = BTreeSet::new();
@@ -80,7 +80,7 @@ fn cut_candidates(graph: &Graph, residual: NodeId, parameters: &[NodeId], order:
             node => !leaf(id) && !matches!(node, Node::Number(_)),
         };
         shape
-            && *id != residual
+            && !residuals.contains(id)
             && !graph.is_truth(*id)
             && depends.contains(id)
             && differentiated.contains(id)
@@ -105,8 +105,8 @@ pub(crate) struct Finite {
 }
 
 impl Finite {
-    pub fn below(graph: &Graph, root: NodeId, parameters: &[NodeId]) -> Finite {
-        let reachable = graph.reachable(&[root]);
+    pub fn below(graph: &Graph, roots: &[NodeId], parameters: &[NodeId]) -> Finite {
+        let reachable = graph.reachable(roots);
         let is_conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..)));
         let (at_least_zero, positive) = signs(graph, &reachable);
         let looked_at = looked_at(graph, &reachable);
@@ -140,9 +140,9 @@ impl Finite {
     }
 }
 
-/// What the root depends on other than in a branch beside one that depends on nothing.
-fn exposed(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
-    let mut exposed: BTreeSet<NodeId> = reachable.last().copied().into_iter().collect();
+/// What the roots depend on other than in a branch beside one that depends on nothing.
+fn exposed(graph: &Graph, roots: &[NodeId], reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
+    let mut exposed: BTreeSet<NodeId> = roots.iter().copied().collect();
     for id in reachable.iter().rev() {
         if !exposed.contains(id) {
             continue;
@@ -157,8 +157,13 @@ fn exposed(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> B
 }
 
 /// What derivatives are taken of: not what conditions alone read.
-fn differentiated(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
-    let mut found: BTreeSet<NodeId> = reachable.last().copied().into_iter().collect();
+fn differentiated(
+    graph: &Graph,
+    roots: &[NodeId],
+    reachable: &[NodeId],
+    depends: &BTreeSet<NodeId>,
+) -> BTreeSet<NodeId> {
+    let mut found: BTreeSet<NodeId> = roots.iter().copied().collect();
     for id in reachable.iter().rev().filter(|id| depends.contains(id)) {
         if found.contains(id) {
             let condition = match graph.node(*id) {
@@ -172,10 +177,10 @@ fn differentiated(graph: &Graph, reachable: &[NodeId], depends: &BTreeSet<NodeId
 }
 
 /// Values known per pass that pixel values are made of: sums and functions of parameters.
-pub(crate) fn frontier(graph: &Graph, root: NodeId, parameters: &[NodeId], below: &Finite) -> BTreeSet<NodeId> {
+pub(crate) fn frontier(graph: &Graph, roots: &[NodeId], parameters: &[NodeId], below: &Finite) -> BTreeSet<NodeId> {
     let Finite { depends, finite, .. } = below;
     let is_earlier = |n: &NodeId| graph.level(*n) < Level::Pixel && depends.contains(n);
-    let pixels = graph.reachable(&[root]).into_iter().filter(|n| graph.level(*n) == Level::Pixel);
+    let pixels = graph.reachable(roots).into_iter().filter(|n| graph.level(*n) == Level::Pixel);
     let mut stack: Vec<NodeId> =
         pixels.flat_map(|n| operands(graph.node(n)).filter(is_earlier).collect::<Vec<_>>()).collect();
     let (mut seen, mut found) = (BTreeSet::new(), BTreeSet::new());

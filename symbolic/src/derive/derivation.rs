@@ -48,12 +48,8 @@ pub(crate) struct Differentiand<'a> {
 }
 
 impl Differentiand<'_> {
-    /// Above all residuals.
-    pub fn top(&self, graph: &mut Graph) -> NodeId {
-        match self.values[..] {
-            [alone] => alone.residual,
-            _ => graph.product(1.0, self.values.iter().map(|value| (value.residual, 1)).collect::<Powers>()),
-        }
+    pub fn residuals(&self) -> Vec<NodeId> {
+        self.values.iter().map(|value| value.residual).collect()
     }
 }
 
@@ -126,16 +122,14 @@ impl Derivation {
     pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts, by: By) -> Option<Derivation> {
         let mut variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
         let parameters = differentiand.parameters;
-        let top = differentiand.top(&mut graph);
-        let finite =
-            (differentiand.order == Order::First && by == By::Features).then(|| Finite::below(&graph, top, parameters));
+        let mut tops = differentiand.residuals();
+        let finite = (differentiand.order == Order::First && by == By::Features)
+            .then(|| Finite::below(&graph, &tops, parameters));
         if let Some(finite) = &finite {
-            variables.extend(frontier(&graph, top, parameters, finite));
+            variables.extend(frontier(&graph, &tops, parameters, finite));
         }
         // The top variables: r, and σ² where it is differentiated.
-        let residuals: Vec<NodeId> = differentiand.values.iter().map(|value| value.residual).collect();
         let variances = differentiand.values.iter().filter_map(|value| value.variance);
-        let mut tops = residuals.clone();
         tops.extend(variances.filter(|_| differentiand.order == Order::Second));
         let mut jets: Vec<Jet> =
             tops.iter().map(|top| jet(&mut graph, *top, &variables, differentiand.order)).collect();

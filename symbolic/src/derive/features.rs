@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::derive::cuts::Finite;
 use crate::derive::jet::{Jet, jet};
-use crate::derive::monomial::{Monomial, Polynomial, Powers, Splitter, multiply};
+use crate::derive::monomial::{Monomial, Polynomial, Powers, Splitter, factors, multiply};
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::program::Level;
 use crate::proof::hyper::Order;
@@ -223,14 +223,7 @@ fn guarded(graph: &mut Graph, finite: &Finite, guard: NodeId, adjoint: &Polynomi
     };
     let product = graph.product(1.0, inside.into_iter().chain([(slope, 1)]));
     // What is known earlier, and finite, leaves the branch.
-    let (number, body) = match graph.node(product) {
-        Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => (terms[0].1.get(), terms[0].0),
-        _ => (1.0, product),
-    };
-    let factors = match graph.node(body) {
-        Node::Product(factors) if !graph.is_opaque(body) => factors.to_vec(),
-        _ => vec![(body, 1)],
-    };
+    let (number, factors) = factors(graph, product);
     let is_kept = |(n, e): &(NodeId, i32)| graph.level(*n) < Level::Pixel && finite.has_power(graph, *n, *e);
     let (kept, left): (Powers, Powers) = factors.into_iter().partition(is_kept);
     let product = graph.product(1.0, left);

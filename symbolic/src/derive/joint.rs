@@ -10,10 +10,10 @@ use std::collections::BTreeMap;
 use rustc_hash::FxHashMap;
 
 use crate::derive::jet::Jet;
-use crate::derive::monomial::{Powers, whole_output};
+use crate::derive::monomial::{Powers, factors, whole_output};
 use crate::derive::sums::Output;
 use crate::derive::terms::counts;
-use crate::language::graph::{Graph, Node, NodeId};
+use crate::language::graph::{Graph, NodeId};
 use crate::proof::hyper::Order;
 use crate::proof::likelihood::Shape;
 use crate::proof::subject::PixelValue;
@@ -69,21 +69,6 @@ fn apart(graph: &mut Graph, slopes: &[(usize, NodeId)]) -> (NodeId, Vec<(usize, 
     });
     let left = left.collect();
     (graph.product(number, shared), left)
-}
-
-/// A product's number and factors.
-fn factors(graph: &Graph, node: NodeId) -> (f64, Powers) {
-    let (number, inner) = match graph.node(node) {
-        Node::Number(bits) => return (bits.get(), Powers::new()),
-        Node::Sum(constant, terms) if constant.get() == 0.0 && terms.len() == 1 && !graph.is_opaque(node) => {
-            (terms[0].1.get(), terms[0].0)
-        }
-        _ => (1.0, node),
-    };
-    match graph.node(inner) {
-        Node::Product(factors) if !graph.is_opaque(inner) => (number, factors.iter().copied().collect()),
-        _ => (number, Powers::from_slice(&[(inner, 1)])),
-    }
 }
 
 /// What F's derivatives by the residuals, Gauss–Newton's, make of directions.

@@ -128,6 +128,19 @@ pub(crate) fn whole_output(graph: &mut Graph, name: &str, node: NodeId) -> Outpu
     Output { name: name.into(), terms }
 }
 
+/// A node's number and factors.
+pub(crate) fn factors(graph: &Graph, node: NodeId) -> (f64, Powers) {
+    let (number, body) = match graph.node(node) {
+        Node::Number(bits) => return (bits.get(), Powers::new()),
+        Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => (terms[0].1.get(), terms[0].0),
+        _ => (1.0, node),
+    };
+    match graph.node(body) {
+        Node::Product(factors) if !graph.is_opaque(body) => (number, factors.iter().copied().collect()),
+        _ => (number, Powers::from_slice(&[(body, 1)])),
+    }
+}
+
 /// Takes nodes apart; `atoms` are never looked into.
 pub(crate) struct Splitter<'a> {
     atoms: &'a BTreeSet<NodeId>,

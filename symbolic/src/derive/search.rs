@@ -48,11 +48,7 @@ pub(crate) fn fewest_flops(
     differentiand: &Differentiand<'_>,
     most: Scaling,
 ) -> Option<(Derivation, FactoredSums)> {
-    let classes = {
-        let mut graph = graph.copied();
-        let top = differentiand.top(&mut graph);
-        cut_classes(&graph, top, differentiand.parameters, differentiand.order)
-    };
+    let classes = cut_classes(graph, &differentiand.residuals(), differentiand.parameters, differentiand.order);
     let mut search = Search {
         graph,
         differentiand,

@@ -272,10 +272,11 @@ impl Summand {
         let seen: Vec<&Model> = summands.iter().filter(|s| !s.is_clipped).map(|s| &s.model).collect();
         let [first, _, ..] = seen[..] else { return None };
         let entries: Vec<Observation> = seen.iter().flat_map(|model| model.formulas.entries.iter().copied()).collect();
+        let entries_count = entries.len();
         let formulas = Formulas { entries, is_joint: true, ..first.formulas.clone() };
-        let count = formulas.entries.len();
-        let model = || Model { formulas: formulas.clone(), ..Model::clone(first) };
-        formulas.shares_work().then(|| Summand { model: model(), is_clipped: false, entries: count })
+        let is_worth_it = formulas.shares_work();
+        let model = Model { formulas, ..Model::clone(first) };
+        is_worth_it.then_some(Summand { model, is_clipped: false, entries: entries_count })
     }
 }
 

@@ -172,8 +172,9 @@ impl Derived {
                 Job::Opening => part.objective.opening(),
                 _ => part.objective.closing(),
             };
-            let programs = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, first + number)?;
-            Ok(SummandPrograms { is_short: true, is_clipped: part.is_clipped, is_joint: part.is_joint, ..programs })
+            let kind = (part.is_clipped, part.is_joint);
+            let part = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, first + number, kind)?;
+            Ok(SummandPrograms { is_short: true, ..part })
         });
         if let Ok(parts) = parts {
             self.parts.extend(parts);
@@ -211,15 +212,17 @@ fn part(
         Sum::Derivatives(parameters, Curvature::GaussNewton) => model.objective(parameters, Method::GaussNewton),
         Sum::Value(kind) => model.value_objective(*kind),
     };
-    let programs = SummandPrograms::of(objective.map_err(CompileFailure::Model)?, sum)?;
-    Ok(SummandPrograms { is_clipped: *is_clipped, is_joint: *entries > 1, ..programs })
+    SummandPrograms::of(objective.map_err(CompileFailure::Model)?, sum, (*is_clipped, *entries > 1))
 }
 
 impl SummandPrograms {
-    fn of(objective: Objective, sum: usize) -> Result<SummandPrograms, CompileFailure> {
+    fn of(
+        objective: Objective,
+        sum: usize,
+        (is_clipped, is_joint): (bool, bool),
+    ) -> Result<SummandPrograms, CompileFailure> {
         let lowered = |control| objective.program(lowering(control)).map_err(CompileFailure::Model);
         let (plain, dropping) = (lowered(Control::Plain)?, lowered(Control::Dropping)?);
-        let (is_clipped, is_joint, is_short) = (false, false, false);
-        Ok(SummandPrograms { sum, is_clipped, is_joint, is_short, plain, dropping, objective })
+        Ok(SummandPrograms { sum, is_clipped, is_joint, is_short: false, plain, dropping, objective })
     }
 }
